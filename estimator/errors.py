@@ -1,0 +1,25 @@
+"""The exception with which a filter ends that has stopped to be one."""
+
+from __future__ import annotations
+
+
+class FilterDiverged(ArithmeticError):
+    """A filter whose next estimate would not be a finite number with a positive definite covariance.
+
+    Raised instead of letting NaN into a history. The message is one line: filter, step, time [s], reason.
+
+    Attributes:
+        filter: name of the filter (`FilterSettings.name`).
+        step: index of the measurement at which it happened.
+        time: its time in [s].
+        reason: what went wrong.
+        index: which one of a batch, or None.
+    """
+
+    def __init__(self, filter: str, step: int, time: float, reason: str, index: int | None = None):
+        self.filter, self.step, self.time, self.reason, self.index = filter, step, time, reason, index
+        which = "" if index is None else f" (number {index} of the batch)"
+        super().__init__(f"filter {filter!r}{which} diverged at step {step}, t = {time:g} s: {reason}")
+
+    def __reduce__(self):
+        return type(self), (self.filter, self.step, self.time, self.reason, self.index)

@@ -1,0 +1,105 @@
+"""What a datasheet leaves open: a joint's tolerances as independent standard normal variables.
+
+Each calibration variable `x_j ~ N(0, 1)` moves one number of the joint (or, where a tolerance is shared, several):
+`value = nominal · (1 + tolerance · x_own) · (1 + shared tolerance · x_shared) + deviation · x_own`. Drawing a
+joint within its tolerances is drawing `x`; fitting one is finding `x` with the prior that the joint file states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .joint import Joint, Mounting, Number
+
+CUT = 2.5
+"""Joints are drawn with every variable within this many standard deviations."""
+
+
+@dataclass(frozen=True)
+class Slot:
+    """A number of the record: `record[field]` or `record[field][index]`, by the name that diagnosis reports."""
+
+    name: str
+    field: str
+    index: int
+    number: Number
+
+
+class Calibration:
+    """The calibration variables of a joint.
+
+    Attributes:
+      names: name of each variable, shape (n,): a number's symbol, or the name of a shared tolerance.
+      slots: the numbers that the variables move.
+    """
+
+    def __init__(self, joint: Joint):
+        self.joint = joint
+        self.slots = [s for s in _slots(joint) if s.number.tolerance or s.number.deviation or s.number.shared]
+        own = [s.name for s in self.slots if s.number.tolerance or s.number.deviation]
+        shared = [f"shared {name}" for name in joint.shared_tolerances]
+        self.names = own + shared
+        self._position = {name: i for i, name in enumerate(self.names)}
+
+    @property
+    def size(self) -> int:
+        """Number of variables."""
+        return len(self.names)
+
+    def draw(self, rng: np.random.Generator) -> np.ndarray:
+        """Draw a joint within tolerance, shape (n,): standard normal, cut at `CUT`."""
+        x = rng.standard_normal(self.size)
+        while np.any(far := np.abs(x) > CUT):
+            x[far] = rng.standard_normal(int(far.sum()))
+        return x
+
+    def value(self, slot: Slot, x: np.ndarray) -> float:
+        """Value of one number at `x`."""
+        number = slot.number
+        own = x[self._position[slot.name]] if slot.name in self._position else 0.0
+        value = number.value * (1 + number.tolerance * own) + number.deviation * own
+        if number.shared is not None:
+            value *= 1 + self.joint.shared_tolerances[number.shared] * x[self._position[f"shared {number.shared}"]]
+        return float(value)
+
+    def record(self, x: np.ndarray, mounting: Mounting | None = None, effects: bool = True) -> np.ndarray:
+        """Parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or without."""
+        mounting = self.joint.mount() if mounting is None else mounting
+        record = self.joint.bare_record(mounting)
+        p = record[0]
+        for slot in self.slots:
+            value = self.value(slot, x)
+            if slot.field == "Jl":
+                p["Jl"] = mounting.inertia * value
+            elif slot.field == "Mg":
+                p["Mg"] = mounting.gravity_moment * value
+            elif slot.index < 0:
+                p[slot.field] = value
+            else:
+                p[slot.field][slot.index] = value
+        if effects:
+            self.joint.apply_effects(record)
+        return record
+
+
+def _slots(joint: Joint) -> list[Slot]:
+    found = [Slot(symbol, symbol, -1, number) for symbol, number in joint.numbers.items()]
+    for i, order in enumerate(joint.kinematic_error):
+        found.append(Slot(f"A{order.order:g}", "amplitude", i, order.amplitude))
+        found.append(Slot(f"φ{order.order:g}", "phase", i, order.phase))
+    if "inertia" in joint.link_tolerances:
+        found.append(Slot("Jl", "Jl", -1, joint.link_tolerances["inertia"]))
+    if "gravity_moment" in joint.link_tolerances:
+        found.append(Slot("Mg", "Mg", -1, joint.link_tolerances["gravity_moment"]))
+    s = joint.sensors
+    for name, field, number in (
+        ("link_encoder_zero", "link_zero", s.link_encoder.zero),
+        ("current_offset", "current_offset", s.motor_current.offset),
+        ("torque_sensor_gain", "torque_gain", s.joint_torque.gain),
+        ("torque_sensor_offset", "torque_offset", s.joint_torque.offset),
+    ):
+        if number is not None:
+            found.append(Slot(name, field, -1, number))
+    return found

@@ -1,0 +1,29 @@
+"""Torque constant."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .base import Cause, Parameter
+
+
+class TorqueConstant(Cause):
+    """The torque constant, or the current sensor's gain, differs."""
+
+    name = "torque_constant"
+    component = "motor"
+    description = "the torque constant, or the current sensor's gain, differs"
+    parameters = (
+        Parameter(
+            "value",
+            "N·m/A",
+            (1e-4, 10.0),
+            ((0.80, 0.92), (1.08, 1.20)),
+            relative="Kt",
+            neutral=1.0,
+            magnitude=True,
+        ),
+    )
+
+    def apply(self, p: np.void, values: dict[str, float]) -> None:
+        p["Kt"] = values["value"]

@@ -1,0 +1,364 @@
+"""A joint description: the YAML file in which a person states a joint, every number with unit, source and tolerance."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field, PrivateAttr, model_validator
+
+from . import causes
+from .errors import InputError, nearest
+from .files import Strict, load, write_into_place
+from .parameters import N_COEFFICIENTS, N_ORDERS, N_TERMS, PLACES, VARIABLES, neutral
+
+# Symbol: unit, may it be zero? All are non-negative.
+SYMBOLS: dict[str, tuple[str, bool]] = {
+    "N": ("1", False), "Jm": ("kg·m²", False), "Jw": ("kg·m²", False), "Kt": ("N·m/A", False),
+    "bm": ("N·m·s/rad", True), "R": ("ohm", False), "L": ("H", True),
+    "supply_voltage": ("V", False), "current_limit": ("A", False),
+    "K1": ("N·m/rad", False), "K2": ("N·m/rad", False), "K3": ("N·m/rad", False),
+    "T1": ("N·m", False), "T2": ("N·m", False), "df": ("N·m·s/rad", True),
+    "Kw0": ("N·m/rad", False), "Cw": ("1/(N·m)", False), "dw": ("N·m·s/rad", True),
+    "Fc": ("N·m", False), "Fs": ("N·m", False), "vs": ("rad/s", False),
+    "s0": ("N·m/rad", False), "s1": ("N·m·s/rad", True), "bw": ("N·m·s/rad", True),
+    "bl": ("N·m·s/rad", True),
+    "rated_torque": ("N·m", False),
+}  # fmt: skip
+
+_SPELLINGS = str.maketrans({"*": "·", ".": "·", "⋅": "·", "Ω": "Ω"})
+
+
+def _same_unit(a: str, b: str) -> bool:
+    def plain(unit: str) -> str:
+        text = unit.translate(_SPELLINGS).replace("^2", "²").replace("Ω", "ohm").replace(" ", "")
+        return text if text != "" else "1"
+
+    return plain(a) == plain(b)
+
+
+class Number(Strict):
+    """A number of the joint.
+
+    `tolerance` is the relative, `deviation` the absolute standard deviation that datasheet and calibration leave
+    open; `shared` names a further deviation that several numbers have in common (`Joint.shared_tolerances`).
+    `std` is the standard deviation that a diagnosis found, `nominal` what the value was before it.
+    """
+
+    value: float
+    unit: str
+    source: str
+    tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    deviation: Annotated[float, Field(ge=0)] = 0.0
+    shared: str | None = None
+    std: Annotated[float, Field(ge=0)] | None = None
+    nominal: float | None = None
+
+
+class Order(Strict):
+    """One order of the kinematic error: amplitude [rad, output side], phase [rad], both with tolerances."""
+
+    order: Annotated[float, Field(gt=0)]
+    amplitude: Number
+    phase: Number
+
+
+class Mounting(Strict):
+    """What is bolted to the output: inertia about the joint axis and gravity moment at horizontal."""
+
+    inertia: Annotated[float, Field(gt=0, description="kg·m²")]
+    gravity_moment: Annotated[float, Field(ge=0, description="N·m")]
+
+
+class EncoderSpec(Strict):
+    """An encoder: `counts` per revolution or `bits`, noise [rad rms], delay [s], zero, sample rate [Hz]."""
+
+    counts: Annotated[int, Field(gt=1)] | None = None
+    bits: Annotated[int, Field(gt=1, lt=40)] | None = None
+    noise: Annotated[float, Field(ge=0)] = 0.0
+    delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
+    rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+    zero: Number | None = None
+
+    @model_validator(mode="after")
+    def _one_resolution(self) -> EncoderSpec:
+        if (self.counts is None) == (self.bits is None):
+            raise ValueError("expected either counts (per revolution) or bits, got both or none")
+        return self
+
+    @property
+    def resolution(self) -> float:
+        """Angle of one count [rad]."""
+        return 2 * np.pi / (self.counts if self.counts is not None else 2.0**self.bits)
+
+
+class AnalogSpec(Strict):
+    """An analog sensor: noise (rms), quantisation step, delay [s], sample rate [Hz], gain and offset."""
+
+    noise: Annotated[float, Field(ge=0)] = 0.0
+    step: Annotated[float, Field(ge=0)] = 0.0
+    delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
+    rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+    gain: Number | None = None
+    offset: Number | None = None
+
+
+class WrenchSpec(Strict):
+    """The six-axis force/torque sensor: noise per axis [N rms], [N·m rms], delay [s], sample rate [Hz]."""
+
+    force_noise: Annotated[float, Field(ge=0)] = 0.0
+    torque_noise: Annotated[float, Field(ge=0)] = 0.0
+    delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
+    rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+
+
+class Sensors(Strict):
+    """The joint's sensors."""
+
+    motor_encoder: EncoderSpec
+    link_encoder: EncoderSpec
+    motor_current: AnalogSpec
+    joint_torque: AnalogSpec = AnalogSpec()
+    wrench: WrenchSpec = WrenchSpec()
+
+
+class Estimate(Strict):
+    """A parameter of an effect: value, unit, and the standard deviation that diagnosis gives it."""
+
+    value: float
+    unit: str = ""
+    std: Annotated[float, Field(ge=0)] | None = None
+
+
+class Effect(Strict):
+    """An effect beyond the nominal equations, by the name of a known cause (`models.causes`)."""
+
+    name: str
+    parameters: dict[str, Estimate]
+
+    @model_validator(mode="after")
+    def _known(self) -> Effect:
+        known = causes.names()
+        if self.name not in known:
+            raise ValueError(f"expected the name of a known cause, got {self.name!r}{nearest(self.name, known)}")
+        expected = [p.name for p in causes.get(self.name).parameters]
+        for name in self.parameters:
+            if name not in expected:
+                raise ValueError(f"parameters.{name}: unknown key{nearest(name, expected)}")
+        for name in expected:
+            if name not in self.parameters:
+                raise ValueError(f"parameters.{name}: missing")
+        return self
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameter values by name."""
+        return {name: estimate.value for name, estimate in self.parameters.items()}
+
+
+class Term(Strict):
+    """A nonparametric term: what acts at `place` as a cubic B-spline of `variable` (coefficients on a uniform grid)."""
+
+    place: Literal[PLACES[1:]]  # type: ignore[valid-type]
+    variable: Literal[VARIABLES]  # type: ignore[valid-type]
+    low: float
+    high: float
+    unit: str
+    coefficients: Annotated[list[float], Field(min_length=4, max_length=N_COEFFICIENTS)]
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Term:
+        if not self.high > self.low:
+            raise ValueError(f"expected high > low, got low={self.low}, high={self.high}")
+        return self
+
+
+class Joint(Strict):
+    """A joint: its numbers, sensors, mountings, and the effects found in it."""
+
+    format: Literal[1]
+    name: str
+    description: str
+    model: str
+    """MJCF file, beside the joint file or shipped with the package."""
+    mounting: str
+    """The mounting that is meant where none is named."""
+    numbers: dict[str, Number]
+    shared_tolerances: dict[str, Annotated[float, Field(ge=0, lt=1)]] = {}
+    kinematic_error: Annotated[list[Order], Field(max_length=N_ORDERS)]
+    link_tolerances: dict[Literal["inertia", "gravity_moment"], Number] = {}
+    """Relative uncertainty of every mounting's inertia and gravity moment: a scale of 1 with a tolerance."""
+    mountings: dict[str, Mounting]
+    sensors: Sensors
+    effects: list[Effect] = []
+    terms: Annotated[list[Term], Field(max_length=N_TERMS)] = []
+    _path: Path = PrivateAttr(default=Path())
+
+    @model_validator(mode="after")
+    def _physical(self) -> Joint:
+        for symbol in self.numbers:
+            if symbol not in SYMBOLS:
+                raise ValueError(f"numbers.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
+        for symbol, (unit, may_be_zero) in SYMBOLS.items():
+            number = self.numbers.get(symbol)
+            if number is None:
+                raise ValueError(f"numbers.{symbol}: missing")
+            if not _same_unit(number.unit, unit):
+                raise ValueError(f"numbers.{symbol}.unit: expected {unit!r}, got {number.unit!r}")
+            if number.value < 0 or (number.value == 0 and not may_be_zero):
+                wanted = "a number ≥ 0" if may_be_zero else "a number > 0"
+                raise ValueError(f"numbers.{symbol}.value: expected {wanted}, got {number.value:g}")
+            if number.shared is not None and number.shared not in self.shared_tolerances:
+                raise ValueError(
+                    f"numbers.{symbol}.shared: expected one of {sorted(self.shared_tolerances)}, got {number.shared!r}"
+                )
+        T1, T2 = self.numbers["T1"].value, self.numbers["T2"].value
+        if T2 < T1:
+            raise ValueError(f"numbers.T2.value: expected T2 ≥ T1 = {T1:g} N·m, got {T2:g}")
+        for number, (field, unit) in self._placed_units():
+            if number is not None and not _same_unit(number.unit, unit):
+                raise ValueError(f"{field}.unit: expected {unit!r}, got {number.unit!r}")
+        if self.mounting not in self.mountings:
+            raise ValueError(
+                f"mounting: expected one of {sorted(self.mountings)}, got {self.mounting!r}"
+                f"{nearest(self.mounting, self.mountings)}"
+            )
+        return self
+
+    def _placed_units(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
+        for i, order in enumerate(self.kinematic_error):
+            yield order.amplitude, (f"kinematic_error.{i}.amplitude", "rad")
+            yield order.phase, (f"kinematic_error.{i}.phase", "rad")
+        s = self.sensors
+        yield s.motor_encoder.zero, ("sensors.motor_encoder.zero", "rad")
+        yield s.link_encoder.zero, ("sensors.link_encoder.zero", "rad")
+        yield s.motor_current.offset, ("sensors.motor_current.offset", "A")
+        yield s.joint_torque.offset, ("sensors.joint_torque.offset", "N·m")
+        yield s.joint_torque.gain, ("sensors.joint_torque.gain", "1")
+        for key, number in self.link_tolerances.items():
+            yield number, (f"link_tolerances.{key}", "1")
+
+    @property
+    def mjcf(self) -> Path:
+        """Path of the MJCF file: beside the joint's own file, or else shipped."""
+        beside = self._path.parent / self.model
+        return beside if beside.is_file() else shipped(self.model)
+
+    def mount(self, name: str | None = None) -> Mounting:
+        """Return a mounting by name; `InputError` names the known ones."""
+        wanted = self.mounting if name is None else name
+        if wanted not in self.mountings:
+            raise InputError(
+                f"joint {self.name}: mounting: expected one of {sorted(self.mountings)}, got {wanted!r}"
+                f"{nearest(wanted, self.mountings)}"
+            )
+        return self.mountings[wanted]
+
+    def record(self, mounting: Mounting | None = None) -> np.ndarray:
+        """Return the joint in a mounting as a parameter record, shape (1,): numbers, calibration, effects, terms."""
+        record = self.bare_record(mounting)
+        self.apply_effects(record)
+        return record
+
+    def bare_record(self, mounting: Mounting | None = None) -> np.ndarray:
+        """Return the record without effects and terms."""
+        mounting = self.mount() if mounting is None else mounting
+        record = neutral()
+        p = record[0]
+        for symbol, number in self.numbers.items():
+            if symbol in PARAMETERS_NAMES:
+                p[symbol] = number.value
+        for i, order in enumerate(self.kinematic_error):
+            p["order"][i] = order.order
+            p["amplitude"][i] = order.amplitude.value
+            p["phase"][i] = order.phase.value
+        scale = {key: number.value for key, number in self.link_tolerances.items()}
+        p["Jl"] = mounting.inertia * scale.get("inertia", 1.0)
+        p["Mg"] = mounting.gravity_moment * scale.get("gravity_moment", 1.0)
+        s = self.sensors
+        p["link_delay"] = s.link_encoder.delay
+        if s.link_encoder.zero is not None:
+            p["link_zero"] = s.link_encoder.zero.value
+        if s.motor_current.offset is not None:
+            p["current_offset"] = s.motor_current.offset.value
+        if s.joint_torque.gain is not None:
+            p["torque_gain"] = s.joint_torque.gain.value
+        if s.joint_torque.offset is not None:
+            p["torque_offset"] = s.joint_torque.offset.value
+        return record
+
+    def apply_effects(self, record: np.ndarray) -> None:
+        """Put the joint's effects and terms into a record, in place."""
+        p = record[0]
+        for effect in self.effects:
+            causes.get(effect.name).apply(p, effect.values)
+        for k, term in enumerate(self.terms):
+            p["term_place"][k] = PLACES.index(term.place)
+            p["term_variable"][k] = VARIABLES.index(term.variable)
+            p["term_low"][k], p["term_high"][k] = term.low, term.high
+            p["term_count"][k] = len(term.coefficients)
+            p["term_coefficient"][k, : len(term.coefficients)] = term.coefficients
+
+    def write(self, path: Path) -> None:
+        """Write the description as YAML; `load_joint` reads it back."""
+        data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
+        with write_into_place(path) as temporary:
+            temporary.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120), encoding="utf-8")
+
+
+PARAMETERS_NAMES = frozenset(neutral().dtype.names)
+
+
+def shipped(name: str = "") -> Path:
+    """Path of a file shipped in `models/`."""
+    return Path(str(resources.files(__package__).joinpath(name)))
+
+
+def known_joints() -> dict[str, Path]:
+    """The joints that the package ships, by name (with dashes, as their files' `name`)."""
+    found: dict[str, Path] = {}
+    for path in sorted(shipped().glob("*.yaml")):
+        found[path.stem.replace("_", "-")] = path
+    return found
+
+
+def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
+    """Load a joint by the name of a shipped one, or from a YAML file.
+
+    Args:
+      source: a shipped joint's name (`test-joint`) or a path; a relative path is also tried beside `beside`.
+      beside: folder of the file that names the joint.
+
+    Raises:
+      InputError: no such joint, or a description that is wrong; one line.
+    """
+    known = known_joints()
+    name = str(source).replace("_", "-")
+    if name in known:
+        path = known[name]
+    else:
+        path = Path(source)
+        if not path.exists() and beside is not None and (beside / path).exists():
+            path = beside / path
+        if not path.exists():
+            raise InputError(
+                f"joint {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(name, known)}"
+            )
+    joint = load(path, Joint, "a joint description")
+    joint._path = path.resolve()
+    if not joint.mjcf.is_file():
+        raise InputError(f"{path}: model: expected an MJCF file, no such file {joint.model!r}")
+    return joint
+
+
+def as_joint(data: dict[str, Any], path: Path) -> Joint:
+    """Build a joint from plain data as if it stood in the file at `path`."""
+    from .files import parse
+
+    joint = parse(data, Joint, str(path))
+    joint._path = path.resolve()
+    return joint
