@@ -5,6 +5,9 @@ same for all. The functions are compiled; what a person chooses is in `estimator
 
 Eqs. (21) and (24) together give `γ⁻²LᵀL = (1 - 1/f_α)·P⁻¹`, so that robust mode, Eq. (19), is `Σ = f_α·P` in any
 dimension: γ and L cancel. Only the fixed-γ rule, Eq. (18), needs them.
+
+Robust mode multiplies all of P. In a direction that H and F never observe nothing takes that back: with such a
+model AREKF and RAREKF let P grow without bound and end in `FilterDiverged`.
 """
 
 from __future__ import annotations
@@ -43,7 +46,7 @@ LARGEST_FACTOR = 1.0 / np.finfo(np.float64).eps
 """An f_α above this leaves nothing of V in P_Y: the filter has stopped weighing model against measurement."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def redundancy_factor(load, gain):
     """Return α of Eq. (23) for the torque load ω [N·m]; 1 for every rule but RAREKF.
 
@@ -57,13 +60,13 @@ def redundancy_factor(load, gain):
     return max(alpha, 1.0)
 
 
-@njit(cache=True, nogil=True)
-def compensation_factor(memory, predicted, noise, alpha, gain):
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def compensation_factor(memory, total, noise, alpha, gain):
     """Return f_α of Eq. (25) where Eq. (19) switches to robust mode, and exactly 1 where it does not.
 
     Args:
         memory: tr P̄_Y, Eq. (20).
-        predicted: tr(H·P·Hᵀ), of the unadjusted prediction.
+        total: tr P_Y = tr(H·P·Hᵀ + V), of the unadjusted prediction.
         noise: tr V.
         alpha: redundancy factor.
         gain: `GAIN` record.
@@ -72,12 +75,12 @@ def compensation_factor(memory, predicted, noise, alpha, gain):
     decides; f_α is then the positive root of `α·(f·HPHᵀ + V)·f = P̄_Y`. Both exceed 1 under the same condition.
     The result is infinite at α = 0.
     """
-    threshold = alpha * (predicted + noise)
+    threshold = alpha * total
     if not memory > threshold:
         return 1.0
     if gain.adjusted_covariance != 0.0:
         half = alpha * noise
-        denominator = 0.5 * (half + math.sqrt(half * half + 4.0 * alpha * predicted * memory))
+        denominator = 0.5 * (half + math.sqrt(half * half + 4.0 * alpha * (total - noise) * memory))
     else:
         denominator = threshold
     return memory / denominator if denominator > 0.0 else math.inf

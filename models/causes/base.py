@@ -60,6 +60,10 @@ class Cause(ABC):
         """Values of the parameters at which this record would not change: the absence of the effect."""
         return {q.name: (q.neutral * float(p[q.relative]) if q.relative else q.neutral) for q in self.parameters}
 
+    def centre(self, p: np.void, fixed: dict[str, float]) -> dict[str, float]:
+        """Values at which this record would not change, given the parameters in `fixed` (an order)."""
+        return self.present(p)
+
     def draw(self, p: np.void, rng: np.random.Generator, size: float = 1.0) -> dict[str, float]:
         """Draw parameters of ordinary size (times `size`) for the joint with record `p`."""
         values: dict[str, float] = {}

@@ -37,10 +37,15 @@ class KinematicError(Cause):
         same = np.flatnonzero((p["order"] == order) & (p["amplitude"] != 0))
         return int(same[0]) if same.size else int(np.flatnonzero(p["amplitude"] == 0)[0])
 
+    def centre(self, p: np.void, fixed: dict[str, float]) -> dict[str, float]:
+        """What the order has already: amplitude and phase."""
+        same = (p["order"] == fixed["order"]) & (p["amplitude"] != 0)
+        before = np.sum(p["amplitude"][same] * np.exp(1j * p["phase"][same]))
+        return {"order": fixed["order"], "amplitude": float(abs(before)), "phase": float(np.angle(before))}
+
     def draw(self, p: np.void, rng: np.random.Generator, size: float = 1.0) -> dict[str, float]:
         """Add a vector of ordinary length, in any direction, to what the order has; the new whole is the answer."""
         more = super().draw(p, rng, size)
-        same = (p["order"] == more["order"]) & (p["amplitude"] != 0)
-        before = np.sum(p["amplitude"][same] * np.exp(1j * p["phase"][same]))
-        whole = before + more["amplitude"] * np.exp(1j * more["phase"])
+        before = self.centre(p, more)
+        whole = before["amplitude"] * np.exp(1j * before["phase"]) + more["amplitude"] * np.exp(1j * more["phase"])
         return {"order": more["order"], "amplitude": float(abs(whole)), "phase": float(np.angle(whole))}

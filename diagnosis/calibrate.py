@@ -1,0 +1,332 @@
+"""The joint and its hidden effects fitted to a measurement: maximum a posteriori, by Gauss–Newton.
+
+Unknowns are the joint's calibration variables (`models.calibration`, standard normal by construction), the times by
+which the current and torque samples may be off, and the coordinates of the effects under test (`coordinates`).
+The data are the whitened residuals of the replay; outliers beyond `HUBER` standard deviations count linearly.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..models.calibration import CUT, Calibration
+from ..models.joint import Joint, Mounting
+from .coordinates import Hypothesis
+from .noise import Noise, whiten
+from .replay import Drive, parallel, residual
+
+HUBER = 3.0
+TIMING = (0.5e-3, 0.3e-3)
+"""Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
+_WALL = 0.15
+"""Joints are drawn within `CUT` deviations: beyond that the prior falls off with this deviation."""
+_STEP_X, _STEP_U = 0.05, 0.03
+
+
+class Problem:
+    """A measurement, a joint, and what may move.
+
+    Attributes:
+      drives: the stretches of the measurement.
+      calibration: the joint's variables.
+      size: number of variables that every model has: calibration and two sample times.
+    """
+
+    def __init__(self, drives: list[Drive], twins: list[Drive], joint: Joint):
+        self.drives = drives
+        self.twins = twins
+        self.joint = joint
+        self.calibration = Calibration(joint)
+        self.mountings = [Mounting(inertia=d.inertia, gravity_moment=d.gravity_moment) for d in drives]
+        self.size = self.calibration.size + 2
+        self.has_torque = any(len(d.torque) for d in drives)
+
+    def split(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> list[np.ndarray]:
+        """Coordinates of each hypothesis in the vector of unknowns."""
+        parts, at = [], self.size
+        for h in model:
+            parts.append(theta[at : at + h.size])
+            at += h.size
+        return parts
+
+    def records(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> list[np.ndarray]:
+        """Parameter records of the joint at `theta`, one a stretch."""
+        parts = self.split(theta, model)
+        made: dict[Mounting, np.ndarray] = {}
+        found = []
+        for mounting in self.mountings:
+            key = (mounting.inertia, mounting.gravity_moment)
+            if key not in made:
+                record = self.calibration.record(theta[: self.calibration.size], mounting)
+                for h, u in zip(model, parts, strict=True):
+                    h.cause.apply(record[0], h.values(u))
+                made[key] = record
+            found.append(made[key])
+        return found
+
+    def residuals(
+        self, thetas: list[np.ndarray], models: list[tuple[Hypothesis, ...]], twin: bool = False
+    ) -> list[list[np.ndarray]]:
+        """Residuals, shape (k, 3) a stretch, at each of several points (of several models), in parallel."""
+        tasks = [
+            (drive, record, theta)
+            for theta, model in zip(thetas, models, strict=True)
+            for drive, record in zip(self.twins if twin else self.drives, self.records(theta, model), strict=True)
+        ]
+        done = iter(parallel(self._one, tasks))
+        return [[next(done) for _ in self.drives] for _ in thetas]
+
+    def _one(self, task) -> np.ndarray:
+        drive, record, theta = task
+        r = residual(drive, record)
+        r[:, :2] -= drive.measured_rate * theta[self.calibration.size : self.size] * TIMING
+        return r
+
+    def jacobian(
+        self,
+        theta: np.ndarray,
+        model: tuple[Hypothesis, ...],
+        base: list[np.ndarray],
+        columns: np.ndarray | None = None,
+        twin: bool = False,
+    ) -> list[np.ndarray]:
+        """Derivatives of the residuals, shape (k, 3, len(columns)) a stretch, by differences."""
+        n = len(theta)
+        columns = np.arange(n) if columns is None else columns
+        step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
+        moved = [theta + step[j] * np.eye(n)[j] for j in columns]
+        done = self.residuals(moved, [model] * len(moved), twin)
+        if not len(columns):
+            return [np.zeros((*r.shape, 0)) for r in base]
+        return [
+            np.stack([(done[i][s] - base[s]) / step[j] for i, j in enumerate(columns)], axis=-1)
+            for s in range(len(self.drives))
+        ]
+
+    def spread(self, model: tuple[Hypothesis, ...]) -> np.ndarray:
+        """Prior standard deviation of every unknown."""
+        return np.concatenate([np.ones(self.size), *(h.spread for h in model)])
+
+    def start(self, x: np.ndarray | None, model: tuple[Hypothesis, ...]) -> np.ndarray:
+        """A vector of unknowns: the common ones at x, the effects absent."""
+        return np.concatenate([np.zeros(self.size) if x is None else x, np.zeros(sum(h.size for h in model))])
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model at its maximum a posteriori.
+
+    Attributes:
+      model: the hypotheses in it.
+      theta: the unknowns.
+      state: residuals, and the noise's share of them (None without echo); shape (k, 3) a stretch.
+      jacobian, twin_jacobian: derivatives of both, shape (k, 3, n) a stretch.
+      covariance: of the unknowns (Laplace).
+      log_evidence: Laplace approximation of the log of the marginal likelihood, up to a constant of the measurement.
+      chi2: robust sum of squares of the whitened residual.
+      history: objective after every iteration.
+    """
+
+    model: tuple[Hypothesis, ...]
+    theta: np.ndarray
+    state: tuple[list[np.ndarray], list[np.ndarray] | None]
+    jacobian: list[np.ndarray]
+    twin_jacobian: list[np.ndarray] | None
+    covariance: np.ndarray
+    log_evidence: float
+    chi2: float
+    history: tuple[float, ...]
+
+
+def robust_loss(r: np.ndarray, limit: float = HUBER) -> tuple[float, np.ndarray]:
+    """Twice the Huber loss, summed, and the weights that make least squares of it."""
+    a = np.abs(r)
+    far = a > limit
+    return float(np.sum(np.where(far, limit * (2 * a - limit), r * r))), np.where(far, limit / np.maximum(a, limit), 1.0)
+
+
+def _limit(r: np.ndarray) -> float:
+    """Where the loss becomes linear: `HUBER`, or more where the bulk of the residual is far from white noise yet."""
+    inside = np.abs(r[r != 0])
+    return HUBER * max(1.0, 1.4826 * float(np.median(inside))) if len(inside) else HUBER
+
+
+def prior_cost(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> float:
+    """Minus twice the log prior, without its constants."""
+    z = theta / problem.spread(model)
+    beyond = np.maximum(np.abs(z[: problem.calibration.size]) - CUT, 0.0)
+    return float(z @ z + np.sum((beyond / _WALL) ** 2))
+
+
+def _prior_gradient(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]):
+    """Gradient (halved) and diagonal curvature of `prior_cost`."""
+    spread = problem.spread(model)
+    gradient, curvature = theta / spread**2, 1 / spread**2
+    x = theta[: problem.calibration.size]
+    beyond = np.sign(x) * np.maximum(np.abs(x) - CUT, 0.0)
+    gradient[: len(x)] += beyond / _WALL**2
+    curvature = curvature.copy()
+    curvature[: len(x)] += (beyond != 0) / _WALL**2
+    return gradient, curvature
+
+
+def confine(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> np.ndarray:
+    """Move the unknowns into their bounds."""
+    x = np.clip(theta[: problem.size], -3.2, 3.2)
+    return np.concatenate([x, *(h.confine(u) for h, u in zip(model, problem.split(theta, model), strict=True))])
+
+
+@dataclass(frozen=True)
+class Echo:
+    """What the noise of the measured motion does to the derivatives in the common unknowns, shape (k, 3, n) a stretch.
+
+    Parameters scale the noise that the motion brings into the residuals (a stiffer spring makes more torque of an
+    encoder's count). Least squares would choose parameters that make the noise small; taking the twin's share out of
+    objective, gradient and curvature leaves what the signal says (corrected least squares).
+    """
+
+    jacobian: list[np.ndarray]
+
+
+def fit(
+    problem: Problem,
+    noise: Noise,
+    model: tuple[Hypothesis, ...],
+    theta: np.ndarray,
+    iterations: int = 8,
+    tolerance: float = 0.3,
+    common: list[np.ndarray] | None = None,
+    echo: Echo | None = None,
+    refresh: bool = True,
+) -> Fit:
+    """Fit a model by damped Gauss–Newton from `theta`.
+
+    Args:
+      tolerance: stop when the objective (in units of χ²) changes by less.
+      common: derivatives in the common unknowns from a fit nearby, used as long as they serve.
+      echo: of a fit nearby; without it the noise of the motion is left in.
+      refresh: whether derivatives in the common unknowns may be computed anew.
+    """
+    drives = problem.drives
+    effects = np.arange(problem.size, len(theta))
+    history: list[float] = []
+
+    def evaluate_at(t):
+        rs = problem.residuals([t], [model])[0]
+        ns = None
+        if echo is not None:
+            twin = problem.residuals([t], [model], twin=True)[0]
+            ns = [b - a for a, b in zip(rs, twin, strict=True)]
+        return rs, ns
+
+    def objective(state, t, limit):
+        rs, ns = state
+        r = whiten(drives, noise, [x[..., None] for x in rs])[:, 0]
+        total = robust_loss(r, limit)[0] + prior_cost(problem, t, model)
+        if ns is not None:
+            n = whiten(drives, noise, [x[..., None] for x in ns])[:, 0]
+            total -= robust_loss(n, 2 * HUBER)[0]
+        return total if np.isfinite(total) else np.inf
+
+    state = evaluate_at(theta)
+    damping = 0.0
+    fresh = False
+    jacobian = twin_jacobian = None
+    update = common is None
+    for _ in range(iterations):
+        if update:
+            jacobian = problem.jacobian(theta, model, state[0])
+            fresh = True
+        else:
+            part = problem.jacobian(theta, model, state[0], effects)
+            kept = common if jacobian is None else [a[..., : problem.size] for a in jacobian]
+            jacobian = [np.concatenate([a, b], axis=-1) for a, b in zip(kept, part, strict=True)]
+            fresh = False
+        if echo is not None:
+            twin_jacobian = _twin_jacobian(problem, theta, model, state, jacobian, echo)
+        limit = _limit(whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0])
+        cost = objective(state, theta, limit)
+        history.append(cost)
+        H, g, _ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
+        accepted = False
+        for _ in range(4):
+            A = H + damping * np.diag(np.abs(np.diag(H)))
+            step = -np.linalg.solve(A, g)
+            new = confine(problem, theta + step, model)
+            trial = evaluate_at(new)
+            c = objective(trial, new, limit)
+            if c < cost:
+                accepted = True
+                break
+            damping = max(4 * damping, 1e-2)
+        if not accepted:
+            if fresh or not refresh:
+                break
+            update = True
+            continue
+        moved = new - theta
+        expected = -(2 * g @ moved + moved @ H @ moved)
+        gain = cost - c
+        theta, state = new, trial
+        damping *= 0.2
+        if gain < tolerance:
+            break
+        update = refresh and gain < 0.75 * expected
+    return evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian, tuple(history))
+
+
+def _twin_jacobian(problem, theta, model, state, jacobian, echo):
+    """The noise's share of the derivatives: in the common unknowns from the echo, in the effects' computed here."""
+    effects = np.arange(problem.size, len(theta))
+    twin = [a + b for a, b in zip(*state, strict=True)]
+    part = problem.jacobian(theta, model, twin, effects, twin=True)
+    return [
+        np.concatenate([a, b - j[..., problem.size :]], axis=-1)
+        for a, b, j in zip(echo.jacobian, part, jacobian, strict=True)
+    ]
+
+
+def echo(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...], jacobian: list[np.ndarray]) -> Echo:
+    """The noise's share of the derivatives in the common unknowns at a fit's maximum."""
+    base = problem.residuals([theta], [model], twin=True)[0]
+    twin = problem.jacobian(theta, model, base, np.arange(problem.size), twin=True)
+    return Echo([b - a[..., : problem.size] for a, b in zip(jacobian, twin, strict=True)])
+
+
+def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian=None, limit=HUBER):
+    """Hessian and gradient (of half the objective) of the posterior, and the robust loss."""
+
+    def stacked(r, j):
+        return whiten(
+            problem.drives, noise, [np.concatenate([a[..., None], b], -1) for a, b in zip(r, j, strict=True)]
+        )
+
+    stack = stacked(state[0], jacobian)
+    r, J = stack[:, 0], stack[:, 1:]
+    loss, weight = robust_loss(r, limit)
+    gradient, curvature = _prior_gradient(problem, theta, model)
+    JW = J * weight[:, None]
+    H, g = JW.T @ J + np.diag(curvature), JW.T @ r + gradient
+    if twin_jacobian is not None:
+        stack = stacked(state[1], twin_jacobian)
+        n, N = stack[:, 0], stack[:, 1:]
+        noise_loss, weight = robust_loss(n, 2 * HUBER)
+        loss -= noise_loss
+        NW = N * weight[:, None]
+        g = g - NW.T @ n
+        H = H - 0.9 * NW.T @ N  # not all of it, so that H stays positive where only noise moves a parameter
+    return H, g, loss
+
+
+def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, history=()) -> Fit:
+    """The Laplace approximation of a model at its maximum."""
+    H, _, loss = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
+    spread = problem.spread(model)
+    _, logdet = np.linalg.slogdet(H * spread[:, None] * spread)
+    log_evidence = -0.5 * (loss + prior_cost(problem, theta, model) + logdet)
+    log_evidence -= sum(np.log(h.alternatives) for h in model)
+    return Fit(
+        model, theta, state, jacobian, twin_jacobian, np.linalg.inv(H), float(log_evidence), loss, tuple(history)
+    )

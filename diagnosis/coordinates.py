@@ -1,0 +1,153 @@
+"""A cause as an optimiser sees it: free coordinates near one, with a prior, instead of parameters with units.
+
+Magnitudes are measured in their ordinary size, from where the cause does nothing; an amplitude with a phase becomes two
+Cartesian coordinates, in which it is linear and has no singular point; other positive parameters are logarithmic.
+Whole-number parameters (orders) are not coordinates: each of their values is a hypothesis of its own.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..models.causes import Cause, Parameter
+
+SPREAD = 1.2
+"""Prior standard deviation of a magnitude, in ordinary sizes: small effects are as likely as ordinary ones."""
+SHAPE_SPREAD = 1.3
+"""Prior standard deviation of the other coordinates, in half widths of their ordinary interval."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One cause with its whole-number parameters fixed.
+
+    Attributes:
+      cause: the cause.
+      fixed: its whole-number parameters.
+      centre: values at which the joint does not change, in the units of the cause's parameters.
+      start: values of the parameters that say where or how, from which a search starts.
+      alternatives: over how many whole numbers the prior is spread.
+    """
+
+    cause: Cause
+    fixed: dict[str, float]
+    centre: dict[str, float]
+    start: dict[str, float]
+    alternatives: int = 1
+    scale: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def free(self) -> list[Parameter]:
+        """The parameters that are not fixed."""
+        return [q for q in self.cause.parameters if q.name not in self.fixed]
+
+    @property
+    def polar(self) -> bool:
+        """Whether amplitude and phase are taken as Cartesian coordinates."""
+        return any(q.period for q in self.cause.parameters)
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return len(self.free)
+
+    @property
+    def magnitudes(self) -> list[int]:
+        """Which coordinates vanish with the effect."""
+        return [i for i, q in enumerate(self.free) if q.magnitude or self.polar]
+
+    def values(self, u: np.ndarray) -> dict[str, float]:
+        """Parameters of the cause at coordinates u, within their bounds."""
+        values = dict(self.fixed)
+        if self.polar:
+            amplitude, phase = (q.name for q in self.free)
+            z = complex(u[0], u[1]) * self.scale[amplitude] + self.centre[amplitude] * np.exp(1j * self.centre[phase])
+            values[amplitude] = float(abs(z))
+            values[phase] = float(np.angle(z))
+            return values
+        for q, x in zip(self.free, u, strict=True):
+            if q.magnitude:
+                value = self.centre[q.name] + self.scale[q.name] * x
+            elif q.ordinary[0][0] > 0:
+                value = self.start[q.name] * np.exp(self.scale[q.name] * x)
+            else:
+                value = self.start[q.name] + self.scale[q.name] * x
+            values[q.name] = float(np.clip(value, *q.bounds))
+        return values
+
+    def confine(self, u: np.ndarray) -> np.ndarray:
+        """Coordinates moved into the parameters' bounds."""
+        u = u.copy()
+        if self.polar:
+            return u
+        for i, q in enumerate(self.free):
+            if q.magnitude:
+                low, high = ((b - self.centre[q.name]) / self.scale[q.name] for b in q.bounds)
+                u[i] = np.clip(u[i], min(low, high), max(low, high))
+            else:
+                u[i] = np.clip(u[i], -3 * SHAPE_SPREAD, 3 * SHAPE_SPREAD)
+        return u
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Prior standard deviation of each coordinate, shape (size,)."""
+        return np.array([SPREAD if i in self.magnitudes else SHAPE_SPREAD for i in range(self.size)])
+
+    def deviation(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
+        """Standard deviations of the free parameters, from the coordinates' covariance."""
+        step = 1e-4
+        at = self.values(u)
+        names = [q.name for q in self.free]
+        slope = np.empty((len(names), self.size))
+        for j in range(self.size):
+            moved = self.values(u + step * np.eye(self.size)[j])
+            for i, q in enumerate(self.free):
+                change = moved[q.name] - at[q.name]
+                if q.period:
+                    change = (change + 0.5 * q.period) % q.period - 0.5 * q.period
+                slope[i, j] = change / step
+        variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
+        return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)), strict=True))
+
+
+def hypotheses(cause: Cause, record: np.ndarray, present: dict[str, float] | None = None) -> list[Hypothesis]:
+    """Every hypothesis that a cause offers for a joint with this record: its orders, times where a search should start.
+
+    Args:
+      present: parameters of the same cause that the joint has already, if it does.
+    """
+    p = record[0]
+    neutral = cause.present(p)
+    if present is not None:  # TODO
+        copy = record.copy()
+        cause.apply(copy[0], {**neutral, **{q.name: present[q.name] for q in cause.parameters if not q.magnitude}})
+        if copy.tobytes() != record.tobytes():  # the cause replaces what is there: the joint stays as it is at that
+            neutral = dict(present)
+    whole = [q for q in cause.parameters if q.integer]
+    shape = [q for q in cause.parameters if not (q.integer or q.magnitude or q.period)]
+    scale = {}
+    for q in cause.parameters:
+        unit = float(p[q.relative]) if q.relative else 1.0
+        if q.magnitude:
+            scale[q.name] = unit * float(np.mean([abs(0.5 * (low + high) - q.neutral) for low, high in q.ordinary]))
+        elif not q.integer:
+            low, high = q.ordinary[0]
+            scale[q.name] = max(0.5 * np.log(high / low), 0.3) if low > 0 else 0.5 * (high - low)
+    orders = [range(round(q.ordinary[0][0]), round(q.ordinary[0][1]) + 1) for q in whole]
+    grids = []
+    for q in shape:
+        low, high = q.ordinary[0]
+        count = 5 if high / max(low, 1e-12) < 2 and low > 0 else 3
+        grids.append(np.geomspace(low, high, count) if low > 0 else np.linspace(low, high, count))
+    found = []
+    alternatives = int(np.prod([len(o) for o in orders])) if orders else 1
+    for chosen in itertools.product(*orders):
+        fixed = {q.name: float(v) for q, v in zip(whole, chosen, strict=True)}
+        centre = cause.centre(p, fixed) if present is None else neutral
+        for where in itertools.product(*grids):
+            start = {q.name: float(v) for q, v in zip(shape, where, strict=True)}
+            found.append(Hypothesis(cause, fixed, centre, start, alternatives, scale))
+    return found

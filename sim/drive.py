@@ -1,0 +1,69 @@
+"""The drive: a current-controlled motor under a position controller at control rate, on the measured motor angle.
+
+The current controller, winding and supply are MuJoCo's `dcmotor` (R, L, back-EMF, voltage and current limits).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+from numba import njit
+from pydantic import Field
+
+from ..models.files import Strict
+
+CONTROLLER = np.dtype(
+    [(name, np.float64) for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain")]
+)
+"""The controller as one record for compiled code."""
+
+
+class Controller(Strict):
+    """Position controller: PD with optional integral on the measured motor angle, and joint torque feedback.
+
+    `i = kp·e + kd·e' + ki·∫e dt + torque_feedback·T̂/(N·Kt)`, clipped at the motor's current limit, with
+    e = N·q_d − θm. The measured velocity is the difference quotient of the encoder through a first-order low-pass.
+    The integral stops while the current is clipped.
+    """
+
+    kp: Annotated[float, Field(ge=0, description="A/rad, motor side")] = 8.0
+    kd: Annotated[float, Field(ge=0, description="A·s/rad, motor side")] = 0.08
+    ki: Annotated[float, Field(ge=0, description="A/(rad·s), motor side")] = 0.0
+    velocity_filter: Annotated[float, Field(ge=0, lt=1, description="time constant, s")] = 0.002
+    torque_feedback: Annotated[
+        float, Field(ge=0, le=1, description="share of the estimated torque that is fed back")
+    ] = 0.8
+
+    def record(self, p: np.void, dt: float, feedback: bool) -> np.ndarray:
+        """The controller for a joint's parameters and a control period [s], as a record, shape (1,)."""
+        record = np.zeros(1, CONTROLLER)
+        c = record[0]
+        c["kp"], c["kd"], c["ki"] = self.kp, self.kd, self.ki
+        c["filter"] = 1.0 - math.exp(-dt / self.velocity_filter) if self.velocity_filter > 0 else 1.0
+        c["limit"], c["gear"] = p["current_limit"], p["N"]
+        c["torque_gain"] = self.torque_feedback / (p["N"] * p["Kt"]) if feedback else 0.0
+        return record
+
+
+@njit(cache=True, nogil=True)
+def control(position, velocity, measured, torque, state, dt, c):
+    """Current command [A].
+
+    Args:
+      position, velocity: commands [rad], [rad/s], output side.
+      measured: motor encoder [rad].
+      torque: estimated joint torque [N·m] for the feedback.
+      state: shape (3,), overwritten: last motor angle [rad], its filtered velocity [rad/s], integral [rad·s].
+      dt: control period [s]; c: `CONTROLLER` record.
+    """
+    state[1] += c.filter * ((measured - state[0]) / dt - state[1])
+    state[0] = measured
+    error = c.gear * position - measured
+    integral = state[2] + error * dt
+    wanted = c.kp * error + c.kd * (c.gear * velocity - state[1]) + c.ki * integral + c.torque_gain * torque
+    if abs(wanted) <= c.limit:
+        state[2] = integral
+        return wanted
+    return c.limit if wanted > 0.0 else -c.limit

@@ -1,0 +1,130 @@
+"""MuJoCo's C structures and functions as compiled code sees them.
+
+Compiled code gets the addresses of an mjModel and an mjData. Where a field lies inside them is found once per
+process, by looking for the address that Python's view of the field reports, so that it holds for any build.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from functools import cache
+from pathlib import Path
+
+import mujoco
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numba.np.numpy_support import from_dtype
+
+from ..models.parameters import PARAMETERS
+
+_FARTHEST = 1 << 19  # bytes: beyond the largest structure
+
+
+@intrinsic
+def floats_at(typingctx, address):
+    """Pointer to float64 at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+
+    return types.CPointer(types.float64)(types.intp), codegen
+
+
+_RECORD = from_dtype(PARAMETERS)
+
+
+@intrinsic
+def record_at(typingctx, address):
+    """Pointer to a parameter record at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+
+    return types.CPointer(_RECORD)(types.intp), codegen
+
+
+@intrinsic
+def word_at(typingctx, address):
+    """The 8-byte integer (a size, a pointer) at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.load(builder.inttoptr(args[0], ir.IntType(64).as_pointer()))
+
+    return types.int64(types.intp), codegen
+
+
+@intrinsic
+def call_step(typingctx, function, model, data):
+    """Call a C function `void f(const mjModel*, mjData*)` by address, without Python."""
+
+    def codegen(context, builder, signature, args):
+        pointer = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [pointer, pointer])
+        f = builder.inttoptr(args[0], kind.as_pointer())
+        builder.call(f, [builder.inttoptr(args[1], pointer), builder.inttoptr(args[2], pointer)])
+        return context.get_dummy_value()
+
+    return types.void(types.intp, types.intp, types.intp), codegen
+
+
+@cache
+def library() -> ctypes.CDLL:
+    """MuJoCo's shared library, the one that the Python bindings use."""
+    folder = Path(mujoco.__file__).parent
+    found = sorted([*folder.glob("libmujoco.so*"), *folder.glob("libmujoco*.dylib"), *folder.glob("mujoco.dll")])
+    return ctypes.CDLL(str(found[0]))
+
+
+def function_address(name: str) -> int:
+    """Address of a function of the library."""
+    return ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
+
+
+def install(name: str, address: int) -> None:
+    """Install a C function as a global callback, `mjcb_passive` and the like."""
+    ctypes.c_void_p.in_dll(library(), name).value = address
+
+
+def installed(name: str) -> bool:
+    """Whether a global callback is set."""
+    return bool(ctypes.c_void_p.in_dll(library(), name).value)
+
+
+@cache
+def offsets() -> dict[str, int]:
+    """Offsets, in 8-byte words, of the fields that compiled code reads.
+
+    Keys: `numeric_data`, `nnumericdata` of mjModel; `time`, `qpos`, `qvel`, `act`, `ctrl`, `qfrc_passive`,
+    `xfrc_applied`, `sensordata` of mjData.
+    """
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><custom><numeric name="n" data="1 2 3"/></custom><worldbody><body><joint name="j"/>'
+        '<geom size="1"/></body></worldbody><actuator><dcmotor joint="j" motorconst="1 1" resistance="1"'
+        ' inductance="1 0"/></actuator><sensor><jointpos joint="j"/></sensor></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    found = {"numeric_data": _find(model._address, model.numeric_data.ctypes.data)}
+    names = [field.name for field in _model_fields()]
+    found["nnumericdata"] = names.index("nnumericdata")  # the sizes stand first, one word each
+    if ctypes.c_int64.from_address(model._address + 8 * found["nnumericdata"]).value != 3:
+        raise RuntimeError(f"MuJoCo {mujoco.__version__}: mjModel is laid out in an unknown way")
+    for name in ("qpos", "qvel", "act", "ctrl", "qfrc_passive", "xfrc_applied", "sensordata"):
+        found[name] = _find(data._address, getattr(data, name).ctypes.data)
+    data.time = 1.2345678e-77
+    found["time"] = _find(data._address, int(np.float64(data.time).view(np.uint64)))
+    return found
+
+
+def _model_fields():
+    from mujoco.introspect import structs
+
+    return structs.STRUCTS["mjModel"].fields
+
+
+def _find(address: int, value: int) -> int:
+    for word in range(_FARTHEST // 8):
+        if ctypes.c_uint64.from_address(address + 8 * word).value == value:
+            return word
+    raise RuntimeError(f"MuJoCo {mujoco.__version__}: a structure is laid out in an unknown way")

@@ -1,0 +1,206 @@
+"""The plant: a joint as a MuJoCo model, with every number from the joint description."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from ..models.errors import InputError
+from ..models.joint import Joint, Mounting
+from . import callbacks
+
+TIMESTEP = 0.0002
+"""Default timestep [s], chosen by the convergence study in docs/convergence.md."""
+GRAVITY = 9.80665
+_JOINTS = ("rotor", "wave_generator", "link")
+_LOCKED = 1e6  # kg·m²: a rotor that no torque turns
+_LEVER = 0.25  # m: largest distance of the link's centre of mass from the axis
+
+
+def build(
+    joint: Joint,
+    mounting: Mounting | None = None,
+    timestep: float = TIMESTEP,
+    record: np.ndarray | None = None,
+    ideal_current: bool = False,
+    locked_rotor: bool = False,
+) -> mujoco.MjModel:
+    """Build the MuJoCo model of a joint.
+
+    Args:
+      joint: the description; its MJCF gives the structure, its numbers replace the MJCF's.
+      mounting: what is bolted to the output; the joint's default.
+      timestep: step of the integrator [s].
+      record: parameter record, shape (1,), instead of the joint's own in that mounting (a joint within tolerance).
+      ideal_current: the motor's control is torque without the winding's dynamics and voltage limit, as the
+        independent reference solutions assume.
+      locked_rotor: the rotor cannot turn.
+
+    Returns:
+      The model. Coordinates: rotor, wave generator, link. Activations: motor current [A] (unless ideal), bristle,
+      Dahl state (where the joint has hysteresis).
+
+    Raises:
+      InputError: an MJCF that cannot be read or is not a joint's.
+    """
+    callbacks.install()
+    record = joint.record(mounting) if record is None else record
+    p = record[0]
+    try:
+        spec = mujoco.MjSpec.from_file(str(joint.mjcf))
+    except ValueError as error:
+        raise InputError(f"{joint.mjcf}: not a readable MJCF: {' '.join(str(error).split())}") from error
+    try:
+        _set_numbers(spec, p, timestep, ideal_current)
+        native_friction = _set_friction(spec, p)
+        has_dahl = p["hysteresis_torque"] != 0
+        for name in _JOINTS:
+            _add_state(spec, f"{name}_velocity")
+        if has_dahl:
+            _add_state(spec, "hysteresis")
+        if locked_rotor:
+            spec.joint("rotor").armature = _LOCKED
+        spec.add_numeric(name="joint", size=callbacks.NUMERIC_SIZE, data=[0.0])
+        model = spec.compile()
+    except (ValueError, KeyError, AttributeError) as error:
+        raise InputError(f"{joint.mjcf}: not the MJCF of a joint: {' '.join(str(error).split())}") from error
+    if tuple(model.joint(i).name for i in range(model.njnt)) != _JOINTS:
+        raise InputError(f"{joint.mjcf}: expected the joints {', '.join(_JOINTS)} in this order, got others")
+    if model.nnumeric != 1:
+        raise InputError(f"{joint.mjcf}: expected no custom numeric fields of its own, got {model.nnumeric - 1}")
+    _correct_to_fourth_order(model, p, timestep)
+    model.wrap_prm[model.tendon_adr[model.tendon("flexspline").id]] = 1.0 / p["N"]
+    model.tendon_stiffness[:] = 0.0  # the laws in the callback replace the linear springs
+    # Implicit damping of half of s1 (see the callback): MuJoCo's own LuGre has s1 already.
+    model.actuator_damping[model.actuator("mesh_friction").id] = 0.5 * (
+        p["bw"] + (-p["s1"] if native_friction else p["s1"])
+    )
+    header = (
+        activation(model, "mesh_friction"),
+        activation(model, "rotor_velocity"),
+        activation(model, "hysteresis") if has_dahl else -1,
+        native_friction,
+        model.actuator("rotor_velocity").id,
+        model.actuator("hysteresis").id if has_dahl else -1,
+    )
+    model.numeric_data[:] = callbacks.numeric(record, timestep, header)
+    return model
+
+
+def _correct_to_fourth_order(model: mujoco.MjModel, p: np.void, h: float) -> None:
+    """Cancel the h² error that the trapezoidal leapfrog makes in the flexspline's mode, its fastest at no load.
+
+    For M q'' + D q' + K q = 0 the scheme solves an equation that differs by h²/12 ((K + D²/M) q'' + (D K/M) q'). An inertia
+    and a damping across the flexspline give it back (Störmer and Numerov's idea, with damping). Both vanish with h²:
+    at the default timestep 1e-4 of a link's inertia (docs/convergence.md).
+    """
+    reduced = 1.0 / (1.0 / p["Jl"] + 1.0 / (p["N"] ** 2 * p["Jw"]))
+    i = model.tendon("flexspline").id
+    model.tendon_armature[i] = h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced)
+    model.tendon_damping[i] *= 1 + h**2 / 12 * p["K1"] / reduced
+
+
+def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | None = None) -> None:
+    """Put a joint at rest at a position (rotor, wave generator, link; shape (3,), rad; zero by default) at time 0.
+
+    Velocities in the model's state belong to the middle of a step (leapfrog), so the state starts half a step early.
+    """
+    h = model.opt.timestep
+    data.qpos[:3] = 0.0 if position is None else position
+    data.qvel[:] = 0.0
+    data.act[:] = 0.0
+    mujoco.mj_forward(model, data)
+    memory = activation(model, "rotor_velocity")
+    data.act[memory : memory + 3] = -1.5 * h * data.qacc[:3]
+    data.qvel[:] = -0.5 * h * data.qacc
+    data.act[activation(model, "mesh_friction")] = -h * data.qvel[callbacks.WAVE_GENERATOR]
+
+
+def activation(model: mujoco.MjModel, actuator: str) -> int:
+    """Address of an actuator's activation (its last one: MuJoCo's bristle stands behind the current)."""
+    i = model.actuator(actuator).id
+    return int(model.actuator_actadr[i] + model.actuator_actnum[i] - 1)
+
+
+def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
+    spec.option.timestep = timestep
+    # Nothing touches anything, and no joint has limits.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    for name, inertia in (("rotor", p["Jm"]), ("wave_generator", p["Jw"])):
+        body = spec.body(name)
+        body.explicitinertial = True
+        body.inertia = [inertia] * 3
+    spec.joint("rotor").damping = [0.5 * p["bm"], 0, 0]
+    spec.joint("link").damping = [0.5 * p["bl"], 0, 0]
+    spec.tendon("flexspline").damping = [0.5 * p["df"], 0, 0]
+    spec.tendon("wave_generator").damping = [0.5 * p["dw"], 0, 0]
+    _set_link(spec, p)
+    motor = spec.actuator("motor")
+    Kt = float(p["Kt"])
+    if ideal_current:
+        motor.set_to_motor()
+        motor.forcelimited = False
+    else:
+        error = motor.set_to_dcmotor(
+            motorconst=[Kt, Kt],
+            resistance=float(p["R"]),
+            inductance=[float(p["L"]), 0.0],
+            saturation=[0.0, float(p["current_limit"]), 0.0],
+            controller=[0, 0, 0, 0, 0, float(p["supply_voltage"])],
+            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_FF),
+        )
+        if error:
+            raise ValueError(error)
+
+
+def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
+    """A mass on the link's axis that has the gravity moment, and the rest of the inertia about the joint's axis."""
+    body = spec.body("link")
+    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"])
+    # The mass sits close enough for its own m r² to leave 40 % of the inertia to its shape.
+    lever = min(_LEVER, 0.6 * inertia / moment) if moment > 0 else _LEVER
+    mass = moment / lever if moment > 0 else 0.1
+    position = lever if moment > 0 else 0.0
+    about_mass = inertia - mass * position**2
+    body.explicitinertial = True
+    body.mass = mass
+    body.ipos = [0, 0, -position]
+    body.inertia = [about_mass, about_mass, about_mass]
+    flange = spec.body("flange")
+    flange.explicitinertial = True
+
+
+def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
+    """MuJoCo's own LuGre where the sliding friction is a function of velocity alone; the callback's otherwise."""
+    friction = spec.actuator("mesh_friction")
+    plain = (
+        p["friction_asymmetry"] == 0
+        and p["friction_load"] == 0
+        and p["drift_amplitude"] == 0
+        and not np.any(p["friction_amplitude"])
+    )
+    if plain:
+        error = friction.set_to_dcmotor(
+            motorconst=[0.0, 0.0],
+            resistance=1.0,
+            lugre=[float(p[name]) for name in ("s0", "s1", "Fc", "Fs", "vs")],
+            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
+        )
+        if error:
+            raise ValueError(error)
+    else:
+        spec.delete(friction)
+        friction = _add_state(spec, "mesh_friction", joint="wave_generator")
+    return bool(plain)
+
+
+def _add_state(spec: mujoco.MjSpec, name: str, joint: str = "link"):
+    """An actuator that exerts nothing and holds one activation, whose rate the callback gives."""
+    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+    actuator.dyntype = mujoco.mjtDyn.mjDYN_USER
+    actuator.actdim = 1
+    actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+    actuator.gainprm[0] = 0.0
+    actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
+    return actuator

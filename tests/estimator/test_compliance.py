@@ -1,0 +1,114 @@
+"""The compliance model, Eqs. (1)-(7): its own inverse, its knees, and the reference data."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flexspline.estimator import FilterSettings, compliance, compliance_torque, run
+from flexspline.models.errors import InputError
+
+N, K1, K2, K3, T1, T2, KW0, CW = 100.0, 8400.0, 9400.0, 13000.0, 3.9, 12.0, 1.14, 20.0
+
+
+def flexspline_torsion(T):
+    """Eq. (2), odd, written out a second time."""
+    x = np.abs(T)
+    first, second = T1 / K1, T1 / K1 + (T2 - T1) / K2
+    torsion = np.where(x <= T1, x / K1, np.where(x < T2, first + (x - T1) / K2, second + (x - T2) / K3))
+    return np.sign(T) * torsion
+
+
+def readings(Tf, Tw, theta_w):
+    """Eqs. (1), (2), (5): the encoders' readings of a joint with these torques and this wave generator angle."""
+    wave_generator = np.sign(Tw) / (CW * KW0) * (1 - np.exp(-CW * np.abs(Tw)))
+    error = 1.2e-4 * np.sin(2 * theta_w + 0.3) + 2e-5 * np.sin(4 * theta_w + 1.1)
+    torsion = flexspline_torsion(Tf) + wave_generator / N + error  # Eq. (1)
+    motor = theta_w + wave_generator
+    return motor, motor / N - torsion, torsion, wave_generator, error
+
+
+def test_round_trip(calibration, rng):
+    """Torques → torsions → torques, to 1e-12 of what 1 rad of angle allows."""
+    Tf, Tw = rng.uniform(-30, 30, 5000), rng.uniform(-0.2, 0.2, 5000)
+    theta_w = rng.uniform(-3, 3, 5000)
+    motor, link, torsion, wave_generator, error = readings(Tf, Tw, theta_w)
+    got = compliance(motor, link, Tw, calibration)
+    np.testing.assert_allclose(got.torsion, torsion, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(got.wave_generator_torsion, wave_generator, rtol=1e-13, atol=1e-17)
+    np.testing.assert_allclose(got.kinematic_error, error, rtol=0, atol=1e-17)
+    np.testing.assert_allclose(got.flexspline_torsion, flexspline_torsion(Tf), rtol=0, atol=1e-15)
+    np.testing.assert_allclose(got.torque, Tf, rtol=0, atol=3e-12)  # 1e-16 rad of an angle is 1.3e-12 N·m
+
+
+def test_knees_and_oddness(calibration):
+    """Torques at and around the knees, and the same with the sign turned."""
+    T = np.array([0.0, 1.0, T1 - 1e-9, T1, T1 + 1e-9, 8.0, T2 - 1e-9, T2, T2 + 1e-9, 25.0])
+    flat = calibration.copy()
+    flat["amplitude"] = 0.0
+    link = -flexspline_torsion(T)
+    plus = compliance(0.0, link, 0.0, flat).torque
+    np.testing.assert_allclose(plus, T, rtol=0, atol=1e-11)
+    np.testing.assert_array_equal(compliance(0.0, -link, 0.0, flat).torque, -plus)
+    for low, high, slope in ((0.0, T1, K1), (T1, T2, K2), (T2, 30.0, K3)):
+        x = flexspline_torsion(np.array([low, high]))
+        inside = x[0] + np.array([0.25, 0.75]) * (x[1] - x[0])
+        torque = compliance(0.0, -inside, 0.0, flat).torque
+        assert np.diff(torque)[0] / np.diff(inside)[0] == pytest.approx(slope, rel=1e-9)
+
+
+def test_arrays_are_the_compiled_scalar_and_broadcast(calibration, rng):
+    motor, link = rng.uniform(-1, 1, (3, 4)), rng.uniform(-0.01, 0.01, (3, 4))
+    got = compliance(motor, link, 0.05, calibration)
+    assert got.torque.shape == (3, 4)
+    for index in np.ndindex(3, 4):
+        assert got.torque[index] == compliance_torque(motor[index], link[index], 0.05, calibration[0])
+
+
+def test_link_encoder_zero_is_calibration(calibration):
+    shifted = calibration.copy()
+    shifted["link_zero"] = 1e-3
+    motor, link, *_ = readings(5.0, 0.05, 1.0)
+    assert compliance(motor, link + 1e-3, 0.05, shifted).torque == pytest.approx(5.0, abs=1e-9)
+
+
+def test_bad_readings(calibration):
+    with pytest.raises(InputError, match="one shape"):
+        compliance(np.zeros(3), np.zeros(2), 0.0, calibration)
+    with pytest.raises(InputError, match="parameter record"):
+        compliance(0.0, 0.0, 0.0, np.zeros(3))
+
+
+@pytest.mark.parametrize("name", ["no_load", "link_sweep", "external_push"])
+def test_reference(reference, calibration, name):
+    """With the true Tw, Eq. (7) gives the flexspline's elastic torque: all but the damping df·Δθf' and dw·δ'."""
+    data = reference(name)
+    got = compliance(data["motor_position"], data["link_position"], data["wave_generator_torque"], calibration)
+    elastic = data["flexspline_torque"] - 4.0 * np.gradient(got.flexspline_torsion, data["time"])
+    error = (got.torque - elastic)[10:-10]
+    print(f"{name}: rms {error.std():.2e} N·m, largest {np.abs(error).max():.2e} N·m")
+    assert np.sqrt(np.mean(error**2)) < 0.005
+    assert np.abs(error[1000:]).max() < 0.15
+
+
+@pytest.mark.parametrize("name", ["no_load", "link_sweep", "external_push"])
+def test_filters_on_the_reference(reference, calibration, name, rng):
+    """Sensors as the test joint's, the current for Tw: every filter below 0.1 N·m rms; who is best where."""
+    data = reference(name)
+    count = len(data["time"])
+    motor_step, link_step = 2 * np.pi / 4096, 2 * np.pi / 2**20
+    motor = motor_step * (np.floor(data["motor_position"] / motor_step) + 0.5)
+    link = link_step * np.round((data["link_position"] + 1.5e-6 * rng.standard_normal(count)) / link_step)
+    current = data["motor_current"] + 0.01 * rng.standard_normal(count)
+    y = compliance(motor, link, calibration["Kt"][0] * current, calibration).torque
+    rms, robust = {}, {}
+    for rule in ("ekf", "robust", "arekf", "rarekf"):
+        got = run(FilterSettings(rule=rule), y)
+        rms[rule] = np.sqrt(np.mean((got.torque - data["joint_torque"]) ** 2))
+        robust[rule] = got.robust.mean()
+    print(name, "rms", {k: round(v, 4) for k, v in rms.items()}, "robust", {k: round(v, 4) for k, v in robust.items()})
+    assert max(rms.values()) < 0.1
+    assert robust["rarekf"] <= robust["arekf"]
+    if name == "no_load":
+        assert robust["rarekf"] < 0.02
+    if name == "external_push":
+        assert max(rms["arekf"], rms["rarekf"]) < 0.7 * rms["ekf"]

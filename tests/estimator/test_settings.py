@@ -1,0 +1,124 @@
+"""Settings: what is refused and how, and where the defaults come from."""
+
+from __future__ import annotations
+
+import dataclasses
+import pickle
+
+import numpy as np
+import pytest
+from flexspline.estimator import (
+    FilterDiverged,
+    FilterModel,
+    FilterSettings,
+    filter_bank,
+    measurement_variance,
+    paper_filters,
+    run,
+    run_batch,
+)
+from flexspline.models.errors import InputError
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "parts"),
+    [
+        ("V", 0.0, ("V [(N·m)²]", "> 0", "got 0.0")),
+        ("V", -1.0, ("V [(N·m)²]", "-1.0")),
+        ("V", np.nan, ("V", "nan")),
+        ("V", np.inf, ("V", "finite", "inf")),
+        ("W", -1e-4, ("W [(N·m)² per step]", "≥ 0")),
+        ("P0", "small", ("P0", "expected a number", "'small'")),
+        ("k", -1.0, ("k [1/(N·m)²]", "-1.0")),
+        ("rho", -0.5, ("rho [1]", "-0.5")),
+        ("gamma", 0.0, ("gamma [N·m]", "> 0")),
+        ("L", None, ("L [1]", "None")),
+        ("W", True, ("W", "True")),
+        ("rule", "rarkf", ("rule", "'rarkf'", "did you mean 'rarekf'")),
+        ("alpha", "print", ("alpha", "'max', 'printed'")),
+        ("memory", "paper", ("memory", "'source', 'printed'")),
+        ("covariance", 3, ("covariance", "'unadjusted'")),
+        ("name", 3, ("name", "3")),
+    ],
+)
+def test_bad_setting(field, value, parts):
+    with pytest.raises(InputError) as caught:
+        FilterSettings(**{"name": "mine", field: value})
+    message = str(caught.value)
+    assert "\n" not in message
+    for part in (field, *parts):
+        assert part in message
+
+
+def test_settings_are_frozen_and_named():
+    settings = FilterSettings(rule="arekf")
+    assert settings.name == "arekf"
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        settings.V = 1.0
+    assert [s.rule for s in paper_filters(V=0.01)] == ["ekf", "arekf", "rarekf"]
+    error = FilterDiverged("ekf", 3, 0.003, "why", 2)
+    assert str(pickle.loads(pickle.dumps(error))) == str(error)
+
+
+def test_defaults_follow_from_the_sensors():
+    """V as the module says: encoders 0.047 N·m, with the measured current 0.068 N·m; γ clears its bound."""
+    sensors = dict(
+        stiffness=9400, motor_resolution=2 * np.pi / 4096, link_resolution=2 * np.pi / 2**20, link_noise=1.5e-6,
+        ratio=100,
+    )  # fmt: skip
+    assert measurement_variance(**sensors) == pytest.approx(0.0469**2, rel=0.01)
+    V = measurement_variance(**sensors, torque_noise=0.01 * 0.0603, wave_generator_stiffness=1.14)
+    settings = FilterSettings()
+    assert V == pytest.approx(settings.V, rel=0.06)
+    assert settings.gamma**2 > max(settings.V, settings.P0) + settings.W
+    assert settings.k * 4.0**2 == 1.0
+
+
+@pytest.mark.parametrize("change", [{"stiffness": 0.0}, {"ratio": -1.0}, {"link_noise": np.nan}])
+def test_measurement_variance_refuses(change):
+    good = dict(stiffness=9400, motor_resolution=1e-3, link_resolution=1e-6, ratio=100)
+    with pytest.raises(InputError, match=next(iter(change))):
+        measurement_variance(**(good | change))
+
+
+@pytest.mark.parametrize(
+    ("change", "part"),
+    [
+        ({"F": np.ones((2, 3))}, "F: expected shape"),
+        ({"H": [[1.0]]}, "H"),
+        ({"F": [1.0]}, "F"),
+        ({"W": [[1.0, 2.0], [0.0, 1.0]]}, "W: expected a covariance"),
+        ({"W": -np.eye(2)}, "W: expected a covariance"),
+        ({"V": [[0.0]]}, "V: expected positive definite"),
+        ({"P0": [[np.nan, 0.0], [0.0, 1.0]]}, "P0"),
+        ({"L": np.eye(3)}, "L"),
+        ({"load_index": 2}, "load_index"),
+        ({"H": "x"}, "H"),
+    ],
+)
+def test_bad_model(change, part):
+    good = dict(F=np.eye(2), H=[[1.0, 0.0]], W=np.eye(2), V=[[1.0]], P0=np.eye(2))
+    FilterModel(**good)
+    with pytest.raises(InputError, match=part):
+        FilterModel(**(good | change))
+
+
+def test_bad_measurements():
+    settings = FilterSettings()
+    with pytest.raises(InputError, match="nan at sample 2"):
+        run(settings, [0.0, 1.0, np.nan])
+    with pytest.raises(InputError, match="at least one sample"):
+        run(settings, [])
+    with pytest.raises(InputError, match="expected shape"):
+        run(settings, np.zeros((2, 2, 2)))
+    with pytest.raises(InputError, match="of filter 1"):
+        run_batch(settings, [[0.0, 1.0], [0.0, np.inf]])
+    with pytest.raises(InputError, match="expected one or 2"):
+        run_batch([settings], np.zeros((2, 3)))
+    with pytest.raises(InputError, match="at least one filter"):
+        filter_bank([])
+    model = FilterModel(np.eye(2), [[1.0, 0.0]], np.eye(2), [[1.0]], np.eye(2))
+    with pytest.raises(InputError, match="initial_state"):
+        run(settings, np.zeros(5), model=model)
+    with pytest.raises(InputError, match="initial_state"):
+        run(settings, np.zeros(5), model=model, initial_state=np.zeros(3))
