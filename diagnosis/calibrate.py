@@ -308,7 +308,7 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
     loss, weight = robust_loss(r, limit)
     gradient, curvature = _prior_gradient(problem, theta, model)
     JW = J * weight[:, None]
-    H, g = JW.T @ J + np.diag(curvature), JW.T @ r + gradient
+    information, g = JW.T @ J, JW.T @ r + gradient
     if twin_jacobian is not None:
         stack = stacked(state[1], twin_jacobian)
         n, N = stack[:, 0], stack[:, 1:]
@@ -316,8 +316,14 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
         loss -= noise_loss
         NW = N * weight[:, None]
         g = g - NW.T @ n
-        H = H - 0.9 * NW.T @ N  # not all of it, so that H stays positive where only noise moves a parameter
-    return H, g, loss
+        information = information - NW.T @ N
+    return _positive(information, problem.spread(model)) + np.diag(curvature), g, loss
+
+
+def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
+    """The nearest positive matrix, in units of the prior: what looks like less than no information is none."""
+    values, vectors = np.linalg.eigh(information * spread[:, None] * spread)
+    return (vectors * np.maximum(values, 0.0)) @ vectors.T / spread[:, None] / spread
 
 
 def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, history=()) -> Fit:

@@ -1,0 +1,269 @@
+"""Scenarios: YAML files in which a person states an experiment."""
+
+from __future__ import annotations
+
+import itertools
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import yaml
+from pydantic import Field, model_validator
+
+from ..estimator import FilterSettings
+from ..models.errors import InputError, nearest
+from ..models.files import Strict, parse, read_yaml
+from ..models.joint import SYMBOLS, Joint, Sensors, load_joint
+from ..sim.drive import Controller
+from ..sim.plant import TIMESTEP
+from .loop import CONTROL_PERIOD
+
+
+class Waypoint(Strict):
+    """A position of the link at a time; between waypoints the command moves with minimum jerk, or linearly."""
+
+    time: Annotated[float, Field(ge=0, description="s")]
+    position: Annotated[float, Field(description="rad, output side; 0 hangs straight down")]
+    profile: Annotated[Literal["minimum_jerk", "linear"], Field(description="of the motion that ends here")] = "minimum_jerk"
+
+
+class Disturbance(Strict):
+    """Torque on the link: a push (half sine), a step (held for the duration), or a ramp up and down (triangle)."""
+
+    kind: Literal["push", "step", "triangle", "sine"]
+    start: Annotated[float, Field(ge=0, description="s")]
+    duration: Annotated[float, Field(gt=0, description="s")]
+    torque: Annotated[float, Field(description="N·m at its largest; positive pushes forward")]
+    cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
+
+    def signal(self, time: np.ndarray) -> np.ndarray:
+        """Torque [N·m] at the times [s]."""
+        u = (time - self.start) / self.duration
+        inside = (u >= 0) & (u < 1)
+        shape = {
+            "push": lambda: np.sin(np.pi * u),
+            "step": lambda: np.ones_like(u),
+            "triangle": lambda: 1 - np.abs(2 * u - 1),
+            "sine": lambda: np.sin(2 * np.pi * self.cycles * u),
+        }[self.kind]()
+        return np.where(inside, self.torque * shape, 0.0)
+
+
+class FilterChoice(Strict):
+    """A filter by name and gain rule; what is not given keeps the default of `estimator.FilterSettings`."""
+
+    name: Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+    rule: Literal["ekf", "robust", "arekf", "rarekf"]
+    gamma: Annotated[float, Field(gt=0, description="N·m")] | None = None
+    k: Annotated[float, Field(ge=0, description="1/(N·m)²")] | None = None
+    rho: Annotated[float, Field(ge=0)] | None = None
+    W: Annotated[float, Field(ge=0, description="(N·m)² per step")] | None = None
+    V: Annotated[float, Field(gt=0, description="(N·m)²")] | None = None
+    P0: Annotated[float, Field(ge=0, description="(N·m)²")] | None = None
+    L: Annotated[float, Field(ge=0)] | None = None
+    alpha: Literal["max", "printed"] = "max"
+    memory: Literal["source", "printed"] = "source"
+    covariance: Literal["unadjusted", "adjusted"] = "unadjusted"
+
+    def settings(self) -> FilterSettings:
+        """The filter's full settings."""
+        return FilterSettings(**self.model_dump(exclude_none=True))
+
+
+PAPER_FILTERS = [
+    FilterChoice(name="EKF", rule="ekf"),
+    FilterChoice(name="AREKF", rule="arekf"),
+    FilterChoice(name="RAREKF", rule="rarekf"),
+    FilterChoice(name="REKF", rule="robust"),
+]
+
+
+class Scenario(Strict):
+    """An experiment with a joint: mounting, motion, disturbances, sensors, filters, seed."""
+
+    format: Literal[1] = 1
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    description: str = ""
+    figure: Annotated[str, Field(description="the paper's figure that this reproduces")] = ""
+    joint: Annotated[str, Field(description="a shipped joint's name or a path")] = "test-joint"
+    known_joint: Annotated[str, Field(description="what the estimators know; the joint itself by default")] = ""
+    plant: Annotated[dict[str, float], Field(description="numbers of the plant that the estimators do not know, SI")] = {}
+    mounting: Annotated[str, Field(description="of the joint; its default where empty")] = ""
+    duration: Annotated[float, Field(gt=0, le=3600, description="s")]
+    timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    locked_rotor: bool = False
+    trajectory: Annotated[list[Waypoint], Field(min_length=1)]
+    disturbances: list[Disturbance] = []
+    sensors: Annotated[dict[str, Any], Field(description="changes to the joint's sensors")] = {}
+    controller: Controller = Controller()
+    feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
+    filters: Annotated[list[FilterChoice], Field(min_length=1)] = PAPER_FILTERS
+    transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Scenario:
+        if round(self.duration / CONTROL_PERIOD) < 2:
+            raise ValueError(f"duration: expected at least two control periods of {CONTROL_PERIOD:g} s, got {self.duration:g} s")
+        substeps = CONTROL_PERIOD / self.timestep
+        if abs(substeps - round(substeps)) > 1e-6:
+            raise ValueError(f"timestep: expected a whole fraction of {CONTROL_PERIOD:g} s, got {self.timestep:g} s")
+        times = [w.time for w in self.trajectory]
+        for i, (a, b) in enumerate(itertools.pairwise(times)):
+            if b <= a:
+                raise ValueError(f"trajectory.{i + 1}.time: expected a time after {a:g} s, got {b:g} s")
+        names = [f.name for f in self.filters]
+        for i, name in enumerate(names):
+            if name in names[:i] or name in ("none", "sensor", "model"):
+                raise ValueError(f"filters.{i}.name: expected a name of its own, got {name!r}")
+        if self.feedback not in ("none", "sensor", *names):
+            raise ValueError(
+                f"feedback: expected none, sensor or one of {names}, got {self.feedback!r}{nearest(self.feedback, names)}"
+            )
+        for symbol in self.plant:
+            if symbol not in SYMBOLS:
+                raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
+        if self.transient >= self.duration:
+            raise ValueError(f"transient: expected less than the duration {self.duration:g} s, got {self.transient:g} s")
+        return self
+
+    @property
+    def time(self) -> np.ndarray:
+        """Control instants [s], shape (n,)."""
+        return np.arange(round(self.duration / CONTROL_PERIOD)) * CONTROL_PERIOD
+
+    def commands(self) -> tuple[np.ndarray, np.ndarray]:
+        """Commanded position [rad] and velocity [rad/s] of the link, shape (n,): held before and after the waypoints."""
+        time = self.time
+        position = np.full_like(time, self.trajectory[0].position)
+        velocity = np.zeros_like(time)
+        for a, b in itertools.pairwise(self.trajectory):
+            T, A = b.time - a.time, b.position - a.position
+            u = np.clip((time - a.time) / T, 0, 1)
+            inside = (time >= a.time) & (time < b.time)
+            if b.profile == "linear":
+                s, ds = u, np.ones_like(u)
+            else:
+                s, ds = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2
+            position = np.where(time >= a.time, a.position + A * s, position)
+            velocity = np.where(inside, A * ds / T, velocity)
+        return position, velocity
+
+    def external_torque(self) -> np.ndarray:
+        """Torque on the link [N·m], shape (n,): the sum of the disturbances."""
+        time = self.time
+        return sum((d.signal(time) for d in self.disturbances), np.zeros_like(time))
+
+    def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
+        """The plant's joint and the one that the estimators know, with the scenario's sensors."""
+        joint = self._with_sensors(load_joint(self.joint, folder))
+        known = self._with_sensors(load_joint(self.known_joint, folder)) if self.known_joint else joint
+        if self.plant:
+            numbers = dict(joint.numbers)
+            for symbol, value in self.plant.items():
+                numbers[symbol] = numbers[symbol].model_copy(update={"value": value})
+            joint = _revalidated(joint, {"numbers": numbers}, f"scenario {self.name}: plant")
+        return joint, known
+
+    def _with_sensors(self, joint: Joint) -> Joint:
+        if not self.sensors:
+            return joint
+        merged = _merge(joint.sensors.model_dump(), self.sensors)
+        # A resolution given one way replaces the other.
+        for name, change in self.sensors.items():
+            if isinstance(change, dict) and isinstance(merged.get(name), dict):
+                for given, other in (("bits", "counts"), ("counts", "bits")):
+                    if given in change and other not in change:
+                        merged[name][other] = None
+        sensors = parse(merged, Sensors, f"scenario {self.name}: sensors")
+        copy = joint.model_copy(update={"sensors": sensors})
+        copy._path = joint._path
+        return copy
+
+
+def _revalidated(joint: Joint, update: dict[str, Any], where: str) -> Joint:
+    data = joint.model_copy(update=update).model_dump()
+    copy = parse(data, Joint, where)
+    copy._path = joint._path
+    return copy
+
+
+def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in changes.items():
+        if isinstance(value, dict) and isinstance(base.get(key), dict):
+            merged[key] = _merge(base[key], value)
+        else:
+            merged[key] = value
+    return merged
+
+
+def shipped_scenarios() -> dict[str, Path]:
+    """The scenarios that the package ships, by name."""
+    folder = Path(str(resources.files(__package__)))
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_scenario(source: str | Path, changes: list[str] | None = None, seed: int | None = None) -> tuple[Scenario, Path]:
+    """Load a scenario by the name of a shipped one, or from a YAML file.
+
+    Args:
+      source: name or path.
+      changes: `key=value` overrides; dotted keys reach inside (`filters.2.k=0.1`, `controller.kp=6`).
+      seed: replaces the scenario's.
+
+    Returns:
+      The scenario and the folder of its file.
+
+    Raises:
+      InputError: no such scenario, or one that is wrong; one line.
+    """
+    known = shipped_scenarios()
+    path = known.get(str(source), Path(source))
+    if not path.exists():
+        raise InputError(
+            f"scenario {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(str(source), known)}"
+        )
+    data = read_yaml(path, "a scenario")
+    if not isinstance(data, dict):
+        raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")
+    for change in changes or []:
+        _override(data, change)
+    if seed is not None:
+        data["seed"] = seed
+    return parse(data, Scenario, str(path)), path.parent
+
+
+def _override(data: dict[str, Any], change: str) -> None:
+    key, sign, text = change.partition("=")
+    if not sign or not key:
+        raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
+    try:
+        value = yaml.safe_load(text)
+        if isinstance(value, str):
+            value = float(value)  # 1e-6 is text to YAML 1.1
+    except (yaml.YAMLError, ValueError):
+        value = text
+    *path, last = key.split(".")
+    if path[:1] == ["filters"] and "filters" not in data:
+        data["filters"] = [f.model_dump(exclude_none=True) for f in PAPER_FILTERS]
+    place: Any = data
+    for part in path:
+        if isinstance(place, list):
+            place = _item(place, part, change)
+        else:
+            place = place.setdefault(part, {})
+        if not isinstance(place, (dict, list)):
+            raise InputError(f"--set {change}: {part} is a value, expected something with keys")
+    if isinstance(place, list):
+        _item(place, last, change)
+        place[int(last)] = value
+    else:
+        place[last] = value
+
+
+def _item(items: list, part: str, change: str) -> Any:
+    if not part.isdigit() or int(part) >= len(items):
+        raise InputError(f"--set {change}: expected a number from 0 to {len(items) - 1}, got {part!r}")
+    return items[int(part)]
