@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import sys
+from importlib import metadata
+from typing import Annotated
 
 import typer
 from rich.console import Console
@@ -13,12 +15,22 @@ from ..models.errors import InputError
 
 app = typer.Typer(
     name="flexspline",
-    help="A testbed for joint torque estimation with harmonic drives.",
     no_args_is_help=True,
+    invoke_without_command=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
+
+
+@app.callback()
+def _root(
+    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+) -> None:
+    """A testbed for joint torque estimation with harmonic drives."""
+    if version:
+        print(metadata.version("flexspline"))
+        raise typer.Exit()
 
 
 def _register() -> None:

@@ -75,6 +75,8 @@ class Calibration:
                 p["Jl"] = mounting.inertia * value
             elif slot.field == "Mg":
                 p["Mg"] = mounting.gravity_moment * value
+            elif slot.field == "gravity_angle":
+                p["gravity_angle"] = mounting.gravity_angle + value
             elif slot.index < 0:
                 p[slot.field] = value
             else:
@@ -93,6 +95,8 @@ def _slots(joint: Joint) -> list[Slot]:
         found.append(Slot("Jl", "Jl", -1, joint.link_tolerances["inertia"]))
     if "gravity_moment" in joint.link_tolerances:
         found.append(Slot("Mg", "Mg", -1, joint.link_tolerances["gravity_moment"]))
+    if joint.gravity_angle is not None:
+        found.append(Slot("gravity_angle", "gravity_angle", -1, joint.gravity_angle))
     s = joint.sensors
     for name, field, number in (
         ("link_encoder_zero", "link_zero", s.link_encoder.zero),

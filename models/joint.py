@@ -72,6 +72,8 @@ class Mounting(Strict):
 
     inertia: Annotated[float, Field(gt=0, description="kg·m²")]
     gravity_moment: Annotated[float, Field(ge=0, description="N·m")]
+    gravity_angle: Annotated[float, Field(description="rad")] = 0.0
+    """Angle of its centre of mass from the link's axis, which hangs straight down at θl + gravity angles = 0."""
 
 
 class EncoderSpec(Strict):
@@ -192,6 +194,8 @@ class Joint(Strict):
     kinematic_error: Annotated[list[Order], Field(max_length=N_ORDERS)]
     link_tolerances: dict[Literal["inertia", "gravity_moment"], Number] = {}
     """Relative uncertainty of every mounting's inertia and gravity moment: a scale of 1 with a tolerance."""
+    gravity_angle: Number | None = None
+    """Angle [rad] that the link stands away from hanging straight down at θl = 0, whatever is mounted; none is 0."""
     mountings: dict[str, Mounting]
     sensors: Sensors
     effects: list[Effect] = []
@@ -239,6 +243,7 @@ class Joint(Strict):
         yield s.motor_current.offset, ("sensors.motor_current.offset", "A")
         yield s.joint_torque.offset, ("sensors.joint_torque.offset", "N·m")
         yield s.joint_torque.gain, ("sensors.joint_torque.gain", "1")
+        yield self.gravity_angle, ("gravity_angle", "rad")
         for key, number in self.link_tolerances.items():
             yield number, (f"link_tolerances.{key}", "1")
 
@@ -279,6 +284,7 @@ class Joint(Strict):
         scale = {key: number.value for key, number in self.link_tolerances.items()}
         p["Jl"] = mounting.inertia * scale.get("inertia", 1.0)
         p["Mg"] = mounting.gravity_moment * scale.get("gravity_moment", 1.0)
+        p["gravity_angle"] = mounting.gravity_angle + (self.gravity_angle.value if self.gravity_angle else 0.0)
         s = self.sensors
         p["link_delay"] = s.link_encoder.delay
         if s.link_encoder.zero is not None:

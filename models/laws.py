@@ -6,14 +6,13 @@ generator's velocity. Equation numbers are those of Shi & Liu; the other laws ar
 
     rotor           Jm θm'' = Kt i − bm θm' + rotor_torque − Tw
     wave generator  Jw θw'' = Tw − Fmesh − Tf (1/N − θerr'(θw))
-    link            Jl θl'' = Ts − Mg sin θl + link_torque + τext        with Ts = Tf − bl θl'
+    link            Jl θl'' = Ts − Mg sin(θl + gravity_angle) + link_torque + τext        with Ts = Tf − bl θl'
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 from .parameters import N_ORDERS, N_PERIODIC, N_TERMS
@@ -242,5 +241,5 @@ def torque_reading(torque, time, p):
 
 @njit(cache=True)
 def gravity_torque(theta_l, p):
-    """Torque of the link's weight about the joint axis, −Mg sin θl [N·m]."""
-    return -p.Mg * np.sin(theta_l)
+    """Torque of the link's weight about the joint axis, −Mg sin(θl + gravity_angle) [N·m]."""
+    return -p.Mg * math.sin(theta_l + p.gravity_angle)

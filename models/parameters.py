@@ -38,7 +38,7 @@ PARAMETERS = np.dtype(
         # kinematic error: A_k sin(k θw + φ_k)
         ("order", _F, N_ORDERS), ("amplitude", _F, N_ORDERS), ("phase", _F, N_ORDERS),
         # output and link
-        ("bl", _F), ("Jl", _F), ("Mg", _F),
+        ("bl", _F), ("Jl", _F), ("Mg", _F), ("gravity_angle", _F),
         # effects in the motor and transmission
         ("cogging_order", _F, N_PERIODIC), ("cogging_amplitude", _F, N_PERIODIC), ("cogging_phase", _F, N_PERIODIC),
         ("hysteresis_torque", _F), ("hysteresis_extent", _F), ("backlash", _F),

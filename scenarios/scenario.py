@@ -25,7 +25,9 @@ class Waypoint(Strict):
 
     time: Annotated[float, Field(ge=0, description="s")]
     position: Annotated[float, Field(description="rad, output side; 0 hangs straight down")]
-    profile: Annotated[Literal["minimum_jerk", "linear"], Field(description="of the motion that ends here")] = "minimum_jerk"
+    profile: Annotated[Literal["minimum_jerk", "linear"], Field(description="of the motion that ends here")] = (
+        "minimum_jerk"
+    )
 
 
 class Disturbance(Strict):
@@ -88,7 +90,9 @@ class Scenario(Strict):
     figure: Annotated[str, Field(description="the paper's figure that this reproduces")] = ""
     joint: Annotated[str, Field(description="a shipped joint's name or a path")] = "test-joint"
     known_joint: Annotated[str, Field(description="what the estimators know; the joint itself by default")] = ""
-    plant: Annotated[dict[str, float], Field(description="numbers of the plant that the estimators do not know, SI")] = {}
+    plant: Annotated[
+        dict[str, float], Field(description="numbers of the plant that the estimators do not know, SI")
+    ] = {}
     mounting: Annotated[str, Field(description="of the joint; its default where empty")] = ""
     duration: Annotated[float, Field(gt=0, le=3600, description="s")]
     timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
@@ -105,7 +109,9 @@ class Scenario(Strict):
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
         if round(self.duration / CONTROL_PERIOD) < 2:
-            raise ValueError(f"duration: expected at least two control periods of {CONTROL_PERIOD:g} s, got {self.duration:g} s")
+            raise ValueError(
+                f"duration: expected at least two control periods of {CONTROL_PERIOD:g} s, got {self.duration:g} s"
+            )
         substeps = CONTROL_PERIOD / self.timestep
         if abs(substeps - round(substeps)) > 1e-6:
             raise ValueError(f"timestep: expected a whole fraction of {CONTROL_PERIOD:g} s, got {self.timestep:g} s")
@@ -125,7 +131,9 @@ class Scenario(Strict):
             if symbol not in SYMBOLS:
                 raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
         if self.transient >= self.duration:
-            raise ValueError(f"transient: expected less than the duration {self.duration:g} s, got {self.transient:g} s")
+            raise ValueError(
+                f"transient: expected less than the duration {self.duration:g} s, got {self.transient:g} s"
+            )
         return self
 
     @property
@@ -205,7 +213,9 @@ def shipped_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-def load_scenario(source: str | Path, changes: list[str] | None = None, seed: int | None = None) -> tuple[Scenario, Path]:
+def load_scenario(
+    source: str | Path, changes: list[str] | None = None, seed: int | None = None
+) -> tuple[Scenario, Path]:
     """Load a scenario by the name of a shipped one, or from a YAML file.
 
     Args:

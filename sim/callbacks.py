@@ -56,18 +56,24 @@ def transmission(theta, velocity, dahl, p):
 
 
 @njit(cache=True)
+def reduced_inertia(p):
+    """Inertia [kg·m², output side] that wave generator and link oppose to the flexspline."""
+    return 1.0 / (1.0 / p.Jl + 1.0 / (p.N * p.N * p.Jw))
+
+
+@njit(cache=True)
 def state_forces(theta, velocity, bristle, dahl, time, h, p):
     """Torques and friction at the instant of the positions; bristle and Dahl state, a step behind, are brought up.
 
     Returns:
-      Tw without its damping, Tf with it, 1/N − dθerr/dθw, sliding friction g, bristle and Dahl state at the instant.
+      Tw without its damping, Tf with it, 1/N − dθerr/dθw, sliding friction g, bristle and Dahl state at the instant, Δθf'.
     """
     if p.hysteresis_torque != 0.0:
         _, _, rate, _ = transmission(theta, velocity, 0.0, p)
         dahl = laws.dahl_step(dahl, rate, h, p)
-    Tw, Tf, _, slope = transmission(theta, velocity, dahl, p)
+    Tw, Tf, rate, slope = transmission(theta, velocity, dahl, p)
     g = laws.friction_level(velocity[1], theta[2], Tf, time, p)
-    return Tw, Tf, slope, g, laws.bristle_step(bristle, velocity[1], g, h, p), dahl
+    return Tw, Tf, slope, g, laws.bristle_step(bristle, velocity[1], g, h, p), dahl, rate
 
 
 def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int, PASSIVE: int):
@@ -94,7 +100,7 @@ def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int
         time, h = floats_at(d + 8 * TIME)[0], header[1]
         z = act[int(header[2])]
         previous_dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
-        Tw, Tf, slope, g, bristle, dahl = state_forces(theta, velocity, z, previous_dahl, time, h, p)
+        Tw, Tf, slope, g, bristle, dahl, rate = state_forces(theta, velocity, z, previous_dahl, time, h, p)
         force = carray(floats_at(word_at(d + 8 * PASSIVE)), 3)
         w, load_angle = velocity[WAVE_GENERATOR], theta[LINK]
 
@@ -111,6 +117,7 @@ def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int
             on_rotor += laws.term(PLACE_ROTOR, theta[ROTOR], load_angle, w, load, time, p)
             on_wave_generator -= laws.term(PLACE_MESH, theta[ROTOR], load_angle, w, load, time, p)
             on_link += laws.term(PLACE_LINK, theta[ROTOR], load_angle, w, load, time, p)
+        Tf += h * h / 12.0 * p.K1 / reduced_inertia(p) * p.df * rate  # see plant._correct_to_fourth_order
         on_wave_generator += damper / p.N - Tf * slope
 
         # Friction at the instant of the positions, with the bristle brought up to it. MuJoCo's own LuGre lags half a step
@@ -148,7 +155,7 @@ def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int
         time, h = floats_at(d + 8 * TIME)[0], header[1]
         z = act[int(header[2])]
         previous_dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
-        _, _, _, _, bristle, dahl = state_forces(theta, velocity, z, previous_dahl, time, h, p)
+        _, _, _, _, bristle, dahl, _ = state_forces(theta, velocity, z, previous_dahl, time, h, p)
         remembered = actuator - int(header[6])
         if 0 <= remembered < 3:
             return (velocity[remembered] - act[int(header[3]) + remembered]) / h

@@ -90,14 +90,12 @@ def build(
 def _correct_to_fourth_order(model: mujoco.MjModel, p: np.void, h: float) -> None:
     """Cancel the h² error that the trapezoidal leapfrog makes in the flexspline's mode, its fastest at no load.
 
-    For M q'' + D q' + K q = 0 the scheme solves an equation that differs by h²/12 ((K + D²/M) q'' + (D K/M) q'). An inertia
-    and a damping across the flexspline give it back (Störmer and Numerov's idea, with damping). Both vanish with h²:
-    at the default timestep 1e-4 of a link's inertia (docs/convergence.md).
+    For M q'' + D q' + K q = 0 the scheme solves an equation that differs by h²/12 ((K + D²/M) q'' + (D K/M) q'). An
+    inertia across the flexspline, here, and a damping, in the callback, give it back (Störmer and Numerov's idea, with
+    damping). Both vanish with h²: at the default timestep 1e-4 of a link's inertia (docs/convergence.md).
     """
-    reduced = 1.0 / (1.0 / p["Jl"] + 1.0 / (p["N"] ** 2 * p["Jw"]))
-    i = model.tendon("flexspline").id
-    model.tendon_armature[i] = h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced)
-    model.tendon_damping[i] *= 1 + h**2 / 12 * p["K1"] / reduced
+    reduced = callbacks.reduced_inertia(p)
+    model.tendon_armature[model.tendon("flexspline").id] = h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced)
 
 
 def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | None = None) -> None:
@@ -155,7 +153,7 @@ def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current
 
 
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
-    """A mass on the link's axis that has the gravity moment, and the rest of the inertia about the joint's axis."""
+    """A mass with the gravity moment, off the link's axis by the gravity angle, and the rest of the inertia as its shape."""
     body = spec.body("link")
     moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"])
     # The mass sits close enough for its own m r² to leave 40 % of the inertia to its shape.
@@ -165,7 +163,7 @@ def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     about_mass = inertia - mass * position**2
     body.explicitinertial = True
     body.mass = mass
-    body.ipos = [0, 0, -position]
+    body.ipos = [position * np.sin(p["gravity_angle"]), 0, -position * np.cos(p["gravity_angle"])]
     body.inertia = [about_mass, about_mass, about_mass]
     flange = spec.body("flange")
     flange.explicitinertial = True

@@ -1,0 +1,27 @@
+"""`flexspline import`: a log in another layout as a recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ..diagnosis.importing import import_recording, load_layout
+from ..sim.recording import write_recording
+
+
+def command(
+    format: Annotated[str, typer.Argument(help="name of a shipped layout (`lara8`), or a mapping file (YAML)")],
+    file: Annotated[Path, typer.Argument(help="the log, a CSV file")],
+    out: Annotated[Path, typer.Option(help="folder that the recording is written to")],
+    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the layout's by default")] = None,
+    name: Annotated[str | None, typer.Option(help="name of the recording; the log's by default")] = None,
+) -> None:
+    """Import a log in another layout as a recording: table and YAML. See docs/importing.md."""
+    recording = import_recording(load_layout(format), file, name=name, joint=joint)
+    path = write_recording(recording, out)
+    seconds = recording.time[-1] - recording.time[0]
+    columns = ", ".join(recording.columns)
+    Console(soft_wrap=True).print(f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}", highlight=False)

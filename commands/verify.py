@@ -1,0 +1,34 @@
+"""`flexspline verify`: the plant against independent solutions of its equations."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from ..models.joint import load_joint
+from ..sim.plant import TIMESTEP
+from ..sim.verify import verify
+
+
+def command(
+    folder: Annotated[Path, typer.Argument(help="Folder with the reference solutions (Parquet).")],
+    joint: Annotated[str, typer.Option(help="The joint that they were solved for: name or path.")] = "test-joint",
+    timestep: Annotated[float, typer.Option(help="Timestep of the plant [s].", min=1e-6, max=1e-3)] = TIMESTEP,
+) -> None:
+    """Compare the plant with reference solutions; exit code 1 when a limit is missed."""
+    console = Console()
+    with console.status("driving the plant as the reference solutions describe"):
+        differences = verify(folder, load_joint(joint), timestep)
+    table = Table(title=f"RMS difference relative to the reference, timestep {timestep * 1e3:g} ms")
+    for heading in ("reference", "channel", "difference", "limit", ""):
+        table.add_column(heading, justify="right" if heading in ("difference", "limit") else "left")
+    for d in differences:
+        verdict = "[green]met" if d.passed else "[red]missed"
+        table.add_row(d.file, d.channel, f"{100 * d.relative:.3f} %", f"{100 * d.limit:g} %", verdict)
+    console.print(table)
+    if not all(d.passed for d in differences):
+        raise typer.Exit(1)

@@ -1,0 +1,362 @@
+"""Recordings: what a joint's sensors read over time, as a table and a YAML file of the same stem.
+
+The format is the same whether a simulator or a robot wrote it. A *measurement* is one recording or a folder of several
+taken on the same joint. Sampling may be irregular with single samples missing; a gap splits a recording into stretches.
+"""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+import yaml
+
+from ..models.errors import InputError, nearest
+from ..models.files import Strict, load, write_into_place
+from ..models.joint import Joint, Mounting, load_joint
+
+GAP = 0.1
+"""A time [s] between samples that splits a recording into stretches."""
+
+COLUMNS: dict[str, str] = {
+    "time": "s",
+    "motor_position": "rad",
+    "link_position": "rad",
+    "motor_current": "A",
+    "joint_torque": "N·m",
+    "position_command": "rad",
+    "external_torque": "N·m",
+}
+"""Columns of a recording and their units; motor_position on the motor side, the others on the output side."""
+REQUIRED = ("time", "motor_position", "link_position", "motor_current")
+OPTIONAL = tuple(name for name in COLUMNS if name not in REQUIRED)
+SUFFIXES = (".parquet", ".csv")
+
+External = Literal["none", "measured", "unmeasured"]
+
+
+class Sidecar(Strict):
+    """The YAML file beside a recording's table.
+
+    `external_torque`: `none`; `measured`, the column of that name; or `unmeasured`: pushes may happen, they are no cause of
+    anything.
+    """
+
+    format: Literal[1]
+    joint: str
+    description: str = ""
+    link: Mounting
+    external_torque: External = "none"
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One recording; every array has shape (n,) and is float64.
+
+    Attributes:
+      name: stem of its files.
+      time: [s], increasing; not necessarily even, nor from zero.
+      motor_position: motor encoder [rad, motor side].
+      link_position: link encoder [rad, output side].
+      motor_current: [A].
+      joint_torque: torque that the joint gives the link [N·m], None without a sensor.
+      position_command: [rad, output side], None if not known.
+      external_torque: torque on the link that was known from a sensor [N·m], None if not.
+      joint: name of the joint's description, or path to one.
+      description: for people.
+      link: what was bolted to the output.
+      external: whether there was external torque: none, measured (the column) or unmeasured.
+      source: where it came from, for messages.
+
+    Raises:
+      InputError: columns of different length, values that are not finite, time that does not increase.
+    """
+
+    name: str
+    time: np.ndarray
+    motor_position: np.ndarray
+    link_position: np.ndarray
+    motor_current: np.ndarray
+    joint_torque: np.ndarray | None = None
+    position_command: np.ndarray | None = None
+    external_torque: np.ndarray | None = None
+    joint: str = "test-joint"
+    description: str = ""
+    link: Mounting = Mounting(inertia=0.35, gravity_moment=9.0)
+    external: External = "none"
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        where = self.source or f"recording {self.name!r}"
+        for column in COLUMNS:
+            values = getattr(self, column)
+            if values is None:
+                if column in REQUIRED:
+                    raise InputError(f"{where}: column {column!r}: missing")
+                continue
+            values = np.ascontiguousarray(values, dtype=np.float64)
+            if values.ndim != 1 or len(values) != len(self.time):
+                raise InputError(f"{where}: column {column!r}: expected shape ({len(self.time)},), got {values.shape}")
+            object.__setattr__(self, column, values)
+            bad = np.flatnonzero(~np.isfinite(values))
+            if len(bad):
+                raise InputError(
+                    f"{where}: column {column!r}, {_row(self.source, bad[0])}: "
+                    f"expected a finite number, got {values[bad[0]]}"
+                )
+        if len(self.time) < 2:
+            raise InputError(f"{where}: expected at least 2 rows, got {len(self.time)}")
+        back = np.flatnonzero(np.diff(self.time) <= 0)
+        if len(back):
+            i = int(back[0])
+            raise InputError(
+                f"{where}: column 'time', {_row(self.source, i + 1)}: expected time to increase, "
+                f"got {self.time[i + 1]:.9g} s after {self.time[i]:.9g} s"
+            )
+        if self.external == "measured" and self.external_torque is None:
+            raise InputError(f"{where}: column 'external_torque': missing, while external_torque is measured")
+        if self.external != "measured" and self.external_torque is not None and np.any(self.external_torque):
+            raise InputError(
+                f"{where}: external_torque: expected 'measured', as the table has that column, got {self.external!r}"
+            )
+
+    @cached_property
+    def stretches(self) -> tuple[slice, ...]:
+        """The parts between gaps, as slices of samples."""
+        cuts = np.flatnonzero(np.diff(self.time) > GAP) + 1
+        edges = [0, *cuts.tolist(), len(self.time)]
+        return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+
+    @cached_property
+    def gaps(self) -> tuple[tuple[float, float], ...]:
+        """Begin and end of every gap longer than `GAP` [s]."""
+        return tuple((float(self.time[s.start - 1]), float(self.time[s.start])) for s in self.stretches[1:])
+
+    @cached_property
+    def interval(self) -> float:
+        """Median time between samples [s]."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """The columns that it has, by name."""
+        return {name: getattr(self, name) for name in COLUMNS if getattr(self, name) is not None}
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Recordings taken on the same joint.
+
+    Attributes:
+      name: of the file or folder.
+      path: that file or folder.
+      recordings: at least one, by name.
+    """
+
+    name: str
+    path: Path
+    recordings: tuple[Recording, ...]
+
+    def load_joint(self, option: str | Path | None = None) -> Joint:
+        """Load the joint that the recordings name, or the one of the command line, which wins."""
+        if option is not None:
+            return load_joint(option)
+        folder = self.path if self.path.is_dir() else self.path.parent
+        return load_joint(self.recordings[0].joint, beside=folder)
+
+
+def read_measurement(path: str | Path) -> Measurement:
+    """Read a measurement: one recording's file, or a folder in which every table with a YAML file of its stem is one.
+
+    Raises:
+      InputError: nothing there, something wrong with a recording, or recordings that name different joints.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(f"{path}: expected a recording ({' or '.join(SUFFIXES)}) or a folder of several, not found")
+    if not path.is_dir():
+        recording = read_recording(path)
+        return Measurement(recording.name, path, (recording,))
+    tables: dict[str, Path] = {}
+    for suffix in SUFFIXES:
+        for table in sorted(path.glob(f"*{suffix}")):
+            if not table.name.startswith(".") and table.with_suffix(".yaml").is_file():
+                tables.setdefault(table.stem, table)
+    if not tables:
+        raise InputError(f"{path}: expected tables ({' or '.join(SUFFIXES)}), each with a YAML file of its stem, got none")
+    recordings = tuple(read_recording(tables[stem]) for stem in sorted(tables))
+    for other in recordings[1:]:
+        if other.joint != recordings[0].joint:
+            raise InputError(
+                f"{tables[other.name].with_suffix('.yaml')}: joint: expected {recordings[0].joint!r}, as in "
+                f"{recordings[0].name}.yaml, got {other.joint!r}"
+            )
+    return Measurement(path.resolve().name, path, recordings)
+
+
+def read_recording(path: str | Path) -> Recording:
+    """Read a recording from its table (or its YAML file).
+
+    Raises:
+      InputError: one line with file, column and row of what is wrong. Rows are counted from 1, without the header.
+    """
+    path = Path(path)
+    if path.suffix in (".yaml", ".yml"):
+        found = [path.with_suffix(s) for s in SUFFIXES if path.with_suffix(s).is_file()]
+        if not found:
+            raise InputError(f"{path}: expected a table {path.stem}.parquet or {path.stem}.csv beside it, found neither")
+        path = found[0]
+    if path.suffix not in SUFFIXES:
+        raise InputError(f"{path}: expected a table ({' or '.join(SUFFIXES)}), got {path.suffix or 'no suffix'!r}")
+    if not path.is_file():
+        raise InputError(f"{path}: cannot read a recording: no such file")
+    sidecar_path = path.with_suffix(".yaml")
+    if not sidecar_path.is_file():
+        raise InputError(f"{path}: expected a YAML file {sidecar_path.name} beside it, found none")
+    sidecar = load(sidecar_path, Sidecar, "the YAML file of a recording")
+    columns = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
+    for name in REQUIRED:
+        if name not in columns:
+            raise InputError(f"{path}: column {name!r}: missing{nearest(name, columns)}")
+    return Recording(
+        name=path.stem,
+        **columns,
+        joint=sidecar.joint,
+        description=sidecar.description,
+        link=sidecar.link,
+        external=sidecar.external_torque,
+        source=str(path),
+    )
+
+
+def write_recording(recording: Recording, folder: str | Path) -> Path:
+    """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path."""
+    folder = Path(folder)
+    fields = [pa.field(name, pa.float64(), nullable=False, metadata={"unit": COLUMNS[name]}) for name in recording.columns]
+    table = pa.table(list(recording.columns.values()), schema=pa.schema(fields))
+    path = folder / f"{recording.name}.parquet"
+    sidecar = Sidecar(
+        format=1,
+        joint=recording.joint,
+        description=recording.description,
+        link=recording.link,
+        external_torque=recording.external,
+    )
+    data = sidecar.model_dump(mode="json")
+    data["link"] = recording.link.model_dump(mode="json", exclude_defaults=True)
+    with write_into_place(path) as temporary:
+        pa.parquet.write_table(table, temporary, compression="zstd")
+    with write_into_place(path.with_suffix(".yaml")) as temporary:
+        temporary.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120), encoding="utf-8")
+    return path
+
+
+def _row(source: str, index: int) -> str:
+    """Name a row for people: counted from 1 without the header; with the line where the file has lines."""
+    line = f" (line {index + 2})" if source.endswith(".csv") else ""
+    return f"row {index + 1}{line}"
+
+
+def _check_header(path: Path, names: list[str]) -> None:
+    for i, name in enumerate(names):
+        if name not in COLUMNS:
+            raise InputError(
+                f"{path}: column {name!r}: unknown column{nearest(name, COLUMNS)}; known are {', '.join(COLUMNS)}"
+            )
+        if name in names[:i]:
+            raise InputError(f"{path}: column {name!r}: stands twice")
+
+
+def _read_parquet(path: Path) -> dict[str, np.ndarray]:
+    try:
+        table = pa.parquet.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: not a readable Parquet file: {_first_line(error)}") from error
+    table = table.drop_columns([name for name in table.column_names if name.startswith("__index_level")])
+    _check_header(path, table.column_names)
+    columns = {}
+    for field in table.schema:
+        kind = field.type
+        if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
+            raise InputError(f"{path}: column {field.name!r}: expected numbers, got {kind}")
+        unit = (field.metadata or {}).get(b"unit", COLUMNS[field.name].encode()).decode()
+        if unit != COLUMNS[field.name]:
+            raise InputError(f"{path}: column {field.name!r}: expected unit {COLUMNS[field.name]!r}, got {unit!r}")
+        column = table.column(field.name)
+        if column.null_count:
+            i = int(np.flatnonzero(column.is_null().to_numpy())[0])
+            raise InputError(f"{path}: column {field.name!r}, {_row(str(path), i)}: expected a number, got none")
+        columns[field.name] = column.to_numpy().astype(np.float64)
+    return columns
+
+
+def _read_csv(path: Path) -> dict[str, np.ndarray]:
+    names = csv_header(path)
+    _check_header(path, names)
+    return read_csv_columns(path, names)
+
+
+def csv_header(path: Path, separator: str = ",") -> list[str]:
+    """Names of a CSV file's columns, from its first line."""
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            row = next(csv.reader(file, delimiter=separator), None)
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
+    if not row:
+        raise InputError(f"{path}: expected a header and rows, got an empty file")
+    return [name.strip() for name in row]
+
+
+def read_csv_columns(path: Path, wanted: list[str], separator: str = ",") -> dict[str, np.ndarray]:
+    """Read columns of a CSV file as float64; a cell that is not a finite number is an error that names row and column."""
+    names = csv_header(path, separator)
+    options = pa.csv.ConvertOptions(
+        column_types={name: pa.float64() for name in wanted}, include_columns=wanted, null_values=[""]
+    )
+    try:
+        table = pa.csv.read_csv(
+            path,
+            read_options=pa.csv.ReadOptions(column_names=names, skip_rows=1),
+            parse_options=pa.csv.ParseOptions(delimiter=separator),
+            convert_options=options,
+        )
+    except (OSError, pa.ArrowException) as error:
+        _name_bad_cell(path, names, wanted, separator)
+        raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
+    for name in wanted:
+        if table.column(name).null_count:
+            _name_bad_cell(path, names, wanted, separator)
+    return {name: table.column(name).to_numpy().astype(np.float64) for name in wanted}
+
+
+def _name_bad_cell(path: Path, names: list[str], wanted: list[str], separator: str) -> None:
+    """Raise for the first cell that is no number, or the first row that is too short or too long."""
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.reader(file, delimiter=separator)
+        next(rows)
+        for i, row in enumerate(rows):
+            if not row:
+                continue
+            where = _row(str(path) if str(path).endswith(".csv") else f"{path}.csv", i)
+            if len(row) != len(names):
+                raise InputError(f"{path}: {where}: expected {len(names)} columns, got {len(row)}")
+            for name, cell in zip(names, row, strict=True):
+                if name in wanted:
+                    try:
+                        float(cell)
+                    except ValueError:
+                        raise InputError(
+                            f"{path}: column {name!r}, {where}: expected a number, got {cell!r}"
+                        ) from None
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]

@@ -1,0 +1,166 @@
+"""The plant against independent solutions of the joint's equations."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..models.errors import InputError
+from ..models.joint import Joint, Mounting
+from . import plant
+from .callbacks import LINK, transmission
+
+CLOSED_LOOP = {"no_load": "no_load", "link_sweep": "link", "external_push": "link"}
+"""Reference file: the mounting that it was made with."""
+LIMITS = {"torsion": 0.005, "joint_torque": 0.003, "motor_current": 0.005}
+"""Largest RMS difference, relative to the reference's standard deviation."""
+LOOP_LIMITS = {"torsion loop": 0.01, "width at zero torque": 0.02}
+"""Largest difference of the locked-rotor loop: RMS relative to its torsion range; width relative to the width."""
+_GAIN, _DAMPING = 8.0, 0.08  # A/rad, A·s/rad: the reference's controller
+_PERIOD = 0.001
+_LOCKED = Mounting(inertia=0.05, gravity_moment=0.0)
+_LEAST_WIDTH_TORQUE = 0.5  # N·m: the loop's width is read off where |Tf| is below this
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One line of the verification: what, relative difference, limit."""
+
+    file: str
+    channel: str
+    relative: float
+    limit: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether the difference is within its limit."""
+        return bool(self.relative <= self.limit)
+
+
+def verify(folder: Path, joint: Joint, timestep: float = plant.TIMESTEP) -> list[Difference]:
+    """Drive the plant as the reference files describe and compare.
+
+    Args:
+      folder: with `no_load.parquet`, `link_sweep.parquet`, `external_push.parquet`, `locked_rotor.parquet`.
+      joint: the joint that they were solved for.
+      timestep: of the plant [s].
+
+    Raises:
+      InputError: a file or a column is missing.
+    """
+    differences = []
+    for name, mounting in CLOSED_LOOP.items():
+        reference = _read(
+            folder / f"{name}.parquet",
+            ("position_command", "velocity_command", "external_torque", "motor_position", "link_position")
+            + ("motor_current", "joint_torque"),
+        )
+        ours = closed_loop(joint, joint.mount(mounting), reference, timestep)
+        torsion = reference["motor_position"] / joint.numbers["N"].value - reference["link_position"]
+        for channel, theirs in (
+            ("torsion", torsion),
+            ("joint_torque", reference["joint_torque"]),
+            ("motor_current", reference["motor_current"]),
+        ):
+            relative = float(np.sqrt(np.mean((ours[channel] - theirs) ** 2)) / np.std(theirs))
+            differences.append(Difference(name, channel, relative, LIMITS[channel]))
+    reference = _read(folder / "locked_rotor.parquet", ("external_torque", "link_position", "flexspline_torque"))
+    link, torque = locked_rotor(joint, reference["external_torque"], timestep)
+    theirs = reference["link_position"]
+    relative = float(np.sqrt(np.mean((link - theirs) ** 2)) / np.ptp(theirs))
+    differences.append(Difference("locked_rotor", "torsion loop", relative, LOOP_LIMITS["torsion loop"]))
+    width = loop_width(theirs, reference["flexspline_torque"])
+    relative = abs(loop_width(link, torque) - width) / width
+    differences.append(
+        Difference("locked_rotor", "width at zero torque", relative, LOOP_LIMITS["width at zero torque"])
+    )
+    return differences
+
+
+def closed_loop(
+    joint: Joint, mounting: Mounting, reference: dict[str, np.ndarray], timestep: float
+) -> dict[str, np.ndarray]:
+    """Run the reference's controller on exact states: `torsion` [rad], `joint_torque` [N·m], `motor_current` [A].
+
+    The current is `8 (N q_d − θm) + 0.08 (N q_d' − θm')` A, clipped, and held over each 1 ms, as is the external torque.
+    """
+    record = joint.record(mounting)
+    p = record[0]
+    model = plant.build(joint, mounting, timestep=timestep, ideal_current=True)
+    data = mujoco.MjData(model)
+    plant.start(model, data)
+    substeps = round(_PERIOD / timestep)
+    position, velocity, external = (reference[k] for k in ("position_command", "velocity_command", "external_torque"))
+    n = len(position)
+    theta, omega, current = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
+    memory = plant.activation(model, "rotor_velocity")
+    body = model.body("link").id
+    last_current = last_external = 0.0
+    for k in range(n):
+        theta[k] = data.qpos
+        before = data.qvel.copy()
+        # Velocities belong to the middle of the steps: the controller's is extrapolated by half a step.
+        now = 1.5 * before[0] - 0.5 * data.act[memory]
+        i = _GAIN * (p["N"] * position[k] - theta[k, 0]) + _DAMPING * (p["N"] * velocity[k] - now)
+        current[k] = min(max(i, -p["current_limit"]), p["current_limit"])
+        data.ctrl[0] = p["Kt"] * 0.5 * (current[k] + last_current)
+        data.xfrc_applied[body, 4] = -0.5 * (external[k] + last_external)
+        mujoco.mj_step(model, data)
+        omega[k] = 0.5 * (before + data.qvel)
+        data.ctrl[0] = p["Kt"] * current[k]
+        data.xfrc_applied[body, 4] = -external[k]
+        if substeps > 1:
+            mujoco.mj_step(model, data, nstep=substeps - 1)
+        last_current, last_external = current[k], external[k]
+    torque = np.array([transmission(q, w, 0.0, p)[1] for q, w in zip(theta, omega, strict=True)])
+    return {
+        "torsion": theta[:, 0] / p["N"] - theta[:, LINK],
+        "joint_torque": torque - p["bl"] * omega[:, LINK],
+        "motor_current": current,
+    }
+
+
+def locked_rotor(joint: Joint, external: np.ndarray, timestep: float) -> tuple[np.ndarray, np.ndarray]:
+    """Load the link slowly with the rotor held and no kinematic error: link angle [rad] and flexspline torque [N·m]."""
+    record = joint.record(_LOCKED)
+    p = record[0]
+    p["amplitude"] = 0.0
+    model = plant.build(joint, _LOCKED, timestep=timestep, record=record, ideal_current=True, locked_rotor=True)
+    data = mujoco.MjData(model)
+    plant.start(model, data)
+    substeps = round(_PERIOD / timestep)
+    body = model.body("link").id
+    link, torque = np.zeros(len(external)), np.zeros(len(external))
+    for k, tau in enumerate(external):
+        link[k] = data.qpos[LINK]
+        torque[k] = transmission(data.qpos[:3], data.qvel[:3], 0.0, p)[1]
+        data.xfrc_applied[body, 4] = -tau
+        mujoco.mj_step(model, data, nstep=substeps)
+    return link, torque
+
+
+def loop_width(link: np.ndarray, torque: np.ndarray) -> float:
+    """Half the width [rad] of the torsion–torque loop at zero torque: of the branches' straight lines through it."""
+    rising = np.gradient(torque) > 0
+    near = np.abs(torque) < _LEAST_WIDTH_TORQUE
+    begin = len(torque) // 4  # the virgin curve belongs to no branch
+    later = np.arange(len(torque)) >= begin
+    crossings = [np.polyfit(torque[near & later & side], link[near & later & side], 1)[1] for side in (rising, ~rising)]
+    return float(abs(crossings[0] - crossings[1]) / 2)
+
+
+def _read(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowInvalid) as error:
+        reason = getattr(error, "strerror", None) or "not a Parquet file"
+        raise InputError(f"{path}: cannot read a reference solution: {reason}") from error
+    for column in columns:
+        if column not in table.column_names:
+            raise InputError(f"{path}: expected a column {column!r}, got {', '.join(table.column_names)}")
+    return {column: table[column].to_numpy() for column in columns}
