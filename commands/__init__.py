@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
+from ..estimator import FilterDiverged
 from ..models.errors import InputError
 
 app = typer.Typer(
@@ -47,7 +48,7 @@ def main() -> None:
     _register()
     try:
         app()
-    except InputError as error:
+    except (InputError, FilterDiverged) as error:
         Console(stderr=True, soft_wrap=True).print(f"flexspline: {error}", style="red", markup=False, highlight=False)
         sys.exit(2)
     except KeyboardInterrupt:

@@ -3,21 +3,22 @@
 The paper gives neither W, V, ρ, k nor P(0). The defaults here are for the paper's one-state filter at 1 kHz on a
 joint like the test joint; `measurement_variance` makes V from any joint's sensors.
 
-**V** = 0.07² (N·m)²: quantisation of the motor encoder (4096 counts/rev: 4.4e-6 rad at the output), of the link
-    encoder (20 bit: 1.7e-6 rad) and its noise (1.5e-6 rad) give 5.0e-6 rad, times K2 = 9400 N·m/rad: 0.047 N·m.
-    The noise of the measured current (0.01 A · 0.0603 N·m/A) through the wave generator's compliance at no load
-    (1/(N·Kw0)) gives another 5.3e-6 rad or 0.050 N·m. Together 0.068 N·m. With an exact torque command instead
-    of a measured current the default is cautious by a factor of two, which keeps the filters out of robust mode.
+**V** = 0.1² (N·m)². Quantisation of the motor encoder (4096 counts/rev: 4.4e-6 rad at the output), of the link
+    encoder (20 bit: 1.7e-6 rad) and its noise (1.5e-6 rad) give 5.0e-6 rad, times K2 = 9400 N·m/rad: 0.047 N·m. The
+    torque command that stands for Tw carries the encoder's counts through the velocity feedback: 0.9e-3 N·m rms at
+    no load, where the wave generator is softest (1/(N·Kw0)), give another 7.7e-6 rad or 0.06 N·m: the raw model is
+    then 0.076 N·m rms off in the shipped no-load scenario. V is about twice that variance: with V matched, P̄_Y
+    exceeds P_Y half of the time by chance, and α = 1 would be robust half of the time with nothing to be robust to.
 **W** = 0.01² (N·m)² per step of 1 ms: the torque as a random walk. A walk of σ per step covers 10 ms with 3.2 σ:
-    0.03 N·m, the change in 10 ms of a load of 9 N·m that swings at 0.35 rad/s. The steady gain is then 0.13, the
-    time constant 7 ms. Faster changes are what robust mode is for.
+    0.03 N·m, the change in 10 ms of a load of 9 N·m that swings at 0.35 rad/s. The steady gain is then 0.095, the
+    time constant 10 ms. Faster changes are what robust mode is for.
 **P0** = V: at the start X̂ = Y(0), so the estimate's error is the measurement's.
 **ρ** = 9: P̄_Y forgets with ρ/(ρ+1) = 0.9 per step, a memory of 10 ms. At matched noise P̄_Y/P_Y then scatters by
     √(2/(2ρ+1)) = 0.32 about 1: short enough to catch a push in a few steps, long enough not to answer one sample.
 **k** = 1/16 1/(N·m)²: α exceeds 1 above 4 N·m, a quarter of the rated torque (also the first knee), and is 16 at
     rated torque: an innovation must then have four times the standard deviation that P_Y gives it.
-**γ** = 0.09 N·m for the fixed-γ rule. For one state P(k|k-1) ≤ max(V, P0) + W = 0.0050 always, and Eq. (18) needs
-    γ² > P(k|k-1): 0.0081 leaves Σ = 1.1 P in steady state.
+**γ** = 0.12 N·m for the fixed-γ rule. For one state P(k|k-1) ≤ max(V, P0) + W = 0.0101 always, and Eq. (18) needs
+    γ² > P(k|k-1): 0.0144 leaves Σ = 1.1 P in steady state.
 """
 
 from __future__ import annotations
@@ -75,12 +76,12 @@ class FilterSettings:
 
     name: str = ""
     rule: Literal["ekf", "robust", "arekf", "rarekf"] = "rarekf"
-    gamma: float = 0.09
+    gamma: float = 0.12
     k: float = 1.0 / 16.0
     rho: float = 9.0
     W: float = 1.0e-4
-    V: float = 4.9e-3
-    P0: float = 4.9e-3
+    V: float = 1.0e-2
+    P0: float = 1.0e-2
     L: float = 1.0
     alpha: Literal["max", "printed"] = "max"
     memory: Literal["source", "printed"] = "source"

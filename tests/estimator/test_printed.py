@@ -77,7 +77,7 @@ def test_adjusted_covariance_solves_both_equations():
 def test_gamma_too_small():
     with pytest.raises(FilterDiverged, match=r"γ⁻²LᵀL of Eq. \(18\) is not positive definite") as caught:
         run(FilterSettings(rule="robust", gamma=0.05), np.zeros(10))
-    needed = np.sqrt(4.9e-3 + 1e-4)
+    needed = np.sqrt(1e-2 + 1e-4)
     assert f"more than {needed:g} N·m" in str(caught.value)
     assert caught.value.step == 1
     assert np.isfinite(run(FilterSettings(rule="robust", gamma=1.01 * needed), np.zeros(10)).torque).all()

@@ -1,0 +1,41 @@
+"""`flexspline compare`: the filters on identical disturbances, in one table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ..models.files import write_into_place
+from ..views.tables import comparison_markdown, comparison_table
+from ._options import Changes, Out, Seed
+from ._runs import run_all
+
+PAPER = ["no_load", "link_sweep", "external_push"]
+
+
+def command(
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")
+    ] = None,
+    out: Out = Path("runs"),
+    seed: Seed = None,
+    changes: Changes = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
+) -> None:
+    """Compare the filters: error, noise, delay, response time, robust share, NIS."""
+    runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
+    metrics = {run.name: run.metrics for run, _ in runs}
+    with write_into_place(out / "comparison.json") as path:
+        path.write_text(json.dumps(metrics, indent=1, ensure_ascii=False), encoding="utf-8")
+    with write_into_place(out / "comparison.md") as path:
+        path.write_text(comparison_markdown(metrics), encoding="utf-8")
+    console = Console()
+    console.print(comparison_table(metrics))
+    console.print(
+        f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them", highlight=False
+    )

@@ -1,0 +1,29 @@
+"""`flexspline run`: scenarios into run folders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from ..views.tables import comparison_table
+from ._options import Changes, Out, Scenarios, Seed
+from ._runs import run_all
+
+
+def command(
+    scenarios: Scenarios,
+    out: Out = Path("runs"),
+    seed: Seed = None,
+    changes: Changes = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
+) -> None:
+    """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording."""
+    runs = run_all(scenarios, out, seed, changes, figures, recording)
+    console = Console()
+    console.print(comparison_table({run.name: run.metrics for run, _ in runs}))
+    for _, folder in runs:
+        console.print(f"{folder}", highlight=False)

@@ -1,0 +1,135 @@
+"""What an estimate is worth: error, noise, delay and response time, share of robust mode, NIS."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import find_peaks
+
+_WINDOW = 0.2  # s: slower than this is signal, faster is noise
+_STEADY_RATE = 0.5  # N·m/s: slower than this is steady
+_LONGEST_DELAY = 0.1  # s
+_RESPONSE = 0.9
+
+
+def errors(estimate: np.ndarray, truth: np.ndarray, reading: np.ndarray, kept: np.ndarray) -> dict[str, float]:
+    """RMS and largest error against the noise-free torque, and RMS against the noisy sensor [N·m]; shape (n,) each."""
+    e = (estimate - truth)[kept]
+    return {
+        "rms": float(np.sqrt(np.mean(e**2))),
+        "max": float(np.max(np.abs(e))),
+        "rms_to_sensor": float(np.sqrt(np.mean((estimate - reading)[kept] ** 2))),
+    }
+
+
+def steady(truth: np.ndarray, dt: float, kept: np.ndarray) -> np.ndarray:
+    """Where the torque has been changing by less than 0.5 N·m/s for 0.2 s, shape (n,)."""
+    width = round(_WINDOW / dt)
+    rate = np.abs(np.gradient(moving_mean(truth, width), dt))
+    fast = (rate > _STEADY_RATE).astype(float)
+    return kept & (moving_mean(fast, 2 * width) < 0.5 / (2 * width))
+
+
+def noise(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray) -> float:
+    """Standard deviation [N·m] of the error's part that is faster than 0.2 s, in steady state."""
+    if np.count_nonzero(where) < 2:
+        return float("nan")
+    e = estimate - truth
+    return float(np.std((e - moving_mean(e, round(_WINDOW / dt)))[where]))
+
+
+def moving_mean(x: np.ndarray, width: int) -> np.ndarray:
+    """Centred mean over `width` samples, shorter at the ends; shape (n,)."""
+    total = np.concatenate([[0.0], np.cumsum(x)])
+    half = width // 2
+    low = np.clip(np.arange(len(x)) - half, 0, len(x))
+    high = np.clip(np.arange(len(x)) + half + 1, 0, len(x))
+    return (total[high] - total[low]) / (high - low)
+
+
+def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray) -> float | None:
+    """Delay [s] at which the truth explains the estimate best: least squares over whole samples, parabola between.
+
+    None where the torque does not change enough for a delay to show.
+    """
+    if np.count_nonzero(where) < 2 or np.ptp(truth[where]) < 0.5:
+        return None
+    longest = round(_LONGEST_DELAY / dt)
+    indices = np.flatnonzero(where)
+    indices = indices[(indices >= longest) & (indices < len(truth) - longest)]
+    if len(indices) < 2:
+        return None
+    shifts = np.arange(-5, longest)
+    cost = np.array([np.mean((estimate[indices] - truth[indices - s]) ** 2) for s in shifts])
+    best = int(np.argmin(cost))
+    if 0 < best < len(cost) - 1:
+        left, middle, right = cost[best - 1 : best + 2]
+        curvature = left - 2 * middle + right
+        if curvature > 0:
+            return float((shifts[best] + 0.5 * (left - right) / curvature) * dt)
+    return float(shifts[best] * dt)
+
+
+def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
+    """First and last tick of every disturbance: where the external torque departs from rest."""
+    active = np.concatenate([[False], external_torque != 0, [False]])
+    edges = np.flatnonzero(active[1:] != active[:-1])
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
+    """Mean time [s] from a push's onset until the estimate has made 90 % of the torque's first swing.
+
+    The swing ends at the first extremum of the true torque that exceeds half the largest change during the push.
+    None where there is no push, or the estimate never gets there during one.
+    """
+    times = []
+    for begin, end in events:
+        change = truth[begin:end] - truth[begin]
+        if len(change) < 3 or np.max(np.abs(change)) < 0.2:
+            continue
+        peaks, _ = find_peaks(np.abs(change), height=0.5 * np.max(np.abs(change)))
+        extremum = int(peaks[0]) if len(peaks) else int(np.argmax(np.abs(change)))
+        goal = _RESPONSE * change[extremum]
+        made = (estimate[begin:end] - truth[begin]) * np.sign(goal) >= abs(goal)
+        if np.any(made):
+            times.append(int(np.argmax(made)) * dt)
+    return float(np.mean(times)) if times else None
+
+
+def evaluate(
+    estimate: np.ndarray,
+    truth: np.ndarray,
+    reading: np.ndarray,
+    raw: np.ndarray,
+    external_torque: np.ndarray,
+    dt: float,
+    transient: float,
+) -> dict[str, float | None]:
+    """All measures of one estimate of the joint torque; arrays of shape (n,) [N·m].
+
+    Args:
+      estimate, truth, reading, raw: the estimate, the noise-free Ts, the torque sensor, the raw compliance model.
+      external_torque: on the link, which gives the pushes.
+      dt: sample period [s]; transient: time at the start that is left out [s].
+    """
+    kept = np.arange(len(truth)) * dt >= transient
+    calm = steady(truth, dt, kept)
+    events = [(a, b) for a, b in pushes(external_torque, dt) if kept[a]]
+    during = np.zeros(len(truth), dtype=bool)
+    for a, b in events:
+        during[a : min(b + round(_WINDOW / dt), len(truth))] = True
+    raw_noise = noise(raw, truth, dt, calm)
+    lag = delay(estimate, truth, dt, during if events else kept)
+    response = response_time(estimate, truth, dt, events)
+    own_noise = noise(estimate, truth, dt, calm)
+    return {
+        **errors(estimate, truth, reading, kept),
+        "noise": _finite(own_noise),
+        "noise_ratio": _finite(own_noise / raw_noise) if raw_noise > 0 else None,
+        "delay_ms": None if lag is None else 1e3 * lag,
+        "response_ms": None if response is None else 1e3 * response,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
