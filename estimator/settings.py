@@ -7,7 +7,7 @@ joint like the test joint; `measurement_variance` makes V from any joint's senso
     encoder (20 bit: 1.7e-6 rad) and its noise (1.5e-6 rad) give 5.0e-6 rad, times K2 = 9400 N·m/rad: 0.047 N·m. The
     torque command that stands for Tw carries the encoder's counts through the velocity feedback: 0.9e-3 N·m rms at
     no load, where the wave generator is softest (1/(N·Kw0)), give another 7.7e-6 rad or 0.06 N·m: the raw model is
-    then 0.076 N·m rms off in the shipped no-load scenario. V is about twice that variance: with V matched, P̄_Y
+    then 0.076 N·m rms off in the shipped no-load scenario. V is 1.6 times that variance: with V matched, P̄_Y
     exceeds P_Y half of the time by chance, and α = 1 would be robust half of the time with nothing to be robust to.
 **W** = 0.01² (N·m)² per step of 1 ms: the torque as a random walk. A walk of σ per step covers 10 ms with 3.2 σ:
     0.03 N·m, the change in 10 ms of a load of 9 N·m that swings at 0.35 rad/s. The steady gain is then 0.095, the

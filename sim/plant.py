@@ -190,6 +190,7 @@ def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
     else:
         spec.delete(friction)
         friction = _add_state(spec, "mesh_friction", joint="wave_generator")
+    friction.damping = [1.0, 0, 0]  # set below, where it may be negative; zero here would leave it out altogether
     return bool(plain)
 
 

@@ -61,15 +61,15 @@ def test_settings_are_frozen_and_named():
 
 
 def test_defaults_follow_from_the_sensors():
-    """V as the module says: encoders 0.047 N·m, with the measured current 0.068 N·m; γ clears its bound."""
+    """V as the module says: encoders 0.047 N·m, with the torque command 0.078 N·m, 1.6 times its variance; γ clears its bound."""
     sensors = dict(
         stiffness=9400, motor_resolution=2 * np.pi / 4096, link_resolution=2 * np.pi / 2**20, link_noise=1.5e-6,
         ratio=100,
     )  # fmt: skip
     assert measurement_variance(**sensors) == pytest.approx(0.0469**2, rel=0.01)
-    V = measurement_variance(**sensors, torque_noise=0.01 * 0.0603, wave_generator_stiffness=1.14)
+    V = measurement_variance(**sensors | {"stiffness": 8400}, torque_noise=0.9e-3, wave_generator_stiffness=1.14)
     settings = FilterSettings()
-    assert V == pytest.approx(settings.V, rel=0.06)
+    assert settings.V == pytest.approx(1.6 * V, rel=0.05)
     assert settings.gamma**2 > max(settings.V, settings.P0) + settings.W
     assert settings.k * 4.0**2 == 1.0
 

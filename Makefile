@@ -1,0 +1,35 @@
+# Each target works alone on a fresh clone with Python (3.11 or newer) and make.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DONE := $(VENV)/.installed
+
+.PHONY: setup demo test test-slow lint bench clean
+
+setup: $(DONE)
+
+$(DONE): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable ".[dev]" --constraint constraints.txt
+	touch $@
+
+demo: $(DONE)
+	$(BIN)/flexspline compare --out runs
+
+test: $(DONE)
+	$(BIN)/python -m pytest -n auto --dist worksteal
+
+test-slow: $(DONE)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
+
+lint: $(DONE)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+bench: $(DONE)
+	$(BIN)/python -m benchmarks
+
+clean:
+	rm -rf $(VENV) build *.egg-info runs
+	find . -name __pycache__ -prune -exec rm -rf {} +
