@@ -28,9 +28,9 @@ def run_all(
 
         views.append(lambda run, folder: save_figures(run, folder / "figures"))
     if recording:
-        from ..views.rerun_view import save_recording
+        from ..views.rerun_view import write_rerun
 
-        views.append(lambda run, folder: save_recording(run, folder / "run.rrd"))
+        views.append(lambda run, folder: write_rerun(run, folder / "run.rrd"))
     finished = []
     with Progress(
         TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from ..models.files import write_into_place
 from ..views.tables import comparison_markdown, comparison_table
+from ._console import console
 from ._options import Changes, Out, Seed
 from ._runs import run_all
 
@@ -34,8 +34,8 @@ def command(
         path.write_text(json.dumps(metrics, indent=1, ensure_ascii=False), encoding="utf-8")
     with write_into_place(out / "comparison.md") as path:
         path.write_text(comparison_markdown(metrics), encoding="utf-8")
-    console = Console()
-    console.print(comparison_table(metrics))
-    console.print(
+    terminal = console()
+    terminal.print(comparison_table(metrics))
+    terminal.print(
         f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them", highlight=False
     )

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from ..views.tables import comparison_table
+from ._console import console
 from ._options import Changes, Out, Scenarios, Seed
 from ._runs import run_all
 
@@ -23,7 +23,7 @@ def command(
 ) -> None:
     """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording."""
     runs = run_all(scenarios, out, seed, changes, figures, recording)
-    console = Console()
-    console.print(comparison_table({run.name: run.metrics for run, _ in runs}))
+    terminal = console()
+    terminal.print(comparison_table({run.name: run.metrics for run, _ in runs}))
     for _, folder in runs:
-        console.print(f"{folder}", highlight=False)
+        terminal.print(f"{folder}", highlight=False)

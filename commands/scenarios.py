@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from rich.console import Console
 from rich.table import Table
 
 from ..scenarios.scenario import load_scenario, shipped_scenarios
+from ._console import console
 
 
 def command() -> None:
@@ -14,4 +14,4 @@ def command() -> None:
     for name in shipped_scenarios():
         s, _ = load_scenario(name)
         table.add_row(name, s.joint, s.mounting, f"{s.duration:g} s", s.figure, s.description.strip())
-    Console().print(table)
+    console().print(table)

@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 from rich.table import Table
 
 from ..models.joint import load_joint
 from ..sim.plant import TIMESTEP
 from ..sim.verify import verify
+from ._console import console
 
 
 def command(
@@ -20,8 +20,8 @@ def command(
     timestep: Annotated[float, typer.Option(help="Timestep of the plant [s].", min=1e-6, max=1e-3)] = TIMESTEP,
 ) -> None:
     """Compare the plant with reference solutions; exit code 1 when a limit is missed."""
-    console = Console()
-    with console.status("driving the plant as the reference solutions describe"):
+    out = console()
+    with out.status("driving the plant as the reference solutions describe"):
         differences = verify(folder, load_joint(joint), timestep)
     table = Table(title=f"RMS difference relative to the reference, timestep {timestep * 1e3:g} ms")
     for heading in ("reference", "channel", "difference", "limit", ""):
@@ -29,6 +29,6 @@ def command(
     for d in differences:
         verdict = "[green]met" if d.passed else "[red]missed"
         table.add_row(d.file, d.channel, f"{100 * d.relative:.3f} %", f"{100 * d.limit:g} %", verdict)
-    console.print(table)
+    out.print(table)
     if not all(d.passed for d in differences):
         raise typer.Exit(1)
