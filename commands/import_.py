@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
 from ..diagnosis.importing import import_recording, load_layout
 from ..sim.recording import write_recording
+from ._console import console
 
 
 def command(
@@ -24,4 +24,4 @@ def command(
     path = write_recording(recording, out)
     seconds = recording.time[-1] - recording.time[0]
     columns = ", ".join(recording.columns)
-    Console(soft_wrap=True).print(f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}", highlight=False)
+    console().print(f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}", highlight=False)

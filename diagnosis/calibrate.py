@@ -11,8 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..models.calibration import CUT, Calibration
+from ..models.calibration import Calibration
 from ..models.joint import Joint, Mounting
+from ..models.parameters import as_floats
 from .coordinates import Hypothesis
 from .noise import Noise, whiten
 from .replay import Drive, parallel, residual
@@ -20,9 +21,12 @@ from .replay import Drive, parallel, residual
 HUBER = 3.0
 TIMING = (0.5e-3, 0.3e-3)
 """Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
-_WALL = 0.15
-"""Joints are drawn within `CUT` deviations: beyond that the prior falls off with this deviation."""
+BOX = 3.0
+"""A number within so many standard deviations is calibration; beyond, it is a cause."""
 _STEP_X, _STEP_U = 0.05, 0.03
+
+
+_LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
 
 
 class Problem:
@@ -31,6 +35,7 @@ class Problem:
     Attributes:
       drives: the stretches of the measurement.
       calibration: the joint's variables.
+      linear: unknowns whose derivatives do not depend on where they are taken.
       size: number of variables that every model has: calibration and two sample times.
     """
 
@@ -41,6 +46,11 @@ class Problem:
         self.calibration = Calibration(joint)
         self.mountings = [Mounting(inertia=d.inertia, gravity_moment=d.gravity_moment) for d in drives]
         self.size = self.calibration.size + 2
+        linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
+        self.linear = np.array(
+            [i for i, name in enumerate(self.calibration.names) if name in linear]
+            + [self.calibration.size, self.calibration.size + 1]
+        )
         self.has_torque = any(len(d.torque) for d in drives)
 
     def split(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> list[np.ndarray]:
@@ -96,14 +106,43 @@ class Problem:
         n = len(theta)
         columns = np.arange(n) if columns is None else columns
         step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
-        moved = [theta + step[j] * np.eye(n)[j] for j in columns]
-        done = self.residuals(moved, [model] * len(moved), twin)
-        if not len(columns):
-            return [np.zeros((*r.shape, 0)) for r in base]
-        return [
-            np.stack([(done[i][s] - base[s]) / step[j] for i, j in enumerate(columns)], axis=-1)
-            for s in range(len(self.drives))
-        ]
+        replayed = [j for j in columns if not self.calibration.size <= j < self.size]
+        moved = [theta + step[j] * np.eye(n)[j] for j in replayed]
+        done = dict(zip(replayed, self.residuals(moved, [model] * len(moved), twin), strict=True))
+        found = []
+        for s, drive in enumerate(self.twins if twin else self.drives):
+            J = np.zeros((*base[s].shape, len(columns)))
+            for i, j in enumerate(columns):
+                if j in done:
+                    J[..., i] = (done[j][s] - base[s]) / step[j]
+                else:  # a sample time: the reading's own rate
+                    c = j - self.calibration.size
+                    J[:, c, i] = -drive.measured_rate[:, c] * TIMING[c]
+            found.append(J)
+        return found
+
+    def is_calibration(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> bool:
+        """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause."""
+        records = self.records(theta, model)
+        before = self.records(theta[: len(theta) - model[-1].size], model[:-1])
+        return all(self._within(*trio) for trio in zip(records, before, self.mountings, strict=True))
+
+    def _within(self, record: np.ndarray, without: np.ndarray, mounting: Mounting) -> bool:
+        """Whether all that differs between two records is within tolerance of nominal in the first."""
+        bare = self.calibration.record(np.zeros(self.calibration.size), mounting)
+        tolerance = np.zeros(1, record.dtype)
+        for slot in self.calibration.slots:
+            number = slot.number
+            shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
+            deviation = np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation)
+            scale = bare[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
+            if slot.index < 0:
+                tolerance[0][slot.field] = deviation * scale
+            else:
+                tolerance[0][slot.field][slot.index] = deviation
+        allowed = BOX * as_floats(tolerance)
+        changed = as_floats(record) != as_floats(without)
+        return not np.any(changed & (np.abs(as_floats(record) - as_floats(bare)) > allowed))
 
     def spread(self, model: tuple[Hypothesis, ...]) -> np.ndarray:
         """Prior standard deviation of every unknown."""
@@ -144,7 +183,9 @@ def robust_loss(r: np.ndarray, limit: float = HUBER) -> tuple[float, np.ndarray]
     """Twice the Huber loss, summed, and the weights that make least squares of it."""
     a = np.abs(r)
     far = a > limit
-    return float(np.sum(np.where(far, limit * (2 * a - limit), r * r))), np.where(far, limit / np.maximum(a, limit), 1.0)
+    return float(np.sum(np.where(far, limit * (2 * a - limit), r * r))), np.where(
+        far, limit / np.maximum(a, limit), 1.0
+    )
 
 
 def _limit(r: np.ndarray) -> float:
@@ -156,26 +197,36 @@ def _limit(r: np.ndarray) -> float:
 def prior_cost(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> float:
     """Minus twice the log prior, without its constants."""
     z = theta / problem.spread(model)
-    beyond = np.maximum(np.abs(z[: problem.calibration.size]) - CUT, 0.0)
-    return float(z @ z + np.sum((beyond / _WALL) ** 2))
+    return float(z @ z)
 
 
-def _prior_gradient(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]):
-    """Gradient (halved) and diagonal curvature of `prior_cost`."""
-    spread = problem.spread(model)
-    gradient, curvature = theta / spread**2, 1 / spread**2
-    x = theta[: problem.calibration.size]
-    beyond = np.sign(x) * np.maximum(np.abs(x) - CUT, 0.0)
-    gradient[: len(x)] += beyond / _WALL**2
-    curvature = curvature.copy()
-    curvature[: len(x)] += (beyond != 0) / _WALL**2
-    return gradient, curvature
+def bounds(problem: Problem, model: tuple[Hypothesis, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Smallest and largest value of every unknown."""
+    common = np.full(problem.size, BOX)
+    limits = [h.limits for h in model]
+    low = np.concatenate([-common, *(l for l, _ in limits)])
+    return low, np.concatenate([common, *(u for _, u in limits)])
 
 
-def confine(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> np.ndarray:
-    """Move the unknowns into their bounds."""
-    x = np.clip(theta[: problem.size], -3.2, 3.2)
-    return np.concatenate([x, *(h.confine(u) for h, u in zip(model, problem.split(theta, model), strict=True))])
+def _bounded_step(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Minimise g·s + s·A·s/2 within low ≤ s ≤ high: unknowns that leave are held at their bound, the rest answers."""
+    step = np.zeros(len(g))
+    held = np.zeros(len(g), bool)
+    for _ in range(20):
+        free = ~held
+        step[free] = np.linalg.solve(A[np.ix_(free, free)], -g[free] - A[np.ix_(free, held)] @ step[held])
+        out = free & ((step < low - 1e-12) | (step > high + 1e-12))
+        if not out.any():
+            # Let go of those that the objective pulls back inside.
+            slope = g + A @ step
+            back = held & (((step >= high) & (slope > 1e-9)) | ((step <= low) & (slope < -1e-9)))
+            if not back.any():
+                break
+            held &= ~back
+            continue
+        step[out] = np.clip(step[out], low[out], high[out])
+        held |= out
+    return np.clip(step, low, high)
 
 
 @dataclass(frozen=True)
@@ -211,6 +262,7 @@ def fit(
     """
     drives = problem.drives
     effects = np.arange(problem.size, len(theta))
+    low, high = bounds(problem, model)
     history: list[float] = []
 
     def evaluate_at(t):
@@ -222,12 +274,8 @@ def fit(
         return rs, ns
 
     def objective(state, t, limit):
-        rs, ns = state
-        r = whiten(drives, noise, [x[..., None] for x in rs])[:, 0]
+        r = whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0]
         total = robust_loss(r, limit)[0] + prior_cost(problem, t, model)
-        if ns is not None:
-            n = whiten(drives, noise, [x[..., None] for x in ns])[:, 0]
-            total -= robust_loss(n, 2 * HUBER)[0]
         return total if np.isfinite(total) else np.inf
 
     state = evaluate_at(theta)
@@ -237,11 +285,20 @@ def fit(
     update = common is None
     for _ in range(iterations):
         if update:
-            jacobian = problem.jacobian(theta, model, state[0])
+            known = common if jacobian is None else jacobian
+            nonlinear = np.setdiff1d(np.arange(len(theta)), problem.linear if known is not None else [])
+            part = problem.jacobian(theta, model, state[0], nonlinear)
+            jacobian = []
+            for s, columns in enumerate(part):
+                J = np.empty((*columns.shape[:2], len(theta)))
+                J[..., nonlinear] = columns
+                if known is not None:
+                    J[..., problem.linear] = known[s][..., problem.linear]
+                jacobian.append(J)
             fresh = True
         else:
             part = problem.jacobian(theta, model, state[0], effects)
-            kept = common if jacobian is None else [a[..., : problem.size] for a in jacobian]
+            kept = [a[..., : problem.size] for a in (common if jacobian is None else jacobian)]
             jacobian = [np.concatenate([a, b], axis=-1) for a, b in zip(kept, part, strict=True)]
             fresh = False
         if echo is not None:
@@ -249,14 +306,13 @@ def fit(
         limit = _limit(whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0])
         cost = objective(state, theta, limit)
         history.append(cost)
-        H, g, _ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
+        H, g, echo_gradient, _ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
         accepted = False
         for _ in range(4):
             A = H + damping * np.diag(np.abs(np.diag(H)))
-            step = -np.linalg.solve(A, g)
-            new = confine(problem, theta + step, model)
+            new = theta + _bounded_step(A, g, low - theta, high - theta)
             trial = evaluate_at(new)
-            c = objective(trial, new, limit)
+            c = objective(trial, new, limit) - 2 * echo_gradient @ (new - theta)
             if c < cost:
                 accepted = True
                 break
@@ -299,25 +355,25 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
     """Hessian and gradient (of half the objective) of the posterior, and the robust loss."""
 
     def stacked(r, j):
-        return whiten(
-            problem.drives, noise, [np.concatenate([a[..., None], b], -1) for a, b in zip(r, j, strict=True)]
-        )
+        return whiten(problem.drives, noise, [np.concatenate([a[..., None], b], -1) for a, b in zip(r, j, strict=True)])
 
     stack = stacked(state[0], jacobian)
     r, J = stack[:, 0], stack[:, 1:]
     loss, weight = robust_loss(r, limit)
-    gradient, curvature = _prior_gradient(problem, theta, model)
+    curvature = 1 / problem.spread(model) ** 2
     JW = J * weight[:, None]
-    information, g = JW.T @ J, JW.T @ r + gradient
+    information, g = JW.T @ J, JW.T @ r + curvature * theta
+    echo_gradient = np.zeros(len(g))
     if twin_jacobian is not None:
         stack = stacked(state[1], twin_jacobian)
         n, N = stack[:, 0], stack[:, 1:]
         noise_loss, weight = robust_loss(n, 2 * HUBER)
         loss -= noise_loss
         NW = N * weight[:, None]
-        g = g - NW.T @ n
+        echo_gradient = NW.T @ n
+        g = g - echo_gradient
         information = information - NW.T @ N
-    return _positive(information, problem.spread(model)) + np.diag(curvature), g, loss
+    return _positive(information, problem.spread(model)) + np.diag(curvature), g, echo_gradient, loss
 
 
 def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -328,7 +384,7 @@ def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, history=()) -> Fit:
     """The Laplace approximation of a model at its maximum."""
-    H, _, loss = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
+    H, _, _, loss = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
     spread = problem.spread(model)
     _, logdet = np.linalg.slogdet(H * spread[:, None] * spread)
     log_evidence = -0.5 * (loss + prior_cost(problem, theta, model) + logdet)

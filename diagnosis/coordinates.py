@@ -78,18 +78,20 @@ class Hypothesis:
             values[q.name] = float(np.clip(value, *q.bounds))
         return values
 
-    def confine(self, u: np.ndarray) -> np.ndarray:
-        """Coordinates moved into the parameters' bounds."""
-        u = u.copy()
-        if self.polar:
-            return u
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest coordinates, shape (size,) each: the parameters' bounds."""
+        low, high = np.full(self.size, -3 * SHAPE_SPREAD), np.full(self.size, 3 * SHAPE_SPREAD)
         for i, q in enumerate(self.free):
-            if q.magnitude:
-                low, high = ((b - self.centre[q.name]) / self.scale[q.name] for b in q.bounds)
-                u[i] = np.clip(u[i], min(low, high), max(low, high))
-            else:
-                u[i] = np.clip(u[i], -3 * SHAPE_SPREAD, 3 * SHAPE_SPREAD)
-        return u
+            if self.polar:
+                low[i], high[i] = -1e3, 1e3
+            elif q.magnitude:
+                low[i], high[i] = ((b - self.centre[q.name]) / self.scale[q.name] for b in q.bounds)
+        return low, high
+
+    def confine(self, u: np.ndarray) -> np.ndarray:
+        """Coordinates moved into their limits."""
+        return np.clip(u, *self.limits)
 
     @property
     def spread(self) -> np.ndarray:
@@ -121,11 +123,13 @@ def hypotheses(cause: Cause, record: np.ndarray, present: dict[str, float] | Non
     """
     p = record[0]
     neutral = cause.present(p)
-    if present is not None:  # TODO
-        copy = record.copy()
-        cause.apply(copy[0], {**neutral, **{q.name: present[q.name] for q in cause.parameters if not q.magnitude}})
-        if copy.tobytes() != record.tobytes():  # the cause replaces what is there: the joint stays as it is at that
+    if present is not None:
+        again = record.copy()
+        cause.apply(again[0], present)
+        if again.tobytes() == record.tobytes():  # the cause replaces what is there: the joint stays as it is at that
             neutral = dict(present)
+        else:
+            present = None
     whole = [q for q in cause.parameters if q.integer]
     shape = [q for q in cause.parameters if not (q.integer or q.magnitude or q.period)]
     scale = {}

@@ -1,9 +1,12 @@
 """Which causes the data speak for: screening of the whole library, then evidence of the few that could be it.
 
-*Screening* is linear: the derivative (secant at part of its ordinary size) of the replayed residuals with respect to every
-cause, at the calibrated joint, with all calibration variables free to answer. It gives each cause's approximate log
-evidence in closed form. *Finalists* are fitted through the replay together with the calibration, and compared by
+*Screening* is linear: the derivative of the replayed residuals with respect to every cause (a secant at part of its
+ordinary size), at the calibrated joint, with all calibration variables free to answer. It gives each cause's approximate
+log evidence in closed form. *Finalists* are fitted through the replay together with the calibration, and compared by
 their Laplace evidence. A further cause is added when it earns more than `THRESHOLD`.
+
+Encoders are so precise that a wrong model is wrong by hundreds of standard deviations, where nothing is linear. The
+search therefore takes the noise to be as loud as the residual is, and lets it become quieter as the model improves.
 """
 
 from __future__ import annotations
@@ -12,24 +15,32 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .calibrate import Echo, Fit, Problem, fit, normal_equations, robust_loss
+from .calibrate import Echo, Fit, Problem, bounds, echo, evaluate, fit, robust_loss
 from .coordinates import Hypothesis
-from .noise import Noise, whiten
+from .noise import Noise, estimate, first_guess, louder, whiten
 
 THRESHOLD = 7.0
 """Log evidence that a cause must add."""
-SECANT = 0.3
-"""Part of the ordinary size at which a cause is probed."""
-FINALISTS = 5
+PROBE, PROBE_LOUD = 0.03, 0.3
+"""Part of the ordinary size at which a cause is probed, where the residual is nearly noise and where it is not."""
+FINALISTS = 4
+SMALLEST = 0.03
+"""Effects below this part of the ordinary size are not named: the laws themselves are not better than that."""
 
 
 @dataclass(frozen=True)
 class Screened:
-    """A hypothesis with its linearised gain in log evidence and the coordinates that the linear model gives it."""
+    """A hypothesis with its linearised gain in log evidence, and where the linear model puts it.
+
+    Attributes:
+      start: coordinates of the hypothesis.
+      shift: change of the other unknowns that goes with them.
+    """
 
     hypothesis: Hypothesis
     gain: float
     start: np.ndarray
+    shift: np.ndarray
 
 
 class Library:
@@ -41,13 +52,13 @@ class Library:
       noise_columns: the motion noise's share of them.
     """
 
-    def __init__(self, problem: Problem, at: Fit, hypotheses: list[Hypothesis]):
+    def __init__(self, problem: Problem, at: Fit, hypotheses: list[Hypothesis], probe: float):
         self.hypotheses = hypotheses
         thetas, models = [], []
         for h in hypotheses:
             for j in _probed(h):
                 u = np.zeros(h.size)
-                u[j] = SECANT
+                u[j] = probe
                 thetas.append(np.concatenate([at.theta, u]))
                 models.append((*at.model, h))
         base = at.state[0]
@@ -56,7 +67,7 @@ class Library:
         for h in hypotheses:
             parts = [next(done) for _ in _probed(h)]
             self.columns.append(
-                [np.stack([(part[s] - base[s]) / SECANT for part in parts], -1) for s in range(len(base))]
+                [np.stack([(part[s] - base[s]) / probe for part in parts], -1) for s in range(len(base))]
             )
 
 
@@ -67,9 +78,7 @@ def _probed(h: Hypothesis) -> list[int]:
 def screen(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[Screened]:
     """Linearised gain in log evidence of every hypothesis, best first; one per cause and order, its best start."""
     count = [len(_probed(h)) for h in library.hypotheses]
-    all_columns = [
-        np.concatenate([c[s] for c in library.columns], axis=-1) for s in range(len(problem.drives))
-    ]
+    all_columns = [np.concatenate([c[s] for c in library.columns], axis=-1) for s in range(len(problem.drives))]
     stack = whiten(
         problem.drives,
         noise,
@@ -81,7 +90,12 @@ def screen(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[Sc
     r, X = stack[:, 0], stack[:, 1:]
     _, weight = robust_loss(r)
     n = at.jacobian[0].shape[-1]
-    H, g, _ = normal_equations(problem, noise, at.model, at.theta, at.state, at.jacobian, at.twin_jacobian)
+    prior = 1 / problem.spread(at.model) ** 2
+    XW = X[:, :n] * weight[:, None]
+    H, g = XW.T @ X[:, :n] + np.diag(prior), XW.T @ r + prior * at.theta
+    low, high = bounds(problem, at.model)
+    held = (at.theta <= low + 1e-6) | (at.theta >= high - 1e-6)  # at the end of its tolerance: cannot answer further
+    H[held, held] += 1e15
     C = X[:, n:]
     CW = C * weight[:, None]
     cross = CW.T @ X[:, :n]
@@ -108,12 +122,18 @@ def screen(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[Sc
             start = h.confine(start)
         key = (h.cause.name, *h.fixed.items())
         if key not in found or gain > found[key].gain:
-            found[key] = Screened(h, float(gain), start)
+            found[key] = Screened(h, float(gain), start, -solved[:, block] @ start[_probed(h)])
     return sorted(found.values(), key=lambda s: -s.gain)
 
 
+def size(h: Hypothesis, u: np.ndarray) -> float:
+    """Size of an effect in ordinary sizes."""
+    return float(np.linalg.norm(u[h.magnitudes]))
+
+
 def finalists(screened: list[Screened], count: int, per_cause: int = 2) -> list[Screened]:
-    """The best hypotheses, at most `per_cause` of the same cause."""
+    """The best hypotheses that could matter, at most `per_cause` of the same cause."""
+    screened = [s for s in screened if s.gain > 0.5 * THRESHOLD and size(s.hypothesis, s.start) > 0.5 * SMALLEST]
     chosen: list[Screened] = []
     taken: dict[str, int] = {}
     for s in screened:
@@ -126,11 +146,11 @@ def finalists(screened: list[Screened], count: int, per_cause: int = 2) -> list[
 
 def clean(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[np.ndarray]:
     """Residuals without anything that a calibration variable or a cause can explain (ridge): noise, nearly."""
-    columns = [
-        np.concatenate([j, *(c[s] for c in library.columns)], axis=-1) for s, j in enumerate(at.jacobian)
-    ]
+    columns = [np.concatenate([j, *(c[s] for c in library.columns)], axis=-1) for s, j in enumerate(at.jacobian)]
     stack = whiten(
-        problem.drives, noise, [np.concatenate([r[..., None], c], -1) for r, c in zip(at.state[0], columns, strict=True)]
+        problem.drives,
+        noise,
+        [np.concatenate([r[..., None], c], -1) for r, c in zip(at.state[0], columns, strict=True)],
     )
     r, X = stack[:, 0], stack[:, 1:]
     _, weight = robust_loss(r, 3.0 * max(1.0, 1.4826 * float(np.median(np.abs(r[r != 0])))))
@@ -141,15 +161,139 @@ def clean(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[np.
     return [res - c @ u for res, c in zip(at.state[0], columns, strict=True)]
 
 
-def refine(
-    problem: Problem, noise: Noise, base: Fit, candidates: list[Screened], echo: Echo, iterations: int = 6
-) -> list[Fit]:
-    """Fit every candidate on top of a base model through the replay."""
-    fits = []
-    for s in candidates:
-        h = s.hypothesis
-        theta = np.concatenate([base.theta, h.confine(np.clip(s.start, -3.0, 3.0))])
-        model = (*base.model, h)
-        kept = [j[..., : problem.size] for j in base.jacobian]
-        fits.append(fit(problem, noise, model, theta, iterations, 0.5, common=kept, echo=echo))
-    return sorted(fits, key=lambda f: -f.log_evidence)
+def level(problem: Problem, noise: Noise, at: Fit) -> float:
+    """How many times the noise the residual is: one when the model is right."""
+    r = whiten(problem.drives, noise, [x[..., None] for x in at.state[0]])[:, 0]
+    r = r[r != 0]
+    return max(1.0, float(np.sqrt(np.mean(np.minimum(r * r, 1e4 * np.median(r * r))))))
+
+
+def settle(
+    problem: Problem, noise: Noise, model: tuple[Hypothesis, ...], theta: np.ndarray, common, echo: Echo | None,
+    loudness: float, steps: int = 3,
+) -> Fit:  # fmt: skip
+    """Fit a model with noise taken `loudness` times as large and then quieter, down to what its residual is."""
+    f = None
+    for _ in range(steps):
+        quiet = loudness < _QUIET
+        f = fit(
+            problem, noise if quiet else louder(noise, loudness), model, theta, 5 if quiet else 2, 1.0, common,
+            echo if quiet else None, refresh=f is not None,
+        )  # fmt: skip
+        theta, common = f.theta, f.jacobian
+        if quiet:
+            return f
+        after = level(problem, noise, f)
+        loudness = 1.0 if after < 2.0 else min(after, loudness)
+    return f
+
+
+_QUIET = 1.2
+"""Where the residual is less than so many times the noise, it is taken for noise."""
+
+
+def log_evidence(problem: Problem, noise: Noise, f: Fit, loudness: float) -> float:
+    """Log evidence of a fit under noise of a common loudness."""
+    noise = noise if loudness < _QUIET else louder(noise, loudness)
+    return evaluate(problem, noise, f.model, f.theta, f.state, f.jacobian, f.twin_jacobian).log_evidence
+
+
+@dataclass(frozen=True)
+class Round:
+    """One round of the search: a base model and what adding a cause to it gave.
+
+    Attributes:
+      base: the model to which causes were added.
+      loudness: of the residual of `base`, in times the noise.
+      screened: all hypotheses by their linearised gain.
+      fits: finalists, best first.
+      gains: their log evidence over the base's.
+    """
+
+    base: Fit
+    loudness: float
+    screened: list[Screened]
+    fits: list[Fit]
+    gains: list[float]
+
+
+@dataclass(frozen=True)
+class Search:
+    """What the search found: the rounds, the chosen model, the noise, and the motion noise's share.
+
+    `noise` is as loud as the chosen model's residual, `rounds_noise` is not.
+    """
+
+    rounds: tuple[Round, ...]
+    chosen: Fit
+    noise: Noise
+    rounds_noise: Noise
+    echo: Echo
+    loudness: float
+
+
+def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, most: int = 3) -> Search:
+    """Find the causes: calibrate, screen, fit the finalists, add the best; again until none earns its place."""
+    theta = problem.start(None, ())
+    noise = first_guess(problem.drives, problem.residuals([theta], [()])[0], quantum)
+    base = fit(problem, louder(noise, 30.0), (), theta, 3, 5.0)
+    base = settle(problem, noise, (), base.theta, base.jacobian, None, 5.0)
+    loudness = level(problem, noise, base)
+    for _ in range(5):  # until calibration alone has done what it can
+        if loudness < _QUIET:
+            break
+        base = fit(problem, louder(noise, max(0.7 * loudness, 1.0)), (), base.theta, 4, 2.0)
+        before, loudness = loudness, level(problem, noise, base)
+        if loudness > 0.93 * before:
+            break
+    rounds: list[Round] = []
+    echoed: Echo | None = None
+    estimated = False
+    while True:
+        loudness = level(problem, noise, base)
+        library = Library(problem, base, [h for h in hypotheses if h.cause.name not in _names(base.model)],
+                          PROBE if loudness < 2.0 else PROBE_LOUD)  # fmt: skip
+        if loudness < 2.0:
+            if echoed is None:
+                echoed = echo(problem, base.theta, base.model, base.jacobian)
+            noise = estimate(problem.drives, clean(problem, noise, base, library), quantum)
+            base = fit(problem, noise, base.model, base.theta, 5, 1.0, base.jacobian, echoed)
+            estimated = True
+            loudness = level(problem, noise, base)
+        tempered = noise if loudness < _QUIET else louder(noise, loudness)
+        screened = screen(problem, tempered, base, library)
+        fits = []
+        for s in finalists(screened, FINALISTS if loudness > 2.0 else 2):
+            h = s.hypothesis
+            shifted = np.concatenate([base.theta + np.clip(s.shift, -2, 2), h.confine(np.clip(s.start, -3.0, 3.0))])
+            model = (*base.model, h)
+            low, high = bounds(problem, model)
+            fits.append(settle(problem, noise, model, np.clip(shifted, low, high), base.jacobian, echoed, loudness))
+        reference = log_evidence(problem, noise, base, loudness)
+        gains = [log_evidence(problem, noise, f, loudness) - reference for f in fits]
+        order = np.argsort(gains)[::-1]
+        fits, gains = [fits[i] for i in order], [gains[i] for i in order]
+        rounds.append(Round(base, loudness, screened, fits, gains))
+        earned = [
+            f
+            for f, gain in zip(fits, gains, strict=True)
+            if gain > THRESHOLD
+            and size(f.model[-1], problem.split(f.theta, f.model)[-1]) > SMALLEST
+            and not problem.is_calibration(f.theta, f.model)
+        ]
+        if not earned or len(base.model) >= most:
+            break
+        base = earned[0]
+    loudness = level(problem, noise, base)
+    if echoed is None:
+        echoed = echo(problem, base.theta, base.model, base.jacobian)
+    if (
+        base.model
+    ):  # numbers and effects share what either can express as the priors say: to the end, with fresh columns
+        quiet = noise if loudness < _QUIET else louder(noise, loudness)
+        base = fit(problem, quiet, base.model, base.theta, 5, 0.1, None, echoed)
+    return Search(tuple(rounds), base, noise if estimated else louder(noise, loudness), noise, echoed, loudness)
+
+
+def _names(model: tuple[Hypothesis, ...]) -> set[str]:
+    return {h.cause.name for h in model}

@@ -1,9 +1,9 @@
 """Noise of the residuals: coloured, and different where the joint rests; and the filter that makes it white.
 
-The residual of a channel is modelled as autoregressive noise (sensors, smoothing, differentiation) plus, where the rotor
-rests, a slow disturbance: the encoder's quantisation, which does not average out without motion, and friction whose
-bristle depends on it. Both are estimated from the residual itself, after everything that a candidate explains has been taken
-out of it. A Kalman filter of the slow disturbance turns residuals, and every column of a Jacobian alike, into
+The residual of a channel is modelled as autoregressive noise (sensors, smoothing, differentiation) plus, where the
+rotor rests, a slow disturbance: the encoder's quantisation, which does not average out without motion, and friction
+whose bristle depends on it. Both are estimated from the residual itself, after everything that a candidate explains has
+been taken out of it. A Kalman filter of the slow disturbance turns residuals, and every column of a Jacobian alike, into
 innovations of unit variance; samples that do not count are skipped.
 """
 
@@ -104,6 +104,14 @@ def first_guess(drives: list[Drive], residuals: list[np.ndarray], quantum: np.nd
             channels.append(ChannelNoise(np.zeros(ORDER), max(float(white), 1e-6), (0.0, float(quantum[c]))))
         found.append(channels)
     return found
+
+
+def louder(noise: Noise, factor: float) -> Noise:
+    """The same noise, `factor` times as large."""
+    return [
+        [ChannelNoise(c.ar, factor * c.white, (factor * c.slow[0], factor * c.slow[1])) for c in channels]
+        for channels in noise
+    ]
 
 
 def estimate(drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarray) -> Noise:

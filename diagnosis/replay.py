@@ -1,7 +1,7 @@
 """Replay of measured motion: what the sensors should have read while the joint moved as it did.
 
-Both ends of the joint are driven by their *measured* motion, rotor and link; what is simulated is only what lies between
-and is not measured: the wave generator, the friction's bristle and the flexspline's Dahl state. From these follow
+Both ends of the joint are driven by their *measured* motion, rotor and link; what is simulated is only what lies
+between and is not measured: the wave generator, the friction's bristle and the flexspline's Dahl state. Hence
 
     joint torque    Tf − bl θl', as the torque sensor would read it,
     motor current   (Jm θm'' + bm θm' + Tw − rotor_torque)/Kt, as the current sensor would read it,
@@ -27,9 +27,9 @@ from ..models.joint import EncoderSpec, Sensors
 from ..models.parameters import PLACES
 from .motion import smooth
 
-STEP = 0.5e-3
+STEP = 1e-3
 """Step of the replay [s]."""
-DECIMATION = 16
+DECIMATION = 8
 """Replay steps per residual: one residual every 8 ms, the mean over a Hann window of 16 ms."""
 CHANNELS = ("motor_current", "joint_torque", "link")
 """Residual channels: current [A], transmission [N·m], link balance [N·m]."""
@@ -37,6 +37,9 @@ THREADS = 2
 
 _RUNAWAY = 1e5
 """Speed of the wave generator [rad/s] that no joint reaches."""
+
+_STIFFEST = 0.5
+"""Torque of the wave generator's compliance [N·m, motor side] beyond any that a joint of this kind carries."""
 
 _ROTOR, _MESH, _FLEXSPLINE, _LINK, _JOINT_TORQUE, _LINK_POSITION, _CURRENT = (
     PLACES.index(name)
@@ -61,6 +64,7 @@ class Drive:
       measured_rate: their rates [1/s], shape (k, 2).
       state: decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors.
       usable: which residuals count, shape (k, 3).
+      held_out: residuals kept from every fit, to measure what was gained, shape (k, 3).
       at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
     """
 
@@ -77,9 +81,12 @@ class Drive:
     measured_rate: np.ndarray
     state: np.ndarray
     usable: np.ndarray
+    held_out: np.ndarray
     at_rest: np.ndarray
 
 
+HELD_OUT_BLOCK, HELD_OUT_EVERY = 0.5, 6
+"""Every sixth block of half a second is kept from the fit."""
 _SETTLE_TIME = 0.06
 """Time [s] at both ends of a stretch in which the smoother and the transmission are still settling."""
 _SETTLE_TRAVEL = 0.6
@@ -121,7 +128,8 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
     difference between the two tells what the noise of the motion does to a residual, at any parameters.
     """
     rng = np.random.default_rng(seed)
-    rms = [0.0, 0.0] + [float(np.hypot(x.noise, x.step / np.sqrt(12))) for x in (sensors.motor_current, sensors.joint_torque)]
+    analog = (sensors.motor_current, sensors.joint_torque)
+    rms = [0.0, 0.0, *(float(np.hypot(x.noise, x.step / np.sqrt(12))) for x in analog)]
     found, twins = [], []
     for index, recording in enumerate(recordings):
         for stretch in recording.stretches:
@@ -161,9 +169,12 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
             travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(state[:, 0])))])
             settled = (at > at[0] + _SETTLE_TIME) & (at < at[-1] - _SETTLE_TIME)
             begun = settled & (travel > _SETTLE_TRAVEL)
+            held_out = (np.floor(at / HELD_OUT_BLOCK).astype(int) + index) % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
             usable = np.column_stack([begun, begun & has_torque, settled & (recording.external != "unmeasured")])
             if not has_torque:
                 usable[:, 2] &= begun
+            scored = usable & held_out[:, None]
+            usable &= ~held_out[:, None]
             found.append(
                 Drive(
                     recording=index,
@@ -179,6 +190,7 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
                     measured_rate=measured_rate,
                     state=state,
                     usable=usable,
+                    held_out=scored,
                     at_rest=_at_rest(state[:, 0]),
                 )
             )
@@ -217,12 +229,13 @@ def _replay(p, time, rotor, link, torque, external, h, every, window, out):
     dahl_present = p.hysteresis_torque != 0.0
     shift = p.link_delay / h
     inverse_N = 1.0 / p.N
+    reach = laws.wave_generator_torsion(_STIFFEST, p)
 
     z = 0.0
     dahl = 0.0
     w = rotor[0, 1]
     theta_w = rotor[0, 0]
-    l1, vl1, al1 = 0.0, 0.0, 0.0
+    l1, vl1 = 0.0, 0.0
     for i in range(n):
         # Link motion: the reading, earlier by its delay, without the encoder's zero and eccentricity.
         j = min(i + int(shift), n - 2)
@@ -231,7 +244,7 @@ def _replay(p, time, rotor, link, torque, external, h, every, window, out):
         a0 = h * link[j, 1] - d
         a1 = d - h * link[j + 1, 1]
         reading = (1.0 - f) * link[j, 0] + f * link[j + 1, 0] + f * (1.0 - f) * ((1.0 - f) * a0 + f * a1)
-        l0, vl0, al0 = l1, vl1, al1
+        l0, vl0 = l1, vl1
         vl1 = (1.0 - f) * link[j, 1] + f * link[j + 1, 1]
         al1 = (1.0 - f) * link[j, 2] + f * link[j + 1, 2]
         rough = reading - p.link_zero
@@ -288,6 +301,9 @@ def _replay(p, time, rotor, link, torque, external, h, every, window, out):
                 out[:] = np.nan
                 return
             z = laws.bristle_step(z, w_middle, g, h, p)
+            if abs(rotor[i, 0] - theta_w) > reach:  # where the compliance is all but rigid
+                theta_w = rotor[i, 0] - (reach if rotor[i, 0] > theta_w else -reach)
+                w = rotor[i, 1]
             if dahl_present:
                 dahl = laws.dahl_step(dahl, w_middle * slope - vl, h, p)
         # What the sensors read at this instant.

@@ -74,8 +74,8 @@ def load(path: Path, model: type[M], what: str) -> M:
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:
-    """One line for the first error that pydantic found: field, expected, came."""
-    first = error.errors()[0]
+    """One line for the first error that pydantic found, a misspelt key before what is missing: field, expected, came."""
+    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     field = ".".join(str(part) for part in first["loc"]) or "top level"
     kind, came = first["type"], _shown(first["input"])
     if kind == "extra_forbidden":

@@ -30,6 +30,10 @@ SYMBOLS: dict[str, tuple[str, bool]] = {
     "rated_torque": ("N·m", False),
 }  # fmt: skip
 
+OPTIONAL_SYMBOLS: dict[str, tuple[str, bool]] = {"back_driven_friction": ("1", True)}
+"""Numbers that a joint may leave out. `back_driven_friction` is the share of load-dependent friction that acts while
+the load drives the motor (torque and velocity of opposite sign); 1 where it is left out."""
+
 _SPELLINGS = str.maketrans({"*": "·", ".": "·", "⋅": "·", "Ω": "Ω"})
 
 
@@ -205,10 +209,12 @@ class Joint(Strict):
     @model_validator(mode="after")
     def _physical(self) -> Joint:
         for symbol in self.numbers:
-            if symbol not in SYMBOLS:
+            if symbol not in SYMBOLS and symbol not in OPTIONAL_SYMBOLS:
                 raise ValueError(f"numbers.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
-        for symbol, (unit, may_be_zero) in SYMBOLS.items():
+        for symbol, (unit, may_be_zero) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
             number = self.numbers.get(symbol)
+            if number is None and symbol in OPTIONAL_SYMBOLS:
+                continue
             if number is None:
                 raise ValueError(f"numbers.{symbol}: missing")
             if not _same_unit(number.unit, unit):

@@ -99,7 +99,9 @@ def friction_level(w, theta_l, flexspline_torque, time, p):
         g *= 1.0 + (p.friction_asymmetry if w > 0.0 else -p.friction_asymmetry)
     if p.drift_amplitude != 0.0:
         g *= 1.0 + p.drift_amplitude * math.exp(-time / p.drift_time)
-    g += p.friction_load * abs(flexspline_torque) / p.N
+    if p.friction_load != 0.0:
+        load = p.friction_load * abs(flexspline_torque) / p.N
+        g += load if flexspline_torque * w >= 0.0 else p.back_driven_friction * load
     for k in range(N_PERIODIC):
         if p.friction_amplitude[k] != 0.0:
             g += p.friction_amplitude[k] * math.sin(p.friction_order[k] * theta_l + p.friction_phase[k])

@@ -42,7 +42,7 @@ PARAMETERS = np.dtype(
         # effects in the motor and transmission
         ("cogging_order", _F, N_PERIODIC), ("cogging_amplitude", _F, N_PERIODIC), ("cogging_phase", _F, N_PERIODIC),
         ("hysteresis_torque", _F), ("hysteresis_extent", _F), ("backlash", _F),
-        ("friction_asymmetry", _F), ("friction_load", _F),
+        ("friction_asymmetry", _F), ("friction_load", _F), ("back_driven_friction", _F),
         ("friction_order", _F, N_PERIODIC), ("friction_amplitude", _F, N_PERIODIC), ("friction_phase", _F, N_PERIODIC),
         ("drift_amplitude", _F), ("drift_time", _F),
         # effects at the link
@@ -69,6 +69,7 @@ def neutral() -> np.ndarray:
     p["hysteresis_extent"] = 1e-4
     p["drift_time"] = 10.0
     p["torque_gain"] = 1.0
+    p["back_driven_friction"] = 1.0
     p["term_high"] = 1.0
     return record
 

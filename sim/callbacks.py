@@ -7,6 +7,7 @@ act only on models with that header, so any other model in the process is left a
 
 from __future__ import annotations
 
+import math
 from functools import cache
 
 import numpy as np
@@ -62,18 +63,47 @@ def reduced_inertia(p):
 
 
 @njit(cache=True)
-def state_forces(theta, velocity, bristle, dahl, time, h, p):
+def bristle_under_load(z, w, g_before, g, h, p):
+    """Bristle deflection after a time `h` [s] at constant velocity while sliding friction goes from `g_before` to `g`.
+
+    Exact for a deflection g/s0 that changes evenly and the rate at the mean of both: at speed the bristle follows the load
+    within a step, and a friction that is constant over it would lose s1 z'.
+    """
+    decay = 2.0 * p.s0 * abs(w) / (g_before + g) * h
+    if decay < 1e-12:
+        return z + w * h
+    sign = 1.0 if w > 0.0 else -1.0
+    before, after = sign * g_before / p.s0, sign * g / p.s0
+    return after + (z - before) * math.exp(-decay) + (after - before) * math.expm1(-decay) / decay
+
+
+@njit(cache=True)
+def state_forces(theta, velocity, previous, bristle, dahl, time, h, p):
     """Torques and friction at the instant of the positions; bristle and Dahl state, a step behind, are brought up.
+
+    Args:
+      theta: positions; velocity: half a step before; previous: one and a half steps before; shape (3,).
+      bristle, dahl: at the last instant; time, h: of now, of a step [s]; p: parameter record.
 
     Returns:
       Tw without its damping, Tf with it, 1/N − dθerr/dθw, sliding friction g, bristle and Dahl state at the instant, Δθf'.
     """
+    dahl_before = dahl
     if p.hysteresis_torque != 0.0:
         _, _, rate, _ = transmission(theta, velocity, 0.0, p)
         dahl = laws.dahl_step(dahl, rate, h, p)
     Tw, Tf, rate, slope = transmission(theta, velocity, dahl, p)
-    g = laws.friction_level(velocity[1], theta[2], Tf, time, p)
-    return Tw, Tf, slope, g, laws.bristle_step(bristle, velocity[1], g, h, p), dahl, rate
+    w = velocity[1]
+    if p.friction_load == 0.0:
+        g = laws.friction_level(w, theta[2], Tf, time, p)
+        return Tw, Tf, slope, g, laws.bristle_step(bristle, w, g, h, p), dahl, rate
+    # The load changes within a step: friction at both its ends, with the flexspline's damping at these instants.
+    now, before = 1.5 * velocity - 0.5 * previous, 0.5 * (velocity + previous)
+    _, load, _, _ = transmission(theta, now, dahl, p)
+    _, load_before, _, _ = transmission(theta - h * velocity, before, dahl_before, p)
+    g = laws.friction_level(w, theta[2], load, time, p)
+    g_before = laws.friction_level(w, theta[2] - h * velocity[2], load_before, time - h, p)
+    return Tw, Tf, slope, g, bristle_under_load(bristle, w, g_before, g, h, p), dahl, rate
 
 
 def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int, PASSIVE: int):
@@ -100,7 +130,9 @@ def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int
         time, h = floats_at(d + 8 * TIME)[0], header[1]
         z = act[int(header[2])]
         previous_dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
-        Tw, Tf, slope, g, bristle, dahl, rate = state_forces(theta, velocity, z, previous_dahl, time, h, p)
+        memory = int(header[3])
+        previous = carray(floats_at(word_at(d + 8 * ACT) + 8 * memory), 3)
+        Tw, Tf, slope, g, bristle, dahl, rate = state_forces(theta, velocity, previous, z, previous_dahl, time, h, p)
         force = carray(floats_at(word_at(d + 8 * PASSIVE)), 3)
         w, load_angle = velocity[WAVE_GENERATOR], theta[LINK]
 
@@ -127,7 +159,6 @@ def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int
         if header[5] > 0.0:
             own = laws.mesh_friction(z, w, g, p) - 0.5 * p.s1 * w
         sliding = p.s0 * bristle / g if w > 0.0 else -p.s0 * bristle / g
-        memory = int(header[3])
         change = w - act[memory + WAVE_GENERATOR]
         on_wave_generator += own - laws.mesh_friction(bristle, w, g, p) + 0.5 * p.s1 * sliding * change
 
@@ -155,10 +186,12 @@ def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int
         time, h = floats_at(d + 8 * TIME)[0], header[1]
         z = act[int(header[2])]
         previous_dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
-        _, _, _, _, bristle, dahl, _ = state_forces(theta, velocity, z, previous_dahl, time, h, p)
+        memory = int(header[3])
         remembered = actuator - int(header[6])
         if 0 <= remembered < 3:
-            return (velocity[remembered] - act[int(header[3]) + remembered]) / h
+            return (velocity[remembered] - act[memory + remembered]) / h
+        previous = carray(floats_at(word_at(d + 8 * ACT) + 8 * memory), 3)
+        _, _, _, _, bristle, dahl, _ = state_forces(theta, velocity, previous, z, previous_dahl, time, h, p)
         if actuator == int(header[7]):
             return (dahl - previous_dahl) / h
         return (bristle - z) / h

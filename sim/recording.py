@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from pathlib import Path
 from typing import Literal
 
@@ -42,11 +43,14 @@ SUFFIXES = (".parquet", ".csv")
 External = Literal["none", "measured", "unmeasured"]
 
 
+_LINK = Mounting(inertia=0.35, gravity_moment=9.0)  # the test joint's
+
+
 class Sidecar(Strict):
     """The YAML file beside a recording's table.
 
-    `external_torque`: `none`; `measured`, the column of that name; or `unmeasured`: pushes may happen, they are no cause of
-    anything.
+    `external_torque`: `none`; `measured`, the column of that name; or `unmeasured`: pushes may happen, they are no
+    cause of anything.
     """
 
     format: Literal[1]
@@ -89,7 +93,7 @@ class Recording:
     external_torque: np.ndarray | None = None
     joint: str = "test-joint"
     description: str = ""
-    link: Mounting = Mounting(inertia=0.35, gravity_moment=9.0)
+    link: Mounting = _LINK
     external: External = "none"
     source: str = ""
 
@@ -132,7 +136,7 @@ class Recording:
         """The parts between gaps, as slices of samples."""
         cuts = np.flatnonzero(np.diff(self.time) > GAP) + 1
         edges = [0, *cuts.tolist(), len(self.time)]
-        return tuple(slice(a, b) for a, b in zip(edges[:-1], edges[1:], strict=True))
+        return tuple(slice(a, b) for a, b in pairwise(edges))
 
     @cached_property
     def gaps(self) -> tuple[tuple[float, float], ...]:
@@ -190,7 +194,9 @@ def read_measurement(path: str | Path) -> Measurement:
             if not table.name.startswith(".") and table.with_suffix(".yaml").is_file():
                 tables.setdefault(table.stem, table)
     if not tables:
-        raise InputError(f"{path}: expected tables ({' or '.join(SUFFIXES)}), each with a YAML file of its stem, got none")
+        raise InputError(
+            f"{path}: expected tables ({' or '.join(SUFFIXES)}), each with a YAML file of its stem, got none"
+        )
     recordings = tuple(read_recording(tables[stem]) for stem in sorted(tables))
     for other in recordings[1:]:
         if other.joint != recordings[0].joint:
@@ -211,7 +217,9 @@ def read_recording(path: str | Path) -> Recording:
     if path.suffix in (".yaml", ".yml"):
         found = [path.with_suffix(s) for s in SUFFIXES if path.with_suffix(s).is_file()]
         if not found:
-            raise InputError(f"{path}: expected a table {path.stem}.parquet or {path.stem}.csv beside it, found neither")
+            raise InputError(
+                f"{path}: expected a table {path.stem}.parquet or {path.stem}.csv beside it, found neither"
+            )
         path = found[0]
     if path.suffix not in SUFFIXES:
         raise InputError(f"{path}: expected a table ({' or '.join(SUFFIXES)}), got {path.suffix or 'no suffix'!r}")
@@ -239,7 +247,9 @@ def read_recording(path: str | Path) -> Recording:
 def write_recording(recording: Recording, folder: str | Path) -> Path:
     """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path."""
     folder = Path(folder)
-    fields = [pa.field(name, pa.float64(), nullable=False, metadata={"unit": COLUMNS[name]}) for name in recording.columns]
+    fields = [
+        pa.field(name, pa.float64(), nullable=False, metadata={"unit": COLUMNS[name]}) for name in recording.columns
+    ]
     table = pa.table(list(recording.columns.values()), schema=pa.schema(fields))
     path = folder / f"{recording.name}.parquet"
     sidecar = Sidecar(
@@ -316,7 +326,7 @@ def csv_header(path: Path, separator: str = ",") -> list[str]:
 
 
 def read_csv_columns(path: Path, wanted: list[str], separator: str = ",") -> dict[str, np.ndarray]:
-    """Read columns of a CSV file as float64; a cell that is not a finite number is an error that names row and column."""
+    """Read columns of a CSV file as float64; a cell that is no number is an error that names row and column."""
     names = csv_header(path, separator)
     options = pa.csv.ConvertOptions(
         column_types={name: pa.float64() for name in wanted}, include_columns=wanted, null_values=[""]
@@ -353,9 +363,7 @@ def _name_bad_cell(path: Path, names: list[str], wanted: list[str], separator: s
                     try:
                         float(cell)
                     except ValueError:
-                        raise InputError(
-                            f"{path}: column {name!r}, {where}: expected a number, got {cell!r}"
-                        ) from None
+                        raise InputError(f"{path}: column {name!r}, {where}: expected a number, got {cell!r}") from None
 
 
 def _first_line(error: Exception) -> str:

@@ -28,10 +28,10 @@ from ...models.parameters import PLACES
 
 STATES = (
     "motor_position", "motor_velocity", "wave_generator_position", "wave_generator_velocity", "bristle",
-    "link_position", "link_velocity", "external_torque", "mesh_torque", "hysteresis",
+    "link_position", "link_velocity", "external_torque", "mesh_torque", "stiffness", "motor_constant", "hysteresis",
 )  # fmt: skip
 SIZE = len(STATES)
-MOTOR, MOTOR_RATE, WAVE, WAVE_RATE, BRISTLE, LINK, LINK_RATE, EXTERNAL, MESH, DAHL = range(SIZE)
+MOTOR, MOTOR_RATE, WAVE, WAVE_RATE, BRISTLE, LINK, LINK_RATE, EXTERNAL, MESH, STIFFNESS, CONSTANT, DAHL = range(SIZE)
 _LONGEST = 0.5e-3  # s: substep
 _TURN = 0.8  # rad of the fastest mode per substep
 _PLACE_ROTOR, _PLACE_MESH, _PLACE_FLEXSPLINE, _PLACE_LINK, _PLACE_TORQUE, _PLACE_READING = (
@@ -45,7 +45,7 @@ def flexspline_torque(x, p):
     slope = 1.0 / p.N - laws.kinematic_error_slope(x[WAVE], p)
     torsion = x[WAVE] / p.N - x[LINK] - laws.kinematic_error(x[WAVE], p)
     rate = x[WAVE_RATE] * slope - x[LINK_RATE]
-    return laws.flexspline_spring(torsion, p) + p.df * rate + laws.hysteresis_torque(x[DAHL], p), slope
+    return laws.flexspline_spring((1.0 + x[STIFFNESS]) * torsion, p) + p.df * rate + laws.hysteresis_torque(x[DAHL], p), slope
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -76,7 +76,7 @@ def rates(x, current, time, p, out):
     w = x[WAVE_RATE]
     Tw = laws.wave_generator_spring(x[MOTOR] - x[WAVE], p) + p.dw * (x[MOTOR_RATE] - w)
     g = laws.friction_level(w, x[LINK], Tf, time, p)
-    rotor = p.Kt * current - p.bm * x[MOTOR_RATE] + laws.rotor_torque(x[MOTOR], p) - Tw
+    rotor = p.Kt * (1.0 + x[CONSTANT]) * current - p.bm * x[MOTOR_RATE] + laws.rotor_torque(x[MOTOR], p) - Tw
     mesh = Tw - laws.mesh_friction(x[BRISTLE], w, g, p) - p.bw * w + x[MESH]
     link = laws.gravity_torque(x[LINK], p) + laws.link_torque(x[LINK], p) + x[EXTERNAL] - p.bl * x[LINK_RATE]
     if laws.has_terms(p):

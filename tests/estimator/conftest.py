@@ -1,50 +1,13 @@
-"""Where the shared material lies, and a calibration."""
+"""A calibration for the estimators."""
 
 from __future__ import annotations
-
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 from flexspline.models.joint import load_joint
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture(scope="session")
-def shared() -> Path:
-    """Folder of the shared material: FLEXSPLINE_SHARED, or `../shared` beside the repository."""
-    folder = Path(os.environ.get("FLEXSPLINE_SHARED", ROOT.parent / "shared"))
-    if not folder.is_dir():
-        pytest.skip(f"no shared material at {folder}; set FLEXSPLINE_SHARED")
-    return folder
-
-
-@pytest.fixture(scope="session")
-def reference(shared):
-    """Return a function: name of a reference file → its columns as arrays."""
-    pq = pytest.importorskip("pyarrow.parquet")
-
-    def read(name: str) -> dict[str, np.ndarray]:
-        path = shared / "data" / "reference" / f"{name}.parquet"
-        if not path.is_file():
-            pytest.skip(f"no reference data at {path}")
-        table = pq.read_table(path)
-        return {column: table[column].to_numpy() for column in table.column_names}
-
-    return read
 
 
 @pytest.fixture(scope="session")
 def calibration() -> np.ndarray:
     """Parameter record of the test joint, shape (1,)."""
     return load_joint("test-joint").bare_record()
-
-
-@pytest.fixture
-def rng(request) -> np.random.Generator:
-    """A seeded generator; pytest shows the seed of a test that fails."""
-    seed = 20130506
-    print(f"seed {seed}")
-    return np.random.default_rng(seed)

@@ -1,0 +1,196 @@
+"""Known causes fitted to a recording in which the external torque was measured: the quick way, for one-way sweeps.
+
+Diagnosis proper finds out *which* causes a measurement shows. Where the causes are chosen already (by it, or by a
+person who has
+looked), two balances of measured quantities give their parameters and standard deviations in a second:
+
+    torque from current (friction and rotor taken off)  =  own gravity and inertia − external torque,
+    torsion                                             =  wind-up under that torque + once-per-revolution error of the
+    encoder.
+
+Both hold at every instant, so that any part of a recording can be held out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..models import causes
+from ..models.errors import InputError
+from ..models.joint import Effect, Estimate, Joint
+from ..sim.recording import Recording
+from . import estimate as offline
+
+MOVING = 0.05
+"""Output velocity [rad/s] above which samples count: friction at rest is anything up to its level."""
+SENSOR_NOISE = 1.05
+"""Noise of the external torque [N·m rms]: the flange sensor's vibration, correlated over `SENSOR_MEMORY`."""
+SENSOR_MEMORY = 0.1
+"""Correlation time of that vibration [s]: neighbouring samples do not count twice."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Effects fitted to a recording.
+
+    Attributes:
+      effects: with standard deviations.
+      before, after: RMS of the balance [N·m] over the samples used, without and with them.
+      samples: number of samples used.
+    """
+
+    effects: tuple[Effect, ...]
+    before: float
+    after: float
+    samples: int
+
+
+def fit_current(recording: Recording, joint: Joint, names: tuple[str, ...], use: np.ndarray | None = None) -> Fit:
+    """Fit causes to the balance of motor current and measured external torque.
+
+    Args:
+      recording: of one stretch, with external torque.
+      joint: without those causes.
+      names: causes whose parameters are magnitudes (`models.causes`); each has a Gaussian prior about its absence with
+        the largest ordinary size as deviation.
+      use: which samples may be used, shape (n,), bool; all by default. Samples at rest are left out.
+
+    Raises:
+      InputError: a recording without external torque, or with gaps, or in which nothing moves.
+    """
+    parameters = [(name, q) for name in names for q in causes.get(name).parameters]
+    bare = joint.record(recording.link)
+    present = np.array([causes.get(name).present(bare[0])[q.name] for name, q in parameters])
+    spread = np.array([_spread(q, bare) for _, q in parameters])
+    time, external = recording.time, _external(recording)
+    motion = _motion(recording, joint, bare)
+    grid = motion[0]
+    moving = np.abs(motion[5]) > MOVING
+    chosen = moving if use is None else moving & (np.interp(grid, time, use.astype(float)) > 0.99)
+    if chosen.sum() < 100:
+        raise InputError(f"{recording.source or recording.name}: expected motion to fit to, got none")
+    # The balance, one number every grid step: of those within the vibration's memory, together one is news.
+    sigma = SENSOR_NOISE * np.sqrt(SENSOR_MEMORY / offline.STEP)
+
+    def balance(values: np.ndarray) -> np.ndarray:
+        record = bare.copy()
+        for name in names:
+            mine = {q.name: v for (n, q), v in zip(parameters, values, strict=True) if n == name}
+            causes.get(name).apply(record[0], mine)
+        return (_current_torque(motion, record) - _own(motion, record) + np.interp(grid, time, external))[chosen]
+
+    values = present.copy()
+    r = start = balance(values)
+    for _ in range(8):
+        step = 1e-3 * spread
+        J = np.stack([(balance(values + d) - r) / s for d, s in zip(np.diag(step), step, strict=True)], axis=1)
+        H = J.T @ J / sigma**2 + np.diag(1 / spread**2)
+        change = -np.linalg.solve(H, J.T @ r / sigma**2 + (values - present) / spread**2)
+        values = values + change
+        r = balance(values)
+        if np.all(np.abs(change) < 1e-4 * spread):
+            break
+    std = np.sqrt(np.diag(np.linalg.inv(H)))
+    effects = tuple(
+        Effect(
+            name=name,
+            parameters={
+                q.name: Estimate(value=float(f"{v:.4g}"), unit=q.unit, std=float(f"{s:.2g}"))
+                for (n, q), v, s in zip(parameters, values, std, strict=True)
+                if n == name
+            },
+        )
+        for name in names
+    )
+    return Fit(effects, _rms(start), _rms(r), int(chosen.sum()))
+
+
+def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None = None) -> Effect:
+    """Fit `link_encoder_eccentricity` to the torsion, given the joint torque that the external torque asks for.
+
+    A once-per-revolution error and a stiffness that is off look alike in a sweep, as the load goes with the sine of the
+    angle: the standard deviation of the amplitude is what the stiffness' tolerance makes of it.
+    """
+    record = joint.record(recording.link)
+    p = record[0]
+    time = recording.time
+    motion = _motion(recording, joint, record)
+    grid, theta_m, _, _, theta_l, v, _, current, _ = motion
+    torque = _own(motion, record) - np.interp(grid, time, _external(recording))
+    moving = np.abs(v) > MOVING
+    chosen = moving if use is None else moving & (np.interp(grid, time, use.astype(float)) > 0.99)
+    torsion = np.empty(len(grid))
+    offline._torsion(record, theta_m, theta_l + p["link_zero"], current, torsion)
+    number = joint.numbers["K1"]
+    tolerance = np.hypot(number.tolerance, joint.shared_tolerances.get(number.shared, 0.0))
+
+    def amplitude(scale: float) -> complex:
+        wound = np.empty(len(grid))
+        softer = record.copy()
+        for name in ("K1", "K2", "K3"):
+            softer[0][name] *= scale
+        offline._wind(softer, torque, wound)
+        # reading = θl + A (sin(θl + φ) − sin φ): torsion is too small by that. Zero and delay (v) are free.
+        A = np.stack([np.sin(theta_l), np.cos(theta_l), np.ones(len(grid)), v], axis=1)[chosen]
+        prior = np.diag([1.5e-3, 1.5e-3, 5e-3, 0.3e-3])
+        noise = 1.5e-4 * np.sqrt(SENSOR_MEMORY / offline.STEP)
+        b = np.concatenate([(wound - torsion)[chosen] / noise, np.zeros(4)])
+        sine, cosine, _, _ = np.linalg.lstsq(np.vstack([A / noise, np.linalg.inv(prior)]), b, rcond=None)[0]
+        return complex(sine, cosine)
+
+    z = amplitude(1.0)
+    spread = 0.5 * abs(amplitude(1 + tolerance) - amplitude(1 - tolerance))
+    values = {"amplitude": (abs(z), "rad", spread), "phase": (float(np.angle(z)), "rad", spread / abs(z))}
+    return Effect(
+        name="link_encoder_eccentricity",
+        parameters={
+            k: Estimate(value=float(f"{x:.4g}"), unit=u, std=float(f"{s:.2g}")) for k, (x, u, s) in values.items()
+        },
+    )
+
+
+def extended(joint: Joint, effects: tuple[Effect, ...], name: str, description: str) -> Joint:
+    """The joint with effects added, under another name."""
+    changed = joint.model_copy(update={"name": name, "description": description, "effects": [*joint.effects, *effects]})
+    changed._path = joint._path
+    return changed
+
+
+def _spread(q, record) -> float:
+    size = max(abs(x - q.neutral) for interval in q.ordinary for x in interval)
+    return size * (float(record[0][q.relative]) if q.relative else 1.0)
+
+
+def _external(recording: Recording) -> np.ndarray:
+    if recording.external_torque is None:
+        raise InputError(f"{recording.source or recording.name}: expected the column 'external_torque', got none")
+    if len(recording.stretches) > 1:
+        raise InputError(f"{recording.source or recording.name}: expected a recording without gaps")
+    return recording.external_torque
+
+
+def _motion(recording: Recording, joint: Joint, record: np.ndarray):
+    time, motor = recording.time, recording.motor_position
+    current = recording.motor_current - record[0]["current_offset"]
+    cutoff = offline.bandwidth(time, motor, current, record, offline.QUIET * joint.numbers["rated_torque"].value)
+    return offline._motion(time, time - time[0], motor, recording.link_position, current, record, cutoff)
+
+
+def _current_torque(motion, record: np.ndarray) -> np.ndarray:
+    grid, theta_m, w, w_dot, theta_l, v, _, current, _ = motion
+    out = np.empty(len(grid))
+    offline._torque_from_current(record, 0.0, offline.STEP, theta_m, w, w_dot, theta_l, current, out)
+    return out - record[0]["bl"] * v
+
+
+def _own(motion, record: np.ndarray) -> np.ndarray:
+    grid, theta_m, w, _, theta_l, v, a, _, load = motion
+    out = np.empty(len(grid))
+    offline._own_torque(record, grid - grid[0], theta_m, theta_l, w, v, a, load, out)
+    return out
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2)))

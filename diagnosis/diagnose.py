@@ -1,0 +1,409 @@
+"""Recordings in, causes out: what a joint hides, how sure that is, and the joint extended by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from ..models import causes
+from ..models.joint import Effect, Estimate, Joint
+from . import identify, unknown
+from .calibrate import Fit, Problem, robust_loss
+from .coordinates import hypotheses
+from .evidence import THRESHOLD, Library, Round, Search, log_evidence, search
+from .noise import louder
+from .replay import CHANNELS, HELD_OUT_BLOCK, HELD_OUT_EVERY, drives
+
+UNITS = {"motor_current": "A", "joint_torque": "N·m", "link": "N·m"}
+LOUD = 1.6
+"""A residual this many times the noise, after every known cause was tried, is an unknown effect."""
+TEMPER = 5.0
+"""The laws are not exact and neither is the noise model: log evidence counts this many times less."""
+HELD_OUT = (
+    f"every {HELD_OUT_EVERY}th block of {HELD_OUT_BLOCK:g} s of each recording was kept from every fit; "
+    "RMS over 8 ms means while rotor and link follow their measured motion"
+)
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a cause: value, standard deviation, unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A cause that was found.
+
+    Attributes:
+      name, component: as in the library, or `unknown`.
+      confidence: probability that this, and no other cause, is there.
+      parameters: of the extended model.
+      explains: share of the held-out discrepancy that it removes.
+      description, depends_on: of an unknown effect.
+    """
+
+    name: str
+    component: str
+    confidence: float
+    parameters: dict[str, Parameter]
+    explains: float
+    description: str = ""
+    depends_on: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Moved:
+    """A number that calibration moved within its tolerance."""
+
+    nominal: float
+    value: float
+    std: float
+    tolerance: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Channel:
+    """RMS of one channel on held-out data: calibrated joint, extended joint, and what the sensors' noise explains."""
+
+    before: float
+    after: float
+    noise: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer, with what is needed to show how it came about.
+
+    Attributes:
+      verdict: consistent, discrepancy or inconclusive.
+      causes: by how much each explains.
+      calibration: numbers that moved.
+      confusable: pairs of causes that this measurement cannot tell apart.
+      undetermined: causes that it could not have shown at ordinary size.
+      residual: by channel.
+      extended: the joint with calibration and effects in it.
+      rounds: the search's rounds: loudness, hypotheses tried and what they gained.
+      at, before, after: time [s] and residuals of every stretch, shapes (k,) and (k, 3), for showing.
+    """
+
+    verdict: str
+    causes: tuple[Finding, ...]
+    calibration: dict[str, Moved]
+    confusable: tuple[tuple[str, str], ...]
+    undetermined: tuple[str, ...]
+    residual: dict[str, Channel]
+    extended: Joint
+    rounds: tuple[Round, ...] = field(repr=False)
+    problem: Problem = field(repr=False)
+    before: list[np.ndarray] = field(repr=False)
+    after: list[np.ndarray] = field(repr=False)
+    estimation: dict[str, Any] | None = None
+    held_out: str = HELD_OUT
+
+    def extended_joint(self) -> Joint:
+        """The joint's description with calibration, effects and terms in it."""
+        return self.extended
+
+    def to_json(self) -> dict[str, Any]:
+        """What `diagnosis.json` holds."""
+        found = []
+        for c in self.causes:
+            entry: dict[str, Any] = {
+                "name": c.name,
+                "component": c.component,
+                "confidence": round(c.confidence, 3),
+                "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in c.parameters.items()},
+                "explains": round(c.explains, 4),
+            }
+            if c.name == "unknown":
+                entry["description"] = c.description
+                entry["depends_on"] = list(c.depends_on)
+            found.append(entry)
+        return {
+            "verdict": self.verdict,
+            "causes": found,
+            "calibration": {
+                k: {"nominal": m.nominal, "value": m.value, "std": m.std, "tolerance": m.tolerance, "unit": m.unit}
+                for k, m in self.calibration.items()
+            },
+            "confusable": [list(pair) for pair in self.confusable],
+            "undetermined": list(self.undetermined),
+            "residual": {
+                k: {"before": r.before, "after": r.after, "noise": r.noise, "unit": r.unit}
+                for k, r in self.residual.items()
+            },
+            "estimation": self.estimation,
+            "held_out": self.held_out,
+        }
+
+
+def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
+    """Diagnose a measurement (`sim.recording.Measurement`) against a joint's description.
+
+    Args:
+      most: largest number of causes at once.
+    """
+    problem = Problem(*drives(list(measurement.recordings), joint.sensors), joint)
+    available = [n for n in causes.names() if problem.has_torque or "joint_torque" not in causes.get(n).needs]
+    record = problem.calibration.record(np.zeros(problem.calibration.size))
+    present = {effect.name: effect.values for effect in joint.effects}
+    tried = [h for name in available for h in hypotheses(causes.get(name), record, present.get(name))]
+    found = search(problem, tried, _quantum(joint), most)
+    first, chosen = found.rounds[0], found.chosen
+    term = _unknown(problem, found)
+    after = chosen
+    if term is not None and term.alone:
+        after = first.base
+    final_joint = _extended(problem, after, joint)
+    after_residuals = after.state[0]
+    if term is not None:
+        final_joint = unknown.extend(final_joint, term.candidate)
+        after_residuals = _with_term(problem, after, term.candidate)
+    findings = _findings(problem, found, after, term, after_residuals)
+    library = Library(
+        problem, chosen, [h for h in tried if h.cause.name not in {c.cause.name for c in chosen.model}], 0.1
+    )
+    undetermined, alike = identify.limits(problem, found.noise, chosen, library, THRESHOLD)
+    missing = [n for n in causes.names() if n not in available]
+    undetermined = sorted({*undetermined, *missing} - {c.name for c in findings})
+    confusable = sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found)]})
+    verdict = "discrepancy" if findings else "consistent"
+    if not findings and len(undetermined) > 0.7 * len(causes.names()):
+        verdict = "inconclusive"
+    return Diagnosis(
+        verdict=verdict,
+        causes=tuple(sorted(findings, key=lambda f: -f.explains)),
+        calibration=_moved(problem, after),
+        confusable=tuple(confusable),
+        undetermined=tuple(undetermined),
+        residual=_channels(problem, first.base.state[0], after_residuals),
+        extended=final_joint,
+        rounds=found.rounds,
+        problem=problem,
+        before=first.base.state[0],
+        after=after_residuals,
+    )
+
+
+def _quantum(joint: Joint) -> np.ndarray:
+    """What the rotor encoder's quantisation (rms) leaves in each channel where it does not average out, shape (3,)."""
+    rms = joint.sensors.motor_encoder.resolution / np.sqrt(12)
+    value = {name: number.value for name, number in joint.numbers.items()}
+    return np.array([value["Kw0"] * rms / value["Kt"], value["K1"] * rms / value["N"], 0.0])
+
+
+@dataclass(frozen=True)
+class _Unknown:
+    candidate: unknown.Candidate
+    alone: bool
+    gain: float
+
+
+def _unknown(problem: Problem, found: Search) -> _Unknown | None:
+    """The nonparametric term, if the library leaves something that one explains."""
+    if found.loudness < LOUD:
+        return None
+    first = found.rounds[0]
+    # Against the joint without causes: does a term alone do better than the library's whole answer?
+    noise = louder(found.rounds_noise, first.loudness)
+    alone = unknown.candidates(problem, noise, first.base)
+    library = log_evidence(problem, found.rounds_noise, found.chosen, first.loudness) - log_evidence(
+        problem, found.rounds_noise, first.base, first.loudness
+    )
+    if alone and alone[0].gain - unknown.PENALTY > library:
+        return _Unknown(alone[0], True, alone[0].gain - library)
+    if not found.chosen.model:
+        return _Unknown(alone[0], True, alone[0].gain) if alone and alone[0].gain > 2 * unknown.PENALTY else None
+    more = unknown.candidates(problem, louder(found.rounds_noise, found.loudness), found.chosen)
+    if more and more[0].gain > 2 * unknown.PENALTY:
+        return _Unknown(more[0], False, more[0].gain)
+    return None
+
+
+def _with_term(problem: Problem, at: Fit, candidate: unknown.Candidate) -> list[np.ndarray]:
+    """Residuals at a fit with a term added, the other unknowns moved as the linear estimate says."""
+    extended = Problem(problem.drives, problem.twins, unknown.extend(problem.joint, candidate))
+    theta = np.clip(candidate.theta, -3.0, 3.0)
+    theta[problem.size :] = at.theta[problem.size :]
+    return extended.residuals([theta], [at.model])[0]
+
+
+def _held_out_loss(problem: Problem, noise, residuals: list[np.ndarray]) -> tuple[float, int]:
+    """Robust sum of squares on held-out samples, in units of the noise, and their number."""
+    total, count = 0.0, 0
+    for drive, r, channels in zip(problem.drives, residuals, noise, strict=True):
+        for c in range(3):
+            use = drive.held_out[:, c] & ~drive.at_rest
+            if not use.any():
+                continue
+            ar = channels[c].ar
+            e = r[:, c].copy()
+            for m, a in enumerate(ar):
+                e[m + 1 :] -= a * r[: -m - 1, c]
+            loss, _ = robust_loss(e[use] / channels[c].white, 50.0)
+            total, count = total + loss, count + int(use.sum())
+    return total, count
+
+
+def _findings(problem: Problem, found: Search, after: Fit, term: _Unknown | None, last) -> list[Finding]:
+    """The causes of the chosen model, each with what it explains of held-out data."""
+    chain = [r.base for r in found.rounds if len(r.base.model) <= len(after.model)]
+    if after is not chain[-1] and len(after.model) > len(chain[-1].model):
+        chain.append(after)
+    losses = [_held_out_loss(problem, found.noise, f.state[0])[0] for f in chain]
+    if term is not None:
+        losses.append(_held_out_loss(problem, found.noise, last)[0])
+    floor = min(losses[-1], float(_held_out_loss(problem, found.noise, last)[1]))
+    whole = max(losses[0] - floor, 1e-9)
+    findings = []
+    for i, (h, u) in enumerate(zip(after.model, problem.split(after.theta, after.model), strict=True)):
+        start = problem.size + sum(g.size for g in after.model[:i])
+        block = slice(start, start + h.size)
+        values, std = h.values(u), h.deviation(u, after.covariance[block, block])
+        parameters = {
+            q.name: Parameter(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
+            for q in h.cause.parameters
+        }
+        share = float(np.clip((losses[i] - losses[i + 1]) / whole, 0.0, 1.0))
+        findings.append(Finding(h.cause.name, h.cause.component, _confidence(found, i, term), parameters, share))
+    if term is not None:
+        share = float(np.clip((losses[-2] - losses[-1]) / whole, 0.0, 1.0))
+        t = term.candidate.term
+        variables = ("link_position", "direction") if t.variable == "direction_link_position" else (t.variable,)
+        confidence = float(np.clip(1 - np.exp(-term.gain / (4 * TEMPER)), 0.3, 0.95))
+        findings.append(
+            Finding(
+                "unknown", term.candidate.component, confidence, {}, share, unknown.describe(term.candidate), variables
+            )
+        )
+    return findings
+
+
+def _confidence(found: Search, i: int, term: _Unknown | None) -> float:
+    """Probability of the i-th cause among those tried in its round, and of there being one at all."""
+    gains = np.array(found.rounds[i].gains)
+    names = [f.model[-1].cause.name for f in found.rounds[i].fits]
+    chosen = found.rounds[i + 1].base.model[i].cause.name if i + 1 < len(found.rounds) else names[0]
+    weight = np.exp((gains - gains.max()) / TEMPER)
+    same = np.array([n == chosen for n in names])
+    none = np.exp(-(gains.max() - 0.5 * THRESHOLD) / TEMPER)
+    p = float(weight[same].sum() / (weight.sum() + none))
+    return min(p, 0.99 if term is None else 0.7)
+
+
+def _close(found: Search) -> list[tuple[str, str]]:
+    """Pairs of finalists between which the evidence does not decide."""
+    pairs = []
+    for r, after in zip(found.rounds, found.rounds[1:], strict=False):
+        chosen = after.base.model[-1].cause.name
+        for f, gain in zip(r.fits, r.gains, strict=True):
+            name = f.model[-1].cause.name
+            if name != chosen and gain > max(r.gains) - TEMPER:
+                pairs.append((chosen, name))
+    return pairs
+
+
+def _moved(problem: Problem, at: Fit) -> dict[str, Moved]:
+    """Numbers that differ from nominal by more than the data's own uncertainty."""
+    c = problem.calibration
+    x = at.theta[: c.size]
+    covariance = at.covariance[: c.size, : c.size]
+    moved = {}
+    for slot in c.slots:
+        value, std = _value(c, slot, x, covariance)
+        number = slot.number
+        shared = problem.joint.shared_tolerances[number.shared] if number.shared else 0.0
+        tolerance = float(np.hypot(np.hypot(number.tolerance, shared), number.deviation))
+        prior = float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
+        if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
+            unit = "" if number.unit == "1" else number.unit
+            moved[slot.name] = Moved(number.value, value, std, tolerance, unit)
+    return moved
+
+
+def _value(c, slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Value of a number and its standard deviation."""
+    value = c.value(slot, x)
+    step = 1e-3
+    slope = np.array([(c.value(slot, x + step * e) - value) / step for e in np.eye(c.size)])
+    return value, float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+
+
+def _extended(problem: Problem, at: Fit, joint: Joint) -> Joint:
+    """The joint with calibrated numbers (their nominal kept beside them) and effects."""
+    c = problem.calibration
+    x, covariance = at.theta[: c.size], at.covariance[: c.size, : c.size]
+    data = joint.model_dump()
+    places = {
+        "link_encoder_zero": ("sensors", "link_encoder", "zero"),
+        "current_offset": ("sensors", "motor_current", "offset"),
+        "torque_sensor_gain": ("sensors", "joint_torque", "gain"),
+        "torque_sensor_offset": ("sensors", "joint_torque", "offset"),
+        "Jl": ("link_tolerances", "inertia"),
+        "Mg": ("link_tolerances", "gravity_moment"),
+    }
+    for slot in c.slots:
+        value, std = _value(c, slot, x, covariance)
+        if slot.field in ("amplitude", "phase"):
+            target = data["kinematic_error"][slot.index][slot.field]
+        elif slot.name in places:
+            target = data
+            for key in places[slot.name]:
+                target = target[key]
+        else:
+            target = data["numbers"][slot.name]
+        nominal = target["value"] if target.get("nominal") is None else target["nominal"]
+        target.update(value=value, std=std, nominal=nominal)
+    extended = Joint.model_validate(data)
+    effects = {}
+    for i, (h, u) in enumerate(zip(at.model, problem.split(at.theta, at.model), strict=True)):
+        start = problem.size + sum(g.size for g in at.model[:i])
+        std = h.deviation(u, at.covariance[start : start + h.size, start : start + h.size])
+        effects[h.cause.name] = Effect(
+            name=h.cause.name,
+            parameters={
+                q.name: Estimate(value=h.values(u)[q.name], unit=q.unit, std=std.get(q.name))
+                for q in h.cause.parameters
+            },
+        )
+    kept = [e for e in joint.effects if e.name not in effects or _adds(e.name)]
+    extended = extended.model_copy(update={"effects": [*kept, *effects.values()]})
+    extended._path = joint._path
+    return extended
+
+
+def _adds(name: str) -> bool:
+    """Whether a second effect of that name adds to the first, instead of replacing it."""
+    return any(q.integer or q.name == "scale" for q in causes.get(name).parameters)
+
+
+def _channels(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> dict[str, Channel]:
+    """RMS on held-out samples by channel."""
+    names = {"motor_current": "motor_current", "joint_torque": "joint_torque", "link": "link_balance"}
+    twin = [
+        b - a
+        for a, b in zip(
+            problem.residuals([problem.start(None, ())], [()])[0],
+            problem.residuals([problem.start(None, ())], [()], twin=True)[0],
+            strict=True,
+        )
+    ]
+    found = {}
+    for c, channel in enumerate(CHANNELS):
+        use = [d.held_out[:, c] for d in problem.drives]
+        if not any(u.any() for u in use):
+            continue
+        rms = [
+            float(np.sqrt(np.mean(np.concatenate([r[u, c] for r, u in zip(rs, use, strict=True)]) ** 2)))
+            for rs in (before, after, twin)
+        ]
+        found[names[channel]] = Channel(*rms, UNITS[channel])
+    return found

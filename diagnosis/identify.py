@@ -1,0 +1,58 @@
+"""What a measurement cannot tell: causes too weak to show in it, and pairs that look alike in it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from .calibrate import Fit, Problem
+from .evidence import Library
+from .noise import Noise, whiten
+
+ALIKE = 9.0
+"""Two causes look alike where telling them apart at ordinary size gains less than this in χ²."""
+
+
+def limits(
+    problem: Problem, noise: Noise, at: Fit, library: Library, threshold: float
+) -> tuple[list[str], list[tuple[str, str]]]:
+    """Causes that would not show at ordinary size, and pairs that could not be told apart, from the Fisher information.
+
+    The information is what is left after every calibration variable has answered.
+    """
+    n = at.jacobian[0].shape[-1]
+    columns = [np.concatenate([c[s] for c in library.columns], axis=-1) for s in range(len(problem.drives))]
+    X = whiten(problem.drives, noise, [np.concatenate([j, c], -1) for j, c in zip(at.jacobian, columns, strict=True)])
+    G = X.T @ X
+    H = G[:n, :n] + np.diag(1 / problem.spread(at.model) ** 2)
+    information = G[n:, n:] - G[n:, :n] @ np.linalg.solve(H, G[:n, n:])
+    blocks: dict[str, list[slice]] = {}
+    position = 0
+    for h in library.hypotheses:
+        m = len(h.magnitudes)
+        blocks.setdefault(h.cause.name, []).append(slice(position, position + m))
+        position += m
+
+    def strength(block: slice) -> float:
+        A = information[block, block]
+        return float(np.trace(A) / len(A)) if A.size else 0.0
+
+    weak = [name for name, places in blocks.items() if 0.5 * np.median([strength(b) for b in places]) < threshold]
+    strong = [name for name in blocks if name not in weak]
+    alike = []
+    for i, a in enumerate(strong):
+        for b in strong[i + 1 :]:
+            if _distance(information, blocks[a], blocks[b]) < ALIKE:
+                alike.append((a, b))
+    return weak, alike
+
+
+def _distance(information: np.ndarray, first: list[slice], second: list[slice]) -> float:
+    """Least χ² by which the first cause at ordinary size differs from what the second can imitate, or vice versa."""
+    best = np.inf
+    for p in first:
+        for q in second:
+            A, B, C = information[p, p], information[q, q], information[p, q]
+            for S, T, U in ((A, B, C), (B, A, C.T)):
+                left = S - U @ np.linalg.solve(T + 1e-9 * np.eye(len(T)) * max(np.trace(T), 1e-12), U.T)
+                best = min(best, float(np.linalg.eigvalsh(left)[0]))
+    return best

@@ -1,0 +1,236 @@
+"""Other programs' logs as recordings: a mapping file says which of their columns is what, in which unit.
+
+    value = sign · scale · unit · column  (or the sum of several such)  + offset − zero
+
+`docs/importing.md` describes the mapping file. The mappings in `layouts/` are shipped and go by name.
+"""
+
+from __future__ import annotations
+
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from ..models.errors import InputError, nearest
+from ..models.files import Strict, load
+from ..models.joint import Mounting
+from ..sim.recording import COLUMNS, REQUIRED, External, Recording, csv_header, read_csv_columns
+
+UNITS: dict[str, tuple[str, float]] = {
+    "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("s", 1e-9),
+    "rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", np.pi / 180), "rev": ("rad", 2 * np.pi),
+    "counts": ("rad", 2 * np.pi),
+    "A": ("A", 1.0), "mA": ("A", 1e-3),
+    "N·m": ("N·m", 1.0), "Nm": ("N·m", 1.0), "mN·m": ("N·m", 1e-3), "mNm": ("N·m", 1e-3),
+    "N": ("N", 1.0),
+    "1": ("1", 1.0),
+}  # fmt: skip
+"""Unit of a foreign column: SI unit and factor; `counts` per revolution are stated beside it."""
+
+
+class Zero(Strict):
+    """Where a channel's zero is: its mean (or first) difference from `scale` times another column is taken off."""
+
+    column: str
+    unit: str
+    scale: float = 1.0
+    at: Literal["mean", "first"] = "mean"
+
+
+class Part(Strict):
+    """One foreign column, made SI: sign · scale · unit · column. `scale` may carry a unit (a lever, A per N·m)."""
+
+    column: str
+    unit: str
+    scale: float = 1.0
+    sign: Literal[1, -1] = 1
+    counts: Annotated[int, Field(gt=1)] | None = None
+    """Per revolution, for unit `counts`."""
+    wraps: bool = False
+    """Whether the reading starts again after a revolution; jumps of more than half a one are undone."""
+
+    @model_validator(mode="after")
+    def _known_unit(self) -> Part:
+        _check_unit(self.unit)
+        if (self.unit == "counts") != (self.counts is not None):
+            raise ValueError("counts: expected with unit 'counts' and only then (per revolution)")
+        if self.wraps and UNITS[self.unit][0] != "rad":
+            raise ValueError(f"wraps: expected only with angles, got unit {self.unit!r}")
+        return self
+
+    def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
+        """Values in SI, shape (n,)."""
+        factor = UNITS[self.unit][1] / (self.counts or 1)
+        values = table[self.column] * factor
+        if self.wraps:
+            values = np.unwrap(values)
+        return self.sign * self.scale * values
+
+
+class Channel(Strict):
+    """A column of a recording: one foreign column with its unit, or the `sum` of several; then offset and zero."""
+
+    column: str | None = None
+    unit: str | None = None
+    scale: float = 1.0
+    sign: Literal[1, -1] = 1
+    counts: Annotated[int, Field(gt=1)] | None = None
+    wraps: bool = False
+    sum: list[Part] | None = None
+    offset: float = 0.0
+    zero: Literal["first"] | Zero | None = None
+
+    @model_validator(mode="after")
+    def _one_or_several(self) -> Channel:
+        own = self.model_fields_set & {"column", "unit", "scale", "sign", "counts", "wraps"}
+        if self.sum is not None:
+            if own:
+                raise ValueError(f"expected either column or sum, got sum and {', '.join(sorted(own))}")
+            if not self.sum:
+                raise ValueError("sum: expected at least one column, got none")
+        elif self.column is None or self.unit is None:
+            raise ValueError("expected column and unit (or sum)")
+        else:
+            self.parts  # noqa: B018  checks them
+        if isinstance(self.zero, Zero):
+            _check_unit(self.zero.unit)
+        return self
+
+    @property
+    def parts(self) -> list[Part]:
+        """The columns that are summed."""
+        if self.sum is not None:
+            return self.sum
+        return [
+            Part(
+                column=self.column,
+                unit=self.unit,
+                scale=self.scale,
+                sign=self.sign,
+                counts=self.counts,
+                wraps=self.wraps,
+            )
+        ]
+
+    @property
+    def sources(self) -> list[str]:
+        """Names of the foreign columns."""
+        return [part.column for part in self.parts] + ([self.zero.column] if isinstance(self.zero, Zero) else [])
+
+    def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
+        """Values in SI, shape (n,)."""
+        values = np.sum([part.read(table) for part in self.parts], axis=0) + self.offset
+        if self.zero == "first":
+            return values - values[0]
+        if self.zero is not None:
+            off = values - self.zero.scale * UNITS[self.zero.unit][1] * table[self.zero.column]
+            return values - (off[0] if self.zero.at == "first" else float(np.mean(off)))
+        return values
+
+
+class Layout(Strict):
+    """A mapping file: from another program's table to a recording."""
+
+    format: Literal[1]
+    name: str
+    description: str = ""
+    joint: str
+    link: Mounting
+    external_torque: External = "none"
+    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    columns: dict[str, Channel]
+
+    @model_validator(mode="after")
+    def _complete(self) -> Layout:
+        for name in self.columns:
+            if name not in COLUMNS:
+                raise ValueError(f"columns.{name}: unknown key{nearest(name, COLUMNS)}")
+        for name in REQUIRED:
+            if name not in self.columns:
+                raise ValueError(f"columns.{name}: missing")
+        measured = "external_torque" in self.columns
+        if measured != (self.external_torque == "measured"):
+            raise ValueError("external_torque: expected 'measured' where columns has external_torque and only there")
+        for name, channel in self.columns.items():
+            if len(channel.parts) == 1 and channel.scale == 1.0 and channel.sum is None:
+                found = UNITS[channel.parts[0].unit][0]
+                if found != COLUMNS[name]:
+                    raise ValueError(
+                        f"columns.{name}.unit: expected one of {COLUMNS[name]!r}, or a scale that makes it so, "
+                        f"got {channel.unit!r}"
+                    )
+        return self
+
+
+def _check_unit(unit: str) -> None:
+    if unit not in UNITS:
+        raise ValueError(f"unit: expected one of {', '.join(UNITS)}, got {unit!r}{nearest(unit, UNITS)}")
+
+
+def known_layouts() -> dict[str, Path]:
+    """The shipped mapping files by name."""
+    folder = Path(str(resources.files(__package__).joinpath("layouts")))
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_layout(source: str | Path) -> Layout:
+    """Load a mapping file by the name of a shipped one, or by its path."""
+    known = known_layouts()
+    path = known.get(str(source), Path(source))
+    if not path.is_file():
+        raise InputError(
+            f"format {str(source)!r}: expected a mapping file or one of {sorted(known)}, "
+            f"found neither{nearest(str(source), known)}"
+        )
+    return load(path, Layout, "a mapping file")
+
+
+def import_recording(layout: Layout, path: str | Path, name: str | None = None, joint: str | None = None) -> Recording:
+    """Read another program's CSV file as a recording.
+
+    Args:
+      layout: the mapping.
+      path: the file.
+      name: of the recording; the file's stem by default.
+      joint: name of, or path to, the joint; the mapping's by default.
+
+    Raises:
+      InputError: a file that cannot be read, a column that is not there, a cell that is no number, time that does not
+        increase.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: cannot read a log of format {layout.name!r}: no such file")
+    names = csv_header(path, layout.separator)
+    wanted: list[str] = []
+    for target, channel in layout.columns.items():
+        for column in channel.sources:
+            if column not in names:
+                raise InputError(
+                    f"{path}: column {column!r}: missing, {target} is made of it (format {layout.name!r})"
+                    f"{nearest(column, names)}"
+                )
+            if column not in wanted:
+                wanted.append(column)
+    table = read_csv_columns(path, wanted, layout.separator)
+    if not len(table[wanted[0]]):
+        raise InputError(f"{path}: expected rows, got a header alone")
+    for column, values in table.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise InputError(
+                f"{path}: column {column!r}, row {bad[0] + 1} (line {bad[0] + 2}): expected a finite number, "
+                f"got {values[bad[0]]}"
+            )
+    return Recording(
+        name=name or path.stem,
+        **{target: channel.read(table) for target, channel in layout.columns.items()},
+        joint=joint or layout.joint,
+        description=f"{path.name}, imported as {layout.name}",
+        link=layout.link,
+        external=layout.external_torque,
+        source=str(path),
+    )

@@ -1,0 +1,229 @@
+"""What docs/lara8.md states, computed: hold-out table, figures, and the extended joint, from the measured sweep.
+
+python docs/lara8.py ../shared/data/lara8/joint3_outbound.csv          # table and figures
+python docs/lara8.py ../shared/data/lara8/joint3_outbound.csv --write  # and models/lara8_joint3_extended.yaml
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from flexspline.diagnosis.balance import extended, fit_current, fit_eccentricity
+from flexspline.diagnosis.estimate import ESTIMATORS, estimate
+from flexspline.diagnosis.importing import import_recording, load_layout
+from flexspline.diagnosis.motion import smooth
+from flexspline.models import laws
+from flexspline.models.joint import Joint, load_joint, shipped
+from flexspline.sim.recording import Recording
+from flexspline.views import style
+
+HERE = Path(__file__).parent
+CAUSES = ("load_dependent_friction", "gravity_direction")
+DESCRIPTION = (
+    "lara8-joint3 with what its outbound sweep showed: friction grows with the load, gravity pulls from another "
+    "direction than the controller believes, the link encoder has a once-per-revolution error. Made by "
+    "`python docs/lara8.py … --write` from motor current, encoders and the flange sensor at joint angles from -2.6 to "
+    "0 rad; standard deviations beside the values."
+)
+
+
+def extend(recording: Recording, joint: Joint, use: np.ndarray | None = None) -> Joint:
+    """The joint with the three effects, fitted to the samples in `use`."""
+    effects = fit_current(recording, joint, CAUSES, use).effects
+    known = extended(joint, effects, "lara8-joint3-extended", DESCRIPTION)
+    return extended(known, (fit_eccentricity(recording, known, use),), known.name, DESCRIPTION)
+
+
+def hold_outs(q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Name → samples to fit to, samples to score on."""
+    found = {
+        "fit q < −1.04 (first 60 %), test the rest": (q < -1.04, q >= -1.04),
+        "fit q < −1.30, test the rest": (q < -1.3, q >= -1.3),
+        "fit q < −0.65, test the rest": (q < -0.65, q >= -0.65),
+        "fit q ≥ −1.30, test what came before": (q >= -1.3, q < -1.3),
+    }
+    for low in (-2.6, -1.95, -1.3):
+        block = (q > low) & (q <= low + 0.65)
+        found[f"test {low:.2f} < q ≤ {low + 0.65:.2f}, fit the others"] = (~block, block)
+    return found
+
+
+def published(recording: Recording, path: Path) -> np.ndarray:
+    """The published way: feed-forward less torque of the motor current [N·m]."""
+    table = np.genfromtxt(path, delimiter=",", names=True)
+    return table["target_joint_torque_3"] - table["joint_torque_current_3"]
+
+
+def table(recording: Recording, path: Path) -> list[tuple[str, list[float]]]:
+    """RMS [N·m] in motion, on samples that the fit did not see: published way, then every estimator."""
+    joint, q = load_joint(recording.joint), recording.link_position
+    moving = np.gradient(q, recording.time) > 0.05
+    rows = []
+    for name, (fit, test) in hold_outs(q).items():
+        found = estimate(recording, extend(recording, joint, fit)).external_torque
+        where = test & moving
+        errors = [published(recording, path), *(found[e] for e in ESTIMATORS)]
+        rows.append((name, [float(np.sqrt(np.mean((e - recording.external_torque)[where] ** 2))) for e in errors]))
+    return rows
+
+
+def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 1.0) -> tuple[Recording, np.ndarray]:
+    """The sweep with a made-up second half: the outbound motion mirrored about q = 0, current after an assumed truth.
+
+    Args:
+      share: of the load-dependent friction that acts when the load drives the motor; −1 is what would look like a wrong
+        torque constant, or a wrong gravity moment, instead of friction.
+      payload: the second half's payload in units of the first's.
+
+    Returns:
+      The whole sweep, and which samples are the second half's, in motion.
+    """
+    p = joint.record()[0]
+    t, q = recording.time, recording.link_position
+    s = smooth(t, np.column_stack([recording.motor_position / p["N"], q]), 1e-3, 5.0)
+    v, a = (np.interp(t, s.time, x[:, 0]) for x in (s.rate, s.acceleration))
+    basis = np.stack([np.sin(q), np.cos(q), -a], axis=1)
+    fitted, *_ = np.linalg.lstsq(basis, recording.external_torque, rcond=None)
+    vibration = recording.external_torque - basis @ fitted
+    inertia = p["Jl"] + p["N"] ** 2 * (p["Jm"] + p["Jw"])
+
+    def needed(q, a, external):
+        return p["Mg"] * np.sin(q + p["gravity_angle"]) + inertia * a - external
+
+    def torsion(q, torque, current):  # of both compliances, less the link encoder's error
+        compliance = np.array([laws.flexspline_torsion(x, p) for x in torque])
+        error = np.array([laws.link_reading(x, p) for x in q]) - q
+        return compliance + p["Kt"] * current / p["Kw0"] / p["N"] - error
+
+    beyond = recording.motor_position / p["N"] - q - torsion(q, needed(q, a, basis @ fitted), recording.motor_current)
+
+    time, q, v, a = 2 * t[-1] + 4e-3 - t[::-1], -q[::-1], v[::-1], -a[::-1]
+    external = payload * (np.stack([np.sin(q), np.cos(q), -a], axis=1) @ fitted)
+    torque = needed(q, a, external)
+    on = np.tanh(v / 0.01)
+    friction = p["N"] * p["Fc"] * on + p["N"] ** 2 * p["bw"] * v
+    back_driven = np.where(torque * v < 0, share, 1.0)
+    noise = 2.3 * np.random.default_rng(0).standard_normal(len(t))
+    current = torque + friction + back_driven * p["friction_load"] * np.abs(torque) * on + noise
+    motor = p["N"] * (q + torsion(q, torque, current - noise) + beyond[::-1])
+    whole = {
+        "time": np.r_[t, time],
+        "motor_position": np.r_[recording.motor_position, motor],
+        "link_position": np.r_[recording.link_position, q],
+        "motor_current": np.r_[recording.motor_current, current],
+        "external_torque": np.r_[recording.external_torque, external + vibration[::-1]],
+        "position_command": None,
+    }
+    return replace(recording, **whole), np.r_[np.zeros(len(t), bool), v > 0.05]
+
+
+def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
+    """RMS [N·m] at q > 0 under assumed truths: the whole sweep estimated, and the second half alone."""
+    joint = extend(recording, load_joint(recording.joint))
+    rows = []
+    for name, share in (("as much", 1.0), ("half as much", 0.5), ("none", 0.0), ("a wrong gain instead", -1.0)):
+        whole, test = mirrored(recording, joint, share)
+        n = len(recording.time)
+        second = replace(whole, **{c: x[n:] for c, x in whole.columns.items()})
+        values = []
+        for part, where in ((whole, test), (second, test[n:])):
+            found = estimate(part, joint).external_torque
+            errors = [(found[e] - part.external_torque)[where] for e in ("RAREKF", "current", "payload_smoothed")]
+            values += [float(np.sqrt(np.mean(e**2))) for e in errors]
+        rows.append((name, values))
+    return rows
+
+
+def figures(recording: Recording, path: Path, folder: Path) -> None:
+    """Draw both figures of the page."""
+    joint, q, S = load_joint(recording.joint), recording.link_position, recording.external_torque
+    fit = q < -1.04
+    known = estimate(recording, extend(recording, joint, fit))
+    nominal = estimate(recording, joint)
+
+    fig, axes = plt.subplots(2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2))
+    top, bottom = axes
+    for name, color, label, width in (
+        ("RAREKF", style.FILTERS["EKF"], "RAREKF on encoders, extended joint", 0.6),
+        ("sensor", style.SENSOR, "flange sensor", 1.4),
+        ("current", style.EXTERNAL, "current, extended joint", 1.4),
+        ("payload", style.TRUTH, "payload observer, extended joint", 1.4),
+    ):
+        values = S if name == "sensor" else known.external_torque[name]
+        top.plot(q, values, color=color, lw=width, label=label)
+        if name != "sensor":
+            bottom.plot(q, values - S, color=color, lw=width)
+    top.plot(q, nominal.external_torque["current"], color=style.MODEL, lw=1.4, label="current, nominal joint")
+    bottom.plot(q, nominal.external_torque["current"] - S, color=style.MODEL, lw=1.4)
+    for ax in axes:
+        ax.axvline(-1.04, color="black", lw=0.8, ls=":")
+        ax.grid(alpha=0.25)
+    top.set(ylim=(-45, 8), ylabel="external torque [N·m]", title="Fitted left of the dotted line, tested right of it")
+    bottom.set(ylim=(-16, 16), ylabel="error [N·m]", xlabel="joint angle [rad]")
+    top.legend(fontsize=8, loc="lower right")
+    fig.tight_layout()
+    fig.savefig(folder / "lara8_external_torque.png", dpi=110)
+    plt.close(fig)
+
+    # What the nominal joint gets wrong: torque from current less what the sensor asks for, term by term.
+    fig, ax = plt.subplots(figsize=(8, 4.2))
+    whole = extend(recording, joint)
+    values = {e.name: e.values for e in whole.effects}
+    moving = np.gradient(q, recording.time) > 0.05
+    residual = S - nominal.external_torque["current"]
+    load = np.abs(estimate(recording, whole).torque["current"])
+    gravity = joint.mount().gravity_moment
+    turned = joint.gravity_angle.value + values["gravity_direction"]["angle"]
+    direction = gravity * (np.sin(q + turned) - np.sin(q + joint.gravity_angle.value))
+    friction = values["load_dependent_friction"]["coefficient"] * load
+    ax.plot(
+        q[moving],
+        residual[moving],
+        color=style.SENSOR,
+        lw=0.8,
+        label="nominal joint: torque from current − torque needed",
+    )
+    ax.plot(q[moving], friction[moving], color=style.FILTERS["AREKF"], lw=1.2, label="load-dependent friction μ|T|")
+    ax.plot(q[moving], direction[moving], color=style.FILTERS["EKF"], lw=1.2, label="direction of gravity")
+    ax.plot(q[moving], (friction + direction)[moving], color=style.FILTERS["RAREKF"], lw=1.6, label="both")
+    ax.set(ylim=(-12, 14), xlabel="joint angle [rad]", ylabel="N·m")
+    ax.grid(alpha=0.25)
+    ax.legend(fontsize=8)
+    fig.tight_layout()
+    fig.savefig(folder / "lara8_residual.png", dpi=110)
+    plt.close(fig)
+
+
+def main() -> None:
+    """Print the table, draw the figures, write the extended joint if asked."""
+    path = Path(sys.argv[1])
+    recording = import_recording(load_layout("lara8"), path)
+    joint = load_joint(recording.joint)
+    print("| held out | current − feed-forward | " + " | ".join(ESTIMATORS) + " |")
+    print("|---" * (len(ESTIMATORS) + 2) + "|")
+    for name, values in table(recording, path):
+        print(f"| {name} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
+    print()
+    print("| friction when the load drives | whole: RAREKF | current | payload | alone: RAREKF | current | payload |")
+    print("|---|---|---|---|---|---|---|")
+    for name, values in assumed(recording):
+        print(f"| {name} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
+    folder = HERE / "figures"
+    folder.mkdir(exist_ok=True)
+    figures(recording, path, folder)
+    found = extend(recording, joint)
+    for effect in found.effects:
+        print(effect.name, {k: (e.value, e.std, e.unit) for k, e in effect.parameters.items()})
+    if "--write" in sys.argv:
+        found.write(shipped("lara8_joint3_extended.yaml"))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,84 @@
+"""The Gaussian update with a quantised reading: a reading says in which cell the measured quantity lies, not where.
+
+An encoder that rests gives the same count over and over. To a filter that takes the count's rounding for white noise, a
+thousand equal readings are a thousand independent proofs of the cell's middle; the rounding then enters the estimate as
+an offset. Here the update uses what is known: h(x) + noise lies in [y − q/2, y + q/2]. With a Gaussian prior for h(x)
+of mean ŷ and variance S (noise included) the moments of the truncated normal give (Curry, "Estimation and Control with
+Quantized Measurements", 1970; Duan, Jilkov & Li, FUSION 2008)
+
+    x⁺ = x + K (E[y | cell] − ŷ)        P⁺ = P − K (S − Var[y | cell]) Kᵀ        K = P Hᵀ/S
+
+For q → 0 this is the Kalman update; for S ≪ q² inside the cell it is none at all.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+_FINE = 0.05  # q/√S: below, the rounding is as good as white noise of variance q²/12
+_FAR = 6.0  # standard deviations: beyond, the tail's asymptotic moments
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def cell_moments(residual, S, q):
+    """Return mean − ŷ and variance of N(ŷ, S) cut to the cell [y − q/2, y + q/2], with residual = y − ŷ."""
+    s = math.sqrt(S)
+    a, b = (residual - 0.5 * q) / s, (residual + 0.5 * q) / s
+    sign = 1.0
+    if a + b < 0.0:  # work on the right side, where the complementary error function is accurate
+        a, b, sign = -b, -a, -1.0
+    if b - a < _FINE:
+        return residual, S * (b - a) ** 2 / 12.0
+    if a > _FAR:
+        # The far tail is exponential with rate a; it has decayed before b unless the cell is narrow.
+        width = a * (b - a)
+        if width < 1e-2:
+            return residual, S * (b - a) ** 2 / 12.0
+        decay = math.exp(-min(width, 700.0))
+        mean = a + 1.0 / a - (b - a) * decay / (1.0 - decay)
+        variance = 1.0 / (a * a) - (b - a) ** 2 * decay / (1.0 - decay) ** 2
+        return sign * mean * s, max(variance, 1e-9) * S
+    Z = 0.5 * (math.erfc(a / math.sqrt(2.0)) - math.erfc(b / math.sqrt(2.0)))
+    pa = math.exp(-0.5 * a * a) / math.sqrt(2.0 * math.pi)
+    pb = math.exp(-0.5 * b * b) / math.sqrt(2.0 * math.pi)
+    mean = (pa - pb) / Z
+    variance = 1.0 + (a * pa - b * pb) / Z - mean * mean
+    return sign * mean * s, min(max(variance, 1e-9), 1.0) * S
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def update(x, P, H, residual, variance, q, PH):
+    """Condition x, P on one scalar reading, in place.
+
+    Args:
+        x, P: Shape (≥ N,), (N, N); states beyond N stay as they are.
+        H: Shape (N,), derivative of the reading.
+        residual: reading less its prediction.
+        variance: of the noise before rounding.
+        q: step of the rounding; 0 for none.
+        PH: Shape (N,), scratch.
+
+    Returns:
+        S = H P Hᵀ + variance.
+    """
+    n = P.shape[0]
+    S = variance
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[i, j] * H[j]
+        PH[i] = total
+    for i in range(n):
+        S += H[i] * PH[i]
+    shift, left = residual, 0.0
+    if q > 0.0:
+        shift, left = cell_moments(residual, S, q)
+    factor = (S - left) / (S * S)
+    for i in range(n):
+        x[i] += PH[i] * shift / S
+        for j in range(i + 1):
+            P[i, j] -= factor * PH[i] * PH[j]
+            P[j, i] = P[i, j]
+    return S

@@ -1,0 +1,64 @@
+"""Effects hidden in joints drawn within tolerance, and what diagnosis makes of them. Seeds are in the test ids."""
+
+import json
+
+import numpy as np
+import pytest
+from flexspline.diagnosis.diagnose import diagnose
+from flexspline.models import causes
+from flexspline.models.joint import load_joint
+from hidden_joint import measure
+
+
+@pytest.fixture(scope="module")
+def joint():
+    return load_joint("test-joint")
+
+
+def check(joint, seed, name, **options):
+    measurement, truth = measure(joint, seed, (name,), **options)
+    d = diagnose(measurement, joint)
+    found = [(c.name, c.parameters, c.confidence) for c in d.causes]
+    assert d.verdict == "discrepancy", f"seed {seed}: {truth}, found {found}"
+    assert d.causes[0].name == name, f"seed {seed}: {truth}, found {found}"
+    return d, truth[name]
+
+
+def test_one_hidden_effect_is_found_and_the_joint_extended(joint, tmp_path):
+    d, truth = check(joint, 207, "friction_asymmetry")
+    ratio = d.causes[0].parameters["ratio"]
+    assert abs(ratio.value - truth["ratio"]) < 0.15 * abs(truth["ratio"])
+    answer = json.loads(json.dumps(d.to_json()))
+    assert answer["residual"]["motor_current"]["after"] < answer["residual"]["motor_current"]["before"]
+    d.extended_joint().write(tmp_path / "joint.yaml")
+    assert "friction_asymmetry" in {e.name for e in load_joint(tmp_path / "joint.yaml").effects}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [n for n in causes.names() if n != "gravity_direction"])
+def test_every_cause_is_found_within_tolerance(joint, name):
+    d, truth = check(joint, 500 + causes.names().index(name), name)
+    magnitudes = {q.name for q in causes.get(name).parameters if q.magnitude}
+    for key, p in d.causes[0].parameters.items():
+        if key in magnitudes:
+            error = abs(p.value - truth[key])
+            assert error < max(3 * p.std, 0.15 * abs(truth[key])), f"{key}: {p} for {truth[key]}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(600, 606))
+def test_nothing_hidden_is_consistent(joint, seed):
+    measurement, _ = measure(joint, seed)
+    d = diagnose(measurement, joint)
+    assert d.verdict == "consistent", [(c.name, c.parameters) for c in d.causes]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(700, 703))
+def test_a_bump_of_torque_on_the_link_is_unknown(joint, seed):
+    rng = np.random.default_rng(seed)
+    bump = (rng.choice([-1, 1]) * rng.uniform(2, 4), rng.uniform(-0.9, 0.9), rng.uniform(0.06, 0.12))
+    measurement, _ = measure(joint, seed, bump=bump)
+    found = [c for c in diagnose(measurement, joint).causes if c.name == "unknown"]
+    assert found and found[0].component == "link", f"seed {seed}: {bump}"
+    assert "link_position" in found[0].depends_on

@@ -1,0 +1,34 @@
+"""The smoother: exact on what it should not change, honest about irregular time."""
+
+import numpy as np
+import pytest
+from flexspline.diagnosis.motion import smooth
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+def test_slow_motion_comes_back_with_its_derivatives(irregular):
+    rng = np.random.default_rng(1)
+    time = np.cumsum(rng.choice([2e-3, 4e-3, 8e-3], 2000)) if irregular else 1e-3 * np.arange(4000)
+    s = smooth(time, np.sin(3 * time)[:, None], 1e-3)
+    inside = (s.time > time[0] + 0.2) & (s.time < time[-1] - 0.2)
+    t = s.time[inside]
+    np.testing.assert_allclose(s.value[inside, 0], np.sin(3 * t), atol=1e-5)
+    np.testing.assert_allclose(s.rate[inside, 0], 3 * np.cos(3 * t), atol=1e-3)
+    np.testing.assert_allclose(s.acceleration[inside, 0], -9 * np.sin(3 * t), atol=0.05)
+
+
+def test_counts_of_an_encoder_average_out_in_motion():
+    time = 1e-3 * np.arange(5000)
+    count = 2 * np.pi / 4096
+    angle = 30 * time + np.sin(time)
+    s = smooth(time, (np.round(angle / count) * count)[:, None], 1e-3)
+    error = s.value[200:-200, 0] - angle[200 : len(s.time) - 200]
+    assert np.std(error) < 0.6 * count / np.sqrt(12)
+
+
+def test_the_smoother_is_linear_and_the_same_for_every_channel():
+    rng = np.random.default_rng(2)
+    time = np.cumsum(rng.uniform(3e-3, 5e-3, 500))
+    a, b = rng.standard_normal((2, 500))
+    together = smooth(time, np.column_stack([a, b, 2 * a - 3 * b]), 1e-3).value
+    np.testing.assert_allclose(together[:, 2], 2 * together[:, 0] - 3 * together[:, 1], atol=1e-8)

@@ -1,0 +1,75 @@
+"""Tolerances as independent standard normal variables."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flexspline.models.calibration import CUT, Calibration
+from flexspline.models.joint import known_joints, load_joint
+from flexspline.models.parameters import as_floats
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    return Calibration(load_joint("test-joint"))
+
+
+@pytest.mark.parametrize("name", sorted(known_joints()))
+def test_prior_mean_is_nominal(name):
+    joint = load_joint(name)
+    calibration = Calibration(joint)
+    for mounting in joint.mountings.values():
+        got = as_floats(calibration.record(np.zeros(calibration.size), mounting))
+        np.testing.assert_allclose(got, as_floats(joint.record(mounting)), rtol=1e-15)
+
+
+def test_spread_of_draws_is_the_tolerance(calibration, rng):
+    """Relative to a normal distribution cut at 2.5, whose deviation is 0.9546 of the uncut one's."""
+    draws = np.array([calibration.draw(rng) for _ in range(4000)])
+    assert np.abs(draws).max() <= CUT
+    np.testing.assert_allclose(draws.mean(axis=0), 0, atol=5 / np.sqrt(4000))
+    np.testing.assert_allclose(draws.std(axis=0), 0.9546, atol=0.04)
+    np.testing.assert_allclose(np.corrcoef(draws.T) - np.eye(calibration.size), 0, atol=0.08)
+    for slot in calibration.slots:
+        values = np.array([calibration.value(slot, x) for x in draws])
+        number = slot.number
+        shared = calibration.joint.shared_tolerances[number.shared] if number.shared else 0.0
+        expected = np.hypot(number.value * np.hypot(number.tolerance, shared), number.deviation)
+        assert values.std() == pytest.approx(0.9546 * expected, rel=0.05), slot.name
+        assert values.mean() == pytest.approx(number.value, abs=0.08 * expected), slot.name
+
+
+def test_tolerances_are_those_of_the_specification(calibration):
+    """joint.md, "Tolerances": deviation of each number relative to its value, or absolute."""
+    relative = {
+        "Kt": 0.02, "Jm": 0.05, "Jw": 0.10, "bm": 0.3, "bw": 0.3, "bl": 0.3, "dw": 0.3, "df": 0.3, "s0": 0.3, "s1": 0.3,
+        "vs": 0.3, "A4": 0.3, "K1": 0.02, "K2": 0.02, "K3": 0.02, "Kw0": 0.15, "Cw": 0.10, "A2": 0.2, "Mg": 0.01,
+        "Jl": 0.03, "torque_sensor_gain": 0.01, "Fc": 0.0, "Fs": 0.0,
+    }  # fmt: skip
+    absolute = {"φ2": 0.2, "φ4": 0.2, "link_encoder_zero": 1e-3, "current_offset": 0.01, "torque_sensor_offset": 0.05}
+    got = {slot.name: slot.number for slot in calibration.slots}
+    assert set(got) == set(relative) | set(absolute)
+    assert {name: got[name].tolerance for name in relative} == relative
+    assert {name: got[name].deviation for name in absolute} == absolute
+    assert calibration.joint.shared_tolerances == {"stiffness": 0.07, "friction": 0.15}
+    assert {name for name, number in got.items() if number.shared == "stiffness"} == {"K1", "K2", "K3"}
+    assert {name for name, number in got.items() if number.shared == "friction"} == {"Fc", "Fs"}
+
+
+def test_shared_tolerance_moves_its_numbers_together(calibration):
+    x = np.zeros(calibration.size)
+    x[calibration.names.index("shared stiffness")] = 1.5
+    got, nominal = calibration.record(x)[0], calibration.joint.record()[0]
+    for symbol in ("K1", "K2", "K3"):
+        assert got[symbol] / nominal[symbol] == pytest.approx(1 + 1.5 * 0.07)
+    others = [name for name in nominal.dtype.names if name not in ("K1", "K2", "K3")]
+    for name in others:
+        np.testing.assert_array_equal(got[name], nominal[name])
+
+
+def test_each_variable_moves_something(calibration):
+    nominal = as_floats(calibration.record(np.zeros(calibration.size))).copy()
+    for i, name in enumerate(calibration.names):
+        x = np.zeros(calibration.size)
+        x[i] = 1.0
+        assert np.any(as_floats(calibration.record(x)) != nominal), name

@@ -1,0 +1,210 @@
+"""The joint description: what is wrong in it is said in one line; what is right survives a round trip."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from flexspline.models.errors import InputError
+from flexspline.models.joint import SYMBOLS, Effect, Estimate, Term, as_joint, known_joints, load_joint
+from flexspline.models.parameters import as_floats
+
+TEXT = known_joints()["test-joint"].read_text(encoding="utf-8")
+
+
+def changed(tmp_path: Path, old: str, new: str) -> Path:
+    """A copy of the test joint's file with one place changed."""
+    assert old in TEXT, old
+    path = tmp_path / "joint.yaml"
+    path.write_text(TEXT.replace(old, new, 1), encoding="utf-8")
+    return path
+
+
+BAD = {
+    "wrong unit": ("Jm: {value: 1.38e-5, unit: kg·m²", "Jm: {value: 1.38e-5, unit: g·cm²", "numbers.Jm.unit: expected 'kg·m²', got 'g·cm²'"),
+    "wrong unit of an optional number": ("amplitude: {value: 1.2e-4, unit: rad", "amplitude: {value: 1.2e-4, unit: deg", "kinematic_error.0.amplitude.unit: expected 'rad', got 'deg'"),
+    "negative inertia": ("Jm: {value: 1.38e-5", "Jm: {value: -1.38e-5", "numbers.Jm.value: expected a number > 0, got -1.38e-05"),
+    "negative inertia of a mounting": ("link: {inertia: 0.35", "link: {inertia: -0.35", "mountings.link.inertia: expected greater than 0, got -0.35"),
+    "zero stiffness": ("K1: {value: 8400", "K1: {value: 0", "numbers.K1.value: expected a number > 0, got 0"),
+    "negative damping": ("bm: {value: 2.0e-6", "bm: {value: -2.0e-6", "numbers.bm.value: expected a number ≥ 0"),
+    "T2 below T1": ("T2: {value: 12.0", "T2: {value: 2.0", "numbers.T2.value: expected T2 ≥ T1 = 3.9 N·m, got 2"),
+    "unknown number": ("  bl: {", "  blx: {", "numbers.blx: unknown key; did you mean 'bl'?"),
+    "unknown key": ("mounting: link", "mountng: link", "mountng: unknown key; did you mean 'mounting'?"),
+    "unknown key of a sensor": ("    noise: 1.5e-6", "    nois: 1.5e-6", "sensors.link_encoder.nois: unknown key; did you mean 'noise'?"),
+    "missing number": ("  Kt: {value: 0.0603", "  #Kt: {value: 0.0603", "numbers.Kt: missing"),
+    "missing field": (", source: assumed}\n  bm:", "}\n  bm:", "numbers.Kt.source: missing"),
+    "not a number": ("T1: {value: 3.9", "T1: {value: soft", "numbers.T1.value: expected a valid number"),
+    "not finite": ("T1: {value: 3.9", "T1: {value: .inf", "numbers.T1.value: expected a finite number"),
+    "duplicated key": ("  T1: {value: 3.9", "  T2: {value: 3.9", "the key 'T2' stands twice"),
+    "bad YAML": ("numbers:\n", "numbers: [\n", "not YAML"),
+    "unknown mounting": ("mounting: link\n", "mounting: lnik\n", "mounting: expected one of ['link', 'no_load'], got 'lnik'; did you mean 'link'?"),
+    "no such MJCF": ("model: test_joint.xml", "model: nothing.xml", "model: expected an MJCF file, no such file 'nothing.xml'"),
+    "two resolutions": ("{counts: 4096}", "{counts: 4096, bits: 12}", "expected either counts (per revolution) or bits, got both"),
+    "no resolution": ("{counts: 4096}", "{noise: 0}", "expected either counts (per revolution) or bits, got both or none"),
+    "unknown shared tolerance": ("shared: friction", "shared: fricton", "numbers.Fc.shared: expected one of ['friction', 'stiffness'], got 'fricton'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_description_is_one_line(tmp_path, case):
+    old, new, expected = BAD[case]
+    if case == "missing field":  # Kt's own source is a sentence
+        old = ', source: "assumed; with the current limit gives the 0.191 N·m of Section V"}'
+        new = "}"
+    path = changed(tmp_path, old, new)
+    with pytest.raises(InputError) as caught:
+        load_joint(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    assert message.startswith(str(path))
+    assert expected in message
+
+
+def test_unknown_joint_names_the_nearest():
+    with pytest.raises(InputError, match=r"joint 'test-jont': .*; did you mean 'test-joint'\?"):
+        load_joint("test-jont")
+
+
+def test_empty_and_binary_files(tmp_path):
+    empty = tmp_path / "empty.yaml"
+    empty.write_text("")
+    with pytest.raises(InputError, match="expected a mapping of keys, got None"):
+        load_joint(empty)
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(bytes([0xFF, 0xFE, 0x00, 0x81]))
+    with pytest.raises(InputError, match=r"binary\.yaml: cannot read a joint description: not UTF-8 text"):
+        load_joint(binary)
+
+
+@pytest.mark.parametrize("name", sorted(known_joints()))
+def test_round_trip(tmp_path, name):
+    joint = load_joint(name)
+    joint.write(tmp_path / "copy.yaml")
+    copy = load_joint(tmp_path / "copy.yaml")
+    assert copy.model_dump() == joint.model_dump()
+    for mounting in joint.mountings:
+        np.testing.assert_array_equal(
+            as_floats(copy.record(copy.mount(mounting))), as_floats(joint.record(joint.mount(mounting)))
+        )
+
+
+def test_round_trip_with_effects_and_terms(tmp_path):
+    effect = Effect(name="friction_asymmetry", parameters={"ratio": Estimate(value=0.3, std=0.01)})
+    term = Term(
+        place="mesh", variable="motor_velocity", low=-100, high=100, unit="N·m", coefficients=[0.1, -0.2, 0.3, 0.4, 0.5]
+    )
+    plain = load_joint("test-joint")
+    joint = plain.model_copy(update={"effects": [effect], "terms": [term]})
+    joint.write(tmp_path / "extended.yaml")
+    copy = load_joint(tmp_path / "extended.yaml")
+    np.testing.assert_array_equal(as_floats(copy.record()), as_floats(joint.record()))
+    assert copy.record()[0]["friction_asymmetry"] == 0.3
+    assert copy.record()[0]["term_coefficient"][0, 4] == 0.5
+    np.testing.assert_array_equal(as_floats(copy.bare_record()), as_floats(plain.record()))
+
+
+def test_bad_effects_are_named():
+    data = load_joint("test-joint").model_dump()
+    path = Path("somewhere.yaml")
+    for effect, expected in (
+        ({"name": "friction_asymetry", "parameters": {}}, "did you mean 'friction_asymmetry'?"),
+        ({"name": "friction_asymmetry", "parameters": {"ratoi": {"value": 1}}}, "did you mean 'ratio'?"),
+        ({"name": "friction_asymmetry", "parameters": {}}, "parameters.ratio: missing"),
+    ):
+        with pytest.raises(InputError) as caught:
+            as_joint(data | {"effects": [effect]}, path)
+        assert expected in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["kg*m^2", "kg.m²", "kg m²".replace(" ", "·")])
+def test_units_may_be_spelt_differently(tmp_path, text):
+    assert load_joint(changed(tmp_path, "1.38e-5, unit: kg·m²", f"1.38e-5, unit: {text}")).numbers["Jm"].value == 1.38e-5
+
+
+def test_every_number_has_a_unit_and_a_source():
+    for name in known_joints():
+        joint = load_joint(name)
+        for symbol, number in joint.numbers.items():
+            assert number.unit and number.source, symbol
+        assert set(SYMBOLS) <= set(joint.numbers)
+
+
+def test_numbers_are_those_of_the_specification(shared):
+    """Every number in joint.md's table stands in the YAML."""
+    text = (shared / "spec" / "joint.md").read_text(encoding="utf-8")
+    numbers = {symbol: number.value for symbol, number in load_joint("test-joint").numbers.items()}
+    rows = [[cell.strip() for cell in line.strip("| \n").split("|")] for line in text.splitlines() if line[:2] == "| "]
+    found: dict[str, float] = {}
+    for cells in rows:
+        for symbols, values in zip(cells[::2], cells[1::2], strict=False):
+            names = [re.sub(r"\s*\(.*\)", "", s).strip() for s in symbols.split(",")]
+            numbers_in = [re.sub(r"[^0-9eE.+-].*", "", v.strip()) for v in values.split(",")]
+            found |= {n: float(v) for n, v in zip(names, numbers_in, strict=False) if re.match(r"^[-+0-9.]", v)}
+    compared = [symbol for symbol in found if symbol in numbers]
+    assert len(compared) == 20, found
+    for symbol in compared:
+        assert numbers[symbol] == found[symbol], symbol
+    orders = {o.order: (o.amplitude.value, o.phase.value) for o in load_joint("test-joint").kinematic_error}
+    assert orders == {2.0: (found["A2"], found["φ2"]), 4.0: (found["A4"], found["φ4"])}
+
+
+@pytest.mark.parametrize("name", sorted(known_joints()))
+def test_mjcf_opens_in_plain_mujoco_and_agrees_with_the_yaml(name):
+    """A MuJoCo user who opens the XML sees the joint of the YAML, up to what MJCF cannot say."""
+    joint = load_joint(name)
+    p = joint.bare_record()[0]
+    model = mujoco.MjModel.from_xml_path(str(joint.mjcf))
+    values = {symbol: number.value for symbol, number in joint.numbers.items()}
+
+    def close(got, expected, what, rtol=1e-5):
+        assert got == pytest.approx(expected, rel=rtol), what
+
+    assert [model.joint(i).name for i in range(model.njnt)] == ["rotor", "wave_generator", "link"]
+    np.testing.assert_allclose(model.body("rotor").inertia, values["Jm"], rtol=1e-6)
+    np.testing.assert_allclose(model.body("wave_generator").inertia, values["Jw"], rtol=1e-6)
+    close(model.joint("rotor").damping[0], values["bm"], "bm")
+    close(model.joint("link").damping[0], values["bl"], "bl")
+    flexspline, wave_generator = model.tendon("flexspline").id, model.tendon("wave_generator").id
+    close(model.tendon_stiffness[flexspline, ...].flat[0], values["K1"], "K1")
+    close(model.tendon_damping[flexspline, ...].flat[0], values["df"], "df")
+    close(model.tendon_stiffness[wave_generator, ...].flat[0], values["Kw0"], "Kw0")
+    close(model.tendon_damping[wave_generator, ...].flat[0], values["dw"], "dw")
+    close(model.wrap_prm[model.tendon_adr[flexspline]], 1 / values["N"], "N", 1e-9)
+    close(model.wrap_prm[model.tendon_adr[flexspline] + 1], -1, "link's coefficient")
+    # Inertia and gravity of the default mounting about the joint's axis (y).
+    link = model.body("link")
+    lever = float(np.hypot(link.ipos[0], link.ipos[2]))
+    close(link.inertia[1] + link.mass[0] * lever**2, p["Jl"], "Jl", 1e-3)
+    close(link.mass[0] * lever * -model.opt.gravity[2], p["Mg"], "Mg", 1e-4)
+    data = mujoco.MjData(model)
+    for angle in (-1.0, 0.0, 0.7):
+        data.qpos[2] = angle
+        mujoco.mj_forward(model, data)
+        weight = -p["Mg"] * np.sin(angle + p["gravity_angle"])
+        assert -data.qfrc_bias[2] == pytest.approx(weight, abs=1e-3 * p["Mg"]), angle
+    # Motor and mesh friction.
+    text = joint.mjcf.read_text(encoding="utf-8")
+    motor = re.search(r"<dcmotor name=\"motor\".*?/>", text, re.S)[0]
+    friction = re.search(r"<dcmotor name=\"mesh_friction\".*?/>", text, re.S)[0]
+
+    def numbers(element: str, attribute: str) -> list[float]:
+        return [float(x) for x in re.search(rf'{attribute}="([^"]*)"', element)[1].split()]
+
+    np.testing.assert_allclose(numbers(motor, "motorconst"), values["Kt"], rtol=1e-5)
+    close(numbers(motor, "resistance")[0], values["R"], "R")
+    close(numbers(motor, "inductance")[0], values["L"], "L")
+    close(numbers(motor, "saturation")[1], values["current_limit"], "current limit")
+    close(numbers(motor, "controller")[5], values["supply_voltage"], "supply voltage")
+    lugre = [values[symbol] for symbol in ("s0", "s1", "Fc", "Fs", "vs")]
+    np.testing.assert_allclose(numbers(friction, "lugre"), lugre, rtol=1e-3)
+    close(numbers(friction, "damping")[0], values["bw"], "bw")
+    # And it moves: a step in the viewer is finite.
+    mujoco.mj_resetData(model, data)
+    data.ctrl[model.actuator("motor").id] = 0.1 * values["Kt"]
+    mujoco.mj_step(model, data, nstep=200)
+    assert np.isfinite(data.qpos).all()
+    assert data.warning.number.sum() == 0

@@ -1,0 +1,171 @@
+"""The laws against their inverses, difference quotients, SciPy's ODE solver and SciPy's B-spline."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flexspline.models import laws
+from flexspline.models.joint import load_joint
+from flexspline.models.parameters import PLACES, VARIABLES
+from scipy.integrate import solve_ivp
+from scipy.interpolate import BSpline
+
+
+@pytest.fixture
+def p():
+    return load_joint("test-joint").record()[0]
+
+
+@pytest.mark.parametrize("backlash", [0.0, 4e-4])
+def test_flexspline_spring_inverts_equation_2(p, backlash):
+    p["backlash"] = backlash
+    for torque in np.concatenate([np.linspace(-30, 30, 121), [-12.0, -3.9, 3.9, 12.0]]):
+        torsion = laws.flexspline_torsion(torque, p)
+        assert laws.flexspline_spring(torsion, p) == pytest.approx(torque, abs=1e-11)
+    assert laws.flexspline_spring(0.0, p) == 0.0
+
+
+def test_flexspline_spring_as_printed(p):
+    """Eq. (2): slopes K1, K2, K3 with knees at the torques T1, T2; odd."""
+    step = 1e-9
+    for torque, slope in ((1.0, 8400), (8.0, 9400), (20.0, 13000)):
+        x = laws.flexspline_torsion(torque, p)
+        got = (laws.flexspline_spring(x + step, p) - laws.flexspline_spring(x - step, p)) / (2 * step)
+        assert got == pytest.approx(slope, rel=1e-6)
+        assert laws.flexspline_spring(-x, p) == -laws.flexspline_spring(x, p)
+    assert laws.flexspline_torsion(3.9, p) == pytest.approx(3.9 / 8400)
+    assert laws.flexspline_torsion(12.0, p) == pytest.approx(3.9 / 8400 + 8.1 / 9400)
+
+
+def test_dead_zone(p):
+    p["backlash"] = 4e-4
+    assert laws.flexspline_spring(1.9e-4, p) == 0.0
+    assert laws.flexspline_spring(-1.9e-4, p) == 0.0
+    assert laws.flexspline_spring(3e-4, p) == pytest.approx(8400 * 1e-4)
+
+
+def test_wave_generator_inverts_equation_5(p):
+    for torque in np.linspace(-0.5, 0.5, 101):
+        torsion = laws.wave_generator_torsion(torque, p)
+        assert torsion == pytest.approx(np.sign(torque) * (1 - np.exp(-20 * abs(torque))) / (20 * 1.14), abs=1e-15)
+        assert laws.wave_generator_spring(torsion, p) == pytest.approx(torque, rel=1e-8, abs=1e-13)
+
+
+def test_wave_generator_goes_on_beyond_its_logarithm(p):
+    """δ = 1/(Cw·Kw0) is the end of Eq. (5); beyond it the torque goes on as a straight line, not as NaN."""
+    end = (1 - 1e-6) / (20 * 1.14)
+    x = end + np.array([-1e-9, 0, 1e-9, 1e-4, 1e-2, 1.0])
+    torque = np.array([laws.wave_generator_spring(value, p) for value in x])
+    assert np.isfinite(torque).all()
+    assert (np.diff(torque) > 0).all()
+    slope_before, slope_after = np.diff(torque)[:2] / 1e-9
+    assert slope_before == pytest.approx(slope_after, rel=2e-2)
+
+
+def test_kinematic_error_slope(p, rng):
+    step = 1e-6
+    for angle in rng.uniform(-300, 300, 100):
+        quotient = (laws.kinematic_error(angle + step, p) - laws.kinematic_error(angle - step, p)) / (2 * step)
+        assert laws.kinematic_error_slope(angle, p) == pytest.approx(quotient, abs=1e-12 / step * 1e-1)
+    assert laws.kinematic_error(0.0, p) == pytest.approx(1.2e-4 * np.sin(0.3) + 2e-5 * np.sin(1.1))
+
+
+@pytest.mark.parametrize("w", [0.0, 1e-9, 0.3, -0.3, 5.0, -100.0])
+@pytest.mark.parametrize("h", [2e-4, 1e-3])
+def test_bristle_step_is_exact(p, w, h):
+    """At constant velocity, against SciPy: also where the rate is stiff, 5.5e4 1/s at 100 rad/s."""
+    g = laws.friction_level(w, 0.0, 0.0, 0.0, p)
+    for z in (0.0, 1.2e-3, -2.0e-3):
+        solved = solve_ivp(lambda _, y, g=g: w - p["s0"] * abs(w) / g * y, (0, h), [z], "Radau", rtol=1e-11, atol=1e-16)
+        assert laws.bristle_step(z, w, g, h, p) == pytest.approx(solved.y[0, -1], rel=1e-8, abs=1e-14)
+
+
+@pytest.mark.parametrize("v", [0.0, 1e-4, -1e-4, 0.02, -1.0])
+def test_dahl_step_is_exact(p, v):
+    p["hysteresis_extent"], p["hysteresis_torque"] = 80e-6, 1.0
+    for z in (0.0, 5e-5, -8e-5):
+        solved = solve_ivp(lambda _, y: v - abs(v) * y / 80e-6, (0, 1e-3), [z], "Radau", rtol=1e-11, atol=1e-18)
+        assert laws.dahl_step(z, v, 1e-3, p) == pytest.approx(solved.y[0, -1], rel=1e-8, abs=1e-16)
+    assert laws.hysteresis_torque(40e-6, p) == pytest.approx(0.5)
+
+
+def test_steady_sliding_friction_is_the_stribeck_curve(p):
+    for w in (0.5, 2.0, 50.0, -4.0):
+        g = laws.friction_level(w, 0.0, 0.0, 0.0, p)
+        assert g == pytest.approx(0.018 + 0.004 * np.exp(-((w / 2) ** 2)))
+        z = laws.bristle_step(0.0, w, g, 10.0, p)
+        assert laws.mesh_friction(z, w, g, p) == pytest.approx(np.sign(w) * g, rel=1e-9)
+
+
+def test_friction_level_effects(p):
+    """As recording.md's table states them, alone and never below zero."""
+    w, load = 3.0, 20.0
+    plain = laws.friction_level(w, 0.4, load, 5.0, p)
+    for changes, expected in (
+        ({"friction_asymmetry": 0.3}, lambda s: plain * (1 + 0.3 * s)),
+        ({"drift_amplitude": 1.2, "drift_time": 8.0}, lambda s: plain * (1 + 1.2 * np.exp(-5 / 8))),
+        ({"friction_load": 0.2}, lambda s: plain + 0.2 * load / 100),
+        ({"friction_amplitude": 0.01, "friction_order": 2.0, "friction_phase": 0.5}, lambda s: plain + 0.01 * np.sin(1.3)),
+        ({"friction_amplitude": 0.1, "friction_order": 1.0, "friction_phase": -2.0}, lambda s: 1e-5),
+    ):
+        q = p.copy()
+        for name, value in changes.items():
+            if q[name].ndim:
+                q[name][0] = value
+            else:
+                q[name] = value
+        for sign in (1.0, -1.0):
+            assert laws.friction_level(sign * w, 0.4, load, 5.0, q) == pytest.approx(expected(sign)), changes
+
+
+def test_back_driven_friction_is_a_share_of_the_load_dependent_friction(p):
+    p["friction_load"], p["back_driven_friction"] = 0.2, 0.25
+    plain = 0.018 + 0.004 * np.exp(-((3.0 / 2) ** 2))
+    assert laws.friction_level(3.0, 0.0, 20.0, 0.0, p) == pytest.approx(plain + 0.04)
+    assert laws.friction_level(-3.0, 0.0, 20.0, 0.0, p) == pytest.approx(plain + 0.01)
+
+
+def test_rotor_and_link_torques(p):
+    p["cogging_amplitude"][:2], p["cogging_order"][:2], p["cogging_phase"][:2] = [5e-3, 2e-3], [6, 13], [0.1, 0.2]
+    assert laws.rotor_torque(0.7, p) == pytest.approx(5e-3 * np.sin(4.3) + 2e-3 * np.sin(9.3))
+    p["cable_stiffness"], p["cable_rest"], p["stop_stiffness"], p["stop_angle"] = 1.2, 0.3, 25.0, 0.8
+    assert laws.link_torque(0.5, p) == pytest.approx(-1.2 * 0.2)
+    assert laws.link_torque(1.0, p) == pytest.approx(-1.2 * 0.7 - 25 * 0.2)
+
+
+def test_readings(p):
+    p["link_zero"], p["eccentricity"], p["eccentricity_phase"] = 1e-3, 4e-4, 0.6
+    assert laws.link_reading(0.9, p) == pytest.approx(0.9 + 1e-3 + 4e-4 * (np.sin(1.5) - np.sin(0.6)))
+    p["current_offset"], p["torque_gain"], p["torque_offset"], p["torque_rate"] = 0.1, 1.1, 0.3, -0.02
+    assert laws.current_reading(2.0, p) == pytest.approx(2.1)
+    assert laws.torque_reading(5.0, 10.0, p) == pytest.approx(5.5 + 0.3 - 0.2)
+
+
+def test_term_is_a_cubic_b_spline(p, rng):
+    """Uniform grid, clamped outside [low, high]; against SciPy's."""
+    coefficients = rng.standard_normal(9)
+    low, high = -3.0, 5.0
+    p["term_place"][1], p["term_variable"][1] = PLACES.index("mesh"), VARIABLES.index("motor_velocity")
+    p["term_low"][1], p["term_high"][1], p["term_count"][1] = low, high, 9
+    p["term_coefficient"][1, :9] = coefficients
+    assert laws.has_terms(p)
+    spacing = (high - low) / (9 - 3)
+    spline = BSpline(low + spacing * np.arange(-3, 10), coefficients, 3)
+    for x in np.concatenate([np.linspace(low, high - 1e-9, 101), [-10.0, 12.0]]):
+        got = laws.term(PLACES.index("mesh"), 0.0, 0.0, x, 0.0, 0.0, p)
+        assert got == pytest.approx(float(spline(np.clip(x, low, high - 1e-12))), abs=1e-10), x
+    assert laws.term(PLACES.index("link"), 0.0, 0.0, 1.0, 0.0, 0.0, p) == 0.0
+
+
+def test_term_variables(p):
+    """Each variable reaches the spline: a straight line through it gives it back."""
+    place = PLACES.index("link")
+    state = {"link_position": 0.4, "motor_position": 1.3, "motor_velocity": -0.6, "load": 0.7, "time": 0.2}
+    p["term_place"][0], p["term_low"][0], p["term_high"][0], p["term_count"][0] = place, -2.0, 2.0, 7
+    p["term_coefficient"][0, :7] = -2.0 + np.arange(-1, 6) * 1.0  # Greville abscissae: the spline is the identity
+    arguments = (state["motor_position"], state["link_position"], state["motor_velocity"], state["load"], state["time"])
+    for name, value in state.items():
+        p["term_variable"][0] = VARIABLES.index(name)
+        assert laws.term(place, *arguments, p) == pytest.approx(value), name
+    p["term_variable"][0] = VARIABLES.index("direction_link_position")
+    assert laws.term(place, *arguments, p) == pytest.approx(0.4 * np.tanh(-0.6))

@@ -1,0 +1,131 @@
+"""The real joint: import, nominal joint, extended joint, and payload torque on angles that no fit has seen."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+
+import mujoco
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from conftest import ROOT
+from flexspline import commands
+from flexspline.diagnosis.estimate import estimate
+from flexspline.diagnosis.importing import import_recording, load_layout
+from flexspline.models import laws
+from flexspline.models.joint import load_joint
+from flexspline.sim import plant
+from typer.testing import CliRunner
+
+
+@pytest.fixture(scope="module")
+def log(shared):
+    path = shared / "data" / "lara8" / "joint3_outbound.csv"
+    if not path.is_file():
+        pytest.skip(f"no measured sweep at {path}")
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(log):
+    return import_recording(load_layout("lara8"), log)
+
+
+@pytest.fixture(scope="module")
+def page():
+    """The program behind docs/lara8.md."""
+    spec = importlib.util.spec_from_file_location("lara8_page", ROOT / "docs" / "lara8.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", ["lara8-joint3", "lara8-joint3-extended"])
+def test_the_plant_is_pulled_as_the_joint_says(name):
+    joint = load_joint(name)
+    record = joint.record()
+    model = plant.build(joint)
+    data = mujoco.MjData(model)
+    for q in (-2.6, -1.0, 0.0, 1.3):
+        plant.start(model, data, np.array([101 * q, 101 * q, q]))
+        mujoco.mj_forward(model, data)
+        assert -data.qfrc_bias[2] == pytest.approx(laws.gravity_torque(q, record[0]), rel=1e-9)
+    mujoco.mj_step(model, data, 500)
+    assert np.isfinite(data.qpos).all()
+
+
+def test_gravity_angles_of_joint_and_mounting_add_up():
+    joint = load_joint("lara8-joint3")
+    mounting = joint.mount().model_copy(update={"gravity_angle": 0.2})
+    assert joint.record(mounting)[0]["gravity_angle"] == pytest.approx(0.2 + joint.gravity_angle.value)
+    extended = load_joint("lara8-joint3-extended")
+    turned = {e.name: e.values for e in extended.effects}["gravity_direction"]["angle"]
+    assert extended.record()[0]["gravity_angle"] == pytest.approx(joint.gravity_angle.value + turned)
+    assert load_joint("test-joint").record()[0]["gravity_angle"] == 0.0
+
+
+def test_import(recording):
+    assert recording.external == "measured" and recording.joint == "lara8-joint3"
+    assert recording.time[0] == 0.0
+    assert recording.link_position[[0, -1]] == pytest.approx([-2.600, -0.001], abs=1e-3)
+    torsion = recording.motor_position / 101 - recording.link_position
+    assert np.abs(torsion).max() < 4e-3
+    assert recording.external_torque.min() == pytest.approx(-32, abs=0.1)
+
+
+def test_the_shipped_extension_is_what_the_data_give(recording, page):
+    made = page.extend(recording, load_joint("lara8-joint3"))
+    shipped = load_joint("lara8-joint3-extended")
+    assert [e.name for e in made.effects] == [e.name for e in shipped.effects]
+    for a, b in zip(made.effects, shipped.effects, strict=True):
+        for name, value in a.parameters.items():
+            assert b.parameters[name].value == pytest.approx(value.value, rel=0.02)
+            assert value.std is not None and abs(value.value) > 3 * value.std
+
+
+def test_payload_torque_on_held_out_angles(recording, page, log):
+    rows = page.table(recording, log)
+    assert len(rows) == 7
+    for name, (published, model, ekf, arekf, rarekf, current, payload, smoothed) in rows:
+        assert published > 3.5, name
+        assert max(current, payload, smoothed) < 2.0, name
+        assert max(model, ekf, arekf, rarekf) < 2.67, name
+
+
+def test_the_whole_sweep_under_assumed_truths(recording, page):
+    """Nobody has told how friction behaves when the load drives the motor: estimate it with the payload."""
+    for name, (rarekf, current, payload, *_alone) in page.assumed(recording):
+        assert max(current, payload) < 2.0 and rarekf < 2.67, name
+
+
+def test_another_payload_is_not_the_remembered_one(recording, page):
+    """Half the payload, put into the current by the friction law that was fitted: the estimate follows."""
+    joint = page.extend(recording, load_joint("lara8-joint3"))
+    mu = joint.effects[0].values["coefficient"]
+    S = recording.external_torque
+    half = type(recording)(
+        **{**{f: getattr(recording, f) for f in recording.__dataclass_fields__},
+           "motor_current": recording.motor_current + (1 + mu) * 0.5 * S, "external_torque": 0.5 * S}
+    )  # fmt: skip
+    moving = np.gradient(half.link_position, half.time) > 0.05
+    found = estimate(half, joint)
+    for name in ("current", "payload_smoothed", "RAREKF"):
+        error = (found.external_torque[name] - half.external_torque)[moving]
+        assert np.sqrt(np.mean(error**2)) < 2.3, name
+
+
+def test_commands(log, tmp_path):
+    commands._register()
+    runner = CliRunner()
+    done = runner.invoke(commands.app, ["import", "lara8", str(log), "--out", str(tmp_path / "m")])
+    assert done.exit_code == 0, done.output
+    done = runner.invoke(commands.app, ["check", str(tmp_path / "m")])
+    assert done.exit_code == 0 and "never reverses" in done.output
+    arguments = ["estimate", str(tmp_path / "m"), "--joint", "lara8-joint3-extended", "--out", str(tmp_path / "e")]
+    done = runner.invoke(commands.app, arguments)
+    assert done.exit_code == 0, done.output
+    names = pq.read_schema(tmp_path / "e" / "joint3_outbound.parquet").names
+    assert {"time", "torque_model", "torque_RAREKF", "torque_current", "external_torque_EKF"} <= set(names)
+    metrics = json.loads((tmp_path / "e" / "metrics.json").read_text())
+    assert metrics["joint3_outbound"]["external_torque"]["payload_smoothed"]["rms"] < 1.5

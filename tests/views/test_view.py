@@ -1,0 +1,108 @@
+"""`flexspline view`: what it opens, and that it listens on this computer only."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from flexspline.commands import view
+from flexspline.models.errors import InputError
+from flexspline.views import rerun_view
+
+
+@pytest.mark.parametrize("case", ["missing", "empty", "other", "no_recording"])
+def test_what_cannot_be_opened_is_refused_in_one_line(case, tmp_path):
+    place = tmp_path / "run"
+    if case != "missing":
+        place.mkdir()
+    if case == "empty":
+        (place / view.RECORDING).write_bytes(b"")
+    if case == "other":
+        (place / view.RECORDING).write_text("not a recording")
+    with pytest.raises(InputError) as error:
+        view.find_recording(place)
+    assert "\n" not in str(error.value)
+    assert str(place) in str(error.value)
+
+
+def test_without_a_display_it_says_what_to_do(tmp_path, monkeypatch):
+    if not sys.platform.startswith("linux"):
+        pytest.skip("Linux only")
+    (tmp_path / view.RECORDING).write_bytes(b"RRF2")
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    with pytest.raises(InputError, match="--web"):
+        view.command(tmp_path)
+
+
+@pytest.mark.parametrize("web", [False, True], ids=["window", "web"])
+def test_it_listens_on_this_computer_only(web, pushed, tmp_path):
+    if not Path("/proc/net/tcp").exists():
+        pytest.skip("no /proc/net/tcp")
+    if not web and shutil.which("xvfb-run") is None:
+        pytest.skip("no xvfb-run")
+    path = rerun_view.write_rerun(pushed, tmp_path / "run.rrd")
+    command = view.viewer_command(path, web)
+    if not web:
+        command = ["xvfb-run", "-a", *command, "--renderer", "vulkan"]
+    environment = {**os.environ, "BROWSER": "true"}
+    with open(tmp_path / "log", "wb") as log:
+        viewer = subprocess.Popen(command, stdout=log, stderr=log, env=environment, start_new_session=True)
+    try:
+        wanted = 2 if web else 1  # the web page and the data; the data
+        found: set[tuple[str, int]] = set()
+        end = time.monotonic() + 12
+        while len(found) < wanted and time.monotonic() < end and viewer.poll() is None:
+            time.sleep(0.3)
+            found = listening(viewer.pid)
+    finally:
+        os.killpg(viewer.pid, signal.SIGTERM)
+        try:
+            viewer.wait(timeout=3)
+        except subprocess.TimeoutExpired:
+            os.killpg(viewer.pid, signal.SIGKILL)
+            viewer.wait()
+    if len(found) < wanted:
+        pytest.skip(f"the viewer did not come up: {(tmp_path / 'log').read_text(errors='replace')[-300:]}")
+    assert {address for address, _ in found} == {"127.0.0.1"}
+
+
+def listening(group: int) -> set[tuple[str, int]]:
+    """Addresses and ports on which the processes of a session listen for TCP."""
+    sockets = set()
+    for process in Path("/proc").iterdir():
+        if not process.name.isdigit():
+            continue
+        try:
+            fields = (process / "stat").read_text().rsplit(")", 1)[1].split()
+            if int(fields[3]) != group:  # session
+                continue
+            for descriptor in (process / "fd").iterdir():
+                target = os.readlink(descriptor)
+                if target.startswith("socket:["):
+                    sockets.add(target[8:-1])
+        except OSError:
+            continue
+    found = set()
+    for table, listen in (("/proc/net/tcp", "0A"), ("/proc/net/tcp6", "0A")):
+        if not Path(table).exists():
+            continue
+        for line in Path(table).read_text().splitlines()[1:]:
+            columns = line.split()
+            if columns[3] == listen and columns[9] in sockets:
+                address, port = columns[1].split(":")
+                found.add((readable(address), int(port, 16)))
+    return found
+
+
+def readable(address: str) -> str:
+    """An address of /proc/net/tcp: IPv4 in dots, IPv6 as it stands."""
+    if len(address) == 8:
+        return ".".join(str(int(address[i : i + 2], 16)) for i in (6, 4, 2, 0))
+    return address
