@@ -94,7 +94,9 @@ def _show(terminal: Console, asked, outcomes, sizes) -> None:
     kind = {"one": "one effect", "two": "two effects", "outside": "an effect outside the library", "none": "nothing"}
     how = "exact joint" if asked.exact else "joint within tolerance"
     sensor = "" if asked.sensor else ", no torque sensor, irregular 250 Hz"
-    table = Table(title=f"{kind[asked.hidden]} hidden; {how}{sensor}; seed {asked.seed}", caption="95 % intervals (Wilson)")
+    table = Table(
+        title=f"{kind[asked.hidden]} hidden; {how}{sensor}; seed {asked.seed}", caption="95 % intervals (Wilson)"
+    )
     table.add_column("")
     for s in sizes:
         table.add_column(f"size {s:g}", justify="right")
@@ -125,7 +127,9 @@ def _show_confusion(terminal: Console, confusion) -> None:
     from ..diagnosis.challenge import OUTSIDE
 
     for truth, named in confusion.items():
-        expected = {"unknown"} if truth in OUTSIDE else {"consistent"} if truth == "nothing" else set(truth.split(" + "))
+        expected = (
+            {"unknown"} if truth in OUTSIDE else {"consistent"} if truth == "nothing" else set(truth.split(" + "))
+        )
         other = [f"{name} ×{count}" for name, count in named.most_common() if name not in expected]
         right = sum(count for name, count in named.items() if name in expected)
         table.add_row(truth, str(sum(named.values())), str(right), ", ".join(other))
@@ -168,6 +172,7 @@ def _write(path: Path, outcomes) -> None:
         import pyarrow.parquet as pq
 
         flat = [
-            {k: json.dumps(v, ensure_ascii=False) if isinstance(v, (dict, list)) else v for k, v in row.items()} for row in rows
+            {k: json.dumps(v, ensure_ascii=False) if isinstance(v, (dict, list)) else v for k, v in row.items()}
+            for row in rows
         ]
         pq.write_table(pa.Table.from_pylist(flat), temporary, compression="zstd")

@@ -1,9 +1,9 @@
 """Which causes the data speak for: screening of the whole library, then evidence of the few that could be it.
 
 *Screening* is linear: the derivative of the replayed residuals with respect to every cause (a secant at part of its
-ordinary size), at the calibrated joint, with all calibration variables free to answer. It gives each cause's approximate
-log evidence in closed form. *Finalists* are fitted through the replay together with the calibration, and compared by
-their Laplace evidence. A further cause is added when it earns more than `THRESHOLD`.
+ordinary size), at the calibrated joint, with all calibration variables free to answer. It gives each cause's
+approximate log evidence in closed form. *Finalists* are fitted through the replay together with the calibration, and
+compared by their Laplace evidence. A further cause is added when it earns more than `THRESHOLD`.
 
 Encoders are so precise that a wrong model is wrong by hundreds of standard deviations, where nothing is linear. The
 search therefore takes the noise to be as loud as the residual is, and lets it become quieter as the model improves.
@@ -232,20 +232,34 @@ class Search:
     loudness: float
 
 
+def converge(problem: Problem, noise: Noise, f: Fit, echo: Echo | None = None) -> Fit:
+    """Fit on, with fresh derivatives, under noise a little quieter than the residual, until that no longer helps."""
+    loudness = level(problem, noise, f)
+    for _ in range(5):
+        if loudness < _QUIET:
+            break
+        f = fit(problem, louder(noise, max(0.7 * loudness, 1.0)), f.model, f.theta, 4, 2.0, None, echo)
+        before, loudness = loudness, level(problem, noise, f)
+        if loudness > 0.93 * before:
+            break
+    return f
+
+
+def _ranked(problem, noise, base: Fit, fits: list[Fit], loudness: float) -> tuple[list[Fit], list[float]]:
+    """Fits by their gain in log evidence over the base, best first, and these gains."""
+    reference = log_evidence(problem, noise, base, loudness)
+    gains = [log_evidence(problem, noise, f, loudness) - reference for f in fits]
+    order = np.argsort(gains)[::-1]
+    return [fits[i] for i in order], [gains[i] for i in order]
+
+
 def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, most: int = 3) -> Search:
     """Find the causes: calibrate, screen, fit the finalists, add the best; again until none earns its place."""
     theta = problem.start(None, ())
     noise = first_guess(problem.drives, problem.residuals([theta], [()])[0], quantum)
     base = fit(problem, louder(noise, 30.0), (), theta, 3, 5.0)
     base = settle(problem, noise, (), base.theta, base.jacobian, None, 5.0)
-    loudness = level(problem, noise, base)
-    for _ in range(5):  # until calibration alone has done what it can
-        if loudness < _QUIET:
-            break
-        base = fit(problem, louder(noise, max(0.7 * loudness, 1.0)), (), base.theta, 4, 2.0)
-        before, loudness = loudness, level(problem, noise, base)
-        if loudness > 0.93 * before:
-            break
+    base = converge(problem, noise, base)
     rounds: list[Round] = []
     echoed: Echo | None = None
     estimated = False
@@ -269,10 +283,13 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             model = (*base.model, h)
             low, high = bounds(problem, model)
             fits.append(settle(problem, noise, model, np.clip(shifted, low, high), base.jacobian, echoed, loudness))
-        reference = log_evidence(problem, noise, base, loudness)
-        gains = [log_evidence(problem, noise, f, loudness) - reference for f in fits]
-        order = np.argsort(gains)[::-1]
-        fits, gains = [fits[i] for i in order], [gains[i] for i in order]
+        fits, gains = _ranked(problem, noise, base, fits, loudness)
+        if len(gains) > 1 and loudness > _QUIET and gains[1] > max(0.5 * gains[0], 0.0):
+            rivals = [
+                converge(problem, noise, f, echoed) if g > 0.5 * gains[0] else f
+                for f, g in zip(fits, gains, strict=True)
+            ]
+            fits, gains = _ranked(problem, noise, base, rivals, loudness)
         rounds.append(Round(base, loudness, screened, fits, gains))
         earned = [
             f
@@ -283,13 +300,13 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
         ]
         if not earned or len(base.model) >= most:
             break
-        base = earned[0]
+        base = converge(problem, noise, earned[0], echoed)
     loudness = level(problem, noise, base)
     if echoed is None:
         echoed = echo(problem, base.theta, base.model, base.jacobian)
     if (
         base.model
-    ):  # numbers and effects share what either can express as the priors say: to the end, with fresh columns
+    ):  # what either can express, numbers and effects share as the priors say: to the end, with fresh columns
         quiet = noise if loudness < _QUIET else louder(noise, loudness)
         base = fit(problem, quiet, base.model, base.theta, 5, 0.1, None, echoed)
     return Search(tuple(rounds), base, noise if estimated else louder(noise, loudness), noise, echoed, loudness)

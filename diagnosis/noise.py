@@ -3,8 +3,8 @@
 The residual of a channel is modelled as autoregressive noise (sensors, smoothing, differentiation) plus, where the
 rotor rests, a slow disturbance: the encoder's quantisation, which does not average out without motion, and friction
 whose bristle depends on it. Both are estimated from the residual itself, after everything that a candidate explains has
-been taken out of it. A Kalman filter of the slow disturbance turns residuals, and every column of a Jacobian alike, into
-innovations of unit variance; samples that do not count are skipped.
+been taken out of it. A Kalman filter of the slow disturbance turns residuals, and every column of a Jacobian alike,
+into innovations of unit variance; samples that do not count are skipped.
 """
 
 from __future__ import annotations

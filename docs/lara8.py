@@ -61,6 +61,33 @@ def published(recording: Recording, path: Path) -> np.ndarray:
     return table["target_joint_torque_3"] - table["joint_torque_current_3"]
 
 
+def feed_forward(recording: Recording, path: Path) -> tuple[np.ndarray, float]:
+    """The controller's model: coefficients of sin q, cos q, sgn v, v, a (of its target), rms of the rest [N·m]."""
+    log = np.genfromtxt(path, delimiter=",", names=True)
+    time, q, v = recording.time, recording.link_position, log["target_joint_velocity_3"]
+    s = smooth(time, v[:, None], 1e-3, 10.0)
+    a = np.interp(time, s.time, s.rate[:, 0])
+    basis = np.stack([np.sin(q), np.cos(q), np.ones(len(q)), v, a], axis=1)
+    moving = time > 0.12  # the target has set off
+    found, *_ = np.linalg.lstsq(basis[moving], log["target_joint_torque_3"][moving], rcond=None)
+    rest = (log["target_joint_torque_3"] - basis @ found)[moving]
+    return found, float(np.sqrt(np.mean(rest**2)))
+
+
+def remembered(recording: Recording) -> tuple[float, list[float]]:
+    """RMS [N·m] of a rigid payload fitted to the sensor itself: to all of it (the sensor's vibration), and held out."""
+    time, q = recording.time, recording.link_position
+    s = smooth(time, recording.motor_position[:, None], 1e-3, 5.0)
+    v, a = (np.interp(time, s.time, x[:, 0]) / 101 for x in (s.rate, s.acceleration))
+    basis, moving = np.stack([np.sin(q), np.cos(q), -a], axis=1), v > 0.05
+
+    def rms(fit: np.ndarray, test: np.ndarray) -> float:
+        found, *_ = np.linalg.lstsq(basis[fit & moving], recording.external_torque[fit & moving], rcond=None)
+        return float(np.sqrt(np.mean((recording.external_torque - basis @ found)[test & moving] ** 2)))
+
+    return rms(moving, moving), [rms(fit, test) for fit, test in hold_outs(q).values()]
+
+
 def table(recording: Recording, path: Path) -> list[tuple[str, list[float]]]:
     """RMS [N·m] in motion, on samples that the fit did not see: published way, then every estimator."""
     joint, q = load_joint(recording.joint), recording.link_position
@@ -206,6 +233,10 @@ def main() -> None:
     path = Path(sys.argv[1])
     recording = import_recording(load_layout("lara8"), path)
     joint = load_joint(recording.joint)
+    found, rest = feed_forward(recording, path)
+    print("feed-forward: sin q, cos q, sgn v, v, a", found.round(3), f"rms of the rest {rest:.3f} N·m")
+    floor, memory = remembered(recording)
+    print(f"payload fitted to the sensor: {floor:.2f} N·m, held out {np.round(memory, 2)}\n")
     print("| held out | current − feed-forward | " + " | ".join(ESTIMATORS) + " |")
     print("|---" * (len(ESTIMATORS) + 2) + "|")
     for name, values in table(recording, path):
@@ -218,11 +249,11 @@ def main() -> None:
     folder = HERE / "figures"
     folder.mkdir(exist_ok=True)
     figures(recording, path, folder)
-    found = extend(recording, joint)
-    for effect in found.effects:
+    made = extend(recording, joint)
+    for effect in made.effects:
         print(effect.name, {k: (e.value, e.std, e.unit) for k, e in effect.parameters.items()})
     if "--write" in sys.argv:
-        found.write(shipped("lara8_joint3_extended.yaml"))
+        made.write(shipped("lara8_joint3_extended.yaml"))
 
 
 if __name__ == "__main__":

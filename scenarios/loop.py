@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray, njit
 
 from ..estimator import FilterBank, compliance_torque, update_bank, workspace
-from ..estimator.recursion import start
+from ..estimator.recursion import start, state_size
 from ..models import laws
 from ..models.parameters import PLACES
 from ..sim import native, plant
@@ -33,8 +33,8 @@ _THETA, _OMEGA, _CURRENT, _TW, _TF, _TS, _BRISTLE = 0, 3, 6, 7, 8, 9, 10
 
 READINGS = (*NAMES, *WRENCH)
 """Columns of what the sensors give."""
-_PLACE_TORQUE, _PLACE_LINK, _PLACE_CURRENT = (
-    PLACES.index(name) for name in ("joint_torque", "link_position", "motor_current")
+_PLACE_TORQUE, _PLACE_LINK, _PLACE_CURRENT, _PLACE_FLEXSPLINE = (
+    PLACES.index(name) for name in ("joint_torque", "link_position", "motor_current", "flexspline")
 )
 
 
@@ -51,10 +51,8 @@ class Layout:
 
     @classmethod
     def of(cls, model: mujoco.MjModel) -> Layout:
-        names = [model.actuator(i).name for i in range(model.nu)] if model.nu else []
         motor = model.actuator("motor").id
         has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
-        del names
         return cls(
             current=plant.activation(model, "motor") if model.actuator_actnum[motor] else -1,
             bristle=plant.activation(model, "mesh_friction"),
@@ -127,11 +125,10 @@ def simulate(
     p = record[0]
     plant.start(model, data, np.array([begin * p["N"], begin * p["N"], begin]))
     layout = Layout.of(model)
-    size = int(bank.F.shape[0]), int(1 + 1 + 1 + 3 + 4)
+    filters = np.zeros((n, bank.F.shape[0], state_size(1, 1)))
     truth = np.zeros((n, len(TRUTH)))
     readings = np.zeros((n, len(READINGS)))
     command, model_torque = np.zeros(n), np.zeros(n)
-    filters = np.zeros((n, *size))
     failed = np.array([-1, 0, n], dtype=np.int64)
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
     at = native.offsets()
@@ -226,7 +223,7 @@ def _loop(
         Tw, Tf, _, _ = transmission(theta, omega, dahl, p)
         Tw += p.dw * (omega[ROTOR] - omega[WAVE_GENERATOR])
         if terms:
-            Tf += laws.term(3, theta[ROTOR], theta[LINK], omega[1], Tf, time, p)
+            Tf += laws.term(_PLACE_FLEXSPLINE, theta[ROTOR], theta[LINK], omega[1], Tf, time, p)
         Ts = Tf - p.bl * omega[LINK]
         truth[k, _OMEGA : _OMEGA + 3] = omega
         truth[k, _TW], truth[k, _TF], truth[k, _TS], truth[k, _BRISTLE] = Tw, Tf, Ts, bristle
@@ -255,5 +252,5 @@ def _wrench(history, k, dt, noise, sensor, axis):
     t = k
     if sensor.period > dt * 1.000001:
         t = int(np.floor(np.floor(k * dt / sensor.period + 1e-9) * sensor.period / dt + 1e-9))
-    back = max(t - int(round(sensor.delay / dt)), 0)
+    back = max(t - round(sensor.delay / dt), 0)
     return history[back] + rms * noise[t]

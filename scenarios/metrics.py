@@ -9,6 +9,7 @@ _WINDOW = 0.2  # s: slower than this is signal, faster is noise
 _STEADY_RATE = 0.5  # N·m/s: slower than this is steady
 _LONGEST_DELAY = 0.1  # s
 _RESPONSE = 0.9
+_LONGEST_PUSH = 2.0  # s: a disturbance that lasts longer is a load, not a push
 
 
 def errors(estimate: np.ndarray, truth: np.ndarray, reading: np.ndarray, kept: np.ndarray) -> dict[str, float]:
@@ -49,7 +50,7 @@ def moving_mean(x: np.ndarray, width: int) -> np.ndarray:
 def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray) -> float | None:
     """Delay [s] at which the truth explains the estimate best: least squares over whole samples, parabola between.
 
-    None where the torque does not change enough for a delay to show.
+    None where the torque does not change enough for a delay to show, or none up to 0.1 s explains the estimate.
     """
     if np.count_nonzero(where) < 2 or np.ptp(truth[where]) < 0.5:
         return None
@@ -66,14 +67,15 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
         curvature = left - 2 * middle + right
         if curvature > 0:
             return float((shifts[best] + 0.5 * (left - right) / curvature) * dt)
-    return float(shifts[best] * dt)
+    return None
 
 
 def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
-    """First and last tick of every disturbance: where the external torque departs from rest."""
+    """First and last tick of every push: where the external torque departs from rest for no longer than 2 s."""
     active = np.concatenate([[False], external_torque != 0, [False]])
     edges = np.flatnonzero(active[1:] != active[:-1])
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(a, b) for a, b in found if (b - a) * dt <= _LONGEST_PUSH]
 
 
 def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:

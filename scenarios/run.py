@@ -28,8 +28,8 @@ from .loop import CONTROL_PERIOD, READINGS, TRUTH, Signals, simulate
 from .scenario import Scenario
 
 UNITS = {
-    "time": "s", "position": "rad", "velocity": "rad/s", "current": "A", "torque": "N·m", "force": "N", "bristle": "rad",
-    "variance": "(N·m)²", "innovation": "N·m",
+    "time": "s", "position": "rad", "velocity": "rad/s", "current": "A", "torque": "N·m", "force": "N",
+    "bristle": "rad", "innovation": "N·m", "variance": "(N·m)²",
 }  # fmt: skip
 STATE_COLUMNS = (
     "torque", "variance", "innovation", "innovation_variance", "unadjusted_innovation_variance",

@@ -124,9 +124,8 @@ class Scenario(Strict):
             if name in names[:i] or name in ("none", "sensor", "model"):
                 raise ValueError(f"filters.{i}.name: expected a name of its own, got {name!r}")
         if self.feedback not in ("none", "sensor", *names):
-            raise ValueError(
-                f"feedback: expected none, sensor or one of {names}, got {self.feedback!r}{nearest(self.feedback, names)}"
-            )
+            hint = nearest(self.feedback, names)
+            raise ValueError(f"feedback: expected none, sensor or one of {names}, got {self.feedback!r}{hint}")
         for symbol in self.plant:
             if symbol not in SYMBOLS:
                 raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
@@ -142,7 +141,7 @@ class Scenario(Strict):
         return np.arange(round(self.duration / CONTROL_PERIOD)) * CONTROL_PERIOD
 
     def commands(self) -> tuple[np.ndarray, np.ndarray]:
-        """Commanded position [rad] and velocity [rad/s] of the link, shape (n,): held before and after the waypoints."""
+        """Commanded link position [rad] and velocity [rad/s], shape (n,): held before and after the waypoints."""
         time = self.time
         position = np.full_like(time, self.trajectory[0].position)
         velocity = np.zeros_like(time)
@@ -157,6 +156,11 @@ class Scenario(Strict):
             position = np.where(time >= a.time, a.position + A * s, position)
             velocity = np.where(inside, A * ds / T, velocity)
         return position, velocity
+
+    @property
+    def happening(self) -> list[Disturbance]:
+        """The disturbances that end before the scenario does."""
+        return [d for d in self.disturbances if d.start + d.duration <= self.duration]
 
     def external_torque(self) -> np.ndarray:
         """Torque on the link [N·m], shape (n,): the sum of the disturbances."""
@@ -232,9 +236,8 @@ def load_scenario(
     known = shipped_scenarios()
     path = known.get(str(source), Path(source))
     if not path.exists():
-        raise InputError(
-            f"scenario {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(str(source), known)}"
-        )
+        hint = nearest(str(source), known)
+        raise InputError(f"scenario {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")

@@ -35,7 +35,15 @@ class Energy:
     @property
     def total(self) -> float:
         """Sum of all parts [J]."""
-        parts = (self.kinetic, self.flexspline, self.wave_generator, self.gravity, self.link, self.cogging, self.friction)
+        parts = (
+            self.kinetic,
+            self.flexspline,
+            self.wave_generator,
+            self.gravity,
+            self.link,
+            self.cogging,
+            self.friction,
+        )
         return float(sum(parts))
 
 

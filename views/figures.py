@@ -379,7 +379,7 @@ def error(run: Run) -> Figure:
 
 def zoomed(run: Run) -> list[Disturbance]:
     """One disturbance in each direction, forward first, to look at from near: the sharpest after the transient."""
-    after = [d for d in run.scenario.disturbances if d.start >= run.scenario.transient and d.kind in ("push", "step")]
+    after = [d for d in run.scenario.happening if d.start >= run.scenario.transient and d.kind in ("push", "step")]
     chosen = []
     for sign in (1, -1):
         same = [d for d in after if d.torque * sign > 0]
@@ -411,7 +411,7 @@ def _sweep(run: Run, title: str, caption: str) -> Figure:
     mode.get_legend().remove()
     mode.legend(handles=handles, ncols=len(handles), loc="lower right", bbox_to_anchor=(1, 0.98), borderaxespad=0)
     near = zoomed(run)
-    for d in run.scenario.disturbances:
+    for d in run.scenario.happening:
         for axes in (top, bottom, mode):
             axes.axvspan(d.start, d.start + d.duration, color=EXTERNAL, alpha=0.14, lw=0)
         if d in near:

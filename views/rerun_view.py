@@ -347,7 +347,7 @@ def _switching(run: Run) -> list[str]:
 
 def _interesting(run: Run) -> np.ndarray:
     """Samples around disturbances' edges, which keep every millisecond as far as the points suffice; shape (n,)."""
-    edges = [edge for d in run.scenario.disturbances for edge in (d.start, d.start + d.duration)]
+    edges = [edge for d in run.scenario.happening for edge in (d.start, d.start + d.duration)]
     near = np.zeros(len(run.time), dtype=bool)
     if edges:
         reach = min(0.2, 0.5 * POINTS * float(run.time[1] - run.time[0]) / (2 * len(edges)))

@@ -49,7 +49,7 @@ def _simulate(p, command, push, bump, gains, noise):
             Tf = laws.flexspline_spring(torsion, p) + p.df * rate + laws.hysteresis_torque(dahl, p)
             Ts = Tf - p.bl * vl
             if s == 0:
-                late = int(round(p.link_delay / h))
+                late = round(p.link_delay / h)
                 seen = past[(head - 1 - late) % len(past)] if late > 0 and k > 0 else thl
                 out[k, 0] = encoder
                 reading = laws.link_reading(seen, p) + 1.5e-6 * noise[k, 0]

@@ -1,0 +1,136 @@
+"""The compiled callbacks inside MuJoCo: batches, rollouts, threads, and models that are none of ours."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from driving import JOINT, record_of
+from flexspline.sim import native, plant
+from mujoco import batch, rollout
+
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
+
+
+def started(record, mounting="link", start=None):
+    model = plant.build(JOINT, JOINT.mount(mounting), record=record, ideal_current=True)
+    data = mujoco.MjData(model)
+    plant.start(model, data, start)
+    return model, data
+
+
+def single(model, data, control):
+    """Step by step in Python: the states after each step."""
+    states = []
+    for u in control:
+        data.ctrl[:] = u
+        mujoco.mj_step(model, data)
+        state = np.empty(mujoco.mj_stateSize(model, STATE))
+        mujoco.mj_getState(model, data, state, STATE)
+        states.append(state)
+    return np.array(states)
+
+
+@pytest.fixture(params=["own bristle", "native bristle"])
+def record(request):
+    if request.param == "own bristle":
+        return record_of(friction_asymmetry=0.2, friction_load=0.1, hysteresis_torque=0.5, hysteresis_extent=8e-5)
+    return record_of()
+
+
+def runs(record, rng, n=6, steps=400):
+    """Initial states and controls of n runs, and their states stepped one by one."""
+    initial, controls, expected = [], [], []
+    for i in range(n):
+        model, data = started(record, start=np.array([100, 100, 1.0]) * 0.05 * i)
+        state = np.empty(mujoco.mj_stateSize(model, STATE))
+        mujoco.mj_getState(model, data, state, STATE)
+        control = np.zeros((steps, model.nu))
+        control[:, 0] = 0.05 * np.repeat(rng.standard_normal(steps // 50), 50)
+        initial.append(state)
+        controls.append(control)
+        expected.append(single(model, data, control))
+    return model, np.array(initial), np.array(controls), np.array(expected)
+
+
+def test_rollout_on_threads_is_single_stepping_to_the_bit(record, rng):
+    model, initial, control, expected = runs(record, rng)
+    data = [mujoco.MjData(model) for _ in range(3)]
+    states, _ = rollout.rollout(model, data, initial, control)
+    np.testing.assert_array_equal(states, expected)
+
+
+def test_batch_on_threads_is_single_stepping_to_the_bit(record, rng):
+    model, initial, control, expected = runs(record, rng)
+    simulations = batch.Batch(model, len(initial), nthread=3)
+    views = simulations.bind(STATE) if False else None
+    del views
+    got = _batch_rollout(simulations, model, initial, control)
+    np.testing.assert_array_equal(got, expected)
+
+
+def _batch_rollout(simulations, model, initial, control):
+    state = simulations.bind(int(STATE))
+    state[:] = initial
+    return simulations.rollout(control.shape[1], control, record=[int(STATE)])[int(STATE)]
+
+
+def test_other_models_are_left_alone():
+    """A model that is no joint, also one with custom numerics of its own, moves as it did before the callbacks came."""
+    xml = """<mujoco><option timestep="0.001"/><custom><numeric name="n" size="2000" data="1 2 3"/></custom><worldbody>
+      <body><joint name="a" axis="0 1 0" damping="0.1" stiffness="3"/><geom size="0.1" pos="0.3 0 0"/>
+      <body pos="0.5 0 0"><joint name="b" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0"/></body></body></worldbody>
+      <actuator><general joint="a" dyntype="filter" dynprm="0.1"/></actuator></mujoco>"""
+    model = mujoco.MjModel.from_xml_string(xml)
+
+    def trajectory():
+        data = mujoco.MjData(model)
+        data.ctrl[:] = 1.0
+        mujoco.mj_step(model, data, nstep=300)
+        return np.concatenate([data.qpos, data.qvel, data.act])
+
+    started(record_of())
+    with_callbacks = trajectory()
+    addresses = {}
+    try:
+        import ctypes
+
+        for name in ("mjcb_passive", "mjcb_act_dyn"):
+            slot = ctypes.c_void_p.in_dll(native.library(), name)
+            addresses[name] = slot.value
+            slot.value = None
+        without = trajectory()
+    finally:
+        for name, address in addresses.items():
+            native.install(name, address)
+    assert all(addresses.values())
+    np.testing.assert_array_equal(with_callbacks, without)
+
+
+def test_two_joints_in_one_process_do_not_mix():
+    """The record travels in the model, not in the process."""
+    stiff, soft = record_of(K1=8400.0), record_of(K1=4200.0)
+    first = started(stiff)
+    alone = single(*first, np.full((200, 4), 0.0) + np.eye(4)[0] * 0.05)
+    a, b = started(stiff), started(soft)
+    interleaved = []
+    for _ in range(200):
+        for model, data in (a, b):
+            data.ctrl[0] = 0.05
+            mujoco.mj_step(model, data)
+        state = np.empty(mujoco.mj_stateSize(a[0], STATE))
+        mujoco.mj_getState(*a, state, STATE)
+        interleaved.append(state)
+    np.testing.assert_array_equal(interleaved, alone)
+    assert not np.array_equal(a[1].qpos, b[1].qpos)
+
+
+def test_offsets_point_at_what_python_sees():
+    model, data = started(record_of())
+    import ctypes
+
+    at = native.offsets()
+    for name in ("qpos", "qvel", "act", "ctrl", "qfrc_passive", "xfrc_applied", "sensordata"):
+        pointer = ctypes.c_uint64.from_address(data._address + 8 * at[name]).value
+        assert pointer == getattr(data, name).ctypes.data, name
+    assert ctypes.c_double.from_address(data._address + 8 * at["time"]).value == data.time

@@ -1,0 +1,251 @@
+"""The plant against solutions that it has no part in: reference files, SciPy on the specification, closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from driving import JOINT, PIECES, drive, record_of, relative
+from flexspline.models.joint import Mounting
+from flexspline.sim import plant
+from flexspline.sim.verify import LIMITS, closed_loop, locked_rotor, loop_width, verify
+from independent import solve, torques
+
+
+def torsion(positions):
+    return positions[:, 0] / 100 - positions[:, 2]
+
+
+# --- the reference files ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("name", "mounting"), [("no_load", "no_load"), ("external_push", "link")])
+def test_first_seconds_of_the_reference(reference, name, mounting):
+    """Ten seconds of the closed-loop files, within the limits of `flexspline verify` relative to the whole file's spread."""
+    columns = reference(name)
+    begun = {key: values[:10_000] for key, values in columns.items()}
+    ours = closed_loop(JOINT, JOINT.mount(mounting), begun, plant.TIMESTEP)
+    theirs = {key: columns[key] for key in ("joint_torque", "motor_current")} | {
+        "torsion": columns["motor_position"] / 100 - columns["link_position"]
+    }
+    for channel, limit in LIMITS.items():
+        difference = np.sqrt(np.mean((ours[channel] - theirs[channel][:10_000]) ** 2)) / np.std(theirs[channel])
+        print(f"{name} {channel}: {100 * difference:.4f} %")
+        assert difference <= limit, channel
+
+
+@pytest.mark.slow
+def test_verify_passes_on_every_reference_file(shared):
+    differences = verify(shared / "data" / "reference", JOINT)
+    assert len(differences) == 11
+    for d in differences:
+        print(f"{d.file} {d.channel}: {100 * d.relative:.4f} % of {100 * d.limit:g} %")
+        assert d.passed, d
+
+
+@pytest.mark.slow
+def test_verify_notices_a_wrong_joint(shared):
+    """5 % less stiffness is not within the limits: the check can fail."""
+    numbers = dict(JOINT.numbers)
+    for symbol in ("K1", "K2", "K3"):
+        numbers[symbol] = numbers[symbol].model_copy(update={"value": 0.95 * numbers[symbol].value})
+    wrong = JOINT.model_copy(update={"numbers": numbers})
+    wrong._path = JOINT._path
+    missed = [d.channel for d in verify(shared / "data" / "reference", wrong, 5e-4) if not d.passed]
+    assert "torsion" in missed and "torsion loop" in missed
+
+
+# --- order -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("effect", ["none", "friction_asymmetry", "load_dependent_friction"])
+def test_second_order(effect):
+    """Halving the step quarters the error, against the plant's own solution at a fine step."""
+    changes = {
+        "none": {},
+        "friction_asymmetry": {"friction_asymmetry": 0.3},
+        "load_dependent_friction": {"friction_load": 0.25},
+    }[effect]
+    record = record_of(**changes)
+    fine = drive(record, timestep=1e-5)
+    errors = []
+    for step in (4e-4, 2e-4, 1e-4):
+        theta, _, torque, _ = drive(record, period=2e-3 if step == 4e-4 else 1e-3, timestep=step)
+        every = 2 if step == 4e-4 else 1
+        errors.append((relative(torsion(theta), torsion(fine[0][::every])), relative(torque, fine[2][::every])))
+    errors = np.array(errors)
+    ratios = errors[:-1] / errors[1:]
+    print(f"{effect}: errors {errors.tolist()}, ratios {ratios.tolist()}")
+    assert (ratios > 3.2).all() and (ratios < 5.5).all()
+
+
+# --- every effect, against the equations written down a second time ----------------------------------------------
+
+EFFECTS = {
+    "none": {},
+    "rotor_inertia": {"Jm": 3e-5},
+    "cogging": {"cogging_amplitude": 8e-3, "cogging_order": 5, "cogging_phase": 0.4},
+    "stiffness": {"K1": 6000.0, "K2": 6700.0, "K3": 9300.0},
+    "hysteresis": {"hysteresis_torque": 1.0, "hysteresis_extent": 8e-5},
+    "backlash": {"backlash": 5e-4},
+    "kinematic_error": {"amplitude": 4e-4},
+    "mesh_friction": {"Fc": 0.036, "Fs": 0.044},
+    "viscous_friction": {"bw": 3e-4},
+    "friction_asymmetry": {"friction_asymmetry": 0.4},
+    "load_dependent_friction": {"friction_load": 0.25},
+    "position_dependent_friction": {"friction_amplitude": 0.01, "friction_order": 3, "friction_phase": 0.5},
+    "friction_drift": {"drift_amplitude": 1.2, "drift_time": 0.2},
+    "gravity_moment": {"Mg": 10.5},
+    "gravity_direction": {"gravity_angle": 0.15},
+    "link_inertia": {"Jl": 0.6},
+    "cable_spring": {"cable_stiffness": 1.2, "cable_rest": 0.4},
+    "hard_stop": {"stop_angle": 0.02, "stop_stiffness": 30.0},
+}
+"""Effects that act in the plant (the others in its sensors), as changes of the record."""
+
+
+@pytest.fixture(scope="module")
+def nominal():
+    states, rates = solve(record_of(), PIECES)
+    return states, torques(record_of(), states, rates, PIECES)
+
+
+@pytest.mark.parametrize("effect", EFFECTS)
+def test_effect_is_that_of_the_specification(effect, nominal):
+    """Torsion, link angle and joint torque within 0.5 % of SciPy's solution, which the effect changes by much more."""
+    record = record_of(**EFFECTS[effect])
+    states, rates = solve(record, PIECES)
+    expected = torques(record, states, rates, PIECES)
+    theta, _, torque, wrench = drive(record)
+    got = {
+        "torsion": relative(torsion(theta), torsion(states)),
+        "link": relative(theta[:, 2], states[:, 2]),
+        "joint torque": relative(torque, expected),
+        "wrench": relative(-wrench[:, 1], expected),
+    }
+    change = max(
+        relative(torsion(states), torsion(nominal[0])),
+        relative(states[:, 2], nominal[0][:, 2]),
+        relative(expected, nominal[1]),
+    )
+    print(f"{effect}: {got}, the effect itself {change:.3f}")
+    limits = {"torsion": 0.005, "link": 0.005, "joint torque": 0.006, "wrench": 0.007}
+    for channel, limit in limits.items():
+        assert got[channel] < limit, channel
+    if effect != "none":
+        assert change > 10 * max(got.values())
+
+
+def test_no_load_mounting_agrees_too():
+    """The flexspline's mode is fastest there: 0.29 rad per step at the default."""
+    pieces = [(0.1, 0.05, 0.0), (0.1, -0.05, 0.3), (0.1, 0.02, -0.3)]
+    record = record_of("no_load")
+    states, rates = solve(record, pieces)
+    theta, _, torque, _ = drive(record, pieces, mounting="no_load")
+    assert relative(torsion(theta), torsion(states)) < 0.01
+    assert relative(torque, torques(record, states, rates, pieces)) < 0.03
+
+
+def test_starts_anywhere_at_rest():
+    """From a position other than zero the same motion follows, turned (no gravity, no kinematic error)."""
+    record = record_of("no_load")
+    record[0]["amplitude"] = 0.0
+    pieces = [(0.1, 0.05, 0.0)]
+    at_zero = drive(record, pieces, mounting="no_load")[0]
+    start = np.array([50.0, 50.0, 0.5])
+    elsewhere = drive(record, pieces, mounting="no_load", start=start)[0]
+    np.testing.assert_allclose(elsewhere - start, at_zero, atol=1e-9)
+
+
+# --- closed forms ----------------------------------------------------------------------------------------------
+
+
+def test_own_bristle_is_mujocos_lugre():
+    """An asymmetry of 1e-12 makes the callback hold the bristle instead of MuJoCo: the same motion."""
+    native, own = drive(record_of()), drive(record_of(friction_asymmetry=1e-12))
+    assert relative(torsion(own[0]), torsion(native[0])) < 1e-8
+    assert relative(own[2], native[2]) < 1e-7
+
+
+def test_who_holds_the_bristle():
+    def header(record):
+        model = plant.build(JOINT, JOINT.mount("link"), record=record)
+        return bool(model.numeric_data[5])
+
+    assert header(record_of())
+    for changes in (EFFECTS["friction_asymmetry"], EFFECTS["load_dependent_friction"], EFFECTS["friction_drift"]):
+        assert not header(record_of(**changes))
+
+
+def test_dahl_loop_area():
+    """With spring and damping nearly off, the torque over a slow torsion cycle encloses Dahl's closed form.
+
+    From z = −x·m at the turn, z/x = 1 − (1 + m)·exp(−s/x) along the way s; over a cycle of ±a the loop closes at
+    m = tanh(a/x), and the area is 4 F (a − x·tanh(a/x)).
+    """
+    from flexspline.models import laws
+
+    F, x = 1.0, 8e-5
+    record = record_of(hysteresis_torque=F, hysteresis_extent=x)
+    p = record[0]
+    for a in (5e-5, 1e-4, 4e-4):
+        h, cycles, steps = 1e-4, 4, 4000
+        s = a * np.sin(2 * np.pi * np.arange(cycles * steps + 1) / steps)
+        z, torque = 0.0, [0.0]
+        for ds in np.diff(s):
+            z = laws.dahl_step(z, ds / h, h, p)
+            torque.append(laws.hysteresis_torque(z, p))
+        torque = np.array(torque)
+        last = slice((cycles - 1) * steps, cycles * steps + 1)
+        area = np.sum(0.5 * (torque[last][1:] + torque[last][:-1]) * np.diff(s[last]))
+        assert area == pytest.approx(4 * F * (a - x * np.tanh(a / x)), rel=2e-3), a
+
+
+def test_dahl_loop_in_the_plant():
+    """The locked joint loaded ±6 N·m: the loop that hysteresis adds to mesh friction's, against SciPy's of the same record.
+
+    Between the branches at zero torque the torsion differs by what Dahl's torque holds back: about 2 F/K1.
+    """
+    mounting = Mounting(inertia=0.05, gravity_moment=0.0)
+    record = JOINT.record(mounting)
+    p = record[0]
+    p["amplitude"] = 0.0
+    p["hysteresis_torque"], p["hysteresis_extent"] = 1.0, 8e-5
+    joint_width, plain_width = [], []
+    time = np.arange(0, 6.0, 1e-3)
+    external = 6 * np.sin(2 * np.pi * 0.5 * time)
+    for width, torque in ((joint_width, 1.0), (plain_width, 0.0)):
+        p["hysteresis_torque"] = torque
+        model = plant.build(JOINT, mounting, record=record, ideal_current=True, locked_rotor=True)
+        width.append(_loop_width(model, external))
+    added = joint_width[0] - plain_width[0]
+    print(f"half width {plain_width[0]:.3e} rad, with hysteresis {joint_width[0]:.3e} rad")
+    assert added == pytest.approx(1.0 / p["K1"], rel=0.15)
+
+
+def _loop_width(model, external) -> float:
+    import mujoco
+
+    data = mujoco.MjData(model)
+    plant.start(model, data)
+    body = model.body("link").id
+    link = []
+    for torque in external:
+        link.append(data.qpos[2])
+        data.xfrc_applied[body, 4] = -torque
+        mujoco.mj_step(model, data, nstep=5)
+    link, rising = np.array(link), np.gradient(external) > 0
+    near = (np.abs(external) < 0.5) & (np.arange(len(external)) > len(external) // 3)
+    at_zero = [np.polyfit(external[near & side], link[near & side], 1)[1] for side in (rising, ~rising)]
+    return abs(at_zero[0] - at_zero[1]) / 2
+
+
+def test_locked_rotor_loop_of_the_paper(shared, reference):
+    """Fig. 3: half the width at zero torque is 0.157 mrad (the first cycle of the reference)."""
+    columns = reference("locked_rotor")
+    width = loop_width(columns["link_position"], columns["flexspline_torque"])
+    assert width == pytest.approx(0.157e-3, rel=0.01)
+    n = len(columns["time"])
+    coarse = 5e-4
+    link, torque = locked_rotor(JOINT, columns["external_torque"][: n // 2], coarse)
+    assert relative(link, columns["link_position"][: n // 2]) < 0.01
+    assert np.ptp(torque) > 10
