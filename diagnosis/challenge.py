@@ -8,6 +8,7 @@ and a draw at another size is the same draw, larger or smaller.
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -25,7 +26,7 @@ from ..models import causes
 from ..models.calibration import Calibration
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting, load_joint
-from ..models.parameters import N_COEFFICIENTS, PLACES, VARIABLES
+from ..models.parameters import N_COEFFICIENTS, PLACES, VARIABLES, as_floats
 from ..scenarios.loop import CONTROL_PERIOD, READINGS, simulate
 from ..scenarios.scenario import Disturbance, Scenario, Waypoint, load_scenario
 from ..sim import plant, sensors
@@ -123,7 +124,9 @@ def _sign(rng: np.random.Generator) -> float:
     return float(rng.choice((-1.0, 1.0)))
 
 
-def _put_term(p: np.void, place: str, variable: str, low: float, high: float, shape: Callable[[np.ndarray], np.ndarray]):
+def _put_term(
+    p: np.void, place: str, variable: str, low: float, high: float, shape: Callable[[np.ndarray], np.ndarray]
+):
     """Put a function into a free nonparametric term of a record, as the spline through it."""
     slot = int(np.flatnonzero(p["term_place"] == 0)[0])
     n = N_COEFFICIENTS
@@ -176,7 +179,11 @@ def _half_order(rng, size):
         slot = int(np.flatnonzero(p["amplitude"] == 0)[0])
         p["order"][slot], p["amplitude"][slot], p["phase"][slot] = 0.5, amplitude, phase
 
-    return {"order": 0.5, "amplitude": amplitude, "phase": phase}, apply, "kinematic error once in two turns of the motor"
+    return (
+        {"order": 0.5, "amplitude": amplitude, "phase": phase},
+        apply,
+        "kinematic error once in two turns of the motor",
+    )
 
 
 def _rotor_pulse(rng, size):
@@ -230,7 +237,12 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
     streams = [np.random.default_rng([challenge.seed, index, k]) for k in range(4)]
     effects = _effects(challenge, index, size, nominal, streams[0])
     calibration = Calibration(nominal)
-    x = np.zeros(calibration.size) if challenge.exact else calibration.draw(streams[1])
+    x = np.zeros(calibration.size)
+    if not challenge.exact:
+        x = calibration.draw(streams[1])
+        whole = _effects(challenge, index, 1.0, nominal, np.random.default_rng([challenge.seed, index, 0]))
+        while any(within_tolerance(calibration, x, effect) for effect in whole):
+            x = calibration.draw(streams[1])
     scenarios = _scenarios(challenge, nominal, streams[2])
     records, recordings = [], []
     for k, scenario in enumerate(scenarios):
@@ -247,6 +259,32 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
         recordings.append(recording)
     measurement = Measurement(f"draw {index}", Path(), tuple(recordings))
     return Draw(effects, tuple(records), measurement, nominal)
+
+
+WITHIN = 3.0
+"""Standard deviations of its tolerance within which a number is calibration and no cause."""
+
+
+def within_tolerance(calibration: Calibration, x: np.ndarray, effect: Effect) -> bool:
+    """Whether the tolerances can express what an effect makes of the joint at x: nothing would then be hidden.
+
+    A stiffness 25 % up on a joint whose own is 15 % down is an ordinary joint, and diagnosis is right to say so.
+    """
+    bare_, without = calibration.record(np.zeros(calibration.size)), calibration.record(x)
+    record = without.copy()
+    effect.apply(record[0])
+    allowed = np.zeros(1, record.dtype)
+    for slot in calibration.slots:
+        number = slot.number
+        shared = calibration.joint.shared_tolerances[number.shared] if number.shared else 0.0
+        deviation = np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation)
+        if slot.index >= 0:
+            allowed[0][slot.field][slot.index] = deviation
+        else:
+            allowed[0][slot.field] = deviation * (bare_[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0)
+    now, before, nominal, deviation = (as_floats(r) for r in (record, without, bare_, allowed))
+    changed = now != before
+    return bool(np.all((deviation[changed] > 0) & (np.abs(now - nominal)[changed] <= WITHIN * deviation[changed])))
 
 
 def _effects(challenge: Challenge, index: int, size: float, nominal: Joint, rng) -> tuple[Effect, ...]:
@@ -282,7 +320,9 @@ def _scenarios(challenge: Challenge, nominal: Joint, rng: np.random.Generator) -
     return motions(rng, lightest, nominal.mounting, nominal.numbers["rated_torque"].value / 16.0)
 
 
-def motions(rng: np.random.Generator, free: str = "no_load", link: str = "link", strength: float = 1.0) -> list[Scenario]:
+def motions(
+    rng: np.random.Generator, free: str = "no_load", link: str = "link", strength: float = 1.0
+) -> list[Scenario]:
     """Three motions drawn anew, about 85 s: bare joint to both sides; link to both sides; link held and pushed.
 
     Args:
@@ -615,7 +655,9 @@ class Rate:
 
     def __str__(self) -> str:
         low, high = self.interval
-        return f"{100 * self.share:.0f} % ({self.right}/{self.of}; {100 * low:.0f}–{100 * high:.0f})" if self.of else "–"
+        return (
+            f"{100 * self.share:.0f} % ({self.right}/{self.of}; {100 * low:.0f}–{100 * high:.0f})" if self.of else "–"
+        )
 
 
 def rate(outcomes: list[Outcome], what: Callable[[Outcome], bool]) -> Rate:
@@ -667,10 +709,12 @@ def reliability(outcomes: list[Outcome]) -> list[tuple[float, float, float, Rate
     """Calibration of confidence, over all named causes: from, to, mean confidence, share that is right."""
     named = [(c["confidence"], c["name"] in o.hidden) for o in outcomes for c in o.causes]
     rows = []
-    for low, high in zip(CONFIDENCES, CONFIDENCES[1:], strict=False):
+    for low, high in itertools.pairwise(CONFIDENCES):
         inside = [(c, right) for c, right in named if low <= c < high or (high == 1.0 and c == 1.0)]
         if inside:
-            rows.append((low, high, float(np.mean([c for c, _ in inside])), Rate(sum(r for _, r in inside), len(inside))))
+            rows.append(
+                (low, high, float(np.mean([c for c, _ in inside])), Rate(sum(r for _, r in inside), len(inside)))
+            )
     return rows
 
 

@@ -184,7 +184,7 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
         calibration=_moved(problem, after),
         confusable=tuple(confusable),
         undetermined=tuple(undetermined),
-        residual=_channels(problem, first.base.state[0], after_residuals),
+        residual=_channels(problem, after, first.base.state[0], after_residuals),
         extended=final_joint,
         rounds=found.rounds,
         problem=problem,
@@ -385,17 +385,11 @@ def _adds(name: str) -> bool:
     return any(q.integer or q.name == "scale" for q in causes.get(name).parameters)
 
 
-def _channels(problem: Problem, before: list[np.ndarray], after: list[np.ndarray]) -> dict[str, Channel]:
+def _channels(problem: Problem, at: Fit, before: list[np.ndarray], after: list[np.ndarray]) -> dict[str, Channel]:
     """RMS on held-out samples by channel."""
     names = {"motor_current": "motor_current", "joint_torque": "joint_torque", "link": "link_balance"}
-    twin = [
-        b - a
-        for a, b in zip(
-            problem.residuals([problem.start(None, ())], [()])[0],
-            problem.residuals([problem.start(None, ())], [()], twin=True)[0],
-            strict=True,
-        )
-    ]
+    once, twice = (problem.residuals([at.theta], [at.model], twin=t)[0] for t in (False, True))
+    noise = [b - a for a, b in zip(once, twice, strict=True)]
     found = {}
     for c, channel in enumerate(CHANNELS):
         use = [d.held_out[:, c] for d in problem.drives]
@@ -403,7 +397,7 @@ def _channels(problem: Problem, before: list[np.ndarray], after: list[np.ndarray
             continue
         rms = [
             float(np.sqrt(np.mean(np.concatenate([r[u, c] for r, u in zip(rs, use, strict=True)]) ** 2)))
-            for rs in (before, after, twin)
+            for rs in (before, after, noise)
         ]
         found[names[channel]] = Channel(*rms, UNITS[channel])
     return found

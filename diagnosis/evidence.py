@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .calibrate import Echo, Fit, Problem, bounds, echo, evaluate, fit, robust_loss
+from .calibrate import Echo, Fit, Problem, bounds, echo, evaluate, fit, prior_cost, robust_loss
 from .coordinates import Hypothesis
 from .noise import Noise, estimate, first_guess, louder, whiten
 
@@ -178,7 +178,7 @@ def settle(
         quiet = loudness < _QUIET
         f = fit(
             problem, noise if quiet else louder(noise, loudness), model, theta, 5 if quiet else 2, 1.0, common,
-            echo if quiet else None, refresh=f is not None,
+            echo, refresh=quiet or f is not None,
         )  # fmt: skip
         theta, common = f.theta, f.jacobian
         if quiet:
@@ -245,6 +245,32 @@ def converge(problem: Problem, noise: Noise, f: Fit, echo: Echo | None = None) -
     return f
 
 
+def _afresh(problem: Problem, noise: Noise, f: Fit, echo: Echo | None) -> Fit:
+    """The same model calibrated anew, its effects as they are: numbers that stood in for an effect let go of it."""
+    theta = np.concatenate([np.zeros(problem.size), f.theta[problem.size :]])
+    again = fit(problem, louder(noise, 30.0), f.model, theta, 3, 5.0, None, echo)
+    again = settle(problem, noise, f.model, again.theta, again.jacobian, echo, 5.0)
+    again = converge(problem, noise, again, echo)
+    return min(f, again, key=lambda g: level(problem, noise, g))
+
+
+def _start(problem: Problem, noise: Noise, base: Fit, s: Screened) -> np.ndarray:
+    """Where to start a finalist: at the linear solution, a part of the way to it, or where the effect is absent."""
+    model = (*base.model, s.hypothesis)
+    low, high = bounds(problem, model)
+    u = s.hypothesis.confine(np.clip(s.start, -3.0, 3.0))
+    step = np.concatenate([np.clip(s.shift, -2.0, 2.0), u])
+    absent = np.concatenate([base.theta, np.zeros(len(u))])
+    starts = [np.clip(absent + part * step, low, high) for part in (1.0, 0.3, 0.0)]
+    residuals = problem.residuals(starts, [model] * len(starts))
+    costs = [
+        robust_loss(whiten(problem.drives, noise, [r[..., None] for r in rs])[:, 0])[0]
+        + prior_cost(problem, theta, model)
+        for rs, theta in zip(residuals, starts, strict=True)
+    ]
+    return starts[int(np.nanargmin(costs))]
+
+
 def _ranked(problem, noise, base: Fit, fits: list[Fit], loudness: float) -> tuple[list[Fit], list[float]]:
     """Fits by their gain in log evidence over the base, best first, and these gains."""
     reference = log_evidence(problem, noise, base, loudness)
@@ -278,11 +304,9 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
         screened = screen(problem, tempered, base, library)
         fits = []
         for s in finalists(screened, FINALISTS if loudness > 2.0 else 2):
-            h = s.hypothesis
-            shifted = np.concatenate([base.theta + np.clip(s.shift, -2, 2), h.confine(np.clip(s.start, -3.0, 3.0))])
-            model = (*base.model, h)
-            low, high = bounds(problem, model)
-            fits.append(settle(problem, noise, model, np.clip(shifted, low, high), base.jacobian, echoed, loudness))
+            model = (*base.model, s.hypothesis)
+            start = _start(problem, tempered, base, s)
+            fits.append(settle(problem, noise, model, start, base.jacobian, echoed, loudness))
         fits, gains = _ranked(problem, noise, base, fits, loudness)
         if len(gains) > 1 and loudness > _QUIET and gains[1] > max(0.5 * gains[0], 0.0):
             rivals = [
@@ -301,6 +325,8 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
         if not earned or len(base.model) >= most:
             break
         base = converge(problem, noise, earned[0], echoed)
+        if level(problem, noise, base) > 2.0:
+            base = _afresh(problem, noise, base, echoed)
     loudness = level(problem, noise, base)
     if echoed is None:
         echoed = echo(problem, base.theta, base.model, base.jacobian)

@@ -80,7 +80,12 @@ def estimation(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> 
                 error = (estimates.torque[name] - recording.joint_torque)[kept]
                 squares[name][k].append(error[np.isfinite(error)] ** 2)
         traces.append(
-            Trace(recording.name, recording.time - recording.time[0], recording.joint_torque, *(e.torque[MAIN] for e in pair))
+            Trace(
+                recording.name,
+                recording.time - recording.time[0],
+                recording.joint_torque,
+                *(e.torque[MAIN] for e in pair),
+            )
         )
     errors = {
         name: tuple(float(np.sqrt(np.mean(np.concatenate(parts)))) for parts in both) for name, both in squares.items()

@@ -13,21 +13,21 @@ import numpy as np
 from numba import njit
 
 from ..models import causes, laws
-from ..models.joint import Joint
+from ..models.joint import Joint, Mounting
 from ..scenarios.scenario import Scenario, load_scenario
 from ..sim.recording import Recording
 from .calibrate import Problem
 from .challenge import _waypoints
 from .coordinates import Hypothesis, hypotheses
 from .diagnose import Diagnosis
-from .evidence import THRESHOLD, Library
+from .evidence import THRESHOLD
 from .identify import ALIKE, _distance
 from .noise import ChannelNoise, Noise, whiten
 from .noise import estimate as estimate_noise
 from .replay import drives
 
-SHIPPED = ("no_load", "link_sweep", "external_push")
-"""Shipped scenarios that are proposed."""
+SHIPPED = ("link_sweep", "external_push")
+"""Shipped scenarios that are proposed; `no_load`, 82 s at 2 °/s, never tells more than the free sweeps below."""
 _VARIANTS = 3  # hypotheses a cause is represented by
 
 
@@ -89,7 +89,9 @@ def plan(diagnosis: Diagnosis, joint: Joint) -> Plan:
       joint: the description that diagnosis was given.
     """
     problem = diagnosis.problem
-    missing = tuple(n for n in diagnosis.undetermined if not problem.has_torque and "joint_torque" in causes.get(n).needs)
+    missing = tuple(
+        n for n in diagnosis.undetermined if not problem.has_torque and "joint_torque" in causes.get(n).needs
+    )
     singles = [(n,) for n in diagnosis.undetermined if n not in missing and n in causes.names()]
     pairs = [pair for pair in diagnosis.confusable if set(pair) <= set(causes.names()) - set(missing)]
     open_ = [*singles, *pairs]
@@ -105,16 +107,21 @@ def plan(diagnosis: Diagnosis, joint: Joint) -> Plan:
     questions = tuple(
         Question(names, e, THRESHOLD if len(names) == 1 else 0.5 * ALIKE) for names, e in zip(open_, now, strict=True)
     )
+    questions = tuple(q for q in questions if q.now < q.needed)
+    if not questions:
+        return Plan((), (), missing)
     proposals = []
     for scenario, description, shipped in _motions(joint):
-        recording = ideal_recording(joint, scenario, problem.has_torque)
+        mounting = joint.mount(scenario.mounting or None)
+        record = problem.calibration.record(base.theta[: problem.calibration.size], mounting)
+        recording = ideal_recording(record, mounting, scenario, problem.has_torque)
         new = Problem(*drives([recording], joint.sensors), joint)
         if not new.drives:
             continue
         state = new.residuals([base.theta], [()])[0]
         jacobian = new.jacobian(base.theta, (), state)
         more = _information(new, _typical(problem, noise, len(new.drives)), base.theta, jacobian, tried)
-        expected = tuple(_evidence(known + more, problem.size, tried, names) for names in open_)
+        expected = tuple(_evidence(known + more, problem.size, tried, q.names) for q in questions)
         proposals.append(Proposal(scenario.name, description, shipped, scenario.duration, expected))
 
     def worth(p: Proposal) -> float:
@@ -138,11 +145,13 @@ def _information(problem: Problem, noise: Noise, theta, jacobian, tried: list[Hy
             u[j] = probe
             thetas.append(np.concatenate([theta, u]))
             models.append((h,))
-    base = problem.residuals([theta], [()])[0]
+    # A cause that replaces a number takes its calibration away: the difference is to the same cause at its neutral value.
+    neutral = [np.concatenate([theta, np.zeros(len(t) - len(theta))]) for t in thetas]
+    base = problem.residuals(neutral, models)
     moved = problem.residuals(thetas, models)
     stack = []
     for s, J in enumerate(jacobian):
-        columns = [(m[s] - base[s])[..., None] / probe for m in moved]
+        columns = [(m[s] - b[s])[..., None] / probe for m, b in zip(moved, base, strict=True)]
         stack.append(np.concatenate([J[..., : problem.size], *columns], axis=-1))
     X = whiten(problem.drives, noise, stack)
     X = X[np.all(np.isfinite(X), axis=1)]
@@ -195,10 +204,8 @@ def _motions(joint: Joint):
     return found
 
 
-def ideal_recording(joint: Joint, scenario: Scenario, sensor: bool) -> Recording:
-    """What noiseless sensors would read if the link followed a scenario's command exactly."""
-    mounting = joint.mount(scenario.mounting or None)
-    record = joint.record(mounting)
+def ideal_recording(record: np.ndarray, mounting: Mounting, scenario: Scenario, sensor: bool) -> Recording:
+    """What noiseless sensors would read if the link of a joint with this record followed a scenario's command exactly."""
     position, velocity = scenario.commands()
     external = scenario.external_torque()
     time = scenario.time
@@ -230,7 +237,12 @@ def _inverse(record, time, q, v, a, external, out):
             theta_w = p.N * (q[i] + wound + laws.kinematic_error(theta_w, p))
         w = p.N * v[i]
         g = laws.friction_level(w, q[i], Tf, time[i], p)
-        Tw = Tf * (1.0 / p.N - laws.kinematic_error_slope(theta_w, p)) + g * np.tanh(w / p.vs) + p.bw * w + p.Jw * p.N * a[i]
+        Tw = (
+            Tf * (1.0 / p.N - laws.kinematic_error_slope(theta_w, p))
+            + g * np.tanh(w / p.vs)
+            + p.bw * w
+            + p.Jw * p.N * a[i]
+        )
         out[i, 0] = theta_w + laws.wave_generator_torsion(Tw, p)
         out[i, 1] = (Tw + p.Jm * p.N * a[i] + p.bm * w - laws.rotor_torque(theta_w, p)) / p.Kt
         out[i, 2] = Ts

@@ -33,9 +33,11 @@ _THETA, _OMEGA, _CURRENT, _TW, _TF, _TS, _BRISTLE = 0, 3, 6, 7, 8, 9, 10
 
 READINGS = (*NAMES, *WRENCH)
 """Columns of what the sensors give."""
-_PLACE_TORQUE, _PLACE_LINK, _PLACE_CURRENT, _PLACE_FLEXSPLINE = (
-    PLACES.index(name) for name in ("joint_torque", "link_position", "motor_current", "flexspline")
+_PLACE_TORQUE, _PLACE_LINK, _PLACE_CURRENT, _PLACE_FLEXSPLINE, _PLACE_ON_LINK = (
+    PLACES.index(name) for name in ("joint_torque", "link_position", "motor_current", "flexspline", "link")
 )
+_WRENCH_AXIS = WRENCH.index("torque_y")
+"""The wrench's axis that is the joint's; positive torque about it drives the link back."""
 
 
 @dataclass(frozen=True)
@@ -235,6 +237,11 @@ def _loop(
         readings[k, 3] = sample(seen[3], k, dt, noise[3], sensors[3])
         for axis in range(6):
             value = sensordata[at_force + axis] if axis < 3 else sensordata[at_torque + axis - 3]
+            if axis == _WRENCH_AXIS:
+                # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
+                value += laws.link_torque(theta[LINK], p)
+                if terms:
+                    value += laws.term(_PLACE_ON_LINK, theta[ROTOR], theta[LINK], omega[1], Tf, time, p)
             seen[4 + axis, k] = value
             readings[k, 4 + axis] = _wrench(seen[4 + axis], k, dt, noise[4 + axis], sensors[4], axis)
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
+from ..models.parameters import PARAMETERS
 from . import callbacks
 
 TIMESTEP = 0.0002
@@ -112,6 +113,11 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
     data.act[memory : memory + 3] = -1.5 * h * data.qacc[:3]
     data.qvel[:] = -0.5 * h * data.qacc
     data.act[activation(model, "mesh_friction")] = -h * data.qvel[callbacks.WAVE_GENERATOR]
+    p = model.numeric_data[callbacks.HEADER :].copy().view(PARAMETERS)[0]
+    if p["hysteresis_torque"] != 0:  # what the first step takes to zero (laws.dahl_step)
+        _, _, rate, _ = callbacks.transmission(data.qpos[:3].copy(), data.qvel[:3].copy(), 0.0, p)
+        x = p["hysteresis_extent"]
+        data.act[activation(model, "hysteresis")] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
 
 
 def activation(model: mujoco.MjModel, actuator: str) -> int:

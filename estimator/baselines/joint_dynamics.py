@@ -7,8 +7,12 @@ State x, shape (SIZE,):
     z         LuGre bristle                  [rad], motor side
     θl, ωl    link                           [rad], [rad/s]
     τext      external torque on the link    [N·m], random walk
-    d         what mesh friction and motor torque do beyond the record [N·m, motor side], Ornstein-Uhlenbeck
-    x_h       Dahl state of the flexspline's hysteresis [rad]; carried only where the record has hysteresis
+    d         what mesh friction does beyond the record [N·m, motor side], Ornstein-Uhlenbeck
+    κ, κt     relative deviations of stiffness and torque constant from the record [1], constant
+    x_h       Dahl state of the flexspline's hysteresis [rad]
+
+An estimator carries the covariance of the *active* ones of these: κ and κt where it is asked to calibrate itself, x_h where
+the record has hysteresis.
 
 The laws are those of `models.laws`. Between samples the current follows its command with the winding's time constant
 L/R. One step is Strang's splitting: the stiff bristle and the Dahl state by their exact solutions at constant
@@ -19,12 +23,16 @@ Substeps are chosen so that the fastest spring turns by no more than 0.8 rad in 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from ...models import laws
 from ...models.parameters import PLACES
+from .base import JointSignals, SensorNoise
+from .quantised import update
 
 STATES = (
     "motor_position", "motor_velocity", "wave_generator_position", "wave_generator_velocity", "bristle",
@@ -32,11 +40,93 @@ STATES = (
 )  # fmt: skip
 SIZE = len(STATES)
 MOTOR, MOTOR_RATE, WAVE, WAVE_RATE, BRISTLE, LINK, LINK_RATE, EXTERNAL, MESH, STIFFNESS, CONSTANT, DAHL = range(SIZE)
+STEPS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1e-6, 1e-7, 1e-4, 1e-3, 1e-5, 1e-4, 1e-4, 1e-7])
+"""Steps of the differences that stand for derivatives, per state: small against its uncertainty, large against rounding."""
 _LONGEST = 0.5e-3  # s: substep
 _TURN = 0.8  # rad of the fastest mode per substep
 _PLACE_ROTOR, _PLACE_MESH, _PLACE_FLEXSPLINE, _PLACE_LINK, _PLACE_TORQUE, _PLACE_READING = (
     PLACES.index(name) for name in ("rotor", "mesh", "flexspline", "link", "joint_torque", "link_position")
 )
+
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """How far a joint departs from its equations. One setting for every scenario; scaled by the record, SI.
+
+    Attributes:
+        external: intensity of the random walk of τext [T2/√s]. Quiet: 0.002·12 N·m is 0.15 N·m in 40 s, the 1 % to
+            which a link's weight is known.
+        push: intensity while the link encoder contradicts the prediction [T2/√s]. Loud: 4·12 N·m is the rated torque in 0.1 s.
+        mesh: standard deviation of d [Fc]; what a friction model leaves when it is good.
+        mesh_push: intensity of d while the motor encoder contradicts the prediction [Fc/√s]: another level in 1 s.
+        mesh_time: correlation time of d [s].
+        torque: white noise of torque at the mesh [Fc·√s]: ripple, discretisation.
+        bristle: noise of z [Fc/s0 per √s].
+        stiffness, motor_constant: standard deviation of κ, κt [1]; 0 leaves them out.
+        memory: share of the mean NIS of an encoder that it keeps per sample; 0.8 is 5 samples.
+        threshold: mean NIS from which on the noise grows, and where it has grown in full. 1 is expected; at 5 samples
+            it scatters by 0.5.
+        floor: noise of the motor encoder that is assumed even where none is stated [counts].
+    """
+
+    external: float = 0.002
+    push: float = 4.0
+    mesh: float = 0.017
+    mesh_push: float = 1.1
+    mesh_time: float = 5.0
+    torque: float = 5.5e-4
+    bristle: float = 5.5e-3
+    stiffness: float = 0.0
+    motor_constant: float = 0.0
+    memory: float = 0.8
+    threshold: tuple[float, float] = (3.0, 6.0)
+    floor: float = 0.05
+
+    def matrices(self, signals: JointSignals, p: np.void, noise: SensorNoise) -> Noise:
+        """Return the noise for a joint and its sensors as arrays for compiled code."""
+        start, walk = np.zeros(SIZE), np.zeros(SIZE)
+        counts = noise.motor_resolution
+        start[[MOTOR, WAVE]] = counts**2, (0.5 / (p["Cw"] * p["Kw0"])) ** 2
+        start[[MOTOR_RATE, WAVE_RATE, LINK_RATE]] = 1.0, 1.0, p["N"] ** -2.0
+        start[LINK] = noise.link_resolution**2 + noise.link_noise**2
+        start[BRISTLE] = (p["Fs"] / p["s0"]) ** 2
+        start[EXTERNAL], start[MESH] = (0.2 * p["T2"]) ** 2, (self.mesh * p["Fc"]) ** 2
+        start[STIFFNESS], start[CONSTANT] = self.stiffness**2, self.motor_constant**2
+        start[DAHL] = p["hysteresis_extent"] ** 2
+        if signals.current_command is None:  # the reading's noise is a torque, held from sample to sample
+            walk[MOTOR_RATE] = (p["Kt"] * noise.current_noise / p["Jm"]) ** 2 * signals.interval
+        walk[WAVE_RATE] = (self.torque * p["Fc"] / p["Jw"]) ** 2
+        walk[BRISTLE] = (self.bristle * p["Fc"] / p["s0"]) ** 2
+        walk[EXTERNAL] = (self.external * p["T2"]) ** 2
+        walk[MESH] = 2.0 * (self.mesh * p["Fc"]) ** 2 / self.mesh_time
+        walk[STIFFNESS], walk[CONSTANT] = 1e-8 * (self.stiffness > 0), 1e-8 * (self.motor_constant > 0)
+        walk[DAHL] = (0.01 * p["hysteresis_extent"]) ** 2
+        active = [i for i in range(SIZE) if not (i in (STIFFNESS, CONSTANT) and start[i] == 0.0)]
+        if p["hysteresis_torque"] == 0.0:
+            active.remove(DAHL)
+        return Noise(
+            np.array(active),
+            start,
+            walk,
+            np.array([(self.mesh_push * p["Fc"]) ** 2, (self.push * p["T2"]) ** 2]),
+            np.array([noise.motor_noise**2 + (self.floor * counts) ** 2, noise.link_noise**2]),
+            np.array([counts, noise.link_resolution]),
+            np.array([self.mesh_time, self.memory, *self.threshold]),
+        )
+
+
+class Noise(NamedTuple):
+    """Arrays for compiled code: active states (m,); start and walk: diagonals of P(0) and of the noise per second, (SIZE,);
+    surge: of d and τext per second (2,); variance and step of the encoders (2,), (2,); mesh_time, memory, threshold (4,)."""
+
+    active: np.ndarray
+    start: np.ndarray
+    walk: np.ndarray
+    surge: np.ndarray
+    variance: np.ndarray
+    step: np.ndarray
+    rule: np.ndarray
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -121,7 +211,7 @@ def advance(x, current, command, time, dt, steps, forget, p, work):
         time: at the start [s].
         steps: substeps.
         forget: factor by which d decays in `dt`.
-        work: Shape (5, SIZE), scratch; zero in columns EXTERNAL, MESH, BRISTLE, DAHL of the rates.
+        work: Shape (5, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
     """
     h = dt / steps
     decay = math.exp(-0.5 * h * p.R / p.L) if p.L > 0.0 else 0.0
@@ -166,3 +256,63 @@ def start(motor_position, link_position, p, x):
     x[LINK] = link_position - p.link_zero
     load = -laws.gravity_torque(x[LINK], p) - laws.link_torque(x[LINK], p)
     x[WAVE] = motor_position - laws.wave_generator_torsion(load / p.N, p)
+
+
+def drive_current(signals: JointSignals, p: np.void) -> np.ndarray:
+    """Current in force until each sample, shape (n,) [A]; the first value is where it starts."""
+    reading = signals.motor_current - p["current_offset"]
+    return reading if signals.current_command is None else np.r_[reading[0], signals.current_command[:-1]]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add_noise(P, dt, ratio, noise):
+    """Add the process noise of `dt` [s] to P, shape (m, m); more of it where the encoders' mean NIS `ratio` (2,) is high."""
+    low, high = noise.rule[2], noise.rule[3]
+    for i in range(len(noise.active)):
+        s = noise.active[i]
+        P[i, i] += noise.walk[s] * dt
+        if s == MESH:
+            P[i, i] += noise.surge[0] * dt * min(max((ratio[0] - low) / (high - low), 0.0), 1.0)
+        elif s == EXTERNAL:
+            P[i, i] += noise.surge[1] * dt * min(max((ratio[1] - low) / (high - low), 0.0), 1.0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def measure(x, P, motor, link, time, ratio, noise, p, e, S, H, PH):
+    """Update with both encoders, one after the other, in place; writes innovations and variances to e, S, shape (2,).
+
+    H, PH: Shape (m,), scratch. The link's innovation is the one given the motor's: they are uncorrelated.
+    """
+    active, memory = noise.active, noise.rule[1]
+    m = len(active)
+    H[:] = 0.0
+    H[MOTOR] = 1.0
+    for sensor in range(2):
+        if sensor == 0:
+            e[0] = motor - x[MOTOR]
+        else:
+            predicted = link_encoder(x, time, p)
+            x[LINK] += 1e-5
+            slope = (link_encoder(x, time, p) - predicted) / 1e-5
+            x[LINK] -= 1e-5
+            H[MOTOR], H[LINK], H[LINK_RATE] = 0.0, slope, -p.link_delay * slope
+            e[1] = link - predicted
+        S[sensor] = update(x, P, active, H[:m], e[sensor], noise.variance[sensor], noise.step[sensor], PH)
+        S[sensor] += noise.step[sensor] ** 2 / 12.0
+        ratio[sensor] = memory * ratio[sensor] + (1.0 - memory) * e[sensor] ** 2 / S[sensor]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def torque_variance(x, P, torque, time, p, active, H):
+    """Return the variance of the joint torque [(N·m)²] that P, shape (m, m), means."""
+    for i in range(len(active)):
+        s = active[i]
+        kept = x[s]
+        x[s] += STEPS[s]
+        H[i] = (joint_torque(x, time, p) - torque) / STEPS[s]
+        x[s] = kept
+    total = 0.0
+    for i in range(len(active)):
+        for j in range(len(active)):
+            total += H[i] * P[i, j] * H[j]
+    return total

@@ -49,12 +49,13 @@ def cell_moments(residual, S, q):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def update(x, P, H, residual, variance, q, PH):
+def update(x, P, active, H, residual, variance, q, PH):
     """Condition x, P on one scalar reading, in place.
 
     Args:
-        x, P: Shape (≥ N,), (N, N); states beyond N stay as they are.
-        H: Shape (N,), derivative of the reading.
+        x: Shape (≥ N,), states.
+        P: Shape (N, N), covariance of the states `active`, shape (N,) integer; the others stay as they are.
+        H: Shape (N,), derivative of the reading by them.
         residual: reading less its prediction.
         variance: of the noise before rounding.
         q: step of the rounding; 0 for none.
@@ -77,7 +78,7 @@ def update(x, P, H, residual, variance, q, PH):
         shift, left = cell_moments(residual, S, q)
     factor = (S - left) / (S * S)
     for i in range(n):
-        x[i] += PH[i] * shift / S
+        x[active[i]] += PH[i] * shift / S
         for j in range(i + 1):
             P[i, j] -= factor * PH[i] * PH[j]
             P[j, i] = P[i, j]

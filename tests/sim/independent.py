@@ -107,6 +107,6 @@ def torques(record, states, rates, inputs, period=1e-3):
     p = numbers(record)
     tl = states[:, 2]
     others = np.concatenate([np.full(round(duration / period), external) for duration, _, external in inputs])
-    others -= p["Mg"] * np.sin(tl + p["gravity_angle"]) - p["cable_stiffness"] * (tl - p["cable_rest"])
+    others -= p["Mg"] * np.sin(tl + p["gravity_angle"]) + p["cable_stiffness"] * (tl - p["cable_rest"])
     others -= p["stop_stiffness"] * np.maximum(0.0, tl - p["stop_angle"])
     return p["Jl"] * rates[:, 5] - others

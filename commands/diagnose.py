@@ -1,0 +1,112 @@
+"""`flexspline diagnose`: a measurement and a joint in, the cause out."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from ..models.errors import InputError
+from ..models.files import folder_into_place
+from ..sim.recording import read_measurement
+from ._console import console
+
+
+def command(
+    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")],
+    out: Annotated[Path, typer.Option(help="folder to write to")],
+    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
+) -> None:
+    """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
+    data = read_measurement(measurement)
+    described = data.load_joint(joint)
+    _apart(measurement, out)
+    bars = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task("loading")
+        from ..diagnosis.diagnose import diagnose
+        from ..diagnosis.gain import estimation, with_gain
+
+        seconds = sum(r.time[-1] - r.time[0] for r in data.recordings)
+        progress.update(
+            task, description=f"{data.name}: diagnosing {seconds:.0f} s in {len(data.recordings)} recording(s)"
+        )
+        begin = time.perf_counter()
+        found = diagnose(data, described)
+        progress.update(task, description=f"{data.name}: estimating torque before and after")
+        gain = estimation(data, described, found)
+        found = with_gain(found, gain)
+        with folder_into_place(out) as folder:
+            answer = json.dumps(finite(found.to_json()), indent=1, ensure_ascii=False, allow_nan=False)
+            (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
+            found.extended_joint().write(folder / "joint.yaml")
+            if report:
+                progress.update(task, description=f"{data.name}: what to measure next")
+                from ..diagnosis.planning import plan
+                from ..views.report import Report, write_report, write_rerun_report
+
+                planned = plan(found, described)
+                shown = Report(data, described, found, gain, planned, time.perf_counter() - begin)
+                progress.update(task, description=f"{data.name}: writing the report")
+                write_report(shown, folder / "report.html")
+                write_rerun_report(shown, folder / "report.rrd")
+    _show(console(), found, gain)
+    names = ["diagnosis.json", "joint.yaml", *(["report.html", "report.rrd"] if report else [])]
+    console().print(f"{out}: {', '.join(names)}", highlight=False)
+
+
+def _apart(measurement: Path, out: Path) -> None:
+    folder = measurement if measurement.is_dir() else measurement.parent
+    if out.resolve() == folder.resolve():
+        raise InputError(f"--out {out}: expected another folder than the measurement's")
+    with folder_into_place(out / ".probe"):
+        pass
+
+
+def finite(value: Any) -> Any:
+    """The same data with null for numbers that are not finite, which JSON does not have."""
+    if isinstance(value, dict):
+        return {k: finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _show(terminal: Console, found, gain) -> None:
+    from ..views.report import verdict_sentence
+
+    terminal.print(f"[bold]{found.verdict}[/]: {verdict_sentence(found)}", highlight=False)
+    if found.causes:
+        table = Table(title="causes")
+        for heading in ("cause", "component", "confidence", "explains", "parameters"):
+            table.add_column(heading)
+        for c in found.causes:
+            text = "; ".join(f"{k} {p.value:.4g} ± {p.std:.2g} {p.unit}".strip() for k, p in c.parameters.items())
+            if c.name == "unknown":
+                text = c.description
+            table.add_row(c.name, c.component, f"{c.confidence:.2f}", f"{100 * c.explains:.0f} %", text)
+        terminal.print(table)
+    table = Table(title="error on data that no fit saw (RMS)")
+    table.add_column("")
+    for heading in ("before", "after", "noise", "unit"):
+        table.add_column(heading, justify="right" if heading != "unit" else "left")
+    for name, r in found.residual.items():
+        table.add_row(name.replace("_", " "), f"{r.before:.4g}", f"{r.after:.4g}", f"{r.noise:.4g}", r.unit)
+    if gain is not None:
+        for name, (before, after) in gain.errors.items():
+            table.add_row(f"torque estimate, {name}", f"{before:.4g}", f"{after:.4g}", f"{gain.noise:.4g}", "N·m")
+    terminal.print(table)
+    if found.calibration:
+        terminal.print(f"calibration moved {len(found.calibration)} numbers within their tolerance", highlight=False)
+    for pair in found.confusable:
+        terminal.print(f"cannot be told apart: {' and '.join(pair)}", highlight=False)
+    if found.undetermined:
+        terminal.print(f"could not have shown: {', '.join(found.undetermined)}", highlight=False)

@@ -1,0 +1,196 @@
+"""The closed loop: the same for all filters, to the bit; reproducible; and what feedback buys."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flexspline.estimator import FilterDiverged
+from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.scenario import PAPER_FILTERS, Scenario, load_scenario, shipped_scenarios
+
+
+def scenario(**changes) -> Scenario:
+    """Three seconds with the link: a motion, two pushes."""
+    data = {
+        "name": "short",
+        "mounting": "link",
+        "duration": 3.0,
+        "seed": 5,
+        "transient": 0.5,
+        "trajectory": [{"time": 0.3, "position": 0.0}, {"time": 2.0, "position": 0.3}],
+        "disturbances": [
+            {"kind": "push", "start": 1.0, "duration": 0.3, "torque": 5.0},
+            {"kind": "step", "start": 2.2, "duration": 0.3, "torque": -4.0},
+        ],
+    } | changes
+    return Scenario.model_validate(data)
+
+
+def signals(run):
+    """Everything but the filters, as bytes."""
+    s = run.signals
+    return {name: getattr(s, name).tobytes() for name in ("time", "truth", "readings", "command", "model_torque")}
+
+
+def test_same_seed_same_bits():
+    a, b = run_scenario(scenario()), run_scenario(scenario())
+    assert signals(a) == signals(b)
+    assert a.signals.filters.tobytes() == b.signals.filters.tobytes()
+
+
+def test_other_seed_other_noise():
+    """The motor encoder has counts and no noise, so the motion is the same; with an estimate fed back it is not."""
+    a, b = run_scenario(scenario()), run_scenario(scenario(seed=6))
+    assert a.signals.truth.tobytes() == b.signals.truth.tobytes()
+    for name in ("link_position", "motor_current", "joint_torque", "force_x", "torque_y"):
+        assert (a.reading(name) != b.reading(name)).mean() > 0.2, name
+    for name in a.filters:
+        assert (a.estimate(name) != b.estimate(name)).mean() > 0.2, name
+    a, b = run_scenario(scenario(feedback="RAREKF")), run_scenario(scenario(feedback="RAREKF", seed=6))
+    assert 0 < np.abs(a.truth("joint_torque") - b.truth("joint_torque")).max() < 1
+
+
+def test_filters_see_the_same_signals_whoever_else_is_there():
+    """Filters removed, added, in another order: every signal the same to the bit, and so is each filter's estimate."""
+    full = run_scenario(scenario())
+    for choice in ([0], [2], [3, 1], [2, 1, 0, 3]):
+        chosen = [PAPER_FILTERS[i].model_dump(exclude_none=True) for i in choice]
+        other = run_scenario(scenario(filters=chosen))
+        assert signals(other) == signals(full)
+        for name in other.filters:
+            assert other.estimate(name).tobytes() == full.estimate(name).tobytes(), name
+
+
+def test_changing_one_sensor_leaves_the_others_noise_to_the_bit():
+    """Sensors outside the loop: torque, current and wrench noise differ, encoders and truth do not by a bit."""
+    a = run_scenario(scenario())
+    changes = {"joint_torque": {"noise": 0.5, "rate": 500}, "wrench": {"force_noise": 2.0}}
+    b = run_scenario(scenario(sensors=changes))
+    assert a.signals.truth.tobytes() == b.signals.truth.tobytes()
+    for name in ("motor_position", "link_position", "motor_current", "torque_x", "torque_y"):
+        assert a.reading(name).tobytes() == b.reading(name).tobytes(), name
+    assert a.reading("joint_torque").tobytes() != b.reading("joint_torque").tobytes()
+    ratio = np.std(b.reading("joint_torque") - b.truth("joint_torque")) / np.std(
+        a.reading("joint_torque") - a.truth("joint_torque")
+    )
+    assert ratio == pytest.approx(0.5 / 0.03, rel=0.1)
+
+
+def test_readings_are_the_truth_within_their_noise():
+    run = run_scenario(scenario())
+    assert np.abs(run.reading("motor_position") - run.truth("motor_position")).max() <= np.pi / 4096 + 1e-9
+    assert np.std(run.reading("link_position") - run.truth("link_position")) == pytest.approx(
+        np.hypot(1.5e-6, 2 * np.pi / 2**20 / np.sqrt(12)), rel=0.1
+    )
+    assert np.std(run.reading("motor_current") - run.truth("motor_current")) == pytest.approx(0.01, rel=0.05)
+    assert np.std(run.reading("joint_torque") - run.truth("joint_torque")) == pytest.approx(0.03, rel=0.05)
+    assert np.std(-run.reading("torque_y") - run.truth("joint_torque")) == pytest.approx(0.03, rel=0.1)
+    assert run.reading("force_x").std() > 0
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("hard_stop", {"angle": 0.1, "stiffness": 30.0}), ("cable_spring", {"stiffness": 5.0, "rest_angle": 0.5})],
+)
+def test_wrench_is_the_joint_torque_also_where_something_holds_the_link(tmp_path, name, values):
+    """A stop and a cable act on the link, behind the sensor: its torque about the axis stays Ts."""
+    effect = Effect(name=name, parameters={k: Estimate(value=v) for k, v in values.items()})
+    joint = load_joint("test-joint").model_copy(update={"effects": [effect]})
+    joint.write(tmp_path / "joint.yaml")
+    run = run_scenario(scenario(joint=str(tmp_path / "joint.yaml"), sensors={"wrench": {"torque_noise": 0.0}}))
+    error = -run.reading("torque_y") - run.truth("joint_torque")
+    assert np.sqrt(np.mean(error[100:] ** 2)) < 0.01 * run.truth("joint_torque").std()
+
+
+def test_delay_and_rate_in_the_loop():
+    """A link encoder 5 ms late at 250 Hz: the reading is the truth 5 ms before the last of its own instants."""
+    run = run_scenario(
+        scenario(sensors={"link_encoder": {"noise": 0.0, "bits": 30, "delay": 0.005, "rate": 250}}, feedback="none")
+    )
+    truth, k = run.truth("link_position"), np.arange(len(run.time))
+    expected = truth[np.maximum(k // 4 * 4 - 5, 0)]
+    np.testing.assert_allclose(run.reading("link_position"), expected, atol=2 * np.pi / 2**30)
+
+
+def test_current_stays_within_its_limit():
+    run = run_scenario(scenario(disturbances=[{"kind": "step", "start": 1.0, "duration": 1.0, "torque": 40.0}]))
+    assert np.abs(run.signals.command).max() == pytest.approx(3.3)
+    assert np.abs(run.truth("motor_current")).max() <= 3.3 + 1e-9
+
+
+@pytest.mark.parametrize("timestep", [0.001, 0.0005, 0.0001])
+def test_timestep_is_a_detail(timestep):
+    """Without the encoders' counts in the loop the torque hardly depends on the step."""
+    fine = {"motor_encoder": {"bits": 32}}
+    a = run_scenario(scenario(sensors=fine))
+    b = run_scenario(scenario(sensors=fine, timestep=timestep))
+    difference = np.sqrt(np.mean((a.truth("joint_torque") - b.truth("joint_torque")) ** 2))
+    assert difference < (0.3 if timestep == 0.001 else 0.05) * a.truth("joint_torque").std()
+
+
+def test_printed_equation_23_ends_in_a_clear_error(tmp_path):
+    """Eq. (23) as printed: α = kω² is zero at zero load, f_α infinite. Filter, time and reason, not NaN."""
+    printed = [{"name": "printed", "rule": "rarekf", "alpha": "printed"}]
+    # Without noise, and without a kinematic error that winds the joint at rest, the first estimates are exactly zero.
+    joint = load_joint("test-joint").model_copy(update={"kinematic_error": []})
+    joint.write(tmp_path / "joint.yaml")
+    with pytest.raises(FilterDiverged) as caught:
+        run_scenario(
+            scenario(filters=printed, joint=str(tmp_path / "joint.yaml"), sensors={"link_encoder": {"noise": 0.0}})
+        )
+    message = str(caught.value)
+    print(message)
+    assert "\n" not in message
+    assert "printed" in message
+    assert 0 < caught.value.time < 1.0
+
+
+def test_printed_equation_23_with_noise():
+    """With the encoder's noise no estimate is exactly zero: f_α is huge near zero load, the gain one: no filter at all."""
+    printed = {"name": "printed", "rule": "rarekf", "alpha": "printed"}
+    filters = [printed, {"name": "RAREKF", "rule": "rarekf"}]
+    run = run_scenario(scenario(mounting="no_load", disturbances=[], filters=filters))
+    assert np.isfinite(run.estimate("printed")).all()
+    assert run.robust("printed")[500:].mean() > 0.9 > 0.2 > run.robust("RAREKF")[500:].mean()
+    raw = np.std(np.diff(run.model_torque))
+    assert np.std(np.diff(run.estimate("printed"))) > 0.9 * raw
+    assert np.std(np.diff(run.estimate("RAREKF"))) < 0.5 * raw
+
+
+def test_feedback_buys_position_during_pushes():
+    """Joint torque feedback by the RAREKF: at least 20 % less RMS position error while something pushes."""
+    errors = {}
+    for feedback in ("none", "RAREKF", "sensor"):
+        chosen, folder = load_scenario("torque_feedback", [f"feedback={feedback}"])
+        run = run_scenario(chosen, folder)
+        pushed = np.convolve(run.external_torque != 0, np.ones(300), mode="full")[: len(run.time)] > 0
+        error = (run.position_command - run.truth("link_position"))[pushed]
+        errors[feedback] = float(np.sqrt(np.mean(error**2)))
+    print({name: f"{1e3 * value:.3f} mrad" for name, value in errors.items()}, f"{1 - errors['RAREKF'] / errors['none']:.0%} less")
+    assert errors["RAREKF"] < 0.8 * errors["none"]
+    assert errors["RAREKF"] == pytest.approx(errors["sensor"], rel=0.3)
+
+
+@pytest.mark.parametrize("name", sorted(shipped_scenarios()))
+def test_shipped_scenarios_begin(name):
+    """Each shipped scenario, its first 3 s."""
+    chosen, folder = load_scenario(name, ["duration=3"])
+    run = run_scenario(chosen, folder)
+    assert len(run.time) == 3000
+    assert np.isfinite(run.signals.truth).all() and np.isfinite(run.signals.filters).all()
+    assert run.metrics["scenario"] == name
+
+
+def test_hysteresis_loop_is_drawn():
+    """The locked rotor: a torsion of 1.5 mrad at 15 N·m, and a loop."""
+    chosen, folder = load_scenario("hysteresis_loop")
+    run = run_scenario(chosen, folder)
+    assert np.ptp(run.truth("motor_position")) < 1e-3
+    load, link = run.truth("joint_torque"), run.truth("link_position")
+    assert np.abs(load).max() == pytest.approx(15, rel=0.02)
+    # torsion at 15 N·m: flexspline, and the wave generator which gives way by Eq. (5) at what friction lets through
+    assert 1.4e-3 < np.abs(link).max() < 2.5e-3
+    near = (np.abs(load) < 0.3) & (run.time > 15)
+    rising = np.gradient(load) > 0
+    assert abs(link[near & ~rising].mean() - link[near & rising].mean()) > 1e-4

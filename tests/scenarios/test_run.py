@@ -1,0 +1,117 @@
+"""Run folders: what is in them, and that they can be read back."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from flexspline.models.errors import InputError
+from flexspline.scenarios.run import load_run, run_scenario, save_run
+from flexspline.scenarios.scenario import load_scenario
+from flexspline.sim.recording import read_recording
+
+
+@pytest.fixture(scope="module")
+def run():
+    chosen, folder = load_scenario("external_push", ["duration=10", "plant.K1=9000"], seed=3)
+    return run_scenario(chosen, folder)
+
+
+@pytest.fixture(scope="module")
+def folder(run, tmp_path_factory):
+    return save_run(run, tmp_path_factory.mktemp("runs") / "push")
+
+
+def test_contents(folder):
+    names = {path.name for path in folder.iterdir()}
+    expected = {
+        "signals.parquet", "estimates.parquet", "metrics.json", "scenario.yaml", "joint.yaml", "known_joint.yaml",
+        "run.json",
+    }  # fmt: skip
+    assert expected <= names
+    about = json.loads((folder / "run.json").read_text())
+    assert about["seed"] == 3
+    assert {"flexspline", "mujoco", "numpy", "python"} <= set(about["versions"])
+
+
+def test_every_column_has_its_unit(folder):
+    units = {}
+    for name in ("signals", "estimates"):
+        for field in pq.read_table(folder / f"{name}.parquet").schema:
+            units[field.name] = field.metadata[b"unit"].decode()
+    expected = {
+        "time": "s", "position_command": "rad", "external_torque": "N·m", "current_command": "A", "motor_position": "rad",
+        "motor_current": "A", "joint_torque": "N·m", "force_x": "N", "torque_y": "N·m", "true_link_velocity": "rad/s",
+        "true_bristle": "rad", "model_torque": "N·m", "torque_EKF": "N·m", "variance_EKF": "(N·m)²",
+        "innovation_AREKF": "N·m", "innovation_variance_AREKF": "(N·m)²", "robust_RAREKF": "1", "alpha_RAREKF": "1",
+        "nis_EKF": "1", "f_alpha_EKF": "1",
+    }  # fmt: skip
+    assert {name: units[name] for name in expected} == expected
+
+
+def test_round_trip(run, folder):
+    copy = load_run(folder)
+    for name in ("time", "truth", "readings", "command", "model_torque", "filters"):
+        np.testing.assert_array_equal(getattr(copy.signals, name), getattr(run.signals, name), err_msg=name)
+    assert copy.filters == run.filters and copy.settings == run.settings
+    assert json.dumps(copy.metrics) == json.dumps(run.metrics)
+    assert copy.joint.numbers["K1"].value == 9000 and copy.known.numbers["K1"].value == 8400
+    np.testing.assert_array_equal(copy.external_torque, run.external_torque)
+
+
+def test_the_resolved_scenario_runs_again_to_the_same_bits(run, folder):
+    chosen, where = load_scenario(folder / "scenario.yaml")
+    again = run_scenario(chosen, where)
+    assert again.signals.truth.tobytes() == run.signals.truth.tobytes()
+    assert again.signals.readings.tobytes() == run.signals.readings.tobytes()
+    assert again.signals.filters.tobytes() == run.signals.filters.tobytes()
+
+
+def test_it_is_a_recording(run, folder):
+    recordings = [path for path in folder.glob("*.yaml") if path.with_suffix(".parquet").is_file()]
+    assert len(recordings) == 1
+    recording = read_recording(recordings[0].with_suffix(".parquet"))
+    np.testing.assert_array_equal(recording.joint_torque, run.reading("joint_torque"))
+    np.testing.assert_array_equal(recording.link_position, run.reading("link_position"))
+    assert recording.external == "measured"
+
+
+def test_metrics_are_those_of_the_signals(run):
+    kept = run.time >= 1.0
+    error = (run.estimate("RAREKF") - run.truth("joint_torque"))[kept]
+    assert run.metrics["filters"]["RAREKF"]["rms"] == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert run.metrics["filters"]["EKF"]["robust_share"] == 0
+    assert run.metrics["filters"]["REKF"]["robust_share"] == pytest.approx(1, abs=0.01)
+    assert 0 < run.metrics["filters"]["AREKF"]["robust_share"] < 1
+    nis = run.nis("EKF")[kept]
+    assert run.metrics["filters"]["EKF"]["mean_nis"] == pytest.approx(nis.mean())
+    np.testing.assert_allclose(
+        nis, (run.innovation("EKF") ** 2 / run.innovation_variance("EKF"))[kept], rtol=1e-9, atol=1e-12
+    )
+
+
+def test_nothing_is_left_behind_when_a_view_fails(run, tmp_path):
+    def broken(run, folder: Path):
+        (folder / "half.png").write_bytes(b"half")
+        raise RuntimeError("no display")
+
+    with pytest.raises(RuntimeError):
+        save_run(run, tmp_path / "run", [broken])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_is_not_ours_is_kept(run, tmp_path):
+    (tmp_path / "thesis.tex").write_text("years of work")
+    with pytest.raises(InputError, match="expected an empty or new folder"):
+        save_run(run, tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
+    save_run(run, tmp_path / "run")
+    save_run(run, tmp_path / "run")  # ours, again
+
+
+def test_no_run_folder(tmp_path):
+    with pytest.raises(InputError, match=r"expected a run folder, found no scenario\.yaml"):
+        load_run(tmp_path)
