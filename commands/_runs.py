@@ -22,6 +22,9 @@ def run_all(
         if scenario.name in seen:
             raise InputError(f"scenario {scenario.name}: named twice; each writes to a folder of its name")
         seen.add(scenario.name)
+    for scenario, folder in loaded:  # what cannot run is known before the first one does
+        for joint in scenario.load_joint(folder):
+            joint.mount(scenario.mounting or None)
     views = []
     if figures:
         from ..views.figures import save_figures

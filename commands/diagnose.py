@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -63,12 +64,17 @@ def command(
     console().print(f"{out}: {', '.join(names)}", highlight=False)
 
 
+class _Unused(Exception):
+    """Leaves a folder that was opened to see whether it can be written."""
+
+
 def _apart(measurement: Path, out: Path) -> None:
+    """See before the work begins whether the output can be written, and elsewhere than to the measurement."""
     folder = measurement if measurement.is_dir() else measurement.parent
     if out.resolve() == folder.resolve():
         raise InputError(f"--out {out}: expected another folder than the measurement's")
-    with folder_into_place(out / ".probe"):
-        pass
+    with suppress(_Unused), folder_into_place(out):
+        raise _Unused  # it can be written; nothing is left behind
 
 
 def finite(value: Any) -> Any:

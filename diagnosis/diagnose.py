@@ -19,6 +19,8 @@ from .replay import CHANNELS, HELD_OUT_BLOCK, HELD_OUT_EVERY, drives
 UNITS = {"motor_current": "A", "joint_torque": "N·m", "link": "N·m"}
 LOUD = 1.6
 """A residual this many times the noise, after every known cause was tried, is an unknown effect."""
+UNKNOWN_EXPLAINS = 0.05
+"""Share of the held-out discrepancy that an unknown effect must explain."""
 TEMPER = 5.0
 """The laws are not exact and neither is the noise model: log evidence counts this many times less."""
 HELD_OUT = (
@@ -168,6 +170,10 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
         final_joint = unknown.extend(final_joint, term.candidate)
         after_residuals = _with_term(problem, after, term.candidate)
     findings = _findings(problem, found, after, term, after_residuals)
+    if term is not None and findings[-1].explains < UNKNOWN_EXPLAINS:  # it did not hold on data that it had not seen
+        term, after, after_residuals = None, chosen, chosen.state[0]
+        final_joint = _extended(problem, after, joint)
+        findings = _findings(problem, found, after, None, after_residuals)
     library = Library(
         problem, chosen, [h for h in tried if h.cause.name not in {c.cause.name for c in chosen.model}], 0.1
     )

@@ -188,6 +188,8 @@ def settle(
     return f
 
 
+_UNSETTLED = 1.35
+"""A residual that should be noise and is so many times the noise it was taken for: calibration got stuck."""
 _QUIET = 1.2
 """Where the residual is less than so many times the noise, it is taken for noise."""
 
@@ -299,6 +301,10 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             noise = estimate(problem.drives, clean(problem, noise, base, library), quantum)
             base = fit(problem, noise, base.model, base.theta, 5, 1.0, base.jacobian, echoed)
             estimated = True
+            if level(problem, noise, base) > _UNSETTLED:
+                base = converge(problem, noise, base, echoed)
+            if level(problem, noise, base) > _UNSETTLED:
+                base = _afresh(problem, noise, base, echoed)
             loudness = level(problem, noise, base)
         tempered = noise if loudness < _QUIET else louder(noise, loudness)
         screened = screen(problem, tempered, base, library)

@@ -139,11 +139,11 @@ def folder_into_place(path: Path) -> Iterator[Path]:
     An older folder of the same name is replaced only when it is empty or was made by this function.
     """
     marker = ".flexspline"
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path}: expected a folder to write to, got a file")
-    if path.is_dir() and any(path.iterdir()) and not (path / marker).exists():
-        raise InputError(f"{path}: expected an empty or new folder, got one with other files in it")
     try:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: expected a folder to write to, got a file")
+        if path.is_dir() and any(path.iterdir()) and not (path / marker).exists():
+            raise InputError(f"{path}: expected an empty or new folder, got one with other files in it")
         path.parent.mkdir(parents=True, exist_ok=True)
         temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     except OSError as error:

@@ -135,11 +135,12 @@ def simulate(
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
     at = native.offsets()
     offsets = np.array([at[k] for k in ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata")], dtype=np.int64)
-    _loop(
-        native.function_address("mj_step"), model._address, data._address, offsets, layout.as_array(), substeps,
-        float(model.opt.timestep), record, calibration, position, velocity, external_torque, sensors, noise,
-        controller, bank, start_variance, feedback, truth, readings, command, model_torque, filters, failed,
-    )  # fmt: skip
+    with native.quiet():
+        _loop(
+            native.function_address("mj_step"), model._address, data._address, offsets, layout.as_array(), substeps,
+            float(model.opt.timestep), record, calibration, position, velocity, external_torque, sensors, noise,
+            controller, bank, start_variance, feedback, truth, readings, command, model_torque, filters, failed,
+        )  # fmt: skip
     time = np.arange(n) * CONTROL_PERIOD
     return Signals(time, truth, readings, command, model_torque, filters, tuple(int(x) for x in failed))
 

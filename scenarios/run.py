@@ -31,6 +31,7 @@ UNITS = {
     "time": "s", "position": "rad", "velocity": "rad/s", "current": "A", "torque": "N·m", "force": "N",
     "bristle": "rad", "innovation": "N·m", "variance": "(N·m)²",
 }  # fmt: skip
+_FASTEST = 1e5  # rad/s
 STATE_COLUMNS = (
     "torque", "variance", "innovation", "innovation_variance", "unadjusted_innovation_variance",
     "innovation_memory_variance", "alpha", "f_alpha", "robust", "nis",
@@ -171,7 +172,7 @@ def run_scenario(scenario: Scenario, folder: Path | None = None) -> Run:
       folder: of the scenario's file, where a joint that it names by a relative path lies.
 
     Raises:
-      InputError: a joint or mounting that does not exist.
+      InputError: a joint or mounting that does not exist; torques under which the motion is no longer finite.
       FilterDiverged: a filter's estimate overflowed; names filter and time.
     """
     joint, known = scenario.load_joint(folder)
@@ -194,11 +195,25 @@ def run_scenario(scenario: Scenario, folder: Path | None = None) -> Run:
         np.array([s.P0 for s in settings]),
         feedback=_feedback(scenario),
     )
+    overloaded = _overload(signals)
+    if overloaded is not None:
+        raise InputError(
+            f"scenario {scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques and motions "
+            "that the joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
+        )
     which, status, tick = signals.failed
     if which >= 0:
         reason = "the estimate is no longer a finite number" if status == NOT_FINITE else "the gain has no finite value"
         raise FilterDiverged(settings[which].name, tick, signals.time[tick], reason)
     return Run(scenario, joint, known, settings, signals)
+
+
+def _overload(signals: Signals) -> float | None:
+    """When [s] the plant's motion stopped being one: not finite, or faster than anything that turns."""
+    theta = signals.truth[: signals.failed[2] + 1, :3]
+    broken = ~np.isfinite(signals.truth[: signals.failed[2] + 1]).all(axis=1)
+    broken[1:] |= ~(np.abs(np.diff(theta, axis=0)) < _FASTEST * CONTROL_PERIOD).all(axis=1)
+    return float(signals.time[np.argmax(broken)]) if np.any(broken) else None
 
 
 def _feedback(scenario: Scenario) -> int:

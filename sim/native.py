@@ -7,6 +7,9 @@ process, by looking for the address that Python's view of the field reports, so 
 from __future__ import annotations
 
 import ctypes
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
@@ -90,6 +93,36 @@ def install(name: str, address: int) -> None:
 def installed(name: str) -> bool:
     """Whether a global callback is set."""
     return bool(ctypes.c_void_p.in_dll(library(), name).value)
+
+
+_ignore = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(lambda message: None)
+_quiet_runs = 0
+_quiet_lock = threading.Lock()
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Keep MuJoCo from printing its warnings and writing them to MUJOCO_LOG.TXT; it still counts them (`mjData.warning`).
+
+    May be entered by several threads. A handler that somebody else has set is left alone.
+    """
+    global _quiet_runs
+    with _quiet_lock:
+        if _quiet_runs > 0 or not installed("mju_user_warning"):
+            if _quiet_runs == 0:
+                install("mju_user_warning", ctypes.cast(_ignore, ctypes.c_void_p).value)
+            _quiet_runs += 1
+            ours = True
+        else:
+            ours = False
+    try:
+        yield
+    finally:
+        if ours:
+            with _quiet_lock:
+                _quiet_runs -= 1
+                if _quiet_runs == 0:
+                    ctypes.c_void_p.in_dll(library(), "mju_user_warning").value = None
 
 
 @cache

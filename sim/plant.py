@@ -130,6 +130,8 @@ def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current
     spec.option.timestep = timestep
     # Nothing touches anything, and no joint has limits.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT)
+    # A motion that is not finite stays so, and is seen, instead of beginning again at zero.
+    spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     for name, inertia in (("rotor", p["Jm"]), ("wave_generator", p["Jw"])):
         body = spec.body(name)

@@ -37,7 +37,8 @@ BALANCES = (
 _UNITS = ("A", "N·m", "N·m")
 _MEANING = {
     "time": "time since the start", "link": "the link angle", "turn": "the angle of the motor within a turn",
-    "velocity": "the motor's velocity", "load": "the load", "loading": "the load and whether it rises or falls", "direction": "the direction of motion",
+    "velocity": "the motor's velocity", "load": "the load", "loading": "the load and whether it rises or falls",
+    "direction": "the direction of motion",
 }  # fmt: skip
 
 
@@ -62,7 +63,8 @@ class Report:
 def verdict_sentence(d: Diagnosis) -> str:
     """The verdict in one sentence."""
     if d.verdict == "inconclusive":
-        return f"This measurement cannot tell: {len(d.undetermined)} of {len(causes.names())} known causes would not have shown in it."
+        count = f"{len(d.undetermined)} of {len(causes.names())}"
+        return f"This measurement cannot tell: {count} known causes would not have shown in it."
     if not d.causes:
         text = "The joint behaves as its description says, within its tolerances"
         return f"{text}; {len(d.undetermined)} causes could not have shown." if d.undetermined else f"{text}."
@@ -105,7 +107,9 @@ def html(report: Report) -> str:
         _section("What to measure next", _next(report)),
         _section("How these numbers were obtained", _method(report)),
     ]
-    return f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(report.measurement.name)}: diagnosis</title><style>{_CSS}</style><main>{''.join(parts)}</main></html>\n"
+    title = f"{escape(report.measurement.name)}: diagnosis"
+    head = f"<!doctype html><html lang=en><meta charset=utf-8><title>{title}</title><style>{_CSS}</style>"
+    return f"{head}<main>{''.join(parts)}</main></html>\n"
 
 
 def _section(title: str, *parts: str) -> str:
@@ -148,9 +152,11 @@ def _head(r: Report) -> str:
     rate = 1 / r.measurement.recordings[0].interval
     sensor = "with" if d.problem.has_torque else "without"
     return (
-        f'<header><p class="small">Diagnosis of <b>{escape(r.measurement.name)}</b> against the joint <b>{escape(r.joint.name)}</b></p>'
+        f'<header><p class="small">Diagnosis of <b>{escape(r.measurement.name)}</b> '
+        f"against the joint <b>{escape(r.joint.name)}</b></p>"
         f'<h1><span class="verdict {d.verdict}">{d.verdict}</span>{escape(verdict_sentence(d))}</h1>'
-        f'<p class="small">{escape(recordings)}; {rate:.0f} Hz, {sensor} joint torque sensor; {r.seconds:.0f} s of computing</p></header>'
+        f'<p class="small">{escape(recordings)}; {rate:.0f} Hz, {sensor} joint torque sensor; '
+        f"{r.seconds:.0f} s of computing</p></header>"
     )
 
 
@@ -212,8 +218,8 @@ def _alternatives(d: Diagnosis) -> str:
 def _overlay_text(d: Diagnosis) -> str:
     before = "calibrated within its tolerances" + (", without the causes" if d.causes else "")
     return _p(
-        "Both ends of the simulated joint follow their measured motion; what the sensors should then have read stands against what "
-        f"they did read. <b>Before</b>: the joint {before}. <b>After</b>: the extended joint. The blue band is what the sensors' "
+        "Both ends of the simulated joint follow their measured motion; what the sensors should then have read stands against "
+        f"what they did read. <b>Before</b>: the joint {before}. <b>After</b>: the extended joint. The blue band is what the sensors' "
         "own noise explains (two standard deviations); sand-coloured stretches were kept from every fit. Residuals "
         "are left out where the motion starts or rests: friction may there be anything up to its level."
     ) + figures.legend(
@@ -336,15 +342,16 @@ def _balances(r: Report, noise: Noise) -> list[figures.Balance]:
 def _balance_sections(balances, told, d: Diagnosis) -> list[str]:
     out = [
         _p(
-            "A joint has three torque balances, and an effect breaks only those that it touches. Each point is the residual of one "
-            "balance after calibration, before any cause; the lines are its means over forward and backward motion, and "
-            "the mean that the extended joint leaves. The titles say how much of the residual's power the variable explains "
+            "A joint has three torque balances, and an effect breaks only those that it touches. Each point is the "
+            "residual of one balance after calibration, before any cause; the lines are its means over forward and backward "
+            "motion, and the mean that the extended joint leaves. The titles say how much of the residual's power the variable explains "
             "before, and then after."
         ),
         figures.legend(
             [
                 (figures.MEASURED, "residual before"), (figures.FORWARD, "mean before, forward (or load rising)"),
-                (figures.BACKWARD, "mean before, backward (or load falling)"), (figures.AFTER, "mean after"), (figures.NOISE, "noise ± 2 σ"),
+                (figures.BACKWARD, "mean before, backward (or load falling)"), (figures.AFTER, "mean after"),
+                (figures.NOISE, "noise ± 2 σ"),
             ]
         ),
     ]  # fmt: skip
@@ -381,7 +388,8 @@ def _bar(before: float, after: float, noise: float) -> str:
     whole = max(before, after, noise) or 1.0
     width = [160 * x / whole for x in (before, after, noise)]
     return (
-        f'<svg viewBox="0 0 164 22" width="164" height="22"><rect y="2" width="{width[0]:.0f}" height="8" fill="{figures.BEFORE}"/>'
+        '<svg viewBox="0 0 164 22" width="164" height="22">'
+        f'<rect y="2" width="{width[0]:.0f}" height="8" fill="{figures.BEFORE}"/>'
         f'<rect y="12" width="{width[1]:.0f}" height="8" fill="{figures.AFTER}"/>'
         f'<path d="M{width[2]:.0f} 0v22" stroke="#2B3138" stroke-dasharray="2 2"/></svg>'
     )
@@ -389,7 +397,7 @@ def _bar(before: float, after: float, noise: float) -> str:
 
 def _held_out(r: Report) -> str:
     rows = [
-        (name.replace("_", " "), f"{x.before:.4g} {x.unit}", f"{x.after:.4g} {x.unit}", f"{x.noise:.4g} {x.unit}", _bar(x.before, x.after, x.noise))
+        (name.replace("_", " "), *(f"{v:.4g} {x.unit}" for v in (x.before, x.after, x.noise)), _bar(x.before, x.after, x.noise))
         for name, x in r.diagnosis.residual.items()
     ]  # fmt: skip
     return _p("Simulation error (RMS); the dashed line is the noise floor.") + _table(
@@ -415,7 +423,7 @@ def _estimation(r: Report) -> str:
             f"{escape(g.known_before)}; after, the extended joint. The sensor's own noise, {g.noise:g} N·m, is in both (dashed)."
         )
         + _table(("filter", "before", "after", "change", ""), rows)
-        + f'<div class="grid">{figures.torque_trace(f"RAREKF, {trace.name}", trace.time, trace.sensor, trace.before, trace.after)}</div>'
+        + figures.torque_trace(f"RAREKF, {trace.name}", trace.time, trace.sensor, trace.before, trace.after)
     )
 
 
@@ -540,14 +548,18 @@ def _method(r: Report) -> str:
     d = r.diagnosis
     return (
         "<ol>"
-        "<li>Encoders, current and torque are smoothed by one and the same linear filter, so that no smoothing error enters their comparison.</li>"
-        "<li>The joint is replayed between its measured rotor and link motion; current, joint torque and the link's balance follow. Nothing drifts.</li>"
-        f"<li>{d.problem.calibration.size} numbers of the joint are fitted with their tolerances as priors, together with the causes under test; "
-        "residuals are whitened, outliers count linearly.</li>"
-        f"<li>All {len(causes.names())} known causes are screened on the linearised residuals; the finalists are fitted through the replay and "
-        "compared by their evidence. What no cause explains gets a spline at the place and in the variable that explain it best.</li>"
+        "<li>Encoders, current and torque are smoothed by one and the same linear filter, so that no "
+        "smoothing error enters their comparison.</li>"
+        "<li>The joint is replayed between its measured rotor and link motion; current, joint torque and the link's "
+        "balance follow. Nothing drifts.</li>"
+        f"<li>{d.problem.calibration.size} numbers of the joint are fitted with their tolerances as priors, together with "
+        "the causes under test; residuals are whitened, outliers count linearly.</li>"
+        f"<li>All {len(causes.names())} known causes are screened on the linearised residuals; the finalists are fitted "
+        "through the replay and compared by their evidence. What no cause explains gets a spline at the place and in the "
+        "variable that explain it best.</li>"
         f"<li>Held out: {escape(d.held_out)}.</li>"
-        "<li>Confidence is the share of the evidence that the cause has among all that were tried, tempered, since neither laws nor noise model are exact.</li>"
+        "<li>Confidence is the share of the evidence that the cause has among all that were tried, tempered, "
+        "since neither laws nor noise model are exact.</li>"
         "</ol>"
     )
 
@@ -592,20 +604,43 @@ _CSS = """
 body{margin:0;background:#F6F7F9;color:#2B3138;font:15px/1.5 "Inter","Segoe UI","Helvetica Neue",Arial,sans-serif}
 main{max-width:1200px;margin:0 auto;padding:28px 20px 60px}
 header,section{background:#fff;border:1px solid #E3E7EB;border-radius:10px;padding:20px 26px;margin:0 0 18px}
-h1{font-size:23px;line-height:1.35;margin:8px 0;font-weight:600}h2{font-size:18px;margin:0 0 8px}
-h3{font-size:15px;margin:16px 0 2px}p{margin:6px 0;max-width:86ch}.small{color:#66707B;font-size:13px}
-.verdict{display:inline-block;font-size:13px;font-weight:600;border-radius:5px;padding:2px 9px;margin-right:10px;vertical-align:3px;color:#fff}
-.verdict.consistent{background:#00875F}.verdict.discrepancy{background:#C8442F}.verdict.inconclusive{background:#8A6D1D}
-.grid{display:flex;flex-wrap:wrap;gap:6px 4px;margin:4px 0 0}.stack{display:flex;flex-direction:column}
+h1{font-size:23px;line-height:1.35;margin:8px 0;font-weight:600}
+h2{font-size:18px;margin:0 0 8px}
+h3{font-size:15px;margin:16px 0 2px}
+p{margin:6px 0;max-width:86ch}
+.small{color:#66707B;font-size:13px}
+.verdict{display:inline-block;font-size:13px;font-weight:600;border-radius:5px;padding:2px 9px;margin-right:10px;
+  vertical-align:3px;color:#fff}
+.verdict.consistent{background:#00875F}
+.verdict.discrepancy{background:#C8442F}
+.verdict.inconclusive{background:#8A6D1D}
+.grid{display:flex;flex-wrap:wrap;gap:6px 4px;margin:4px 0 0}
+.stack{display:flex;flex-direction:column}
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:14px}
 .card{border:1px solid #E3E7EB;border-left:4px solid #C8442F;border-radius:6px;padding:10px 16px}
-.card h3{margin:0;font-size:17px;text-transform:capitalize}.card .small{margin:0}
-.facts{display:flex;gap:26px;margin:6px 0}.facts div{font-size:12px;color:#66707B}.facts b{display:block;font-size:20px;color:#2B3138}
-table{border-collapse:collapse;margin:8px 0;font-size:13.5px}th{text-align:left;font-weight:500;color:#66707B;vertical-align:bottom}
-td,th{padding:4px 18px 4px 0;border-bottom:1px solid #EDF0F2}td{font-variant-numeric:tabular-nums;vertical-align:middle}
-.legend{font-size:12.5px;color:#4A535C}.legend{max-width:none}.legend span{margin-right:16px;white-space:nowrap}.legend i{display:inline-block;width:18px;height:8px;border-radius:2px;margin-right:6px}
-.note{background:#FFF9EC;border-left:3px solid #E8A100;padding:7px 12px}details{margin-top:12px}summary{cursor:pointer;color:#2F7FD1}
-code{background:#F1F3F5;border-radius:3px;padding:1px 4px}svg .t{font-size:10px;fill:#66707B}svg .l{font-size:11px;fill:#4A535C}
-svg .h{font-size:11.5px;font-weight:600;fill:#2B3138}svg text{font-family:inherit}ul,ol{margin:6px 0;padding-left:22px}sup{line-height:0}
-@media print{body{background:#fff}section,header{break-inside:avoid-page}}
+.card h3{margin:0;font-size:17px;text-transform:capitalize}
+.card .small{margin:0}
+.facts{display:flex;gap:26px;margin:6px 0}
+.facts div{font-size:12px;color:#66707B}
+.facts b{display:block;font-size:20px;color:#2B3138}
+table{border-collapse:collapse;margin:8px 0;font-size:13.5px}
+th{text-align:left;font-weight:500;color:#66707B;vertical-align:bottom}
+td,th{padding:4px 18px 4px 0;border-bottom:1px solid #EDF0F2}
+td{font-variant-numeric:tabular-nums;vertical-align:middle}
+.legend{font-size:12.5px;color:#4A535C}
+.legend{max-width:none}
+.legend span{margin-right:16px;white-space:nowrap}
+.legend i{display:inline-block;width:18px;height:8px;border-radius:2px;margin-right:6px}
+.note{background:#FFF9EC;border-left:3px solid #E8A100;padding:7px 12px}
+details{margin-top:12px}
+summary{cursor:pointer;color:#2F7FD1}
+code{background:#F1F3F5;border-radius:3px;padding:1px 4px}
+svg .t{font-size:10px;fill:#66707B}
+svg .l{font-size:11px;fill:#4A535C}
+svg .h{font-size:11.5px;font-weight:600;fill:#2B3138}
+svg text{font-family:inherit}
+ul,ol{margin:6px 0;padding-left:22px}
+sup{line-height:0}
+@media print{body{background:#fff}
+section,header{break-inside:avoid-page}}
 """

@@ -44,6 +44,7 @@ STEPS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1e-6, 1e-7, 1e-4, 1e-3, 1e-5, 1e-4, 1e
 """Steps of the differences that stand for derivatives, per state: small against its uncertainty, large against rounding."""
 _LONGEST = 0.5e-3  # s: substep
 _TURN = 0.8  # rad of the fastest mode per substep
+_MOST = 10.0  # substeps per _LONGEST
 _PLACE_ROTOR, _PLACE_MESH, _PLACE_FLEXSPLINE, _PLACE_LINK, _PLACE_TORQUE, _PLACE_READING = (
     PLACES.index(name) for name in ("rotor", "mesh", "flexspline", "link", "joint_torque", "link_position")
 )
@@ -87,7 +88,7 @@ class ProcessNoise:
         """Return the noise for a joint and its sensors as arrays for compiled code."""
         start, walk = np.zeros(SIZE), np.zeros(SIZE)
         counts = noise.motor_resolution
-        start[[MOTOR, WAVE]] = counts**2, (0.5 / (p["Cw"] * p["Kw0"])) ** 2
+        start[[MOTOR, WAVE]] = counts**2, (0.1 / (p["Cw"] * p["Kw0"])) ** 2
         start[[MOTOR_RATE, WAVE_RATE, LINK_RATE]] = 1.0, 1.0, p["N"] ** -2.0
         start[LINK] = noise.link_resolution**2 + noise.link_noise**2
         start[BRISTLE] = (p["Fs"] / p["s0"]) ** 2
@@ -198,7 +199,11 @@ def substeps(x, dt, p):
     Tw = abs(laws.wave_generator_spring(x[MOTOR] - x[WAVE], p))
     stiffness = p.Kw0 * math.exp(min(p.Cw * Tw, 12.0))  # dTw/dδ of Eq. (3)
     fastest = max(stiffness * (1.0 / p.Jm + 1.0 / p.Jw), p.K3 * (1.0 / p.Jl + 1.0 / (p.N * p.N * p.Jw)))
-    return max(1, int(math.ceil(dt * max(1.0 / _LONGEST, math.sqrt(fastest) / _TURN) - 1e-9)))
+    wanted = dt * max(1.0 / _LONGEST, math.sqrt(fastest) / _TURN)
+    most = _MOST * max(1.0, dt / _LONGEST)
+    if not wanted < most:  # a state that has gone astray, or is no number any more
+        return int(most)
+    return max(1, int(math.ceil(wanted - 1e-9)))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from flexspline.estimator import FilterDiverged
+from flexspline.models.errors import InputError
 from flexspline.models.joint import Effect, Estimate, load_joint
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import PAPER_FILTERS, Scenario, load_scenario, shipped_scenarios
@@ -113,8 +114,21 @@ def test_delay_and_rate_in_the_loop():
     np.testing.assert_allclose(run.reading("link_position"), expected, atol=2 * np.pi / 2**30)
 
 
+def test_motion_that_is_not_finite_is_an_error(tmp_path, monkeypatch):
+    """40 N·m at once drive the wave generator beyond its compliance, Eq. (5): one line with the time, no other litter."""
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError) as caught:
+        run_scenario(scenario(disturbances=[{"kind": "step", "start": 1.0, "duration": 1.0, "torque": 40.0}]))
+    message = str(caught.value)
+    print(message)
+    assert "scenario short" in message and "1.0" in message and "finite" in message
+    assert "\n" not in message
+    assert list(tmp_path.iterdir()) == []  # MuJoCo would write MUJOCO_LOG.TXT
+
+
 def test_current_stays_within_its_limit():
-    run = run_scenario(scenario(disturbances=[{"kind": "step", "start": 1.0, "duration": 1.0, "torque": 40.0}]))
+    far = [{"time": 0.3, "position": 0.0}, {"time": 0.5, "position": 1.5}]
+    run = run_scenario(scenario(mounting="no_load", trajectory=far, disturbances=[]))
     assert np.abs(run.signals.command).max() == pytest.approx(3.3)
     assert np.abs(run.truth("motor_current")).max() <= 3.3 + 1e-9
 

@@ -1,0 +1,33 @@
+"""Run the benchmarks: all, or those named. `convergence` takes minutes and runs only when named."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import os
+import platform
+from importlib import metadata
+
+NAMES = ("closed_loop", "filters", "compiled_loop")
+NAMED_ONLY = ("convergence",)
+
+
+def main() -> None:
+    """Run and print."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="name", help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first three by default")
+    arguments = parser.parse_args()
+    unknown = [name for name in arguments.names if name not in NAMES + NAMED_ONLY]
+    if unknown:
+        parser.error(f"unknown benchmark {unknown[0]!r}: expected any of {', '.join(NAMES + NAMED_ONLY)}")
+    versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("mujoco", "numba", "numpy"))
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    print(f"{platform.machine()}, {os.cpu_count()} cores{load}; Python {platform.python_version()}, {versions}")
+    print("medians after a warm-up; lowest and highest beside them\n")
+    for name in arguments.names or NAMES:
+        importlib.import_module(f"benchmarks.{name}").main()
+        print()
+
+
+if __name__ == "__main__":
+    main()
