@@ -1,1 +1,4 @@
-"""Benchmarks: `python -m benchmarks` or `make bench`. One file per benchmark; `convergence` regenerates docs/convergence.md's table."""
+"""Benchmarks: `python -m benchmarks` or `make bench`. One file per benchmark.
+
+`python -m benchmarks convergence` regenerates the tables and the figure of docs/convergence.md.
+"""

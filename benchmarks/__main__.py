@@ -15,7 +15,9 @@ NAMED_ONLY = ("convergence",)
 def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="name", help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first three by default")
+    parser.add_argument(
+        "names", nargs="*", metavar="name", help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first three by default"
+    )
     arguments = parser.parse_args()
     unknown = [name for name in arguments.names if name not in NAMES + NAMED_ONLY]
     if unknown:

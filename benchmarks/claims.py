@@ -50,7 +50,9 @@ def no_load(seeds: range) -> None:
             rows.append((np.sqrt(np.mean(e**2)), np.abs(e).max(), np.mean(np.abs(e) < 0.1), np.mean(np.abs(s) < 0.1),
                          run.robust(f)[kept].mean()))  # fmt: skip
         c = list(zip(*rows, strict=True))
-        print(f"| {f} | {_spread(c[0])} | {_spread(c[1])} | {_spread(c[2], 100, 2)} | {_spread(c[3], 100, 2)} | {_spread(c[4], 100, 1)} |")
+        print(
+            f"| {f} | {_spread(c[0])} | {_spread(c[1])} | {_spread(c[2], 100, 2)} | {_spread(c[3], 100, 2)} | {_spread(c[4], 100, 1)} |"
+        )
 
 
 def load(seeds: range) -> None:
@@ -78,7 +80,9 @@ def push(seeds: range) -> None:
     for label, plant in MISTAKEN.items():
         runs = [_run("external_push", seed, plant) for seed in seeds]
         print(f"\n## External push, {label}\n")
-        print("| filter | RMS [N·m] | largest [N·m] | 90 % response after the truth's [ms] | delay [ms] | noise / raw model | robust [%] |")
+        print(
+            "| filter | RMS [N·m] | largest [N·m] | 90 % response after the truth's [ms] | delay [ms] | noise / raw model | robust [%] |"
+        )
         print("|---|---|---|---|---|---|---|")
         for f in ("model", *(f.name for f in FILTERS)):
             rows = []
@@ -87,14 +91,20 @@ def push(seeds: range) -> None:
                 late = (m["response_ms"] or np.nan) - run.metrics["truth"]["response_ms"]
                 rows.append((m["rms"], m["max"], late, m["delay_ms"], m["noise_ratio"], m.get("robust_share", np.nan)))
             c = list(zip(*rows, strict=True))
-            print(f"| {f} | {_spread(c[0])} | {_spread(c[1], 1, 2)} | {_spread(c[2], 1, 1)} | {_spread(c[3], 1, 2)} | {_spread(c[4], 1, 2)} | {_spread(c[5], 100, 1)} |")
+            print(
+                f"| {f} | {_spread(c[0])} | {_spread(c[1], 1, 2)} | {_spread(c[2], 1, 1)} | {_spread(c[3], 1, 2)} | {_spread(c[4], 1, 2)} | {_spread(c[5], 100, 1)} |"
+            )
 
 
 def equal_noise(seeds: range) -> None:
     """Claim 3 at equal noise: an EKF with W raised until its noise is RAREKF's; what the push then costs each."""
-    print("\n## External push: EKF with W raised, beside RAREKF\n\n| filter | noise / raw model | RMS [N·m] | largest [N·m] |\n|---|---|---|---|")
+    print(
+        "\n## External push: EKF with W raised, beside RAREKF\n\n| filter | noise / raw model | RMS [N·m] | largest [N·m] |\n|---|---|---|---|"
+    )
     choices = [FilterChoice(name="RAREKF", rule="rarekf")]
-    choices += [FilterChoice(name=f"EKF-{i}", rule="ekf", W=w) for i, w in enumerate((1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3))]
+    choices += [
+        FilterChoice(name=f"EKF-{i}", rule="ekf", W=w) for i, w in enumerate((1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3))
+    ]
     collected: dict[str, list] = {c.name: [] for c in choices}
     for seed in seeds:
         scenario, folder = load_scenario("external_push", seed=seed)
@@ -110,13 +120,17 @@ def equal_noise(seeds: range) -> None:
 
 def feedback(seeds: range) -> None:
     """What joint torque feedback buys: position error with the RAREKF's estimate fed back, and without."""
-    print("\n## Joint torque feedback: position error after 1 s\n\n| feedback | RMS [mrad] | largest [mrad] |\n|---|---|---|")
+    print(
+        "\n## Joint torque feedback: position error after 1 s\n\n| feedback | RMS [mrad] | largest [mrad] |\n|---|---|---|"
+    )
     for choice in ("none", "EKF", "AREKF", "RAREKF", "sensor"):
         errors = []
         for seed in seeds:
             scenario, folder = load_scenario("torque_feedback", [f"feedback={choice}"], seed)
             errors.append(run_scenario(scenario, folder).metrics["position_error"])
-        print(f"| {choice} | {_spread([e['rms'] for e in errors], 1e3, 3)} | {_spread([e['max'] for e in errors], 1e3, 3)} |")
+        print(
+            f"| {choice} | {_spread([e['rms'] for e in errors], 1e3, 3)} | {_spread([e['max'] for e in errors], 1e3, 3)} |"
+        )
 
 
 if __name__ == "__main__":

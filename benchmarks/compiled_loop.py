@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import mujoco
 import numpy as np
 from flexspline.estimator import FilterSettings, compliance_torque, filter_bank, start_bank, update_bank, workspace
+from flexspline.models.joint import load_joint
 from flexspline.scenarios.loop import CONTROL_PERIOD
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.sim import plant, sensors
+from flexspline.sim import native, plant, sensors
 from flexspline.sim.callbacks import transmission
 from flexspline.sim.drive import control
 
@@ -48,8 +51,24 @@ def _python_loop(scenario, folder) -> None:
         last = command
 
 
+def _python_callback(steps: int):
+    """The shipped MJCF under a passive-force callback in Python that does nothing: what every step then costs at least."""
+    model = mujoco.MjModel.from_xml_path(str(load_joint("test-joint").mjcf))
+
+    def run() -> None:
+        ours = ctypes.c_void_p.in_dll(native.library(), "mjcb_passive").value
+        mujoco.set_mjcb_passive(lambda m, d: None)
+        try:
+            mujoco.mj_step(model, mujoco.MjData(model), nstep=steps)
+        finally:
+            mujoco.set_mjcb_passive(None)
+            native.install("mjcb_passive", ours)
+
+    return run
+
+
 def main() -> None:
-    """Print both times and their ratio."""
+    """Print the times and their ratios."""
     scenario, folder = load_scenario("no_load", [f"duration={SECONDS:g}"])
     compiled = measure(lambda: run_scenario(scenario, folder))
     python = measure(lambda: _python_loop(scenario, folder), 3)
@@ -57,3 +76,6 @@ def main() -> None:
     print(f"  compiled                 {compiled}")
     print(f"  loop in Python           {python}, without wrench and torque sensor; its parts compiled")
     print(f"  gain                     {python.median / compiled.median:.1f}")
+    steps = round(SECONDS / scenario.timestep)
+    callback = measure(_python_callback(steps), 3)
+    print(f"  empty Python callback    {callback}: {steps} steps of the shipped MJCF")

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape as markup
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
@@ -29,7 +30,9 @@ def command(
     size: Annotated[float, typer.Option(min=0.0, help="of the effects, in ordinary sizes")] = 1.0,
     sizes: Annotated[str, typer.Option(help="sizes to scan, e.g. `1,0.3,0.1`, instead of --size")] = "",
     cause: Annotated[list[str] | None, typer.Option(help="draw only from these causes. Repeatable.")] = None,
-    exact: Annotated[bool, typer.Option("--exact", help="the joint has exactly its nominal numbers")] = False,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="the joint has exactly its nominal numbers, and diagnosis is told so")
+    ] = False,
     no_sensor: Annotated[
         bool, typer.Option("--no-sensor", help="no joint torque; irregular 250 Hz with samples missing")
     ] = False,
@@ -99,11 +102,11 @@ def _show(terminal: Console, asked, outcomes, sizes) -> None:
     )
     table.add_column("")
     for s in sizes:
-        table.add_column(f"size {s:g}", justify="right")
+        table.add_column("" if asked.hidden == "none" else f"size {s:g}", justify="right")
     columns = [challenges.summary(found) for found in by_size.values()]
     for key in dict.fromkeys(k for c in columns for k in c):
         cells = [c.get(key, "–") for c in columns]
-        table.add_row(key, *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
+        table.add_row(markup(key), *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
     terminal.print(table)
     _show_confusion(terminal, challenges.confusion(outcomes))
     rows = challenges.reliability(outcomes)

@@ -24,6 +24,9 @@ def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")],
     out: Annotated[Path, typer.Option(help="folder to write to")],
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    exact: Annotated[
+        bool, typer.Option("--exact", help="take the joint's numbers as exactly known: whatever differs is a cause")
+    ] = False,
     report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
 ) -> None:
     """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
@@ -36,6 +39,10 @@ def command(
         from ..diagnosis.diagnose import diagnose
         from ..diagnosis.gain import estimation, with_gain
 
+        if exact:
+            from ..diagnosis.challenge import exactly
+
+            described = exactly(described)
         seconds = sum(r.time[-1] - r.time[0] for r in data.recordings)
         progress.update(
             task, description=f"{data.name}: diagnosing {seconds:.0f} s in {len(data.recordings)} recording(s)"

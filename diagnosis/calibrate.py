@@ -7,7 +7,7 @@ The data are the whitened residuals of the replay; outliers beyond `HUBER` stand
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -52,6 +52,17 @@ class Problem:
             + [self.calibration.size, self.calibration.size + 1]
         )
         self.has_torque = any(len(d.torque) for d in drives)
+
+    def match_twins(self, factors: list[float]) -> None:
+        """Make the noise of the twins' motion `factors` times as large, one a stretch."""
+        self.twins = [
+            twin
+            if f == 1.0
+            else replace(
+                twin, rotor=drive.rotor + f * (twin.rotor - drive.rotor), link=drive.link + f * (twin.link - drive.link)
+            )
+            for drive, twin, f in zip(self.drives, self.twins, factors, strict=True)
+        ]
 
     def split(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> list[np.ndarray]:
         """Coordinates of each hypothesis in the vector of unknowns."""

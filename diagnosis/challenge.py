@@ -52,7 +52,7 @@ class Challenge:
       joint: name of, or path to, the nominal joint.
       seed: of every random stream.
       hidden: one effect, two, one outside the library, or none.
-      exact: the joint has exactly its nominal numbers, not others within their tolerances.
+      exact: the joint has exactly its nominal numbers, and diagnosis is told a description without tolerances.
       sensor: with the joint torque sensor, at 1 kHz; without it irregularly at about 250 Hz, single samples missing.
       scenarios: names or paths of scenarios to use instead of motions drawn anew.
       only: names of the causes (or effects outside the library) to draw from, all where empty.
@@ -234,6 +234,8 @@ OUTSIDE: dict[str, Outside] = {
 def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
     """Draw number `index` of a challenge: joint, motion, effect of `size` ordinary sizes, and its recordings."""
     nominal = load_joint(challenge.joint)
+    if challenge.exact:
+        nominal = exactly(nominal)
     streams = [np.random.default_rng([challenge.seed, index, k]) for k in range(4)]
     effects = _effects(challenge, index, size, nominal, streams[0])
     calibration = Calibration(nominal)
@@ -285,6 +287,25 @@ def within_tolerance(calibration: Calibration, x: np.ndarray, effect: Effect) ->
     now, before, nominal, deviation = (as_floats(r) for r in (record, without, bare_, allowed))
     changed = now != before
     return bool(np.all((deviation[changed] > 0) & (np.abs(now - nominal)[changed] <= WITHIN * deviation[changed])))
+
+
+def exactly(joint: Joint) -> Joint:
+    """The same joint with every number known exactly: its description without tolerances and deviations."""
+
+    def strip(value: Any) -> Any:
+        if isinstance(value, list):
+            return [strip(x) for x in value]
+        if not isinstance(value, dict):
+            return value
+        kept = {k: strip(x) for k, x in value.items()}
+        if {"value", "source", "tolerance"} <= set(kept):
+            kept |= {"tolerance": 0.0, "deviation": 0.0, "shared": None}
+        return kept
+
+    data = strip(joint.model_dump()) | {"shared_tolerances": {}}
+    known = Joint.model_validate(data)
+    known._path = joint._path
+    return known
 
 
 def _effects(challenge: Challenge, index: int, size: float, nominal: Joint, rng) -> tuple[Effect, ...]:

@@ -154,7 +154,7 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
       most: largest number of causes at once.
     """
     problem = Problem(*drives(list(measurement.recordings), joint.sensors), joint)
-    available = [n for n in causes.names() if problem.has_torque or "joint_torque" not in causes.get(n).needs]
+    available = [n for n in causes.of(joint) if problem.has_torque or "joint_torque" not in causes.get(n).needs]
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     present = {effect.name: effect.values for effect in joint.effects}
     tried = [h for name in available for h in hypotheses(causes.get(name), record, present.get(name))]
@@ -178,11 +178,11 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
         problem, chosen, [h for h in tried if h.cause.name not in {c.cause.name for c in chosen.model}], 0.1
     )
     undetermined, alike = identify.limits(problem, found.noise, chosen, library, THRESHOLD)
-    missing = [n for n in causes.names() if n not in available]
+    missing = [n for n in causes.of(joint) if n not in available]
     undetermined = sorted({*undetermined, *missing} - {c.name for c in findings})
     confusable = sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found)]})
     verdict = "discrepancy" if findings else "consistent"
-    if not findings and len(undetermined) > 0.7 * len(causes.names()):
+    if not findings and len(undetermined) > 0.7 * len(causes.of(joint)):
         verdict = "inconclusive"
     return Diagnosis(
         verdict=verdict,

@@ -161,6 +161,37 @@ def clean(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[np.
     return [res - c @ u for res, c in zip(at.state[0], columns, strict=True)]
 
 
+def sensors(problem: Problem, at: Fit) -> list[np.ndarray]:
+    """What the sensors' stated noise leaves in the residuals at a fit, shape (k, 3) a stretch: another draw of it."""
+    twin = problem.residuals([at.theta], [at.model], twin=True)[0]
+    return [b - a for a, b in zip(at.state[0], twin, strict=True)]
+
+
+def excess(problem: Problem, at: Fit) -> list[float]:
+    """How many times the sensors' stated noise the motion's noise is, one a stretch, at a fit that is nearly right.
+
+    A logger slower than the control loop folds what the loop does above its Nyquist frequency into the motion. It shows
+    in the torsion: the fast part of the residual where torsion is compared with a torque, against the sensors' share.
+    """
+    found: list[float | None] = []
+    for drive, r, s in zip(problem.drives, at.state[0], sensors(problem, at), strict=True):
+        ratio = None
+        for c in (1, 2):
+            use = drive.usable[:, c] & ~drive.at_rest
+            use = use[2:] & use[1:-1] & use[:-2]
+            if ratio is None and use.sum() > 100:
+                fast, stated = (np.median(np.abs(np.diff(x[:, c], 2)[use])) for x in (r, s))
+                ratio = float(fast / max(stated, 1e-12))
+        found.append(ratio)
+    known = [f for f in found if f is not None]
+    usual = float(np.median(known)) if known else 1.0
+    return [1.0 if f < _EXCESS else min(f, 5.0) for f in (usual if f is None else f for f in found)]
+
+
+_EXCESS = 1.15
+"""Noise of the motion below so many times what the sensors state is what they state."""
+
+
 def level(problem: Problem, noise: Noise, at: Fit) -> float:
     """How many times the noise the residual is: one when the model is right."""
     r = whiten(problem.drives, noise, [x[..., None] for x in at.state[0]])[:, 0]
@@ -297,8 +328,9 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
                           PROBE if loudness < 2.0 else PROBE_LOUD)  # fmt: skip
         if loudness < 2.0:
             if echoed is None:
+                problem.match_twins(excess(problem, base))
                 echoed = echo(problem, base.theta, base.model, base.jacobian)
-            noise = estimate(problem.drives, clean(problem, noise, base, library), quantum)
+            noise = estimate(problem.drives, clean(problem, noise, base, library), quantum, sensors(problem, base))
             base = fit(problem, noise, base.model, base.theta, 5, 1.0, base.jacobian, echoed)
             estimated = True
             if level(problem, noise, base) > _UNSETTLED:

@@ -114,12 +114,24 @@ def louder(noise: Noise, factor: float) -> Noise:
     ]
 
 
-def estimate(drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarray) -> Noise:
-    """Noise from residuals, shape (k, 3) a stretch, that nothing systematic is left in."""
+def estimate(
+    drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarray, sensors: list[np.ndarray] | None = None
+) -> Noise:
+    """Noise from residuals, shape (k, 3) a stretch, that nothing systematic is left in.
+
+    Args:
+      sensors: what the sensors' stated noise alone leaves, likewise. No residual can be quieter than that: where it
+        looks so, columns that carry the same noise (torsion, where no sensor reads the torque) have explained it away.
+    """
     found = []
-    for drive, r in zip(drives, residuals, strict=True):
+    for stretch, (drive, cleaned) in enumerate(zip(drives, residuals, strict=True)):
         channels = []
         for c in range(3):
+            r = cleaned
+            if sensors is not None:
+                where = drive.usable[:, c] & ~drive.at_rest
+                if where.any() and _spread(sensors[stretch][where, c]) > _spread(cleaned[where, c]):
+                    r = sensors[stretch]
             moving = drive.usable[:, c] & ~drive.at_rest
             resting = drive.usable[:, c] & drive.at_rest
             if moving.sum() < 50:
@@ -135,6 +147,10 @@ def estimate(drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarr
             channels.append(ChannelNoise(ar, white, (0.0, slow * dc)))
         found.append(channels)
     return found
+
+
+def _spread(x: np.ndarray) -> float:
+    return float(np.median(np.abs(x)))
 
 
 def _autoregression(x: np.ndarray, use: np.ndarray) -> tuple[np.ndarray, float]:

@@ -132,7 +132,7 @@ def _compile(NUMERIC: int, COUNT: int, TIME: int, QPOS: int, QVEL: int, ACT: int
         previous_dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
         memory = int(header[3])
         previous = carray(floats_at(word_at(d + 8 * ACT) + 8 * memory), 3)
-        Tw, Tf, slope, g, bristle, dahl, rate = state_forces(theta, velocity, previous, z, previous_dahl, time, h, p)
+        Tw, Tf, slope, g, bristle, _, rate = state_forces(theta, velocity, previous, z, previous_dahl, time, h, p)
         force = carray(floats_at(word_at(d + 8 * PASSIVE)), 3)
         w, load_angle = velocity[WAVE_GENERATOR], theta[LINK]
 

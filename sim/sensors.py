@@ -63,7 +63,7 @@ def sample(history, k, dt, noise, sensor):
     """
     t = k
     if sensor.period > dt * 1.000001:
-        t = int(math.floor(math.floor(k * dt / sensor.period + 1e-9) * sensor.period / dt + 1e-9))
+        t = math.floor(math.floor(k * dt / sensor.period + 1e-9) * sensor.period / dt + 1e-9)
     back = t - sensor.delay / dt
     if sensor.delay == 0.0:
         value = history[t]

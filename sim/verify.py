@@ -57,8 +57,10 @@ def verify(folder: Path, joint: Joint, timestep: float = plant.TIMESTEP) -> list
     for name, mounting in CLOSED_LOOP.items():
         reference = _read(
             folder / f"{name}.parquet",
-            ("position_command", "velocity_command", "external_torque", "motor_position", "link_position")
-            + ("motor_current", "joint_torque"),
+            (
+                *("position_command", "velocity_command", "external_torque"),
+                *("motor_position", "link_position", "motor_current", "joint_torque"),
+            ),
         )
         ours = closed_loop(joint, joint.mount(mounting), reference, timestep)
         torsion = reference["motor_position"] / joint.numbers["N"].value - reference["link_position"]

@@ -175,11 +175,8 @@ def _causes(r: Report) -> str:
             fixed = "chosen among whole numbers" if q.integer else ordinary
             rows.append((escape(name), _with_std(p.value, p.std, p.unit), fixed))
         table = _table(("parameter", "value ± standard deviation", "ordinary size"), rows) if rows else ""
-        depends = (
-            f" It depends on {escape(', '.join(v.replace('_', ' ') for v in c.depends_on))}." if c.depends_on else ""
-        )
         cards.append(
-            f'<div class="card"><h3>{escape(_title(c))}</h3><p class="small">{c.component}</p><p>{_sentence(text)}{depends}</p>'
+            f'<div class="card"><h3>{escape(_title(c))}</h3><p class="small">{c.component}</p><p>{_sentence(text)}</p>'
             f'<div class="facts"><div><b>{100 * c.confidence:.0f} %</b>confidence</div>'
             f"<div><b>{100 * c.explains:.0f} %</b>of the held-out discrepancy</div></div>{table}</div>"
         )
@@ -218,10 +215,10 @@ def _alternatives(d: Diagnosis) -> str:
 def _overlay_text(d: Diagnosis) -> str:
     before = "calibrated within its tolerances" + (", without the causes" if d.causes else "")
     return _p(
-        "Both ends of the simulated joint follow their measured motion; what the sensors should then have read stands against "
-        f"what they did read. <b>Before</b>: the joint {before}. <b>After</b>: the extended joint. The blue band is what the sensors' "
-        "own noise explains (two standard deviations); sand-coloured stretches were kept from every fit. Residuals "
-        "are left out where the motion starts or rests: friction may there be anything up to its level."
+        "Both ends of the simulated joint follow their measured motion; what the sensors should then have read stands "
+        f"against what they did read. <b>Before</b>: the joint {before}. <b>After</b>: the extended joint. The blue "
+        "band is what the sensors' own noise explains (two standard deviations); sand-coloured stretches were kept from "
+        "every fit. Residuals are left out where the motion starts or rests: friction may there be anything up to its level."
     ) + figures.legend(
         [
             (figures.MEASURED, "measured"), (figures.BEFORE, "simulated before"), (figures.AFTER, "simulated after"),
@@ -237,8 +234,9 @@ Noise = list[dict[int, tuple[np.ndarray, np.ndarray]]]
 def sensor_noise(d: Diagnosis) -> Noise:
     """What the sensors' noise makes of the residuals: the difference to the twin, the same motion with noise drawn anew."""
     p = d.problem
-    start = p.start(None, ())
-    plain, twin = p.residuals([start], [()])[0], p.residuals([start], [()], twin=True)[0]
+    base = d.rounds[0].base
+    plain = base.state[0]
+    twin = p.residuals([base.theta], [base.model], twin=True)[0]
     found: Noise = [{}, {}, {}]
     for c in range(3):
         for index in {drive.recording for drive in p.drives}:
@@ -246,6 +244,11 @@ def sensor_noise(d: Diagnosis) -> Noise:
             use = [(p.drives[s].usable | p.drives[s].held_out)[:, c] & ~p.drives[s].at_rest for s in pieces]
             found[c][index] = (np.concatenate([(twin[s] - plain[s])[:, c] for s in pieces]), np.concatenate(use))
     return found
+
+
+def _robust_rms(x: np.ndarray) -> float:
+    """Standard deviation by the median: bursts where the motion hardly moves do not count."""
+    return 1.4826 * float(np.median(np.abs(x))) if len(x) else 0.0
 
 
 def _overlays(r: Report, noise: Noise) -> list[list[figures.Overlay]]:
@@ -279,7 +282,7 @@ def _overlays(r: Report, noise: Noise) -> list[list[figures.Overlay]]:
             ]
             values = np.nan_to_num(np.concatenate(measured)) if c < 2 or p.has_torque else None
             echo, use = noise[c][index]
-            floor = float(np.sqrt(np.mean(echo[use] ** 2))) if use.any() else 0.0
+            floor = _robust_rms(echo[use])
             row.append(
                 figures.Overlay(
                     recording.name, CHANNEL_NAMES[c], _UNITS[c], t, values, np.concatenate(before), np.concatenate(after),
@@ -334,7 +337,7 @@ def _balances(r: Report, noise: Noise) -> list[figures.Balance]:
                 column.append(x[use])
         before, after, *variables = (np.concatenate(x) for x in columns)
         if len(before) > 200:
-            floor = float(np.sqrt(np.mean(np.concatenate([n[use] for n, use in noise[c].values()]) ** 2)))
+            floor = _robust_rms(np.concatenate([echo[use] for echo, use in noise[c].values()]))
             found.append(figures.Balance(BALANCES[c], _UNITS[c], before, after, floor, *variables))
     return found
 
@@ -344,8 +347,8 @@ def _balance_sections(balances, told, d: Diagnosis) -> list[str]:
         _p(
             "A joint has three torque balances, and an effect breaks only those that it touches. Each point is the "
             "residual of one balance after calibration, before any cause; the lines are its means over forward and backward "
-            "motion, and the mean that the extended joint leaves. The titles say how much of the residual's power the variable explains "
-            "before, and then after."
+            "motion, and the mean that the extended joint leaves. The titles say how much of the residual's power the "
+            "variable explains before, and then after."
         ),
         figures.legend(
             [
@@ -358,9 +361,10 @@ def _balance_sections(balances, told, d: Diagnosis) -> list[str]:
     if told is not None:
         b, key, share = told
         after = figures.explained(b, b.after, key)
+        told_by = "What gives it away:" if share > 0.3 else "No single variable gives it away; most telling is"
         out.append(
             _p(
-                f"<b>What gives it away:</b> {escape(b.name.split(':')[0].lower())} against {_MEANING[key]}, which explains "
+                f"<b>{told_by}</b> {escape(b.name.split(':')[0].lower())} against {_MEANING[key]}, which explains "
                 f"{100 * share:.0f} % of that residual before"
                 + (f" and {100 * after:.0f} % after the causes are in the model." if d.causes else "."),
                 "note",
@@ -618,8 +622,9 @@ p{margin:6px 0;max-width:86ch}
 .stack{display:flex;flex-direction:column}
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(420px,1fr));gap:14px}
 .card{border:1px solid #E3E7EB;border-left:4px solid #C8442F;border-radius:6px;padding:10px 16px}
-.card h3{margin:0;font-size:17px;text-transform:capitalize}
+.card h3{margin:0;font-size:17px;}
 .card .small{margin:0}
+.card h3::first-letter{text-transform:uppercase}
 .facts{display:flex;gap:26px;margin:6px 0}
 .facts div{font-size:12px;color:#66707B}
 .facts b{display:block;font-size:20px;color:#2B3138}

@@ -5,22 +5,20 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from ...models.errors import InputError
-from ...models.parameters import PARAMETERS
 
 
 @dataclass(frozen=True)
 class JointSignals:
-    """What an estimator may read; shape (n,) each, SI. There is no torque sensor in it, by construction.
+    """What an estimator may read, shape (n,) each, SI. There is no torque sensor in it, by construction.
 
     Attributes:
-        time: [s], increasing.
-        motor_position, link_position: encoders θm [rad, motor side], θl [rad].
-        motor_current: as read [A].
-        current_command: [A], commanded at a sample and in force until the next; None where unknown.
+        time: [s], increasing. motor_position, link_position: encoders θm [rad, motor side], θl [rad].
+        motor_current: as read [A]. current_command: [A], in force from a sample to the next; None where unknown.
     """
 
     time: np.ndarray
@@ -30,27 +28,13 @@ class JointSignals:
     current_command: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        shape = np.shape(self.time)
-        for name in ("time", "motor_position", "link_position", "motor_current", "current_command"):
-            if name == "current_command" and self.current_command is None:
-                continue
-            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
-            if values.ndim != 1 or values.shape != shape or len(values) < 2 or not np.isfinite(values).all():
-                raise InputError(f"signals: {name}: expected finite numbers of shape {shape}, got {values.shape}")
+        for name, given in vars(self).items():
+            values = None if given is None else np.ascontiguousarray(given, dtype=np.float64)
+            if values is not None and (values.shape != np.shape(self.time) or not np.isfinite(values).all()):
+                raise InputError(f"signals: {name}: expected finite numbers, shape {np.shape(self.time)}")
             object.__setattr__(self, name, values)
-        if not (np.diff(self.time) > 0).all():
-            raise InputError("signals: time: expected increasing times [s], got a step back or none")
-
-    @property
-    def interval(self) -> float:
-        """Median time between samples [s]."""
-        return float(np.median(np.diff(self.time)))
-
-    @property
-    def current(self) -> np.ndarray:
-        """Current in force until each sample [A]: the last command, or the reading (offset included) without one."""
-        command = self.current_command
-        return self.motor_current if command is None else np.concatenate([[0.0], command[:-1]])
+        if self.time.ndim != 1 or len(self.time) < 2 or not (np.diff(self.time) > 0).all():
+            raise InputError("signals: time: expected two or more increasing times [s]")
 
 
 @dataclass(frozen=True)
@@ -69,11 +53,10 @@ class TorqueEstimate:
     """A torque estimate over n samples.
 
     Attributes:
-        name: of the estimator.
         torque: Shape (n,), joint torque Ts as the force/torque sensor would read it [N·m].
-        variance: Shape (n,), what the estimator believes its error variance to be [(N·m)²]; None where it has no belief.
-        states: Shape (n, N), in SI; `state_names` says which.
-        innovation, innovation_covariance: Shape (n, m), (n, m, m); row 0, the start, is zero.
+        variance: Shape (n,), what the estimator believes its error variance to be [(N·m)²]; None: it has no belief.
+        states: Shape (n, N), SI, named by `state_names`.
+        innovation, innovation_covariance: Shape (n, m), (n, m, m); row 0, the start, may be zero.
     """
 
     name: str
@@ -88,18 +71,9 @@ class TorqueEstimate:
 class Estimator(ABC):
     """An estimator of the joint torque: a frozen dataclass of its knobs, with units."""
 
-    name: str
-    """How tables call it; also its key in the registry."""
-    causal: bool = True
-    """Whether the estimate at a sample uses nothing later."""
+    name: str  # how tables call it; also its key in the registry
+    causal: ClassVar[bool] = True  # whether the estimate at a sample uses nothing later
 
     @abstractmethod
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         """Estimate the joint torque; `record`: shape (1,), what is known of the joint (`models.parameters`)."""
-
-
-def known(record: np.ndarray) -> np.ndarray:
-    """Return the parameter record, shape (1,); `InputError` where it is none."""
-    if getattr(record, "dtype", None) != PARAMETERS or record.shape != (1,):
-        raise InputError(f"estimator: record: expected a parameter record of shape (1,), got {type(record).__name__}")
-    return record

@@ -11,8 +11,8 @@ import numpy as np
 
 from ..compliance import compliance
 from ..settings import measurement_variance
-from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate, known
-from .joint_dynamics import drive_current
+from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
+from .joint_dynamics import drive_current, known
 
 
 def compliance_measurement(signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> tuple[np.ndarray, float]:
@@ -21,7 +21,7 @@ def compliance_measurement(signals: JointSignals, record: np.ndarray, noise: Sen
     The motor torque is the command in force, or the reading where there is none. The command carries the encoder's counts
     through the velocity feedback, so the variance takes the current sensor's noise for either.
     """
-    p = known(record)[0]
+    p = known(record)
     Tw = p["Kt"] * drive_current(signals, p)
     torque = compliance(signals.motor_position, signals.link_position, Tw, record).torque
     variance = measurement_variance(

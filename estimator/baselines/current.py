@@ -17,8 +17,8 @@ import numpy as np
 from numba import njit
 
 from ...models import laws
-from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate, known
-from .joint_dynamics import drive_current
+from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
+from .joint_dynamics import drive_current, known
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -57,10 +57,10 @@ class MotorCurrent(Estimator):
     """
 
     name: str = "motor_current"
-    cutoff: float = 20.0
+    cutoff: float = 40.0
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
-        p = known(record)[0]
+        p = known(record)
         torque, states = np.empty(len(signals.time)), np.empty((len(signals.time), 4))
         current = drive_current(signals, p)
         link = signals.link_position - p["link_zero"]

@@ -23,7 +23,7 @@ from numba import njit
 
 from ..errors import FilterDiverged
 from . import joint_dynamics as model
-from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate, known
+from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
 from .joint_dynamics import SIZE, STATES, STEPS, ProcessNoise
 
 
@@ -31,21 +31,22 @@ from .joint_dynamics import SIZE, STATES, STEPS, ProcessNoise
 def predict(x, P, i_now, command, time, dt, ratio, noise, p, F, A, base, y, work):
     """Predict x, shape (SIZE,), and P, shape (m, m), over `dt` [s], in place; F, shape (m, m), receives the Jacobian.
 
-    A: like F; base, y: Shape (SIZE,); work: Shape (5, SIZE): scratch.
+    A: like F; base, y: Shape (SIZE,); work: Shape (3, SIZE): scratch.
     """
     active = noise.active
     m = len(active)
     steps = model.substeps(x, dt, p)
     forget = math.exp(-dt / noise.rule[0])
-    base[:] = x
-    model.advance(base, i_now, command, time, dt, steps, forget, p, work)
-    for j in range(m):
-        s = active[j]
+    for j in range(-1, m):
         y[:] = x
-        y[s] += STEPS[s]
+        if j >= 0:
+            y[active[j]] += STEPS[active[j]]
         model.advance(y, i_now, command, time, dt, steps, forget, p, work)
+        if j < 0:
+            base[:] = y
+            continue
         for i in range(m):
-            F[i, j] = (y[active[i]] - base[active[i]]) / STEPS[s]
+            F[i, j] = (y[active[i]] - base[active[i]]) / STEPS[active[j]]
     x[:] = base
     for i in range(m):
         for j in range(m):
@@ -64,7 +65,9 @@ def predict(x, P, i_now, command, time, dt, ratio, noise, p, F, A, base, y, work
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def run(time, motor, link, current, record, noise, states, torque, variance, e, S, keep, Fs, predicted, covariance, filtered):
+def run(
+    time, motor, link, current, record, noise, states, torque, variance, e, S, keep, Fs, predicted, covariance, filtered
+):  # fmt: skip
     """Filter n samples; returns n, or the sample at which an estimate was not finite.
 
     Args:
@@ -75,7 +78,7 @@ def run(time, motor, link, current, record, noise, states, torque, variance, e, 
     """
     p = record[0]
     m = len(noise.active)
-    x, base, y, work = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros((5, SIZE))
+    x, base, y, work = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros((3, SIZE))
     P, F, A = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
     H, PH, ratio = np.zeros(m), np.zeros(m), np.ones(2)
     model.start(motor[0], link[0], p, x)
@@ -112,11 +115,11 @@ class DynamicsEKF(Estimator):
 
     def _filter(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise, keep: bool):
         """The estimate; with `keep` also F, predictions, their covariances, the filtered covariances; and the noise."""
-        p = known(record)[0]
+        p = model.known(record)
         arrays = self.process.matrices(signals, p, noise)
         n, m = len(signals.time), len(arrays.active)
         k = n if keep else 0
-        states, torque, variance, e, S = np.zeros((n, SIZE)), np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
+        states, torque, variance, e, S = model.outputs(n)
         kept = np.zeros((k, m, m)), np.zeros((k, SIZE)), np.zeros((k, m, m)), np.zeros((k, m, m))
         current = model.drive_current(signals, p)
         done = run(

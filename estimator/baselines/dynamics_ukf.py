@@ -14,7 +14,7 @@ from numba import njit
 
 from ..errors import FilterDiverged
 from . import joint_dynamics as model
-from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate, known
+from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
 from .joint_dynamics import SIZE, STATES, ProcessNoise
 
 
@@ -35,7 +35,7 @@ def cholesky(P, C):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def predict(x, P, i_now, command, time, dt, ratio, noise, kappa, p, C, points, work):
-    """Predict x, shape (SIZE,), and P, shape (m, m), in place. C: (m, m), points: (2m + 1, SIZE), work: (5, SIZE), scratch."""
+    """Predict x, shape (SIZE,), and P, shape (m, m), in place. C: (m, m), points: (2m + 1, SIZE), work: (3, SIZE), scratch."""
     active = noise.active
     m = len(active)
     steps = model.substeps(x, dt, p)
@@ -72,7 +72,7 @@ def run(time, motor, link, current, record, noise, kappa, states, torque, varian
     """Filter n samples; arguments as of `dynamics_ekf.run`; returns n, or the sample that was not finite."""
     p = record[0]
     m = len(noise.active)
-    x, work, points = np.zeros(SIZE), np.zeros((5, SIZE)), np.zeros((2 * m + 1, SIZE))
+    x, work, points = np.zeros(SIZE), np.zeros((3, SIZE)), np.zeros((2 * m + 1, SIZE))
     P, C, H, PH, ratio = np.zeros((m, m)), np.zeros((m, m)), np.zeros(m), np.zeros(m), np.ones(2)
     model.start(motor[0], link[0], p, x)
     for i in range(m):
@@ -105,9 +105,9 @@ class DynamicsUKF(Estimator):
     kappa: float = 1.0
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
-        p = known(record)[0]
+        p = model.known(record)
         n = len(signals.time)
-        states, torque, variance, e, S = np.zeros((n, SIZE)), np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
+        states, torque, variance, e, S = model.outputs(n)
         done = run(
             signals.time, signals.motor_position, signals.link_position, model.drive_current(signals, p), record,
             self.process.matrices(signals, p, noise), self.kappa, states, torque, variance, e, S,

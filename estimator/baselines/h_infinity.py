@@ -58,12 +58,12 @@ class HInfinity(TorqueFilter):
     """Fixed-γ H∞ filter.
 
     Attributes:
-        gamma: attenuation γ in standard deviations of the measurement [√V]. 0.7 is near the smallest with which the
-            steady filter exists: it then answers about twice as fast as the Kalman filter.
+        gamma: attenuation γ in standard deviations of the measurement [√V]; infinity is the Kalman filter. Near 1 the
+            gain is near 1 too, and the filter gives back the measurement.
     """
 
     name: str = "h_infinity"
-    gamma: float = 1.2
+    gamma: float = 2.0
 
     def _run(self, time, y, q, V, x, P, states, variance, e, S) -> None:
         k = run(time, y, q, V, 1.0 / (self.gamma**2 * V), x, P, states, variance, e, S)

@@ -30,7 +30,8 @@ import numpy as np
 from numba import njit
 
 from ...models import laws
-from ...models.parameters import PLACES
+from ...models.errors import InputError
+from ...models.parameters import PARAMETERS, PLACES
 from .base import JointSignals, SensorNoise
 from .quantised import update
 
@@ -48,7 +49,6 @@ _MOST = 10.0  # substeps per _LONGEST
 _PLACE_ROTOR, _PLACE_MESH, _PLACE_FLEXSPLINE, _PLACE_LINK, _PLACE_TORQUE, _PLACE_READING = (
     PLACES.index(name) for name in ("rotor", "mesh", "flexspline", "link", "joint_torque", "link_position")
 )
-
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class ProcessNoise:
         """Return the noise for a joint and its sensors as arrays for compiled code."""
         start, walk = np.zeros(SIZE), np.zeros(SIZE)
         counts = noise.motor_resolution
-        start[[MOTOR, WAVE]] = counts**2, (0.1 / (p["Cw"] * p["Kw0"])) ** 2
+        start[[MOTOR, WAVE]] = counts**2 + noise.motor_noise**2, (0.1 / (p["Cw"] * p["Kw0"])) ** 2
         start[[MOTOR_RATE, WAVE_RATE, LINK_RATE]] = 1.0, 1.0, p["N"] ** -2.0
         start[LINK] = noise.link_resolution**2 + noise.link_noise**2
         start[BRISTLE] = (p["Fs"] / p["s0"]) ** 2
@@ -96,7 +96,7 @@ class ProcessNoise:
         start[STIFFNESS], start[CONSTANT] = self.stiffness**2, self.motor_constant**2
         start[DAHL] = p["hysteresis_extent"] ** 2
         if signals.current_command is None:  # the reading's noise is a torque, held from sample to sample
-            walk[MOTOR_RATE] = (p["Kt"] * noise.current_noise / p["Jm"]) ** 2 * signals.interval
+            walk[MOTOR_RATE] = (p["Kt"] * noise.current_noise / p["Jm"]) ** 2 * np.median(np.diff(signals.time))
         walk[WAVE_RATE] = (self.torque * p["Fc"] / p["Jw"]) ** 2
         walk[BRISTLE] = (self.bristle * p["Fc"] / p["s0"]) ** 2
         walk[EXTERNAL] = (self.external * p["T2"]) ** 2
@@ -136,7 +136,8 @@ def flexspline_torque(x, p):
     slope = 1.0 / p.N - laws.kinematic_error_slope(x[WAVE], p)
     torsion = x[WAVE] / p.N - x[LINK] - laws.kinematic_error(x[WAVE], p)
     rate = x[WAVE_RATE] * slope - x[LINK_RATE]
-    return laws.flexspline_spring((1.0 + x[STIFFNESS]) * torsion, p) + p.df * rate + laws.hysteresis_torque(x[DAHL], p), slope
+    torque = laws.flexspline_spring((1.0 + x[STIFFNESS]) * torsion, p) + laws.hysteresis_torque(x[DAHL], p)
+    return torque + p.df * rate, slope
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -203,7 +204,7 @@ def substeps(x, dt, p):
     most = _MOST * max(1.0, dt / _LONGEST)
     if not wanted < most:  # a state that has gone astray, or is no number any more
         return int(most)
-    return max(1, int(math.ceil(wanted - 1e-9)))
+    return max(1, math.ceil(wanted - 1e-9))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -216,34 +217,32 @@ def advance(x, current, command, time, dt, steps, forget, p, work):
         time: at the start [s].
         steps: substeps.
         forget: factor by which d decays in `dt`.
-        work: Shape (5, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
+        work: Shape (3, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
     """
     h = dt / steps
     decay = math.exp(-0.5 * h * p.R / p.L) if p.L > 0.0 else 0.0
-    i0 = current
-    for s in range(steps):
-        t = time + s * h
+    y, total, slope = work[0], work[1], work[2]
+    for s in range(2 * steps):
+        t = time + (s + 1) // 2 * h
         _relax(x, 0.5 * h, t, p)
-        i1 = command + (i0 - command) * decay
-        i2 = command + (i1 - command) * decay
-        y = work[4]
-        rates(x, i0, t, p, work[0])
-        for j in range(7):
-            y[j] = x[j] + 0.5 * h * work[0, j]
-        for j in range(7, SIZE):
-            y[j] = x[j]
-        y[BRISTLE] = x[BRISTLE]
-        rates(y, i1, t + 0.5 * h, p, work[1])
-        for j in range(7):
-            y[j] = x[j] + 0.5 * h * work[1, j]
-        rates(y, i1, t + 0.5 * h, p, work[2])
-        for j in range(7):
-            y[j] = x[j] + h * work[2, j]
-        rates(y, i2, t + h, p, work[3])
-        for j in range(7):
-            x[j] += h / 6.0 * (work[0, j] + 2.0 * (work[1, j] + work[2, j]) + work[3, j])
-        _relax(x, 0.5 * h, t + h, p)
-        i0 = i2
+        if s % 2 == 1:
+            continue
+        # One loop over the four stages instead of four calls: the laws are inlined once.
+        i, step = current, 0.0
+        y[:] = x
+        total[:] = 0.0
+        for stage in range(4):
+            if stage == 1 or stage == 3:
+                i = command + (i - command) * decay
+            step = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
+            rates(y, i, t + step, p, slope)
+            ahead = h if stage == 2 else 0.5 * h
+            for j in range(EXTERNAL):
+                y[j] = x[j] + ahead * slope[j]
+                total[j] += slope[j] if stage == 0 or stage == 3 else 2.0 * slope[j]
+        for j in range(EXTERNAL):
+            x[j] += h / 6.0 * total[j]
+        current = i
     x[MESH] *= forget
 
 
@@ -261,6 +260,18 @@ def start(motor_position, link_position, p, x):
     x[LINK] = link_position - p.link_zero
     load = -laws.gravity_torque(x[LINK], p) - laws.link_torque(x[LINK], p)
     x[WAVE] = motor_position - laws.wave_generator_torsion(load / p.N, p)
+
+
+def known(record: np.ndarray) -> np.void:
+    """Return the one parameter record of `record`, shape (1,); `InputError` where it is none."""
+    if getattr(record, "dtype", None) != PARAMETERS or record.shape != (1,):
+        raise InputError(f"estimator: record: expected a parameter record of shape (1,), got {type(record).__name__}")
+    return record[0]
+
+
+def outputs(n: int) -> tuple[np.ndarray, ...]:
+    """Return zeros for a filter to fill: states (n, SIZE), torque (n,), variance (n,), innovations (n, 2), variances (n, 2)."""
+    return np.zeros((n, SIZE)), np.zeros(n), np.zeros(n), np.zeros((n, 2)), np.zeros((n, 2))
 
 
 def drive_current(signals: JointSignals, p: np.void) -> np.ndarray:

@@ -60,13 +60,13 @@ class TorqueFilter(Estimator):
     """A filter of the compliance model's torque with the constant-rate model.
 
     Attributes:
-        acceleration: intensity of the torque's second derivative √q [rated by T2: T2/s² per √Hz]. 25·12 N·m gives the steady
-            filter a natural frequency √(√q/√(V·h)) of 2π·4 Hz at 1 kHz: a push of 0.3 s is in its band.
+        acceleration: intensity √q of the torque's second derivative [T2/s² per √Hz]. The steady filter's natural frequency
+            is (q/(V·h))^(1/4): with 10·12 N·m and V = 0.05² at 1 kHz, 274 rad/s.
         rate: standard deviation of the first rate [T2/s].
     """
 
     name: str = "kalman"
-    acceleration: float = 25.0
+    acceleration: float = 10.0
     rate: float = 1.0
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
@@ -76,9 +76,7 @@ class TorqueFilter(Estimator):
         states, variance, e, S = np.zeros((n, 2)), np.zeros(n), np.zeros(n), np.zeros(n)
         x, P = np.array([y[0], 0.0]), np.diag([V, (self.rate * scale) ** 2])
         self._run(signals.time, y, (self.acceleration * scale) ** 2, V, x, P, states, variance, e, S)
-        return TorqueEstimate(
-            self.name, states[:, 0].copy(), variance, states, STATES, e[:, None], S[:, None, None]
-        )
+        return TorqueEstimate(self.name, states[:, 0].copy(), variance, states, STATES, e[:, None], S[:, None, None])
 
     def _run(self, time, y, q, V, x, P, states, variance, e, S) -> None:
         run(time, y, q, V, x, P, states, variance, e, S)

@@ -27,12 +27,12 @@ class LowPass(Estimator):
     """
 
     name: str = "lowpass"
-    cutoff: float = 15.0
+    cutoff: float = 30.0
     order: int = 2
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         raw, _ = compliance_measurement(signals, record, noise)
-        nyquist = 0.5 / signals.interval
+        nyquist = 0.5 / float(np.median(np.diff(signals.time)))
         if not 0.0 < self.cutoff < nyquist or self.order not in (1, 2):
             raise InputError(
                 f"{self.name}: expected a cutoff between 0 and {nyquist:g} Hz and order 1 or 2, "
@@ -43,4 +43,4 @@ class LowPass(Estimator):
         return TorqueEstimate(self.name, torque)
 
 
-ESTIMATORS = (LowPass(), LowPass("lowpass_first_order", 15.0, 1))
+ESTIMATORS = (LowPass(), LowPass("lowpass_first_order", 30.0, 1))

@@ -8,6 +8,7 @@ Backwards from the last sample (Rauch, Tung & Striebel 1965; Särkkä, "Bayesian
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
@@ -47,11 +48,12 @@ class RTSSmoother(DynamicsEKF):
 
     name: str = "rts_smoother"
     process: ProcessNoise = field(default_factory=ProcessNoise)
-    causal = False
+    causal: ClassVar[bool] = False
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         estimate, kept, arrays = self._filter(signals, record, noise, True)
-        states, torque, variance = estimate.states.copy(), np.empty_like(estimate.torque), np.empty_like(estimate.torque)
+        states = estimate.states.copy()
+        torque, variance = np.empty_like(estimate.torque), np.empty_like(estimate.torque)
         smooth(signals.time, states, record, arrays.active, *kept, torque, variance)
         return replace(estimate, torque=torque, variance=variance, states=states)
 

@@ -45,14 +45,14 @@ class StrongTracking(TorqueFilter):
     Attributes:
         acceleration: as `TorqueFilter`, smaller: fading does what process noise need not.
         forget: ρ [1]: 0.95 as in the source, a memory of two samples.
-        soften: β ≥ 1 [1]: how much larger than expected innovations must be. With a memory of two samples they are 4.5
-            times as large by chance once in fifty; less would fade at noise.
+        soften: β ≥ 1 [1]: how much larger than expected innovations must be. A memory of two samples scatters widely: less
+            would fade at noise.
     """
 
     name: str = "strong_tracking"
-    acceleration: float = 5.0
+    acceleration: float = 2.0
     forget: float = 0.95
-    soften: float = 4.5
+    soften: float = 7.0
 
     def _run(self, time, y, q, V, x, P, states, variance, e, S) -> None:
         run(time, y, q, V, self.forget, self.soften, x, P, states, variance, e, S)

@@ -26,9 +26,14 @@ def names() -> list[str]:
     return sorted(_library(), key=lambda name: (COMPONENTS.index(_library()[name].component), name))
 
 
+def of(joint: object) -> list[str]:
+    """Names of the causes that a joint description leaves room for."""
+    return [name for name in names() if get(name).concerns(joint)]
+
+
 def get(name: str) -> Cause:
     """The cause of that name; `KeyError` when there is none."""
     return _library()[name]
 
 
-__all__ = ["COMPONENTS", "Cause", "Parameter", "get", "names"]
+__all__ = ["COMPONENTS", "Cause", "Parameter", "get", "names", "of"]

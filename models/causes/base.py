@@ -56,6 +56,10 @@ class Cause(ABC):
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         """Put the effect into a parameter record, in place."""
 
+    def concerns(self, joint: object) -> bool:
+        """Whether a joint description (`models.joint.Joint`) leaves room for the cause; most do."""
+        return True
+
     def present(self, p: np.void) -> dict[str, float]:
         """Values of the parameters at which this record would not change: the absence of the effect."""
         return {q.name: (q.neutral * float(p[q.relative]) if q.relative else q.neutral) for q in self.parameters}

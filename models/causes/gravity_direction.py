@@ -17,3 +17,7 @@ class GravityDirection(Cause):
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         p["gravity_angle"] += values["angle"]
+
+    def concerns(self, joint: object) -> bool:
+        """Only a joint that states the direction of gravity may have it wrong: for others zero is where it hangs."""
+        return joint.gravity_angle is not None

@@ -88,7 +88,9 @@ def test_compare_saves_the_table(flexspline, tmp_path):
     for name in ("EKF", "AREKF", "RAREKF"):
         assert name in out
         values = metrics["no_load"]["filters"][name]
-        assert {"rms", "max", "noise", "noise_ratio", "delay_ms", "response_ms", "robust_share", "mean_nis"} <= set(values)
+        assert {"rms", "max", "noise", "noise_ratio", "delay_ms", "response_ms", "robust_share", "mean_nis"} <= set(
+            values
+        )
     assert "RAREKF" in (tmp_path / "runs" / "comparison.md").read_text()
 
 

@@ -15,7 +15,9 @@ JOINT = load_joint("test-joint")
 
 def table(shared) -> dict[str, tuple[str, dict[str, str]]]:
     """Component and parameters (name → unit) of every cause in the specification's table."""
-    text = (shared / "spec" / "recording.md").read_text(encoding="utf-8").split("## Causes")[1].split("## The answer")[0]
+    text = (
+        (shared / "spec" / "recording.md").read_text(encoding="utf-8").split("## Causes")[1].split("## The answer")[0]
+    )
     found = {}
     for line in text.splitlines():
         cells = [cell.strip() for cell in line.replace("\\|", "¦").strip("|").split("|")]

@@ -24,28 +24,68 @@ def changed(tmp_path: Path, old: str, new: str) -> Path:
 
 
 BAD = {
-    "wrong unit": ("Jm: {value: 1.38e-5, unit: kg·m²", "Jm: {value: 1.38e-5, unit: g·cm²", "numbers.Jm.unit: expected 'kg·m²', got 'g·cm²'"),
-    "wrong unit of an optional number": ("amplitude: {value: 1.2e-4, unit: rad", "amplitude: {value: 1.2e-4, unit: deg", "kinematic_error.0.amplitude.unit: expected 'rad', got 'deg'"),
-    "negative inertia": ("Jm: {value: 1.38e-5", "Jm: {value: -1.38e-5", "numbers.Jm.value: expected a number > 0, got -1.38e-05"),
-    "negative inertia of a mounting": ("link: {inertia: 0.35", "link: {inertia: -0.35", "mountings.link.inertia: expected greater than 0, got -0.35"),
+    "wrong unit": (
+        "Jm: {value: 1.38e-5, unit: kg·m²",
+        "Jm: {value: 1.38e-5, unit: g·cm²",
+        "numbers.Jm.unit: expected 'kg·m²', got 'g·cm²'",
+    ),
+    "wrong unit of an optional number": (
+        "amplitude: {value: 1.2e-4, unit: rad",
+        "amplitude: {value: 1.2e-4, unit: deg",
+        "kinematic_error.0.amplitude.unit: expected 'rad', got 'deg'",
+    ),
+    "negative inertia": (
+        "Jm: {value: 1.38e-5",
+        "Jm: {value: -1.38e-5",
+        "numbers.Jm.value: expected a number > 0, got -1.38e-05",
+    ),
+    "negative inertia of a mounting": (
+        "link: {inertia: 0.35",
+        "link: {inertia: -0.35",
+        "mountings.link.inertia: expected greater than 0, got -0.35",
+    ),
     "zero stiffness": ("K1: {value: 8400", "K1: {value: 0", "numbers.K1.value: expected a number > 0, got 0"),
     "negative damping": ("bm: {value: 2.0e-6", "bm: {value: -2.0e-6", "numbers.bm.value: expected a number ≥ 0"),
     "T2 below T1": ("T2: {value: 12.0", "T2: {value: 2.0", "numbers.T2.value: expected T2 ≥ T1 = 3.9 N·m, got 2"),
     "unknown number": ("  bl: {", "  blx: {", "numbers.blx: unknown key; did you mean 'bl'?"),
     "unknown key": ("mounting: link", "mountng: link", "mountng: unknown key; did you mean 'mounting'?"),
-    "unknown key of a sensor": ("    noise: 1.5e-6", "    nois: 1.5e-6", "sensors.link_encoder.nois: unknown key; did you mean 'noise'?"),
+    "unknown key of a sensor": (
+        "    noise: 1.5e-6",
+        "    nois: 1.5e-6",
+        "sensors.link_encoder.nois: unknown key; did you mean 'noise'?",
+    ),
     "missing number": ("  Kt: {value: 0.0603", "  #Kt: {value: 0.0603", "numbers.Kt: missing"),
     "missing field": (", source: assumed}\n  bm:", "}\n  bm:", "numbers.Kt.source: missing"),
     "not a number": ("T1: {value: 3.9", "T1: {value: soft", "numbers.T1.value: expected a valid number"),
     "not finite": ("T1: {value: 3.9", "T1: {value: .inf", "numbers.T1.value: expected a finite number"),
     "duplicated key": ("  T1: {value: 3.9", "  T2: {value: 3.9", "the key 'T2' stands twice"),
     "bad YAML": ("numbers:\n", "numbers: [\n", "not YAML"),
-    "unknown mounting": ("mounting: link\n", "mounting: lnik\n", "mounting: expected one of ['link', 'no_load'], got 'lnik'; did you mean 'link'?"),
-    "no such MJCF": ("model: test_joint.xml", "model: nothing.xml", "model: expected an MJCF file, no such file 'nothing.xml'"),
-    "two resolutions": ("{counts: 4096}", "{counts: 4096, bits: 12}", "expected either counts (per revolution) or bits, got both"),
-    "no resolution": ("{counts: 4096}", "{noise: 0}", "expected either counts (per revolution) or bits, got both or none"),
-    "unknown shared tolerance": ("shared: friction", "shared: fricton", "numbers.Fc.shared: expected one of ['friction', 'stiffness'], got 'fricton'"),
-}  # fmt: skip
+    "unknown mounting": (
+        "mounting: link\n",
+        "mounting: lnik\n",
+        "mounting: expected one of ['link', 'no_load'], got 'lnik'; did you mean 'link'?",
+    ),
+    "no such MJCF": (
+        "model: test_joint.xml",
+        "model: nothing.xml",
+        "model: expected an MJCF file, no such file 'nothing.xml'",
+    ),
+    "two resolutions": (
+        "{counts: 4096}",
+        "{counts: 4096, bits: 12}",
+        "expected either counts (per revolution) or bits, got both",
+    ),
+    "no resolution": (
+        "{counts: 4096}",
+        "{noise: 0}",
+        "expected either counts (per revolution) or bits, got both or none",
+    ),
+    "unknown shared tolerance": (
+        "shared: friction",
+        "shared: fricton",
+        "numbers.Fc.shared: expected one of ['friction', 'stiffness'], got 'fricton'",
+    ),
+}
 
 
 @pytest.mark.parametrize("case", BAD)
@@ -122,7 +162,9 @@ def test_bad_effects_are_named():
 
 @pytest.mark.parametrize("text", ["kg*m^2", "kg.m²", "kg m²".replace(" ", "·")])
 def test_units_may_be_spelt_differently(tmp_path, text):
-    assert load_joint(changed(tmp_path, "1.38e-5, unit: kg·m²", f"1.38e-5, unit: {text}")).numbers["Jm"].value == 1.38e-5
+    assert (
+        load_joint(changed(tmp_path, "1.38e-5, unit: kg·m²", f"1.38e-5, unit: {text}")).numbers["Jm"].value == 1.38e-5
+    )
 
 
 def test_every_number_has_a_unit_and_a_source():

@@ -105,7 +105,10 @@ def test_friction_level_effects(p):
         ({"friction_asymmetry": 0.3}, lambda s: plain * (1 + 0.3 * s)),
         ({"drift_amplitude": 1.2, "drift_time": 8.0}, lambda s: plain * (1 + 1.2 * np.exp(-5 / 8))),
         ({"friction_load": 0.2}, lambda s: plain + 0.2 * load / 100),
-        ({"friction_amplitude": 0.01, "friction_order": 2.0, "friction_phase": 0.5}, lambda s: plain + 0.01 * np.sin(1.3)),
+        (
+            {"friction_amplitude": 0.01, "friction_order": 2.0, "friction_phase": 0.5},
+            lambda s: plain + 0.01 * np.sin(1.3),
+        ),
         ({"friction_amplitude": 0.1, "friction_order": 1.0, "friction_phase": -2.0}, lambda s: 1e-5),
     ):
         q = p.copy()

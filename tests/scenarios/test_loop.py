@@ -181,7 +181,10 @@ def test_feedback_buys_position_during_pushes():
         pushed = np.convolve(run.external_torque != 0, np.ones(300), mode="full")[: len(run.time)] > 0
         error = (run.position_command - run.truth("link_position"))[pushed]
         errors[feedback] = float(np.sqrt(np.mean(error**2)))
-    print({name: f"{1e3 * value:.3f} mrad" for name, value in errors.items()}, f"{1 - errors['RAREKF'] / errors['none']:.0%} less")
+    print(
+        {name: f"{1e3 * value:.3f} mrad" for name, value in errors.items()},
+        f"{1 - errors['RAREKF'] / errors['none']:.0%} less",
+    )
     assert errors["RAREKF"] < 0.8 * errors["none"]
     assert errors["RAREKF"] == pytest.approx(errors["sensor"], rel=0.3)
 

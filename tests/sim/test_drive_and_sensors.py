@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from driving import JOINT, record_of
 from flexspline.models.joint import AnalogSpec, EncoderSpec
-from flexspline.sim import plant, sensors
+from flexspline.sim import plant
 from flexspline.sim.drive import Controller, control
 from flexspline.sim.sensors import NAMES, SENSOR, WRENCH, noise, quantise, sample, sensor_records, stream
 
@@ -173,7 +173,9 @@ def test_streams_are_independent():
 
 def test_an_analog_sensor_has_steps_too():
     joint = JOINT.model_copy(
-        update={"sensors": JOINT.sensors.model_copy(update={"joint_torque": AnalogSpec(noise=0.02, step=0.1, rate=500)})}
+        update={
+            "sensors": JOINT.sensors.model_copy(update={"joint_torque": AnalogSpec(noise=0.02, step=0.1, rate=500)})
+        }
     )
     record = sensor_records(joint, 0.0)[3]
     assert record["noise"] == 0.02 and record["step"] == 0.1 and record["period"] == pytest.approx(0.002)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import ctypes
+
 import mujoco
 import numpy as np
 import pytest
@@ -96,8 +98,6 @@ def test_other_models_are_left_alone():
     with_callbacks = trajectory()
     addresses = {}
     try:
-        import ctypes
-
         for name in ("mjcb_passive", "mjcb_act_dyn"):
             slot = ctypes.c_void_p.in_dll(native.library(), name)
             addresses[name] = slot.value
@@ -129,9 +129,7 @@ def test_two_joints_in_one_process_do_not_mix():
 
 
 def test_offsets_point_at_what_python_sees():
-    model, data = started(record_of())
-    import ctypes
-
+    _, data = started(record_of())
     at = native.offsets()
     for name in ("qpos", "qvel", "act", "ctrl", "qfrc_passive", "xfrc_applied", "sensordata"):
         pointer = ctypes.c_uint64.from_address(data._address + 8 * at[name]).value

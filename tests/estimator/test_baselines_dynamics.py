@@ -1,0 +1,225 @@
+"""The estimators that know the joint's dynamics: discretisation, quantised update, consistency, and what they are worth."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from flexspline.estimator import baselines
+from flexspline.estimator.baselines import JointSignals, SensorNoise, joint_dynamics, quantised, rts_smoother
+from flexspline.estimator.baselines.joint_dynamics import BRISTLE, EXTERNAL, SIZE, WAVE_RATE, ProcessNoise
+from flexspline.models import laws
+from flexspline.models.joint import load_joint
+from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.scenario import load_scenario
+from scipy.integrate import solve_ivp
+from scipy.stats import chi2, truncnorm
+
+NOISE = SensorNoise()
+SCENARIOS = ("no_load", "link_sweep", "external_push")
+
+
+@pytest.fixture(scope="module")
+def record() -> np.ndarray:
+    joint = load_joint("test-joint")
+    return joint.record(joint.mount("link"))
+
+
+@pytest.mark.parametrize("effects", [{}, {"hysteresis_torque": 0.4, "friction_load": 0.1, "backlash": 1e-5}])
+def test_step_against_an_independent_integrator(effects, record):
+    """50 ms of sticking and sliding: the compiled step against scipy's Radau on the equations themselves."""
+    p = record.copy()
+    for name, value in effects.items():
+        p[name] = value
+    q = p[0]
+    x = np.zeros(SIZE)
+    x[[0, 2, 5]] = 0.3, 0.28, 0.0025
+    x[[1, 3, 6]] = 5.0, 5.0, 0.05
+    x[[7, 8, 9, 10]] = 1.5, 1e-3, 0.02, -0.01
+
+    def rate(t, y):
+        out = np.zeros(SIZE)
+        current = 1.2 * (1 - np.exp(-t * q["R"] / q["L"]))
+        joint_dynamics.rates(y, current, t, q, out)
+        Tf, slope = joint_dynamics.flexspline_torque(y, q)
+        out[BRISTLE] = laws.bristle_rate(y[BRISTLE], y[WAVE_RATE], laws.friction_level(y[WAVE_RATE], y[5], Tf, t, q), q)
+        v = y[WAVE_RATE] * slope - y[6]
+        out[-1] = v - abs(v) * y[-1] / q["hysteresis_extent"]
+        return out
+
+    reference = solve_ivp(rate, (0, 0.05), x, method="Radau", rtol=1e-8, atol=1e-11, max_step=1e-3).y[:, -1]
+    errors = []
+    for finer in (1, 2, 4):
+        ours, work, current = x.copy(), np.zeros((3, SIZE)), 0.0
+        for k in range(50):
+            steps = finer * joint_dynamics.substeps(ours, 1e-3, q)
+            joint_dynamics.advance(ours, current, 1.2, k * 1e-3, 1e-3, steps, 1.0, q, work)
+            current = joint_dynamics.next_current(current, 1.2, 1e-3, q)
+        errors.append(joint_dynamics.joint_torque(ours, 0.05, q) - joint_dynamics.joint_torque(reference, 0.05, q))
+    print(f"error of the torque [N·m] at one, two, four times the substeps: {np.round(errors, 5)}")
+    assert abs(errors[0]) < 0.01
+    assert abs(errors[2]) < 0.4 * abs(errors[0])
+    assert np.allclose(ours[[0, 2]], reference[[0, 2]], atol=5e-5) and ours[5] == pytest.approx(reference[5], abs=1e-6)
+
+
+@pytest.mark.parametrize("residual, S, q", [(0.3, 1.0, 2.0), (-0.9, 0.01, 2.0), (4.0, 0.5, 3.0), (1e-3, 1e-6, 1e-2)])
+def test_moments_of_a_cell(residual, S, q):
+    mean, variance = quantised.cell_moments(residual, S, q)
+    s = np.sqrt(S)
+    exact = truncnorm((residual - q / 2) / s, (residual + q / 2) / s, scale=s)
+    assert mean == pytest.approx(exact.mean(), rel=1e-6, abs=1e-9 * s)
+    assert variance == pytest.approx(exact.var(), rel=1e-4, abs=1e-6 * S)
+
+
+def test_moments_far_outside_and_fine():
+    """Far outside a cell the mean is at its near edge; a fine cell is its middle with q²/12."""
+    for residual in (30.0, -30.0):
+        mean, variance = quantised.cell_moments(residual, 1.0, 2.0)
+        assert mean == pytest.approx(np.sign(residual) * (29 + 1 / 29), rel=1e-4) and 0 < variance < 2e-3
+    assert quantised.cell_moments(0.5, 1.0, 1e-3) == pytest.approx((0.5, 1e-6 / 12), rel=1e-9)
+
+
+def test_update_without_rounding_is_kalmans():
+    rng = np.random.default_rng(1)
+    A = rng.standard_normal((3, 3))
+    x, P, H = rng.standard_normal(3), A @ A.T, rng.standard_normal(3)
+    f = KalmanFilter(3, 1)
+    f.x, f.P, f.H, f.R = x.copy(), P.copy(), H[None], np.array([[0.2]])
+    f.update(1.3)
+    S = quantised.update(x, P, np.arange(3), H, 1.3 - H @ x, 0.2, 0.0, np.zeros(3))
+    assert np.allclose(x, f.x) and np.allclose(P, f.P) and S == pytest.approx(f.S[0, 0])
+
+
+def test_smoother_against_filterpy(record):
+    """The smoother's recursion on a linear model of its size."""
+    rng = np.random.default_rng(4)
+    n, m = 60, SIZE
+    F = np.eye(m) + 0.1 * rng.standard_normal((m, m)) / m
+    H = rng.standard_normal((2, m))
+    f = KalmanFilter(m, 2)
+    f.x, f.P, f.F, f.H, f.Q, f.R = (
+        0.01 * rng.standard_normal(m),
+        1e-4 * np.eye(m),
+        F,
+        H,
+        1e-6 * np.eye(m),
+        1e-4 * np.eye(2),
+    )
+    means, covariances, predicted, before, _, _, _, _ = [
+        *f.batch_filter(0.02 * rng.standard_normal((n, 2))),
+        *[None] * 4,
+    ]
+    expected, expected_P, _, _ = f.rts_smoother(means, covariances)
+    states, filtered, torque, variance = means.copy(), covariances.copy(), np.zeros(n), np.zeros(n)
+    time, Fs = np.arange(n) * 1e-3, np.tile(F, (n, 1, 1))
+    rts_smoother.smooth(time, states, record, np.arange(m), Fs, predicted, before, filtered, torque, variance)
+    assert np.allclose(states, expected, atol=1e-8) and np.allclose(filtered, expected_P, atol=1e-9)
+
+
+MATCHED = ProcessNoise(push=0.0, mesh_push=0.0, external=0.05, floor=0.0)
+EXACT = SensorNoise(motor_resolution=0.0, motor_noise=4e-4, link_resolution=0.0, link_noise=2e-6, current_noise=0.0)
+
+
+def sample(record: np.ndarray, seed: int, n: int = 2500) -> tuple[JointSignals, np.ndarray]:
+    """Signals of the stochastic model itself, and its joint torque, shape (n,)."""
+    rng = np.random.default_rng(seed)
+    p = record[0]
+    time = np.arange(n) * 1e-3
+    command = 1.6 * np.sin(2 * np.pi * 0.7 * time)
+    blank = JointSignals(time, 0 * time, 0 * time, 0 * time, command)
+    noise = MATCHED.matrices(blank, p, EXACT)
+    forget = np.exp(-1e-3 / MATCHED.mesh_time)
+    x, work, current = np.zeros(SIZE), np.zeros((3, SIZE)), 0.0
+    used = np.zeros(SIZE)
+    used[noise.active] = np.sqrt(noise.walk[noise.active] * 1e-3)
+    x[EXTERNAL] = rng.standard_normal()
+    motor, link, torque = np.zeros(n), np.zeros(n), np.zeros(n)
+    for k in range(n):
+        if k > 0:
+            steps = joint_dynamics.substeps(x, 1e-3, p)
+            joint_dynamics.advance(x, current, command[k - 1], time[k - 1], 1e-3, steps, forget, p, work)
+            current = joint_dynamics.next_current(current, command[k - 1], 1e-3, p)
+            x += used * rng.standard_normal(SIZE)
+        motor[k], link[k], torque[k] = x[0], x[5], joint_dynamics.joint_torque(x, time[k], p)
+    motor += EXACT.motor_noise * rng.standard_normal(n)
+    link += EXACT.link_noise * rng.standard_normal(n)
+    return JointSignals(time, motor, link, 0 * time, command), torque
+
+
+@pytest.mark.parametrize("name, inflation", [("dynamics_ekf", 1.0), ("dynamics_ukf", 1.0)])
+def test_consistent_on_data_of_its_own_model(name, inflation, record):
+    """NIS and NEES over seeds within the 99.9 % chi-square intervals (Bar-Shalom et al. 2001, section 5.4)."""
+    seeds = range(100, 112)
+    print("seeds", list(seeds))
+    estimator = replace(baselines.get(name), process=MATCHED)
+    nis, nees = [], []
+    for seed in seeds:
+        signals, torque = sample(record, seed)
+        ours = estimator.estimate(signals, record, EXACT)
+        S = np.diagonal(ours.innovation_covariance, axis1=1, axis2=2)
+        nis.append((ours.innovation[500:] ** 2 / S[500:]).sum(axis=1))
+        nees.append(((ours.torque - torque) ** 2 / ours.variance)[500::250])  # far enough apart to be independent
+    nis, nees = np.array(nis), np.array(nees)
+    low, high = chi2.ppf([0.0005, 0.9995], 2 * nis.size) / nis.size
+    print(f"{name}: mean NIS {nis.mean():.3f} in [{low:.3f}, {high:.3f}]")
+    assert low < nis.mean() < high
+    low, high = chi2.ppf([0.0005, 0.9995], nees.size) / nees.size
+    print(f"{name}: mean NEES {nees.mean():.3f} in [{low:.3f}, {high:.3f}]")
+    assert low < nees.mean() < high
+
+
+def test_smoother_beats_filter_on_its_own_model(record):
+    signals, torque = sample(record, 7)
+    errors = {}
+    for name in ("dynamics_ekf", "rts_smoother"):
+        estimate = replace(baselines.get(name), process=MATCHED).estimate(signals, record, EXACT)
+        errors[name] = np.sqrt(np.mean((estimate.torque - torque)[500:] ** 2))
+    print(errors)
+    assert errors["rts_smoother"] < 0.8 * errors["dynamics_ekf"]
+
+
+def compare(name: str, seed: int, estimators: tuple[str, ...], change: dict[str, float] | None = None):
+    """RMS error after the transient of RAREKF and of estimators [N·m], and their time per sample [µs]."""
+    ran = run_scenario(load_scenario(name, seed=seed)[0])
+    record = ran.known.record(ran.known.mount(ran.scenario.mounting or None)).copy()
+    for field, factor in (change or {}).items():
+        record[field] *= factor
+    signals = JointSignals(
+        ran.time, ran.reading("motor_position"), ran.reading("link_position"), ran.reading("motor_current"),
+        ran.signals.command,
+    )  # fmt: skip
+    kept, truth = ran.time >= ran.scenario.transient, ran.truth("joint_torque")
+    rms, cost = {"RAREKF": np.sqrt(np.mean((ran.estimate("RAREKF") - truth)[kept] ** 2))}, {}
+    for estimator in estimators:
+        began = perf_counter()
+        torque = baselines.get(estimator).estimate(signals, record, NOISE).torque
+        cost[estimator] = 1e6 * (perf_counter() - began) / len(truth)
+        rms[estimator] = np.sqrt(np.mean((torque - truth)[kept] ** 2))
+    return rms, cost
+
+
+def test_half_of_rarekf_under_pushes():
+    rms, _ = compare("external_push", 1, ("dynamics_ekf",))
+    print(rms)
+    assert rms["dynamics_ekf"] <= 0.5 * rms["RAREKF"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_half_of_rarekf_everywhere(scenario):
+    results = [compare(scenario, seed, ("dynamics_ekf", "dynamics_ukf")) for seed in (1, 2, 3)]
+    ratios = [rms["dynamics_ekf"] / rms["RAREKF"] for rms, _ in results]
+    print(scenario, ratios, [cost for _, cost in results])
+    assert max(ratios) <= 0.5
+    assert min(cost["dynamics_ekf"] for _, cost in results) < 50.0  # µs at 1 kHz: 20 times real time
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_friction_error_is_absorbed(scenario):
+    rms, _ = compare(scenario, 1, ("dynamics_ekf",), {"Fc": 1.5, "Fs": 1.5})
+    print(rms)
+    assert rms["dynamics_ekf"] < rms["RAREKF"]
