@@ -365,25 +365,25 @@ def echo(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...], jac
 def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian=None, limit=HUBER):
     """Hessian and gradient (of half the objective) of the posterior, and the robust loss."""
 
-    def stacked(r, j):
-        return whiten(problem.drives, noise, [np.concatenate([a[..., None], b], -1) for a, b in zip(r, j, strict=True)])
+    def products(r, j, limit):
+        """Loss, and weighted products JᵀJ and Jᵀr of whitened residuals; one symmetric product, without empty rows."""
+        columns = [np.concatenate([a[..., None], b], -1) for a, b in zip(r, j, strict=True)]
+        stack = whiten(problem.drives, noise, columns)
+        loss, weight = robust_loss(stack[:, 0], limit)
+        counted = np.flatnonzero(np.any(stack, axis=1))
+        rows = stack[counted] * np.sqrt(weight[counted, None])
+        G = rows.T @ rows
+        return loss, G[1:, 1:], G[1:, 0]
 
-    stack = stacked(state[0], jacobian)
-    r, J = stack[:, 0], stack[:, 1:]
-    loss, weight = robust_loss(r, limit)
     curvature = 1 / problem.spread(model) ** 2
-    JW = J * weight[:, None]
-    information, g = JW.T @ J, JW.T @ r + curvature * theta
+    loss, information, g = products(state[0], jacobian, limit)
+    g = g + curvature * theta
     echo_gradient = np.zeros(len(g))
     if twin_jacobian is not None:
-        stack = stacked(state[1], twin_jacobian)
-        n, N = stack[:, 0], stack[:, 1:]
-        noise_loss, weight = robust_loss(n, 2 * HUBER)
+        noise_loss, share, echo_gradient = products(state[1], twin_jacobian, 2 * HUBER)
         loss -= noise_loss
-        NW = N * weight[:, None]
-        echo_gradient = NW.T @ n
         g = g - echo_gradient
-        information = information - NW.T @ N
+        information = information - share
     return _positive(information, problem.spread(model)) + np.diag(curvature), g, echo_gradient, loss
 
 

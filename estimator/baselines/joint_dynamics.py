@@ -56,7 +56,7 @@ class ProcessNoise:
     """How far a joint departs from its equations. One setting for every scenario; scaled by the record, SI.
 
     Attributes:
-        external: intensity of the random walk of τext [T2/√s]. Quiet: 0.002·12 N·m is 0.15 N·m in 40 s, the 1 % to
+        external: intensity of the random walk of τext [T2/√s]. Quiet: 0.001·12 N·m is 0.08 N·m in 40 s, the 1 % to
             which a link's weight is known.
         push: intensity while the link encoder contradicts the prediction [T2/√s]. Loud: 4·12 N·m is the rated torque in 0.1 s.
         mesh: standard deviation of d [Fc]; what a friction model leaves when it is good.
@@ -71,7 +71,7 @@ class ProcessNoise:
         floor: noise of the motor encoder that is assumed even where none is stated [counts].
     """
 
-    external: float = 0.002
+    external: float = 0.001
     push: float = 4.0
     mesh: float = 0.017
     mesh_push: float = 1.1
