@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-
 from flexspline.scenarios.loop import CONTROL_PERIOD
 from flexspline.scenarios.run import Run, run_scenario
 from flexspline.scenarios.scenario import FilterChoice, load_scenario
@@ -30,6 +29,15 @@ def _run(name: str, seed: int, plant: dict[str, float] | None = None) -> Run:
     return run_scenario(scenario.model_copy(update=update), folder)
 
 
+def _row(*cells: str) -> None:
+    print(f"| {' | '.join(cells)} |")
+
+
+def _head(*cells: str) -> None:
+    _row(*cells)
+    print("|" + "---|" * len(cells))
+
+
 def _spread(values: list[float], scale: float = 1.0, digits: int = 3) -> str:
     a = np.array(values) * scale
     return f"{a.mean():.{digits}f} ± {a.std(ddof=1):.{digits}f}" if len(a) > 1 else f"{a[0]:.{digits}f}"
@@ -39,8 +47,7 @@ def no_load(seeds: range) -> None:
     """Claim 1: without load the difference to the sensor is below 0.1 N·m after a transient, in optimal mode."""
     runs = [_run("no_load", seed) for seed in seeds]
     print("\n## No load: error after 1 s\n")
-    print("| filter | RMS [N·m] | largest [N·m] | below 0.1 N·m [% of time] | to sensor, below 0.1 | robust [%] |")
-    print("|---|---|---|---|---|---|")
+    _head("filter", "RMS [N·m]", "largest [N·m]", "below 0.1 N·m [% of time]", "to sensor, below 0.1", "robust [%]")
     for f in (f.name for f in FILTERS):
         rows = []
         for run in runs:
@@ -50,9 +57,7 @@ def no_load(seeds: range) -> None:
             rows.append((np.sqrt(np.mean(e**2)), np.abs(e).max(), np.mean(np.abs(e) < 0.1), np.mean(np.abs(s) < 0.1),
                          run.robust(f)[kept].mean()))  # fmt: skip
         c = list(zip(*rows, strict=True))
-        print(
-            f"| {f} | {_spread(c[0])} | {_spread(c[1])} | {_spread(c[2], 100, 2)} | {_spread(c[3], 100, 2)} | {_spread(c[4], 100, 1)} |"
-        )
+        _row(f, _spread(c[0]), _spread(c[1]), _spread(c[2], 100, 2), _spread(c[3], 100, 2), _spread(c[4], 100, 1))
 
 
 def load(seeds: range) -> None:
@@ -80,10 +85,10 @@ def push(seeds: range) -> None:
     for label, plant in MISTAKEN.items():
         runs = [_run("external_push", seed, plant) for seed in seeds]
         print(f"\n## External push, {label}\n")
-        print(
-            "| filter | RMS [N·m] | largest [N·m] | 90 % response after the truth's [ms] | delay [ms] | noise / raw model | robust [%] |"
-        )
-        print("|---|---|---|---|---|---|---|")
+        _head(
+            "filter", "RMS [N·m]", "largest [N·m]", "90 % response after the truth's [ms]", "delay [ms]",
+            "noise / raw model", "robust [%]",
+        )  # fmt: skip
         for f in ("model", *(f.name for f in FILTERS)):
             rows = []
             for run in runs:
@@ -91,16 +96,16 @@ def push(seeds: range) -> None:
                 late = (m["response_ms"] or np.nan) - run.metrics["truth"]["response_ms"]
                 rows.append((m["rms"], m["max"], late, m["delay_ms"], m["noise_ratio"], m.get("robust_share", np.nan)))
             c = list(zip(*rows, strict=True))
-            print(
-                f"| {f} | {_spread(c[0])} | {_spread(c[1], 1, 2)} | {_spread(c[2], 1, 1)} | {_spread(c[3], 1, 2)} | {_spread(c[4], 1, 2)} | {_spread(c[5], 100, 1)} |"
-            )
+            _row(
+                f, _spread(c[0]), _spread(c[1], 1, 2), _spread(c[2], 1, 1), _spread(c[3], 1, 2), _spread(c[4], 1, 2),
+                _spread(c[5], 100, 1),
+            )  # fmt: skip
 
 
 def equal_noise(seeds: range) -> None:
     """Claim 3 at equal noise: an EKF with W raised until its noise is RAREKF's; what the push then costs each."""
-    print(
-        "\n## External push: EKF with W raised, beside RAREKF\n\n| filter | noise / raw model | RMS [N·m] | largest [N·m] |\n|---|---|---|---|"
-    )
+    print("\n## External push: EKF with W raised, beside RAREKF\n")
+    _head("filter", "noise / raw model", "RMS [N·m]", "largest [N·m]")
     choices = [FilterChoice(name="RAREKF", rule="rarekf")]
     choices += [
         FilterChoice(name=f"EKF-{i}", rule="ekf", W=w) for i, w in enumerate((1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3))

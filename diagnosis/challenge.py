@@ -73,7 +73,9 @@ class Challenge:
         if self.hidden == "outside":
             known = [name for name, e in OUTSIDE.items() if self.sensor or not e.needs_sensor]
         else:
-            known = [n for n in causes.names() if self.sensor or "joint_torque" not in causes.get(n).needs]
+            known = [
+                n for n in causes.of(load_joint(self.joint)) if self.sensor or "joint_torque" not in causes.get(n).needs
+            ]
         for name in self.only:
             if name not in known:
                 raise InputError(f"--cause: expected one of {', '.join(known)}, got {name!r}")
@@ -316,7 +318,7 @@ def _effects(challenge: Challenge, index: int, size: float, nominal: Joint, rng)
     order = np.random.default_rng([challenge.seed, index // len(pool), 99]).permutation(len(pool))
     names = [pool[order[index % len(pool)]]]
     if challenge.hidden == "two":
-        names.append(str(rng.choice([n for n in causes.names() if n in challenge.pool() and n != names[0]] or names)))
+        names.append(str(rng.choice([n for n in challenge.pool() if n != names[0]] or names)))
     if challenge.hidden == "outside":
         chosen = OUTSIDE[names[0]]
         values, apply, description = chosen.make(rng, size)

@@ -63,7 +63,7 @@ class Report:
 def verdict_sentence(d: Diagnosis) -> str:
     """The verdict in one sentence."""
     if d.verdict == "inconclusive":
-        count = f"{len(d.undetermined)} of {len(causes.names())}"
+        count = f"{len(d.undetermined)} of {len(causes.of(d.problem.joint))}"
         return f"This measurement cannot tell: {count} known causes would not have shown in it."
     if not d.causes:
         text = "The joint behaves as its description says, within its tolerances"
@@ -558,9 +558,9 @@ def _method(r: Report) -> str:
         "balance follow. Nothing drifts.</li>"
         f"<li>{d.problem.calibration.size} numbers of the joint are fitted with their tolerances as priors, together with "
         "the causes under test; residuals are whitened, outliers count linearly.</li>"
-        f"<li>All {len(causes.names())} known causes are screened on the linearised residuals; the finalists are fitted "
-        "through the replay and compared by their evidence. What no cause explains gets a spline at the place and in the "
-        "variable that explain it best.</li>"
+        f"<li>All {len(causes.of(d.problem.joint))} known causes are screened on the linearised residuals; the "
+        "finalists are fitted through the replay and compared by their evidence. What no cause explains gets a spline "
+        "at the place and in the variable that explain it best.</li>"
         f"<li>Held out: {escape(d.held_out)}.</li>"
         "<li>Confidence is the share of the evidence that the cause has among all that were tried, tempered, "
         "since neither laws nor noise model are exact.</li>"
