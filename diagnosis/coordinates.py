@@ -78,6 +78,20 @@ class Hypothesis:
             values[q.name] = float(np.clip(value, *q.bounds))
         return values
 
+    def coordinates(self, values: dict[str, float]) -> np.ndarray:
+        """Coordinates u of parameters, shape (size,): magnitudes alone, zero for the others (inverse of `values`)."""
+        u = np.zeros(self.size)
+        if self.polar:
+            amplitude, phase = (q.name for q in self.free)
+            z = values[amplitude] * np.exp(1j * values[phase])
+            z -= self.centre[amplitude] * np.exp(1j * self.centre[phase])
+            u[:] = np.array([z.real, z.imag]) / self.scale[amplitude]
+            return u
+        for i in self.magnitudes:
+            q = self.free[i]
+            u[i] = (values[q.name] - self.centre[q.name]) / self.scale[q.name]
+        return u
+
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest coordinates, shape (size,) each: the parameters' bounds."""

@@ -12,7 +12,7 @@ from ..models.joint import Effect, Estimate, Joint
 from . import identify, unknown
 from .calibrate import Fit, Problem, robust_loss
 from .coordinates import hypotheses
-from .evidence import THRESHOLD, Library, Round, Search, log_evidence, search
+from .evidence import THRESHOLD, Library, Round, Search, level, search
 from .noise import louder
 from .replay import CHANNELS, HELD_OUT_BLOCK, HELD_OUT_EVERY, drives
 
@@ -25,7 +25,7 @@ TEMPER = 5.0
 """The laws are not exact and neither is the noise model: log evidence counts this many times less."""
 HELD_OUT = (
     f"every {HELD_OUT_EVERY}th block of {HELD_OUT_BLOCK:g} s of each recording was kept from every fit; "
-    "RMS over 8 ms means while rotor and link follow their measured motion"
+    "RMS over 8 ms means, in motion, while rotor and link follow their measured motion"
 )
 
 
@@ -162,13 +162,12 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
     first, chosen = found.rounds[0], found.chosen
     term = _unknown(problem, found)
     after = chosen
-    if term is not None and term.alone:
-        after = first.base
+    if term is not None:
+        after = term.fit
     final_joint = _extended(problem, after, joint)
     after_residuals = after.state[0]
     if term is not None:
         final_joint = unknown.extend(final_joint, term.candidate)
-        after_residuals = _with_term(problem, after, term.candidate)
     findings = _findings(problem, found, after, term, after_residuals)
     if term is not None and findings[-1].explains < UNKNOWN_EXPLAINS:  # it did not hold on data that it had not seen
         term, after, after_residuals = None, chosen, chosen.state[0]
@@ -208,38 +207,51 @@ def _quantum(joint: Joint) -> np.ndarray:
 
 @dataclass(frozen=True)
 class _Unknown:
+    """A term: its candidate, the fit beside it, whether it stands in for all causes, and the evidence for it."""
+
     candidate: unknown.Candidate
+    fit: Fit
     alone: bool
     gain: float
 
 
 def _unknown(problem: Problem, found: Search) -> _Unknown | None:
-    """The nonparametric term, if the library leaves something that one explains."""
-    if found.loudness < LOUD:
+    """The nonparametric term, where the library needs several causes for what one explains or leaves something."""
+    count = len(found.chosen.model)
+    if found.loudness < LOUD and count < 2:
         return None
-    first = found.rounds[0]
+    noise, first = found.rounds_noise, found.rounds[0]
     # Against the joint without causes: does a term alone do better than the library's whole answer?
-    noise = louder(found.rounds_noise, first.loudness)
-    alone = unknown.candidates(problem, noise, first.base)
-    library = log_evidence(problem, found.rounds_noise, found.chosen, first.loudness) - log_evidence(
-        problem, found.rounds_noise, first.base, first.loudness
-    )
-    if alone and alone[0].gain - unknown.PENALTY > library:
-        return _Unknown(alone[0], True, alone[0].gain - library)
-    if not found.chosen.model:
-        return _Unknown(alone[0], True, alone[0].gain) if alone and alone[0].gain > 2 * unknown.PENALTY else None
-    more = unknown.candidates(problem, louder(found.rounds_noise, found.loudness), found.chosen)
-    if more and more[0].gain > 2 * unknown.PENALTY:
-        return _Unknown(more[0], False, more[0].gain)
+    term = _with_term(problem, found, first.base, first.loudness)
+    if term is not None:
+        common = louder(noise, min(level(problem, noise, term.fit), found.loudness))
+        reference = unknown.score(problem, common, found.chosen if count else first.base)
+        gain = term.score(problem, common, TEMPER) - reference
+        if gain > (TEMPER if count else 2.0) * unknown.PENALTY:
+            return _Unknown(term.candidate, term.fit, True, gain)
+    if not count or found.loudness < LOUD:
+        return None
+    term = _with_term(problem, found, found.chosen, found.loudness)
+    if term is not None and term.gain > 2 * unknown.PENALTY:
+        return _Unknown(term.candidate, term.fit, False, term.gain)
     return None
 
 
-def _with_term(problem: Problem, at: Fit, candidate: unknown.Candidate) -> list[np.ndarray]:
-    """Residuals at a fit with a term added, the other unknowns moved as the linear estimate says."""
-    extended = Problem(problem.drives, problem.twins, unknown.extend(problem.joint, candidate))
-    theta = np.clip(candidate.theta, -3.0, 3.0)
-    theta[problem.size :] = at.theta[problem.size :]
-    return extended.residuals([theta], [at.model])[0]
+def _with_term(problem: Problem, found: Search, at: Fit, loudness: float, count: int = 3) -> unknown.Refined | None:
+    """The best term on top of a fit: the few that look best, fitted together with calibration and effects."""
+    noise = found.rounds_noise
+    tried = [c for c in unknown.candidates(problem, louder(noise, loudness), at) if c.gain > unknown.PENALTY]
+    refined = [unknown.refine(problem, noise, at, c, level) for c in tried[:count]]
+    if not refined:
+        return None
+    common = louder(noise, min(level(problem, noise, r.fit) for r in refined))
+    best = max(refined, key=lambda r: r.score(problem, common, TEMPER))
+    narrow = unknown.narrowed(best)
+    if narrow is not None:
+        again = unknown.refine(problem, noise, at, narrow, level)
+        common = louder(noise, min(level(problem, noise, r.fit) for r in (best, again)))
+        best = max((best, again), key=lambda r: r.score(problem, common, TEMPER))
+    return best
 
 
 def _held_out_loss(problem: Problem, noise, residuals: list[np.ndarray]) -> tuple[float, int]:
@@ -392,13 +404,15 @@ def _adds(name: str) -> bool:
 
 
 def _channels(problem: Problem, at: Fit, before: list[np.ndarray], after: list[np.ndarray]) -> dict[str, Channel]:
-    """RMS on held-out samples by channel."""
+    """RMS on held-out samples by channel, in motion: at rest friction may be anything up to its level."""
     names = {"motor_current": "motor_current", "joint_torque": "joint_torque", "link": "link_balance"}
     once, twice = (problem.residuals([at.theta], [at.model], twin=t)[0] for t in (False, True))
     noise = [b - a for a, b in zip(once, twice, strict=True)]
     found = {}
     for c, channel in enumerate(CHANNELS):
-        use = [d.held_out[:, c] for d in problem.drives]
+        use = [d.held_out[:, c] & ~d.at_rest for d in problem.drives]
+        if not any(u.any() for u in use):
+            use = [d.held_out[:, c] for d in problem.drives]
         if not any(u.any() for u in use):
             continue
         rms = [

@@ -48,6 +48,7 @@ class Library:
 
     Attributes:
       hypotheses: the hypotheses.
+      origins: of each the coordinates at which the joint stays as it is, shape (size,).
       columns: of each the derivatives of the residuals, shape (k, 3, m) a stretch.
       noise_columns: the motion noise's share of them.
     """
@@ -55,10 +56,13 @@ class Library:
     def __init__(self, problem: Problem, at: Fit, hypotheses: list[Hypothesis], probe: float):
         self.hypotheses = hypotheses
         thetas, models = [], []
-        for h in hypotheses:
+        record = problem.records(at.theta, at.model)[0][0]
+        # A cause that replaces a number starts from what calibration has made of it.
+        self.origins = [h.coordinates(h.cause.centre(record, h.fixed)) for h in hypotheses]
+        for h, origin in zip(hypotheses, self.origins, strict=True):
             for j in _probed(h):
-                u = np.zeros(h.size)
-                u[j] = probe
+                u = origin.copy()
+                u[j] += probe
                 thetas.append(np.concatenate([at.theta, u]))
                 models.append((*at.model, h))
         base = at.state[0]
@@ -104,25 +108,25 @@ def screen(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[Sc
     score = -(CW.T @ r) + solved.T @ g
     found: dict[tuple, Screened] = {}
     position = 0
-    for h, m in zip(library.hypotheses, count, strict=True):
+    for h, m, origin in zip(library.hypotheses, count, library.origins, strict=True):
         block = slice(position, position + m)
         position += m
-        spread = h.spread[_probed(h)]
+        spread, origin = h.spread[_probed(h)], origin[_probed(h)]
         A = information[block, block] + np.diag(1 / spread**2)
-        b = score[block]
-        u = np.linalg.solve(A, b)
+        b = score[block] - origin / spread**2
+        change = np.linalg.solve(A, b)
         _, logdet = np.linalg.slogdet(A * spread[:, None] * spread)
-        gain = 0.5 * b @ u - 0.5 * logdet - np.log(h.alternatives)
+        gain = 0.5 * b @ change - 0.5 * logdet - np.log(h.alternatives)
         start = np.zeros(h.size)
-        start[_probed(h)] = u
+        start[_probed(h)] = origin + change
         if not h.polar and np.any(h.confine(start) != start):
             # The sign is not possible: what the bound leaves.
-            inside = h.confine(start)[_probed(h)]
-            gain = b @ inside - 0.5 * inside @ A @ inside - 0.5 * logdet - np.log(h.alternatives)
             start = h.confine(start)
+            change = start[_probed(h)] - origin
+            gain = b @ change - 0.5 * change @ A @ change - 0.5 * logdet - np.log(h.alternatives)
         key = (h.cause.name, *h.fixed.items())
         if key not in found or gain > found[key].gain:
-            found[key] = Screened(h, float(gain), start, -solved[:, block] @ start[_probed(h)])
+            found[key] = Screened(h, float(gain), start, -solved[:, block] @ change)
     return sorted(found.values(), key=lambda s: -s.gain)
 
 
@@ -287,6 +291,70 @@ def _afresh(problem: Problem, noise: Noise, f: Fit, echo: Echo | None) -> Fit:
     return min(f, again, key=lambda g: level(problem, noise, g))
 
 
+def hand_over(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> np.ndarray:
+    """The same joint with less strain: what a cause that scales numbers can do better than their tolerances, it does.
+
+    Along that path products stay constant, which is straight to first order only: Gauss–Newton does not find the way.
+    """
+    theta = theta.copy()
+    c, at = problem.calibration, problem.size
+    for h in model:
+        if [q.name for q in h.free] == ["scale"]:
+            x, u = theta[: c.size], theta[at : at + 1]
+            slots = _scaled(problem, h, x)
+            best, options = np.inf, h.values(u)["scale"] * np.geomspace(0.6, 1.6, 121)
+            for scale in (h.values(u)["scale"], *options):
+                shares = _shares(problem, slots, x, h.values(u)["scale"] / scale)
+                v = h.coordinates({"scale": scale})
+                low, high = h.limits
+                if shares is None or not low[0] <= v[0] <= high[0]:
+                    continue
+                cost = float(sum(y * y for y in shares.values()) + (v[0] / h.spread[0]) ** 2)
+                if cost < best - 1e-9:
+                    best, chosen = cost, (shares, v)
+            if slots and np.isfinite(best):
+                for name, y in chosen[0].items():
+                    theta[c.names.index(name)] = y
+                theta[at : at + 1] = chosen[1]
+        at += h.size
+    return theta
+
+
+def _scaled(problem: Problem, h: Hypothesis, x: np.ndarray) -> list:
+    """The numbers with tolerances that a cause scales."""
+    one, two = (problem.calibration.record(x, mounting) for mounting in [max(problem.mountings, key=_moment)] * 2)
+    h.cause.apply(two[0], {"scale": 2.0})
+    return [s for s in problem.calibration.slots if s.index < 0 and one[0][s.field] != two[0][s.field]]
+
+
+def _moment(mounting) -> float:
+    return mounting.gravity_moment
+
+
+def _shares(problem: Problem, slots: list, x: np.ndarray, factor: float) -> dict[str, float] | None:
+    """Calibration variables that make the numbers `factor` times what they are at x; None where tolerances end."""
+    c, joint = problem.calibration, problem.joint
+    ratios = {s.name: factor * c.value(s, x) / s.number.value for s in slots}
+    shared = {s.number.shared for s in slots}
+    found: dict[str, float] = {}
+    common = 1.0
+    if shared != {None}:
+        if len(shared) != 1:
+            return None
+        name = shared.pop()
+        spread = joint.shared_tolerances[name]
+        logs = np.log([ratios[s.name] for s in slots])
+        own = np.array([s.number.tolerance for s in slots])
+        weight = 1 / np.maximum(own, 1e-6) ** 2
+        y = spread * np.sum(weight * logs) / (1 + spread**2 * np.sum(weight))
+        found[f"shared {name}"] = float(y)
+        common = 1 + spread * y
+    for s in slots:
+        if s.number.tolerance:
+            found[s.name] = (ratios[s.name] / common - 1) / s.number.tolerance
+    return found if all(abs(y) <= 3.0 for y in found.values()) else None
+
+
 def _start(problem: Problem, noise: Noise, base: Fit, s: Screened) -> np.ndarray:
     """Where to start a finalist: at the linear solution, a part of the way to it, or where the effect is absent."""
     model = (*base.model, s.hypothesis)
@@ -295,6 +363,7 @@ def _start(problem: Problem, noise: Noise, base: Fit, s: Screened) -> np.ndarray
     step = np.concatenate([np.clip(s.shift, -2.0, 2.0), u])
     absent = np.concatenate([base.theta, np.zeros(len(u))])
     starts = [np.clip(absent + part * step, low, high) for part in (1.0, 0.3, 0.0)]
+    starts += [hand_over(problem, t, model) for t in starts]
     residuals = problem.residuals(starts, [model] * len(starts))
     costs = [
         robust_loss(whiten(problem.drives, noise, [r[..., None] for r in rs])[:, 0])[0]
@@ -330,7 +399,9 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             if echoed is None:
                 problem.match_twins(excess(problem, base))
                 echoed = echo(problem, base.theta, base.model, base.jacobian)
-            noise = estimate(problem.drives, clean(problem, noise, base, library), quantum, sensors(problem, base))
+            noise = estimate(
+                problem.drives, clean(problem, noise, base, library), quantum, sensors(problem, base), base.state[0]
+            )
             base = fit(problem, noise, base.model, base.theta, 5, 1.0, base.jacobian, echoed)
             estimated = True
             if level(problem, noise, base) > _UNSETTLED:
@@ -372,7 +443,8 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
         base.model
     ):  # what either can express, numbers and effects share as the priors say: to the end, with fresh columns
         quiet = noise if loudness < _QUIET else louder(noise, loudness)
-        base = fit(problem, quiet, base.model, base.theta, 5, 0.1, None, echoed)
+        theta = hand_over(problem, base.theta, base.model)
+        base = fit(problem, quiet, base.model, theta, 5, 0.1, None, echoed)
     return Search(tuple(rounds), base, noise if estimated else louder(noise, loudness), noise, echoed, loudness)
 
 

@@ -82,9 +82,18 @@ def whiten(drives: list[Drive], noise: Noise, series: list[np.ndarray]) -> np.nd
             n = channels[c]
             usable = drive.usable[:, c]
             _whiten(np.ascontiguousarray(x[:, c]), usable, drive.at_rest, n.ar, n.white, np.array(n.slow), keep, out[c])
-        return out.reshape(-1, x.shape[2])
+        return _blocks(out, np.any(out != 0, axis=2), drive.block).reshape(-1, x.shape[2])
 
     return np.concatenate(parallel(one, list(zip(drives, noise, series, strict=True))))
+
+
+def _blocks(white: np.ndarray, counts: np.ndarray, block: int) -> np.ndarray:
+    """Sums of `block` innovations each, shape (3, k, c), over the root of how many count: of unit variance again."""
+    if block == 1:
+        return white
+    starts = np.arange(0, white.shape[1], block)
+    number = np.add.reduceat(counts.astype(np.float64), starts, axis=1)
+    return np.add.reduceat(white, starts, axis=1) / np.sqrt(np.maximum(number, 1.0))[..., None]
 
 
 def first_guess(drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarray) -> Noise:
@@ -115,15 +124,22 @@ def louder(noise: Noise, factor: float) -> Noise:
 
 
 def estimate(
-    drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarray, sensors: list[np.ndarray] | None = None
+    drives: list[Drive],
+    residuals: list[np.ndarray],
+    quantum: np.ndarray,
+    sensors: list[np.ndarray] | None = None,
+    raw: list[np.ndarray] | None = None,
 ) -> Noise:
     """Noise from residuals, shape (k, 3) a stretch, that nothing systematic is left in.
 
     Args:
       sensors: what the sensors' stated noise alone leaves, likewise. No residual can be quieter than that: where it
         looks so, columns that carry the same noise (torsion, where no sensor reads the torque) have explained it away.
+      raw: the residuals before that. At rest friction's bristle creeps by what the encoder does not see: a slow
+        disturbance with which the derivatives of everything that acts at rest have much in common.
     """
     found = []
+    raw = residuals if raw is None else raw
     for stretch, (drive, cleaned) in enumerate(zip(drives, residuals, strict=True)):
         channels = []
         for c in range(3):
@@ -143,7 +159,8 @@ def estimate(
             dc = abs(1.0 - ar.sum())
             slow = float(quantum[c])
             if resting.sum() > 50:
-                slow = max(slow, np.sqrt(max(np.mean(r[resting, c] ** 2) - np.var(r[moving, c]), 0.0)))
+                loudest = max(np.mean(x[resting, c] ** 2) for x in (r, cleaned, raw[stretch]))
+                slow = max(slow, np.sqrt(max(loudest - np.var(r[moving, c]), 0.0)))
             channels.append(ChannelNoise(ar, white, (0.0, slow * dc)))
         found.append(channels)
     return found

@@ -20,7 +20,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
-from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+from scipy.signal import welch
 
 from ..models import laws
 from ..models.joint import EncoderSpec, Sensors
@@ -66,6 +67,7 @@ class Drive:
       usable: which residuals count, shape (k, 3).
       held_out: residuals kept from every fit, to measure what was gained, shape (k, 3).
       at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
+      block: residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
     """
 
     recording: int
@@ -83,6 +85,7 @@ class Drive:
     usable: np.ndarray
     held_out: np.ndarray
     at_rest: np.ndarray
+    block: int = 1
 
 
 HELD_OUT_BLOCK, HELD_OUT_EVERY = 0.5, 6
@@ -194,6 +197,7 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
                     at_rest=_at_rest(state[:, 0]),
                 )
             )
+            found[-1] = replace(found[-1], block=_block(motion, disturbance))
             twins.append(
                 replace(
                     found[-1],
@@ -205,6 +209,31 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
                 )
             )
     return found, twins
+
+
+_BLOCK = 8
+"""Most residuals that count as one."""
+_ABOVE_NOISE = 10.0
+"""Power of the measured acceleration over its noise's, from which on it is motion."""
+
+
+def _block(motion: list[np.ndarray], disturbance: list[np.ndarray]) -> int:
+    """How many residuals count as one: as many as leave the frequencies in which the joint moves.
+
+    The replay turns the noise of the acceleration into noise of its derivatives in the inertias and dampings. Where the
+    joint does not move, they are nothing else: least squares would fit the noise with itself (errors in variables).
+    """
+    highest = 0.0
+    rate = 1.0 / (STEP * DECIMATION)
+    for signal, noise in zip(motion, disturbance, strict=True):
+        x, y = decimate(signal[:, 2]), decimate(noise[:, 2])
+        if len(x) < 64:
+            return 1
+        f, power = welch(np.column_stack([x, y]), rate, nperseg=min(256, len(x)), axis=0)
+        power = uniform_filter1d(power, 5, axis=0, mode="nearest")
+        above = f[power[:, 0] > _ABOVE_NOISE * power[:, 1]]
+        highest = max(highest, float(above.max()) if len(above) else 0.0)
+    return int(np.clip(0.5 * rate / max(highest, 1e-3), 1, _BLOCK))
 
 
 def _encoder_noise(time: np.ndarray, reading: np.ndarray, encoder: EncoderSpec, rng: np.random.Generator) -> np.ndarray:

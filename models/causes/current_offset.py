@@ -17,3 +17,7 @@ class CurrentOffset(Cause):
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         p["current_offset"] = values["value"]
+
+    def present(self, p: np.void) -> dict[str, float]:
+        """The record's own value, which the cause replaces."""
+        return {"value": float(p["current_offset"])}

@@ -18,3 +18,7 @@ class TorqueSensorGain(Cause):
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         p["torque_gain"] = values["gain"]
+
+    def present(self, p: np.void) -> dict[str, float]:
+        """The record's own value, which the cause replaces."""
+        return {"gain": float(p["torque_gain"])}

@@ -18,3 +18,7 @@ class TorqueSensorOffset(Cause):
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         p["torque_offset"] = values["value"]
+
+    def present(self, p: np.void) -> dict[str, float]:
+        """The record's own value, which the cause replaces."""
+        return {"value": float(p["torque_offset"])}
