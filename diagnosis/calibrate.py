@@ -317,7 +317,7 @@ def fit(
         limit = _limit(whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0])
         cost = objective(state, theta, limit)
         history.append(cost)
-        H, g, echo_gradient, _ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
+        H, g, echo_gradient, *_ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
         accepted = False
         for _ in range(4):
             A = H + damping * np.diag(np.abs(np.diag(H)))
@@ -363,7 +363,8 @@ def echo(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...], jac
 
 
 def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian=None, limit=HUBER):
-    """Hessian and gradient (of half the objective) of the posterior, and the robust loss."""
+    """Hessian and gradient (of half the objective) of the posterior, the noise's share of the latter, the robust loss, and the
+    noise's share of the information."""
 
     def products(r, j, limit):
         """Loss, and weighted products JᵀJ and Jᵀr of whitened residuals; one symmetric product, without empty rows."""
@@ -379,12 +380,13 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
     loss, information, g = products(state[0], jacobian, limit)
     g = g + curvature * theta
     echo_gradient = np.zeros(len(g))
+    share = np.zeros_like(information)
     if twin_jacobian is not None:
         noise_loss, share, echo_gradient = products(state[1], twin_jacobian, 2 * HUBER)
         loss -= noise_loss
         g = g - echo_gradient
         information = information - share
-    return _positive(information, problem.spread(model)) + np.diag(curvature), g, echo_gradient, loss
+    return _positive(information, problem.spread(model)) + np.diag(curvature), g, echo_gradient, loss, share
 
 
 def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -395,11 +397,19 @@ def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, history=()) -> Fit:
     """The Laplace approximation of a model at its maximum."""
-    H, _, _, loss = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
+    H, _, _, loss, share = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
     spread = problem.spread(model)
     _, logdet = np.linalg.slogdet(H * spread[:, None] * spread)
     log_evidence = -0.5 * (loss + prior_cost(problem, theta, model) + logdet)
     log_evidence -= sum(np.log(h.alternatives) for h in model)
-    return Fit(
-        model, theta, state, jacobian, twin_jacobian, np.linalg.inv(H), float(log_evidence), loss, tuple(history)
-    )
+    # The corrected gradient is noisier than the curvature says: the columns' noise counts once with the residual, once
+    # as the twin's share taken out (Godambe's information in place of Fisher's).
+    prior = np.diag(1 / spread**2)
+    S = H - prior
+    V = S + 2 * _positive(share, spread)
+    d = 1 / np.sqrt(np.diag(V) + 1e-9 * np.diag(prior))
+    known = S @ (d[:, None] * np.linalg.pinv(V * d[:, None] * d, rcond=1e-12, hermitian=True) * d) @ S
+    covariance = np.linalg.inv(0.5 * (known + known.T) + prior)
+    degrees = max(sum(drive.usable.sum() / drive.block for drive in problem.drives) - len(theta), 1.0)
+    covariance *= max(loss / degrees, 1.0)
+    return Fit(model, theta, state, jacobian, twin_jacobian, covariance, float(log_evidence), loss, tuple(history))

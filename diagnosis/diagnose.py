@@ -297,6 +297,8 @@ def _findings(problem: Problem, found: Search, after: Fit, term: _Unknown | None
         t = term.candidate.term
         variables = ("link_position", "direction") if t.variable == "direction_link_position" else (t.variable,)
         confidence = float(np.clip(1 - np.exp(-term.gain / (4 * TEMPER)), 0.3, 0.95))
+        if level(problem, found.rounds_noise, term.fit) > LOUD:  # the term is a part of it at most
+            confidence = min(confidence, 0.6)
         findings.append(
             Finding(
                 "unknown", term.candidate.component, confidence, {}, share, unknown.describe(term.candidate), variables

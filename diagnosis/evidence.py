@@ -11,7 +11,7 @@ search therefore takes the noise to be as loud as the residual is, and lets it b
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -223,6 +223,8 @@ def settle(
     return f
 
 
+_STUCK = 2.7
+"""A number so many standard deviations from nominal may stand in for an effect: try again without."""
 _UNSETTLED = 1.35
 """A residual that should be noise and is so many times the noise it was taken for: calibration got stuck."""
 _QUIET = 1.2
@@ -288,7 +290,8 @@ def _afresh(problem: Problem, noise: Noise, f: Fit, echo: Echo | None) -> Fit:
     again = fit(problem, louder(noise, 30.0), f.model, theta, 3, 5.0, None, echo)
     again = settle(problem, noise, f.model, again.theta, again.jacobian, echo, 5.0)
     again = converge(problem, noise, again, echo)
-    return min(f, again, key=lambda g: level(problem, noise, g))
+    loudness = min(level(problem, noise, g) for g in (f, again))
+    return max(f, again, key=lambda g: log_evidence(problem, noise, g, loudness))
 
 
 def hand_over(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> np.ndarray:
@@ -353,6 +356,44 @@ def _shares(problem: Problem, slots: list, x: np.ndarray, factor: float) -> dict
         if s.number.tolerance:
             found[s.name] = (ratios[s.name] / common - 1) / s.number.tolerance
     return found if all(abs(y) <= 3.0 for y in found.values()) else None
+
+
+def held_out_loss(problem: Problem, noise: Noise, f: Fit) -> float:
+    """Robust sum of squares of the whitened residual on held-out samples, without the motion noise's share."""
+    drives = [replace(d, usable=d.held_out) for d in problem.drives]
+    total = robust_loss(whiten(drives, noise, [r[..., None] for r in f.state[0]])[:, 0], 10.0)[0]
+    if f.state[1] is not None:
+        total -= robust_loss(whiten(drives, noise, [r[..., None] for r in f.state[1]])[:, 0], 10.0)[0]
+    return total
+
+
+def significance(problem: Problem, f: Fit) -> float:
+    """How many of its standard deviations the last effect of a fit is away from absent."""
+    h = f.model[-1]
+    before = problem.records(f.theta[: len(f.theta) - h.size], f.model[:-1])[0][0]
+    absent = h.coordinates(h.cause.centre(before, h.fixed))[h.magnitudes]
+    where = len(f.theta) - h.size + np.asarray(h.magnitudes)
+    away = f.theta[where] - absent
+    return float(np.sqrt(max(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away), 0.0)))
+
+
+SIGNIFICANT = 4.0
+"""Standard deviations that an effect must be away from absent."""
+HELD_OUT_SHARE = 0.2
+"""Of what an effect gains on the data of the fit, it must gain so much on as many held-out data."""
+
+
+def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, loudness: float) -> bool:
+    """Whether an effect is significant, and improves data that the fit did not see."""
+    tempered = noise if loudness < _QUIET else louder(noise, loudness)
+    scale = 1.0 if loudness < _QUIET else level(problem, noise, f)
+    if significance(problem, f) < SIGNIFICANT * scale:
+        return False
+    share = sum(d.held_out.sum() for d in problem.drives) / max(sum(d.usable.sum() for d in problem.drives), 1)
+    if share < 0.02:
+        return True
+    improved = held_out_loss(problem, tempered, base) - held_out_loss(problem, tempered, f)
+    return bool(improved > HELD_OUT_SHARE * 2 * gain * share)
 
 
 def _start(problem: Problem, noise: Noise, base: Fit, s: Screened) -> np.ndarray:
@@ -430,6 +471,7 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             if gain > THRESHOLD
             and size(f.model[-1], problem.split(f.theta, f.model)[-1]) > SMALLEST
             and not problem.is_calibration(f.theta, f.model)
+            and _holds(problem, noise, base, f, gain, loudness)
         ]
         if not earned or len(base.model) >= most:
             break

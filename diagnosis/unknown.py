@@ -367,7 +367,7 @@ def extend(joint: Joint, candidate: Candidate) -> Joint:
 def describe(candidate: Candidate) -> str:
     """The term in a sentence."""
     t = candidate.term
-    size = float(np.ptp(t.coefficients))
+    size = float(np.ptp(_basis(np.linspace(0.0, 1.0, 200), len(t.coefficients)) @ np.array(t.coefficients)))
     what = {
         "rotor": "a torque on the rotor", "mesh": "a friction torque in the mesh", "flexspline": "a flexspline torque",
         "link": "a torque on the link", "joint_torque": "an error of the torque sensor",

@@ -20,7 +20,7 @@ from .parameters import N_ORDERS, N_PERIODIC, N_TERMS
 _SMALLEST_FRICTION = 1e-5  # N·m: g(w) stays positive whatever an effect subtracts
 # The logarithm of Eqs. (3)-(5) goes on as its tangent from here: 0.29 N·m on the motor side of the test joint, beyond what
 # its motor gives, where the law is so stiff that no practical step would resolve it.
-_LOGARITHM_END = 3e-3
+LOGARITHM_END = 3e-3
 
 
 @njit(cache=True)
@@ -59,10 +59,10 @@ def flexspline_torsion(torque, p):
 def wave_generator_spring(torsion, p):
     """Torque of the wave generator's compliance [N·m, motor side] at δ = θm − θw [rad]: Eqs. (3)-(5) inverted."""
     u = 1.0 - p.Cw * p.Kw0 * abs(torsion)
-    if u > _LOGARITHM_END:
+    if u > LOGARITHM_END:
         torque = -math.log(u) / p.Cw
     else:
-        torque = (-math.log(_LOGARITHM_END) + (_LOGARITHM_END - u) / _LOGARITHM_END) / p.Cw
+        torque = (-math.log(LOGARITHM_END) + (LOGARITHM_END - u) / LOGARITHM_END) / p.Cw
     return torque if torsion > 0.0 else -torque
 
 

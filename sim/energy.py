@@ -12,10 +12,9 @@ import mujoco
 import numpy as np
 
 from ..models import laws
+from ..models.laws import LOGARITHM_END
 from . import plant
 from .callbacks import LINK, ROTOR, WAVE_GENERATOR
-
-_LOGARITHM_END = 1e-6  # as in laws.wave_generator_spring
 
 
 @dataclass(frozen=True)
@@ -115,10 +114,10 @@ def wave_generator_energy(torsion: float, p: np.void) -> float:
     """
     slope = p["Cw"] * p["Kw0"]
     u = 1.0 - slope * abs(torsion)
-    end = max(u, _LOGARITHM_END)
+    end = max(u, LOGARITHM_END)
     # u ln u − u + 1 without cancellation at small torsion: expm1-like, from log1p.
     x = 1.0 - end
     logarithmic = x + (1.0 - x) * np.log1p(-x) if x > 1e-3 else x**2 / 2 + x**3 / 6 + x**4 / 12 + x**5 / 20
     beyond = end - u
-    tangent = -np.log(_LOGARITHM_END) * beyond + 0.5 * beyond**2 / _LOGARITHM_END
+    tangent = -np.log(LOGARITHM_END) * beyond + 0.5 * beyond**2 / LOGARITHM_END
     return float((logarithmic + tangent) / (p["Cw"] * slope))

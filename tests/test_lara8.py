@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import importlib.util
 import json
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from conftest import ROOT
 from flexspline import commands
 from flexspline.diagnosis.estimate import estimate
 from flexspline.diagnosis.importing import import_recording, load_layout
@@ -17,6 +17,8 @@ from flexspline.models import laws
 from flexspline.models.joint import load_joint
 from flexspline.sim import plant
 from typer.testing import CliRunner
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")

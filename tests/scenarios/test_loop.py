@@ -115,10 +115,10 @@ def test_delay_and_rate_in_the_loop():
 
 
 def test_motion_that_is_not_finite_is_an_error(tmp_path, monkeypatch):
-    """40 N·m at once drive the wave generator beyond its compliance, Eq. (5): one line with the time, no other litter."""
+    """4000 N·m at once drive the wave generator beyond its compliance, Eq. (5): one line with the time, no other litter."""
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError) as caught:
-        run_scenario(scenario(disturbances=[{"kind": "step", "start": 1.0, "duration": 1.0, "torque": 40.0}]))
+        run_scenario(scenario(disturbances=[{"kind": "step", "start": 1.0, "duration": 1.0, "torque": 4000.0}]))
     message = str(caught.value)
     print(message)
     assert "scenario short" in message and "1.0" in message and "finite" in message

@@ -83,7 +83,7 @@ def test_spring_energies_are_integrals_of_the_laws(backlash):
     for x in (1e-7, 1e-5, 4e-5, 1e-3, 2e-2, 0.0435, -0.01):
         area = quad(lambda s: laws.wave_generator_spring(s, p), 0, abs(x), epsabs=1e-18, epsrel=1e-11, limit=200)[0]
         assert wave_generator_energy(x, p) == pytest.approx(area, rel=1e-7)
-    end = (1 - 1e-6) / (p["Cw"] * p["Kw0"])
+    end = (1 - laws.LOGARITHM_END) / (p["Cw"] * p["Kw0"])
     beyond = wave_generator_energy(end + 1e-3, p) - wave_generator_energy(end, p)
     area = quad(lambda s: laws.wave_generator_spring(s, p), end, end + 1e-3)[0]
     assert beyond == pytest.approx(area, rel=1e-9)
