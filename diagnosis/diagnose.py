@@ -21,6 +21,8 @@ LOUD = 1.6
 """A residual this many times the noise, after every known cause was tried, is an unknown effect."""
 UNKNOWN_EXPLAINS = 0.05
 """Share of the held-out discrepancy that an unknown effect must explain."""
+_NEARLY_ALL = 2 / 3
+"""Share of the causes that could not have shown, from which on a measurement is inconclusive."""
 TEMPER = 5.0
 """The laws are not exact and neither is the noise model: log evidence counts this many times less."""
 HELD_OUT = (
@@ -181,7 +183,7 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
     undetermined = sorted({*undetermined, *missing} - {c.name for c in findings})
     confusable = sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found)]})
     verdict = "discrepancy" if findings else "consistent"
-    if not findings and len(undetermined) > 0.7 * len(causes.of(joint)):
+    if not findings and len(undetermined) >= _NEARLY_ALL * len(causes.of(joint)):
         verdict = "inconclusive"
     return Diagnosis(
         verdict=verdict,

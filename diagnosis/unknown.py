@@ -46,7 +46,13 @@ _USUAL = {
 """Where an effect of each variable usually sits: places that the same residual fits are told apart by that alone."""
 UNUSUAL = 8.0
 """Log prior odds of a usual place against another."""
-_SMALLEST_RANGE = {"link_position": 0.02, "direction_link_position": 0.02, "motor_velocity": 1.0, "load": 0.1, "time": 1.0}
+_SMALLEST_RANGE = {
+    "link_position": 0.02,
+    "direction_link_position": 0.02,
+    "motor_velocity": 1.0,
+    "load": 0.1,
+    "time": 1.0,
+}
 """A variable that moved less than this has shown nothing."""
 
 
@@ -238,7 +244,9 @@ def refine(problem: Problem, noise: Noise, at: Fit, candidate: Candidate, level,
     place, variable, count = term.place, term.variable, len(term.coefficients)
     scale = _scale(place, problem.records(at.theta, at.model))
     bases = _bases(problem, variable, term.low, term.high, count)
-    low, high = (np.concatenate([b, np.full(count, s * np.inf)]) for b, s in zip(bounds(problem, at.model), (-1, 1)))
+    low, high = (
+        np.concatenate([b, np.full(count, s * np.inf)]) for b, s in zip(bounds(problem, at.model), (-1, 1), strict=True)
+    )
 
     def with_coefficients(c):
         moved = term.model_copy(update={"coefficients": [float(x) for x in c]})
@@ -262,11 +270,13 @@ def refine(problem: Problem, noise: Noise, at: Fit, candidate: Candidate, level,
         gained = best - cost
         extended, moved = with_coefficients(x[n:])
         here = replace(at, theta=x[:n], state=(residuals, None))
-        if k and (not accepted or gained < 2.0) or k == rounds:
+        if (k and (not accepted or gained < 2.0)) or k == rounds:
             break
         jacobian = extended.jacobian(x[:n], at.model, residuals)
         here = replace(here, jacobian=jacobian)
-        columns = _columns(extended, extended.records(x[:n], at.model), here, place, variable, term.low, term.high, count, bases)
+        columns = _columns(
+            extended, extended.records(x[:n], at.model), here, place, variable, term.low, term.high, count, bases
+        )
         loud = louder(noise, level(problem, noise, here))
         H, g, _ = _normal(problem, loud, at.model, x[:n], residuals, jacobian, columns, x[n:], scale)
         step = _bounded_step(H, g, low - x, high - x)
