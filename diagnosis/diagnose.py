@@ -371,6 +371,7 @@ def _extended(problem: Problem, at: Fit, joint: Joint) -> Joint:
         "torque_sensor_offset": ("sensors", "joint_torque", "offset"),
         "Jl": ("link_tolerances", "inertia"),
         "Mg": ("link_tolerances", "gravity_moment"),
+        "gravity_angle": ("gravity_angle",),
     }
     for slot in c.slots:
         value, std = _value(c, slot, x, covariance)

@@ -131,3 +131,18 @@ def test_commands(log, tmp_path):
     assert {"time", "torque_model", "torque_RAREKF", "torque_current", "external_torque_EKF"} <= set(names)
     metrics = json.loads((tmp_path / "e" / "metrics.json").read_text())
     assert metrics["joint3_outbound"]["external_torque"]["payload_smoothed"]["rms"] < 1.5
+
+
+def test_diagnosis_extends_a_joint_with_a_gravity_angle(log, tmp_path):
+    """The joint states numbers that others do not; the extended one has them too, and can be read back."""
+    sweep, out = tmp_path / "sweep", tmp_path / "out"
+    commands._register()
+    runner = CliRunner()
+    assert runner.invoke(commands.app, ["import", "lara8", str(log), "--out", str(sweep)]).exit_code == 0
+    answer = runner.invoke(
+        commands.app, ["diagnose", str(sweep), "--joint", "lara8-joint3", "--no-report", "--out", str(out)]
+    )
+    assert answer.exit_code == 0, answer.output
+    assert json.loads((out / "diagnosis.json").read_text())["verdict"] in ("consistent", "discrepancy", "inconclusive")
+    extended = load_joint(out / "joint.yaml")
+    assert extended.gravity_angle is not None and extended.gravity_angle.nominal is not None
