@@ -18,7 +18,7 @@ from ..models.parameters import PLACES
 from ..sim import native, plant
 from ..sim.callbacks import LINK, ROTOR, WAVE_GENERATOR, transmission
 from ..sim.drive import control
-from ..sim.sensors import NAMES, WRENCH, sample
+from ..sim.sensors import NAMES, WRENCH, sample, sample_tick
 
 CONTROL_PERIOD = 0.001
 """Period [s] of sensors, estimators and position controller."""
@@ -257,8 +257,6 @@ def _loop(
 def _wrench(history, k, dt, noise, sensor, axis):
     """A wrench axis: the record holds the noise of forces in `noise`, of torques in `step`; nothing is quantised."""
     rms = sensor.noise if axis < 3 else sensor.step
-    t = k
-    if sensor.period > dt * 1.000001:
-        t = int(np.floor(np.floor(k * dt / sensor.period + 1e-9) * sensor.period / dt + 1e-9))
+    t = sample_tick(k, dt, sensor)
     back = max(t - round(sensor.delay / dt), 0)
     return history[back] + rms * noise[t]

@@ -50,6 +50,14 @@ def quantise(value, step):
 
 
 @njit(cache=True, nogil=True)
+def sample_tick(k, dt, sensor):
+    """Control tick of a sensor's last sample at tick k: k itself, or an earlier one where it is slower than the control."""
+    if sensor.period > dt * 1.000001:
+        return math.floor(math.floor(k * dt / sensor.period + 1e-9) * sensor.period / dt + 1e-9)
+    return k
+
+
+@njit(cache=True, nogil=True)
 def sample(history, k, dt, noise, sensor):
     """What a sensor gives at control tick k.
 
@@ -61,9 +69,7 @@ def sample(history, k, dt, noise, sensor):
       The value at the sensor's last sample instant less its delay (before the start: the first value), with noise,
       quantised. Slower sensors hold their value.
     """
-    t = k
-    if sensor.period > dt * 1.000001:
-        t = math.floor(math.floor(k * dt / sensor.period + 1e-9) * sensor.period / dt + 1e-9)
+    t = sample_tick(k, dt, sensor)
     back = t - sensor.delay / dt
     if sensor.delay == 0.0:
         value = history[t]

@@ -39,6 +39,18 @@ class Parameter:
     period: float = 0.0
 
 
+TURN = 2 * np.pi
+PHASE = Parameter("phase", "rad", (-TURN, TURN), ((0.0, TURN),), period=TURN)
+"""The phase of a periodic effect."""
+
+
+def put_order(p: np.void, field: str, values: dict[str, float]) -> None:
+    """Put order, amplitude and phase into the first free place of `{field}_order`, `_amplitude`, `_phase`."""
+    slot = int(np.flatnonzero(p[f"{field}_amplitude"] == 0)[0])
+    for name in ("order", "amplitude", "phase"):
+        p[f"{field}_{name}"][slot] = values[name]
+
+
 class Cause(ABC):
     """A cause: what it does to the parameter record, where it sits, and how large it ordinarily is.
 

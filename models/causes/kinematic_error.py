@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Cause, Parameter
+from .base import PHASE, Cause, Parameter
 
 
 class KinematicError(Cause):
@@ -16,13 +16,7 @@ class KinematicError(Cause):
     parameters = (
         Parameter("order", "1", (0.01, 64), ((1, 4),), integer=True),
         Parameter("amplitude", "rad", (0.0, 0.05), ((0.8e-4, 2e-4),), magnitude=True),
-        Parameter(
-            "phase",
-            "rad",
-            (-6.283185307179586, 6.283185307179586),
-            ((0.0, 6.283185307179586),),
-            period=6.283185307179586,
-        ),
+        PHASE,
     )
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:

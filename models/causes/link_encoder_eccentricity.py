@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Cause, Parameter
+from .base import PHASE, Cause, Parameter
 
 
 class LinkEncoderEccentricity(Cause):
@@ -15,13 +15,7 @@ class LinkEncoderEccentricity(Cause):
     description = "the link encoder is mounted off centre: reading + A (sin(θl + φ) − sin φ)"
     parameters = (
         Parameter("amplitude", "rad", (0.0, 0.05), ((0.2e-3, 0.6e-3),), magnitude=True),
-        Parameter(
-            "phase",
-            "rad",
-            (-6.283185307179586, 6.283185307179586),
-            ((0.0, 6.283185307179586),),
-            period=6.283185307179586,
-        ),
+        PHASE,
     )
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:

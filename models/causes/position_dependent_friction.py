@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import Cause, Parameter
+from .base import PHASE, Cause, Parameter, put_order
 
 
 class PositionDependentFriction(Cause):
@@ -16,17 +16,8 @@ class PositionDependentFriction(Cause):
     parameters = (
         Parameter("order", "1", (1, 32), ((1, 3),), integer=True),
         Parameter("amplitude", "N·m", (0.0, 0.1), ((6e-3, 12e-3),), magnitude=True),
-        Parameter(
-            "phase",
-            "rad",
-            (-6.283185307179586, 6.283185307179586),
-            ((0.0, 6.283185307179586),),
-            period=6.283185307179586,
-        ),
+        PHASE,
     )
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
-        slot = int(np.flatnonzero(p["friction_amplitude"] == 0)[0])
-        p["friction_order"][slot] = values["order"]
-        p["friction_amplitude"][slot] = values["amplitude"]
-        p["friction_phase"][slot] = values["phase"]
+        put_order(p, "friction", values)
