@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+from numba import njit
 from scipy.signal import find_peaks
 
 _WINDOW = 0.2  # s: slower than this is signal, faster is noise
 _STEADY_RATE = 0.5  # N·m/s: slower than this is steady
 _LONGEST_DELAY = 0.1  # s
+_EARLIEST = 5  # samples by which an estimate may be early
 _RESPONSE = 0.9
 _LONGEST_PUSH = 2.0  # s: a disturbance that lasts longer is a load, not a push
 
@@ -59,8 +64,9 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
     indices = indices[(indices >= longest) & (indices < len(truth) - longest)]
     if len(indices) < 2:
         return None
-    shifts = np.arange(-5, longest)
-    cost = np.array([np.mean((estimate[indices] - truth[indices - s]) ** 2) for s in shifts])
+    shifts = np.arange(-_EARLIEST, longest)
+    cost = np.zeros(len(shifts))
+    _shift_costs(np.ascontiguousarray(estimate), np.ascontiguousarray(truth), indices, _EARLIEST, cost)
     best = int(np.argmin(cost))
     if 0 < best < len(cost) - 1:
         left, middle, right = cost[best - 1 : best + 2]
@@ -68,6 +74,23 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
         if curvature > 0:
             return float((shifts[best] + 0.5 * (left - right) / curvature) * dt)
     return None
+
+
+@njit(cache=True, nogil=True)
+def _shift_costs(estimate, truth, indices, earliest, cost):
+    """Mean square of estimate[i] − truth[i − s] over `indices`, for shifts s = −earliest …; into cost, shape (shifts,).
+
+    Compiled and without the interpreter's lock: many runs are measured side by side.
+    """
+    count = len(cost)
+    total = np.zeros(count)
+    for i in indices:
+        first = i + earliest - count + 1
+        for j in range(count):  # of the latest shift first, so that memory is read forwards
+            d = estimate[i] - truth[first + j]
+            total[j] += d * d
+    for j in range(count):
+        cost[j] = total[count - 1 - j] / len(indices)
 
 
 def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
@@ -98,6 +121,68 @@ def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: li
     return float(np.mean(times)) if times else None
 
 
+@dataclass(frozen=True)
+class Reference:
+    """What estimates of one run are measured against; arrays of shape (n,) [N·m].
+
+    Attributes:
+      truth, reading, raw: the noise-free Ts, the torque sensor, the raw compliance model.
+      external_torque: on the link, which gives the pushes.
+      dt: sample period [s].
+      transient: time at the start that is left out [s].
+    """
+
+    truth: np.ndarray
+    reading: np.ndarray
+    raw: np.ndarray
+    external_torque: np.ndarray
+    dt: float
+    transient: float
+
+    @cached_property
+    def kept(self) -> np.ndarray:
+        """After the transient, shape (n,), bool."""
+        return np.arange(len(self.truth)) * self.dt >= self.transient
+
+    @cached_property
+    def calm(self) -> np.ndarray:
+        """In steady state, shape (n,), bool."""
+        return steady(self.truth, self.dt, self.kept)
+
+    @cached_property
+    def events(self) -> list[tuple[int, int]]:
+        """The pushes after the transient."""
+        return [(a, b) for a, b in pushes(self.external_torque, self.dt) if self.kept[a]]
+
+    @cached_property
+    def raw_noise(self) -> float:
+        """Noise of the raw compliance model [N·m]."""
+        return noise(self.raw, self.truth, self.dt, self.calm)
+
+    @cached_property
+    def during(self) -> np.ndarray:
+        """Where the delay is measured: during pushes where there are any, shape (n,), bool."""
+        if not self.events:
+            return self.kept
+        during = np.zeros(len(self.truth), dtype=bool)
+        for a, b in self.events:
+            during[a : min(b + round(_WINDOW / self.dt), len(self.truth))] = True
+        return during
+
+    def evaluate(self, estimate: np.ndarray) -> dict[str, float | None]:
+        """All measures of one estimate, shape (n,) [N·m]."""
+        lag = delay(estimate, self.truth, self.dt, self.during)
+        response = response_time(estimate, self.truth, self.dt, self.events)
+        own_noise = noise(estimate, self.truth, self.dt, self.calm)
+        return {
+            **errors(estimate, self.truth, self.reading, self.kept),
+            "noise": _finite(own_noise),
+            "noise_ratio": _finite(own_noise / self.raw_noise) if self.raw_noise > 0 else None,
+            "delay_ms": None if lag is None else 1e3 * lag,
+            "response_ms": None if response is None else 1e3 * response,
+        }
+
+
 def evaluate(
     estimate: np.ndarray,
     truth: np.ndarray,
@@ -107,30 +192,8 @@ def evaluate(
     dt: float,
     transient: float,
 ) -> dict[str, float | None]:
-    """All measures of one estimate of the joint torque; arrays of shape (n,) [N·m].
-
-    Args:
-      estimate, truth, reading, raw: the estimate, the noise-free Ts, the torque sensor, the raw compliance model.
-      external_torque: on the link, which gives the pushes.
-      dt: sample period [s]; transient: time at the start that is left out [s].
-    """
-    kept = np.arange(len(truth)) * dt >= transient
-    calm = steady(truth, dt, kept)
-    events = [(a, b) for a, b in pushes(external_torque, dt) if kept[a]]
-    during = np.zeros(len(truth), dtype=bool)
-    for a, b in events:
-        during[a : min(b + round(_WINDOW / dt), len(truth))] = True
-    raw_noise = noise(raw, truth, dt, calm)
-    lag = delay(estimate, truth, dt, during if events else kept)
-    response = response_time(estimate, truth, dt, events)
-    own_noise = noise(estimate, truth, dt, calm)
-    return {
-        **errors(estimate, truth, reading, kept),
-        "noise": _finite(own_noise),
-        "noise_ratio": _finite(own_noise / raw_noise) if raw_noise > 0 else None,
-        "delay_ms": None if lag is None else 1e3 * lag,
-        "response_ms": None if response is None else 1e3 * response,
-    }
+    """All measures of one estimate of the joint torque; arguments as of `Reference`."""
+    return Reference(truth, reading, raw, external_torque, dt, transient).evaluate(estimate)
 
 
 def _finite(value: float) -> float | None:

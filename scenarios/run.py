@@ -11,6 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import mujoco
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -20,7 +21,7 @@ from ..estimator import FilterDiverged, FilterSettings, filter_bank
 from ..estimator.recursion import NOT_FINITE
 from ..models.errors import InputError
 from ..models.files import folder_into_place, load
-from ..models.joint import Joint
+from ..models.joint import Joint, Mounting
 from ..sim import plant, sensors
 from ..sim.recording import Recording, write_recording
 from . import metrics as measures
@@ -126,16 +127,10 @@ class Run:
         """Measures of every filter, of the raw compliance model and of the torque sensor (`scenarios.metrics`)."""
         truth, reading = self.truth("joint_torque"), self.reading("joint_torque")
 
-        def evaluate(estimate: np.ndarray) -> dict[str, Any]:
-            return measures.evaluate(
-                estimate,
-                truth,
-                reading,
-                self.model_torque,
-                self.external_torque,
-                CONTROL_PERIOD,
-                self.scenario.transient,
-            )
+        reference = measures.Reference(
+            truth, reading, self.model_torque, self.external_torque, CONTROL_PERIOD, self.scenario.transient
+        )
+        evaluate = reference.evaluate
 
         kept = self.time >= self.scenario.transient
         filters = {}
@@ -164,6 +159,117 @@ class Run:
         }
 
 
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario made ready: everything that does not depend on seed or filters, to run it many times.
+
+    Attributes:
+      scenario: what to run.
+      joint, known: the plant's joint, and the one that the estimators know.
+      mounting: what is bolted to the plant's output.
+      record, calibration: parameter records of the plant and of what the estimators know, shape (1,).
+      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
+    """
+
+    scenario: Scenario
+    joint: Joint
+    known: Joint
+    mounting: Mounting
+    record: np.ndarray
+    calibration: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    external_torque: np.ndarray
+
+    @classmethod
+    def of(cls, scenario: Scenario, folder: Path | None = None, load: float | None = None) -> Experiment:
+        """Read the joint and work out the commands.
+
+        Args:
+          scenario: what to run.
+          folder: of the scenario's file, where a joint that it names by a relative path lies.
+          load: gravity moment [N·m] at horizontal of what is bolted on, which the estimators know too, instead of the
+            mounting's; the inertia changes in proportion.
+
+        Raises:
+          InputError: a joint or mounting that does not exist, or one without a gravity moment to change.
+        """
+        joint, known = scenario.load_joint(folder)
+        mounting, known_mounting = (j.mount(scenario.mounting or None) for j in (joint, known))
+        if load is not None:
+            mounting, known_mounting = _loaded(mounting, load), _loaded(known_mounting, load)
+        position, velocity = scenario.commands()
+        return cls(
+            scenario, joint, known, mounting, joint.record(mounting), known.record(known_mounting),
+            position, velocity, scenario.external_torque(),
+        )  # fmt: skip
+
+    def build(self, record: np.ndarray | None = None) -> mujoco.MjModel:
+        """The MuJoCo model of the plant, or of another plant, with effects hidden in its record."""
+        return plant.build(
+            self.joint,
+            self.mounting,
+            timestep=self.scenario.timestep,
+            record=self.record if record is None else record,
+            locked_rotor=self.scenario.locked_rotor,
+        )
+
+    def run(
+        self,
+        settings: Sequence[FilterSettings],
+        seed: int | None = None,
+        record: np.ndarray | None = None,
+        model: mujoco.MjModel | None = None,
+    ) -> Signals:
+        """Run the closed loop; to the bit the same whoever else runs at the time.
+
+        Args:
+          settings: the filters.
+          seed: of the sensors' noise; the scenario's by default.
+          record, model: of another plant than the joint's own, both or none (`build`).
+
+        Raises:
+          InputError: torques under which the motion is no longer finite.
+          FilterDiverged: a filter's estimate overflowed; names filter and time.
+        """
+        scenario, record = self.scenario, self.record if record is None else record
+        p = record[0]
+        signals = simulate(
+            self.build(record) if model is None else model,
+            record,
+            self.calibration,
+            self.position,
+            self.velocity,
+            self.external_torque,
+            sensors.sensor_records(self.joint, float(p["link_delay"])),
+            sensors.noise(scenario.seed if seed is None else seed, len(self.position)),
+            scenario.controller.record(p, CONTROL_PERIOD, scenario.feedback != "none"),
+            filter_bank(settings),
+            np.array([s.P0 for s in settings]),
+            feedback=_feedback(scenario, settings),
+        )
+        overloaded = _overload(signals)
+        if overloaded is not None:
+            raise InputError(
+                f"scenario {scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques and "
+                "motions that the joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
+            )
+        which, status, tick = signals.failed
+        if which >= 0:
+            reason = (
+                "the estimate is no longer a finite number" if status == NOT_FINITE else "the gain has no finite value"
+            )
+            raise FilterDiverged(settings[which].name, tick, signals.time[tick], reason)
+        return signals
+
+
+def _loaded(mounting: Mounting, load: float) -> Mounting:
+    if mounting.gravity_moment == 0:
+        raise InputError("load: expected a mounting with a gravity moment to change, got one without")
+    share = load / mounting.gravity_moment
+    return mounting.model_copy(update={"gravity_moment": load, "inertia": mounting.inertia * share})
+
+
 def run_scenario(scenario: Scenario, folder: Path | None = None) -> Run:
     """Run a scenario.
 
@@ -175,37 +281,9 @@ def run_scenario(scenario: Scenario, folder: Path | None = None) -> Run:
       InputError: a joint or mounting that does not exist; torques under which the motion is no longer finite.
       FilterDiverged: a filter's estimate overflowed; names filter and time.
     """
-    joint, known = scenario.load_joint(folder)
-    mounting = joint.mount(scenario.mounting or None)
-    record = joint.record(mounting)
-    model = plant.build(joint, mounting, timestep=scenario.timestep, record=record, locked_rotor=scenario.locked_rotor)
+    experiment = Experiment.of(scenario, folder)
     settings = tuple(choice.settings() for choice in scenario.filters)
-    position, velocity = scenario.commands()
-    signals = simulate(
-        model,
-        record,
-        known.record(known.mount(scenario.mounting or None)),
-        position,
-        velocity,
-        scenario.external_torque(),
-        sensors.sensor_records(joint, float(record[0]["link_delay"])),
-        sensors.noise(scenario.seed, len(position)),
-        scenario.controller.record(record[0], CONTROL_PERIOD, scenario.feedback != "none"),
-        filter_bank(settings),
-        np.array([s.P0 for s in settings]),
-        feedback=_feedback(scenario),
-    )
-    overloaded = _overload(signals)
-    if overloaded is not None:
-        raise InputError(
-            f"scenario {scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques and motions "
-            "that the joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
-        )
-    which, status, tick = signals.failed
-    if which >= 0:
-        reason = "the estimate is no longer a finite number" if status == NOT_FINITE else "the gain has no finite value"
-        raise FilterDiverged(settings[which].name, tick, signals.time[tick], reason)
-    return Run(scenario, joint, known, settings, signals)
+    return Run(scenario, experiment.joint, experiment.known, settings, experiment.run(settings))
 
 
 def _overload(signals: Signals) -> float | None:
@@ -216,12 +294,12 @@ def _overload(signals: Signals) -> float | None:
     return float(signals.time[np.argmax(broken)]) if np.any(broken) else None
 
 
-def _feedback(scenario: Scenario) -> int:
+def _feedback(scenario: Scenario, settings: Sequence[FilterSettings]) -> int:
     if scenario.feedback == "none":
         return -1
     if scenario.feedback == "sensor":
         return -2
-    return [f.name for f in scenario.filters].index(scenario.feedback)
+    return [s.name for s in settings].index(scenario.feedback)
 
 
 def as_recording(run: Run) -> Recording:

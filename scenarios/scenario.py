@@ -258,25 +258,30 @@ def _override(data: dict[str, Any], change: str) -> None:
             value = float(value)  # 1e-6 is text to YAML 1.1
     except (yaml.YAMLError, ValueError):
         value = text
+    put(data, key, value, f"--set {change}")
+
+
+def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:
+    """Set a dotted key inside a scenario's data, in place (`filters.2.k`, `sensors.link_encoder.noise`)."""
     *path, last = key.split(".")
     if path[:1] == ["filters"] and "filters" not in data:
         data["filters"] = [f.model_dump(exclude_none=True) for f in PAPER_FILTERS]
     place: Any = data
     for part in path:
         if isinstance(place, list):
-            place = _item(place, part, change)
+            place = _item(place, part, where)
         else:
             place = place.setdefault(part, {})
         if not isinstance(place, (dict, list)):
-            raise InputError(f"--set {change}: {part} is a value, expected something with keys")
+            raise InputError(f"{where}: {part} is a value, expected something with keys")
     if isinstance(place, list):
-        _item(place, last, change)
+        _item(place, last, where)
         place[int(last)] = value
     else:
         place[last] = value
 
 
-def _item(items: list, part: str, change: str) -> Any:
+def _item(items: list, part: str, where: str) -> Any:
     if not part.isdigit() or int(part) >= len(items):
-        raise InputError(f"--set {change}: expected a number from 0 to {len(items) - 1}, got {part!r}")
+        raise InputError(f"{where}: expected a number from 0 to {len(items) - 1}, got {part!r}")
     return items[int(part)]
