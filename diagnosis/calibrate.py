@@ -16,7 +16,7 @@ from ..models.joint import Joint, Mounting
 from ..models.parameters import as_floats
 from .coordinates import Hypothesis
 from .noise import Noise, whiten
-from .replay import Drive, parallel, residual
+from .replay import Drive, residuals
 
 HUBER = 3.0
 TIMING = (0.5e-3, 0.3e-3)
@@ -91,19 +91,21 @@ class Problem:
         self, thetas: list[np.ndarray], models: list[tuple[Hypothesis, ...]], twin: bool = False
     ) -> list[list[np.ndarray]]:
         """Residuals, shape (k, 3) a stretch, at each of several points (of several models), in parallel."""
+        stretches = self.twins if twin else self.drives
         tasks = [
             (drive, record, theta)
             for theta, model in zip(thetas, models, strict=True)
-            for drive, record in zip(self.twins if twin else self.drives, self.records(theta, model), strict=True)
+            for drive, record in zip(stretches, self.records(theta, model), strict=True)
         ]
-        done = iter(parallel(self._one, tasks))
-        return [[next(done) for _ in self.drives] for _ in thetas]
+        done = iter(self.replayed(tasks))
+        return [[next(done) for _ in stretches] for _ in thetas]
 
-    def _one(self, task) -> np.ndarray:
-        drive, record, theta = task
-        r = residual(drive, record)
-        r[:, :2] -= drive.measured_rate * theta[self.calibration.size : self.size] * TIMING
-        return r
+    def replayed(self, tasks: list[tuple[Drive, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+        """Residuals, shape (k, 3), of stretches under records, at the sample times of unknowns theta; in parallel."""
+        found = residuals([(drive, record) for drive, record, _ in tasks])
+        for (drive, _, theta), r in zip(tasks, found, strict=True):
+            r[:, :2] -= drive.measured_rate * theta[self.calibration.size : self.size] * TIMING
+        return found
 
     def jacobian(
         self,

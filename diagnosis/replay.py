@@ -14,7 +14,7 @@ the parameters of the encoders (zero, delay, eccentricity) in the record.
 
 from __future__ import annotations
 
-import math
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
@@ -248,13 +248,10 @@ def _encoder_noise(time: np.ndarray, reading: np.ndarray, encoder: EncoderSpec, 
 
 
 @njit(cache=True, nogil=True)
-def _replay(p, time, rotor, link, torque, external, h, every, window, out):
-    """Replay one stretch with record p; fills out, shape (k, 3): current and torque readings, link balance."""
+def _transmission(p, time, rotor, link, h, inner):
+    """Move the wave generator, the bristle and the Dahl state; fills `inner`, shape (n, len(_INNER)). False: runaway."""
     n = len(time)
-    out[:] = 0.0
-    weights = np.zeros(len(out))
     terms = laws.has_terms(p)
-    has_torque = len(torque) > 0
     dahl_present = p.hysteresis_torque != 0.0
     shift = p.link_delay / h
     inverse_N = 1.0 / p.N
@@ -300,8 +297,9 @@ def _replay(p, time, rotor, link, torque, external, h, every, window, out):
             l = 0.5 * (l0 + l1) + 0.125 * h * (vl0 - vl1)
             vl = 0.5 * (vl0 + vl1)
             x = theta_w + 0.5 * h * w
-            slope = inverse_N - laws.kinematic_error_slope(x, p)
-            torsion = x * inverse_N - l - laws.kinematic_error(x, p)
+            error, error_slope = laws.kinematic_error_and_slope(x, p)
+            slope = inverse_N - error_slope
+            torsion = x * inverse_N - l - error
             rate = w * slope - vl
             middle = dahl
             if dahl_present:
@@ -319,7 +317,7 @@ def _replay(p, time, rotor, link, torque, external, h, every, window, out):
                 spring + p.dw * (vm - w) - laws.mesh_friction(z_middle, w, g, p) - p.bw * w - mesh_term - Tf * slope
             ) / p.Jw
             sliding = p.s0 * z_middle / g * (1.0 if w > 0.0 else -1.0)
-            stiffness = p.Kw0 * math.exp(min(p.Cw * abs(spring), 20.0)) + p.K1 * slope * slope
+            stiffness = laws.wave_generator_stiffness(m - x, p) + p.K1 * slope * slope
             damping = p.dw + p.bw + p.df * slope * slope + p.s1 * max(1.0 - sliding, 0.0)
             stiffness += p.s0 * max(1.0 - sliding, 0.0)
             change = h * force / (1.0 + h * (0.25 * h * stiffness + 0.5 * damping) / p.Jw)
@@ -327,28 +325,55 @@ def _replay(p, time, rotor, link, torque, external, h, every, window, out):
             theta_w += h * w_middle
             w += change
             if not abs(w) < _RUNAWAY:  # parameters beyond reason: give up on the stretch
-                out[:] = np.nan
-                return
+                return False
             z = laws.bristle_step(z, w_middle, g, h, p)
             if abs(rotor[i, 0] - theta_w) > reach:  # where the compliance is all but rigid
                 theta_w = rotor[i, 0] - (reach if rotor[i, 0] > theta_w else -reach)
                 w = rotor[i, 1]
             if dahl_present:
                 dahl = laws.dahl_step(dahl, w_middle * slope - vl, h, p)
-        # What the sensors read at this instant.
-        slope = inverse_N - laws.kinematic_error_slope(theta_w, p)
-        torsion = theta_w * inverse_N - l1 - laws.kinematic_error(theta_w, p)
-        Tf = laws.flexspline_spring(torsion, p) + p.df * (w * slope - vl1)
+        error, error_slope = laws.kinematic_error_and_slope(theta_w, p)
+        torsion = theta_w * inverse_N - l1 - error
+        Tf = laws.flexspline_spring(torsion, p) + p.df * (w * (inverse_N - error_slope) - vl1)
         if dahl_present:
             Tf += laws.hysteresis_torque(dahl, p)
-        load = Tf
+        inner[i, 5] = Tf
+        if terms:
+            Tf += laws.term(_FLEXSPLINE, rotor[i, 0], l1, w, Tf, time[i], p)
+        inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3] = w, l1, vl1, al1
+        inner[i, 4] = Tf
+        inner[i, 6] = laws.wave_generator_spring(rotor[i, 0] - theta_w, p) + p.dw * (rotor[i, 1] - w)
+    return True
+
+
+_INNER = ("wave_generator_velocity", "link_position", "link_velocity", "link_acceleration", "flexspline_torque",
+          "load", "wave_generator_torque")  # fmt: skip
+"""What `_transmission` computes at every step: link as corrected, load without nonparametric terms."""
+
+READ_OUT = (
+    "Jm", "Kt", "bm", "R", "L", "supply_voltage", "current_limit", "bl", "Jl", "Mg", "gravity_angle",
+    "cogging_order", "cogging_amplitude", "cogging_phase", "cable_stiffness", "cable_rest", "stop_angle",
+    "stop_stiffness", "current_offset", "torque_gain", "torque_offset", "torque_rate",
+)  # fmt: skip
+"""Numbers that change what the sensors read, but nothing inside a transmission whose both ends move as measured."""
+
+
+@njit(cache=True, nogil=True)
+def _readings(p, time, rotor, torque, external, inner, every, window, out):
+    """Means of current reading, torque reading and link balance; fills out, shape (k, 3)."""
+    n = len(time)
+    out[:] = 0.0
+    weights = np.zeros(len(out))
+    terms = laws.has_terms(p)
+    has_torque = len(torque) > 0
+    for i in range(n):
+        w, l1, vl1, al1 = inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3]
+        Tf, load, Tw = inner[i, 4], inner[i, 5], inner[i, 6]
         on_rotor = laws.rotor_torque(rotor[i, 0], p)
         on_link = laws.link_torque(l1, p) + external[i] + laws.gravity_torque(l1, p)
         if terms:
-            Tf += laws.term(_FLEXSPLINE, rotor[i, 0], l1, w, load, time[i], p)
             on_rotor += laws.term(_ROTOR, rotor[i, 0], l1, w, load, time[i], p)
             on_link += laws.term(_LINK, rotor[i, 0], l1, w, load, time[i], p)
-        Tw = laws.wave_generator_spring(rotor[i, 0] - theta_w, p) + p.dw * (rotor[i, 1] - w)
         current = laws.current_reading((p.Jm * rotor[i, 2] + p.bm * rotor[i, 1] + Tw - on_rotor) / p.Kt, p)
         Ts = Tf - p.bl * vl1
         sensed = laws.torque_reading(Ts, time[i], p)
@@ -378,20 +403,49 @@ def _replay(p, time, rotor, link, torque, external, h, every, window, out):
             out[k, c] /= weights[k]
 
 
-def replay(drive: Drive, record: np.ndarray) -> np.ndarray:
-    """Predicted current reading [A], joint torque reading [N·m] and link balance [N·m], shape (k, 3)."""
+def transmission(drive: Drive, record: np.ndarray) -> np.ndarray:
+    """What moves between rotor and link, shape (n, len(_INNER)); not a number where the record is beyond reason."""
+    inner = np.empty((len(drive.time), len(_INNER)))
+    if not _transmission(record[0], drive.time, drive.rotor, drive.link, STEP, inner):
+        inner[:] = np.nan
+    return inner
+
+
+def replay(drive: Drive, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
+    """Predicted current reading [A], joint torque reading [N·m] and link balance [N·m], shape (k, 3).
+
+    Args:
+      inner: of `transmission` for a record that differs in `READ_OUT` at most.
+    """
+    inner = transmission(drive, record) if inner is None else inner
     out = np.empty((len(drive.at), 3))
-    _replay(
-        record[0], drive.time, drive.rotor, drive.link, drive.torque, drive.external, STEP, DECIMATION, _WINDOW, out
-    )
+    _readings(record[0], drive.time, drive.rotor, drive.torque, drive.external, inner, DECIMATION, _WINDOW, out)
     return out
 
 
-def residual(drive: Drive, record: np.ndarray) -> np.ndarray:
+def residual(drive: Drive, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
     """Measured minus predicted current [A] and torque [N·m], and the link balance [N·m], shape (k, 3)."""
-    out = replay(drive, record)
+    out = replay(drive, record, inner)
     out[:, :2] = drive.measured - out[:, :2]
     return out
+
+
+def residuals(pairs: list[tuple[Drive, np.ndarray]]) -> list[np.ndarray]:
+    """`residual` of many pairs in parallel; where records differ in `READ_OUT` only, what moves inside is shared."""
+    keys = [(id(drive), _inside(record)) for drive, record in pairs]
+    times = Counter(keys)
+    shared = {key: pair for key, pair in zip(keys, pairs, strict=True) if times[key] > 1}
+    inner = dict(zip(shared, parallel(lambda pair: transmission(*pair), list(shared.values())), strict=True))
+    tasks = [(*pair, inner.get(key)) for key, pair in zip(keys, pairs, strict=True)]
+    return parallel(lambda task: residual(*task), tasks)
+
+
+def _inside(record: np.ndarray) -> bytes:
+    """All of a record that what moves inside the transmission depends on."""
+    copy = record.copy()
+    for name in READ_OUT:
+        copy[name] = 0.0
+    return copy.tobytes()
 
 
 _pool = ThreadPoolExecutor(THREADS)

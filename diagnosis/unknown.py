@@ -16,7 +16,6 @@ from ..models.joint import Joint, Term
 from ..models.parameters import PLACES, VARIABLES
 from .calibrate import HUBER, Fit, Problem, _bounded_step, bounds, robust_loss
 from .noise import Noise, louder, whiten
-from .replay import parallel
 
 COMPONENT = {
     "rotor": "motor", "mesh": "transmission", "flexspline": "transmission", "link": "link",
@@ -351,7 +350,7 @@ def _replayed(problem, records, at, place, variable, low, high, count, bases) ->
             p["term_low"][slot], p["term_high"][slot], p["term_count"][slot] = low, high, count
             p["term_coefficient"][slot, :count] = _PROBE * SCALE[place] * (np.arange(count) % 4 == colour)
             tasks.append((drive, moved, at.theta))
-    done = iter(parallel(problem._one, tasks))
+    done = iter(problem.replayed(tasks))
     found = [np.zeros((len(B), 3, count)) for B in bases]
     for colour in range(4):
         for s, drive in enumerate(problem.drives):

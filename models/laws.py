@@ -67,6 +67,12 @@ def wave_generator_spring(torsion, p):
 
 
 @njit(cache=True)
+def wave_generator_stiffness(torsion, p):
+    """Slope of `wave_generator_spring` [N·m/rad, motor side]: Kw0 exp(Cw |Tw|), Eq. (4)."""
+    return p.Kw0 / max(1.0 - p.Cw * p.Kw0 * abs(torsion), LOGARITHM_END)
+
+
+@njit(cache=True)
 def wave_generator_torsion(torque, p):
     """Torsion δ of the wave generator [rad, motor side] at a torque [N·m, motor side], Eq. (5)."""
     x = (1.0 - math.exp(-p.Cw * abs(torque))) / (p.Cw * p.Kw0)
@@ -91,6 +97,18 @@ def kinematic_error_slope(theta_w, p):
         if p.amplitude[k] != 0.0:
             slope += p.order[k] * p.amplitude[k] * math.cos(p.order[k] * theta_w + p.phase[k])
     return slope
+
+
+@njit(cache=True)
+def kinematic_error_and_slope(theta_w, p):
+    """Kinematic error and its derivative at once: sine and cosine of an angle cost little more than one of them."""
+    error, slope = 0.0, 0.0
+    for k in range(N_ORDERS):
+        if p.amplitude[k] != 0.0:
+            angle = p.order[k] * theta_w + p.phase[k]
+            error += p.amplitude[k] * math.sin(angle)
+            slope += p.order[k] * p.amplitude[k] * math.cos(angle)
+    return error, slope
 
 
 @njit(cache=True)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from flexspline.diagnosis.replay import drives, residual
+from flexspline.diagnosis.replay import READ_OUT, drives, residual, residuals, transmission
 from flexspline.models import causes
 from flexspline.models.joint import Mounting, load_joint
 from hidden_joint import measure
@@ -51,3 +51,21 @@ def test_true_numbers_leave_the_sensors_noise(joint, stretches):
 def test_an_effect_breaks_only_the_balances_that_it_touches(joint, stretches, name, values, broken):
     before, after = (rms(joint, stretches, f) for f in (lambda p: None, lambda p: causes.get(name).apply(p, values)))
     assert [c for c in range(3) if after[c] > 1.5 * before[c]] == broken
+
+
+def test_numbers_that_are_read_out_move_nothing_inside_the_transmission(joint, stretches):
+    drive = stretches[0]
+    record = joint.record(Mounting(inertia=drive.inertia, gravity_moment=drive.gravity_moment))
+    inner = transmission(drive, record)
+    for name in READ_OUT:
+        changed = record.copy()
+        changed[name] = 1.1 * changed[name] + 1e-3
+        assert np.array_equal(transmission(drive, changed), inner), name
+        assert np.array_equal(residuals([(drive, record), (drive, changed)])[1], residual(drive, changed)), name
+    inside = [name for name in record.dtype.names if name not in READ_OUT]
+    moving = [name for name in ("K1", "Kw0", "Fc", "bw", "Jw", "link_zero", "amplitude", "df") if name in inside]
+    assert len(moving) == 8
+    for name in moving:
+        changed = record.copy()
+        changed[name] = 1.1 * changed[name] + 1e-6
+        assert not np.array_equal(transmission(drive, changed), inner), name

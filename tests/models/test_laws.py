@@ -172,3 +172,16 @@ def test_term_variables(p):
         assert laws.term(place, *arguments, p) == pytest.approx(value), name
     p["term_variable"][0] = VARIABLES.index("direction_link_position")
     assert laws.term(place, *arguments, p) == pytest.approx(0.4 * np.tanh(-0.6))
+
+
+def test_stiffness_of_the_wave_generator_is_the_slope_of_its_spring(p):
+    for torsion in (1e-4, 5e-3, -2e-2, 0.99 / (p["Cw"] * p["Kw0"])):
+        step = 1e-9
+        rise = laws.wave_generator_spring(torsion + step, p) - laws.wave_generator_spring(torsion - step, p)
+        assert laws.wave_generator_stiffness(torsion, p) == pytest.approx(rise / (2 * step), rel=1e-3)
+
+
+def test_kinematic_error_and_slope_are_those_of_the_separate_laws(p):
+    for angle in (0.0, 1.3, -250.0):
+        both = laws.kinematic_error_and_slope(angle, p)
+        assert both == pytest.approx((laws.kinematic_error(angle, p), laws.kinematic_error_slope(angle, p)))
