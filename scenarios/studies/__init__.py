@@ -1,0 +1,1 @@
+"""Studies: seeds × parameters × scenarios × filters, as a dataset that grows while it is made."""

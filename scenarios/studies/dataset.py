@@ -1,0 +1,154 @@
+"""The dataset of a study: Parquet files that appear as chunks of runs finish, and a note on what study it is.
+
+    OUT/study.json                                      the study, its digest, its seeds, versions
+    OUT/rows/scenario=NAME/cell=0007/runs-000032-000047.parquet
+
+A file is written under another name and moved into place, so what is there is complete. Any Parquet reader takes
+`OUT/rows` as one table, with scenario and cell from the folders' names.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ...models.errors import InputError
+from ...models.files import write_into_place
+from .grid import Plan
+
+_PART = re.compile(r"^runs-(\d+)-(\d+)\.parquet$")
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Runs begin … end − 1 (places in the list of seeds) of one cell."""
+
+    cell: int
+    begin: int
+    end: int
+
+
+class Dataset:
+    """Rows of a study in a folder; `open` makes or checks it."""
+
+    def __init__(self, folder: Path, plan: Plan):
+        self.folder, self.plan = folder, plan
+
+    @classmethod
+    def open(cls, folder: Path, plan: Plan, versions: dict[str, str]) -> Dataset:
+        """Make the folder, or go on with one of the same study; more seeds than before are welcome.
+
+        Raises:
+          InputError: a folder with something else in it, of another study, or begun with other versions.
+        """
+        note = folder / "study.json"
+        study = plan.study.model_dump(mode="json")
+        seeds = list(plan.study.seed_list)
+        if not note.is_file():
+            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+                raise InputError(f"{folder}: expected an empty or new folder, or one of a sweep, got something else")
+        else:
+            before = _read(note)
+            if before["digest"] != plan.digest:
+                raise InputError(
+                    f"{folder}: expected a sweep of this very study, found one of {before['study']['name']} that differs in "
+                    f"{_difference(before['study'], study)}; choose another --out"
+                )
+            if before["versions"] != versions:
+                name = next(n for n in versions if before["versions"].get(n) != versions[n])
+                raise InputError(
+                    f"{folder}: begun with {name} {before['versions'].get(name)}, here is {versions[name]}: rows would not "
+                    "be of one kind; choose another --out"
+                )
+            shorter, longer = sorted((before["seeds"], seeds), key=len)
+            if longer[: len(shorter)] != shorter:
+                raise InputError(
+                    f"{folder}: expected the seeds of the sweep there, or more, got others; choose another --out"
+                )
+            if len(seeds) <= len(before["seeds"]):
+                return cls(folder, plan)
+        with write_into_place(note) as temporary:
+            text = {"format": 1, "digest": plan.digest, "versions": versions, "seeds": seeds, "study": study}
+            temporary.write_text(json.dumps(text, indent=1, ensure_ascii=False), encoding="utf-8")
+        return cls(folder, plan)
+
+    def home(self, cell: int) -> Path:
+        """Folder of a cell's rows."""
+        return self.folder / "rows" / f"scenario={self.plan.cells[cell].scenario}" / f"cell={cell:04d}"
+
+    def write(self, chunk: Chunk, table: pa.Table) -> None:
+        """Add the rows of a chunk."""
+        path = self.home(chunk.cell) / f"runs-{chunk.begin:06d}-{chunk.end - 1:06d}.parquet"
+        with write_into_place(path) as temporary:
+            pq.write_table(table, temporary, compression="zstd")
+
+    def parts(self, cell: int) -> list[tuple[int, int, Path]]:
+        """Files of a cell in order: first run, last run + 1, path."""
+        found = []
+        for path in self.home(cell).glob("runs-*.parquet"):
+            match = _PART.match(path.name)
+            if match:
+                found.append((int(match[1]), int(match[2]) + 1, path))
+        return sorted(found)
+
+    def gaps(self, cell: int) -> list[tuple[int, int]]:
+        """Runs that a cell lacks, as intervals. A file that cannot be read (a disk that filled up) is taken away."""
+        found, at, total = [], 0, len(self.plan.study.seed_list)
+        for begin, end, path in self.parts(cell):
+            try:
+                pq.read_metadata(path)
+            except (OSError, pa.ArrowInvalid):
+                path.unlink()
+                continue
+            if begin > at:
+                found.append((at, min(begin, total)))
+            at = max(at, end)
+        if at < total:
+            found.append((at, total))
+        return [(a, b) for a, b in found if a < b]
+
+    def missing(self, size: int) -> Iterator[Chunk]:
+        """What is to be done, in chunks of `size` runs: the first runs of all cells come first."""
+        gaps = {cell.index: self.gaps(cell.index) for cell in self.plan.cells}
+        for begin in range(0, len(self.plan.study.seed_list), size):
+            for cell, open_runs in gaps.items():
+                for a, b in open_runs:
+                    a, b = max(a, begin), min(b, begin + size)
+                    if a < b:
+                        yield Chunk(cell, a, b)
+
+    def done(self) -> int:
+        """Number of runs that are there."""
+        return self.plan.runs - sum(b - a for cell in self.plan.cells for a, b in self.gaps(cell.index))
+
+    def read(self, cell: int, columns: list[str] | None = None) -> pa.Table:
+        """Rows of a cell so far, by run and then as the study lists its filters."""
+        tables = []
+        for _, _, path in self.parts(cell):
+            with pq.ParquetFile(path) as file:  # the path's own folders are no columns here
+                tables.append(file.read(columns=columns))
+        return pa.concat_tables(tables) if tables else pa.table({})
+
+
+def _read(note: Path) -> dict[str, Any]:
+    try:
+        before = json.loads(note.read_text(encoding="utf-8"))
+        if all(key in before for key in ("digest", "versions", "seeds", "study")):
+            return before
+    except (OSError, ValueError, TypeError):
+        pass
+    raise InputError(f"{note}: expected the note of a sweep, got something else")
+
+
+def _difference(before: dict, now: dict) -> str:
+    for key in now:
+        if key not in ("seeds", "description", "reference") and before.get(key) != now[key]:
+            return key
+    return "its scenarios' or joint's files"

@@ -1,0 +1,202 @@
+"""A study as an ordered list of runs: cells (a scenario at a point of the axes), each with every seed.
+
+Every run's random streams derive from (study seed, scenario, seed) and nothing else: results do not depend on order,
+and all points of an axis see the same noise (pairing). Filters that only differ in their own settings share one simulation.
+"""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import json
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...estimator import FilterSettings, baselines
+from ...estimator.baselines import Estimator
+from ...models import causes
+from ...models.errors import InputError
+from ...models.files import parse
+from ...sim import sensors
+from ..run import Experiment
+from ..scenario import Scenario, load_scenario, put
+from .study import CauseAxis, LoadAxis, ScaleAxis, Study, Value, points, varied
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A scenario at a point of the axes that concern the plant.
+
+    Attributes:
+      index: its number.
+      scenario: its name in the study.
+      columns: what the dataset says of it: axis → value.
+    """
+
+    index: int
+    scenario: str
+    columns: dict[str, Value]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A filter or estimator as it runs: name, the axes that vary it with their values, and what it is."""
+
+    name: str
+    columns: dict[str, Value]
+    settings: FilterSettings | Estimator
+
+    @property
+    def label(self) -> str:
+        """A name of its own within the study."""
+        return _label(self.name, self.columns)
+
+
+def _label(name: str, columns: dict[str, Value]) -> str:
+    return "/".join([name, *(f"{k}={v}" for k, v in columns.items())])
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A study with everything that it names read in; can be sent to other processes.
+
+    Attributes:
+      study: what is asked.
+      scenarios: name in the study → (data of the scenario with the study's changes, folder of its file).
+      digest: changes with anything that changes rows, but not with the number of seeds.
+    """
+
+    study: Study
+    scenarios: dict[str, tuple[dict[str, Any], str]]
+    digest: str
+
+    @classmethod
+    def of(cls, study: Study, folder: Path = Path()) -> Plan:
+        """Read the scenarios, and check that every cell can run.
+
+        Raises:
+          InputError: a scenario, key, joint or cause that does not fit; one line.
+        """
+        scenarios = {}
+        for choice in study.scenarios:
+            beside = folder / choice.scenario
+            scenario, home = load_scenario(beside if beside.is_file() else choice.scenario)
+            data = scenario.model_dump(mode="json", exclude_none=True)
+            data["filters"] = [f.model_dump(exclude_none=True) for f in study.filters]
+            if scenario.feedback not in ("none", "sensor", *(f.name for f in study.filters)):
+                data["filters"] += [
+                    f.model_dump(exclude_none=True) for f in scenario.filters if f.name == scenario.feedback
+                ]
+            for key, value in (study.set | choice.set).items():
+                put(data, key, value, f"study {study.name}: set {key}")
+            scenarios[choice.name or choice.scenario] = (data, str(home.resolve()))
+        plan = cls(study, scenarios, "")
+        return replace(plan, digest=plan._check())
+
+    def _check(self) -> str:
+        """Build every cell's plant; the digest of all that rows depend on."""
+        seen = {}
+        for cell in self.cells:
+            experiment = self.experiment(cell)
+            feedback = experiment.scenario.feedback
+            if feedback not in ("none", "sensor") and self.study.filter_axes:
+                raise InputError(
+                    f"study {self.study.name}: scenario {cell.scenario}: feedback: expected none or sensor where an axis "
+                    f"varies filters, which would act on the plant, got {feedback!r}"
+                )
+            cause = cell.columns.get("cause", "none")
+            if cause != "none" and not causes.get(cause).concerns(experiment.joint):
+                raise InputError(
+                    f"study {self.study.name}: cause {cause}: joint {experiment.joint.name} has no room for it"
+                )
+            experiment.build()
+            for joint in (experiment.joint, experiment.known):
+                seen[hashlib.sha256(joint.mjcf.read_bytes()).hexdigest()] = 0
+                seen[hashlib.sha256(joint.model_dump_json().encode()).hexdigest()] = 0
+        asked = self.study.model_dump(mode="json", exclude={"seeds", "description", "reference"})
+        data = {name: data for name, (data, _) in self.scenarios.items()}
+        text = json.dumps([asked, data, sorted(seen)], sort_keys=True, ensure_ascii=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @cached_property
+    def cells(self) -> list[Cell]:
+        """All cells in order."""
+        products = itertools.product(self.scenarios, *(points(axis) for axis in self.study.plant_axes))
+        return [
+            Cell(i, scenario, {k: v for point in at for k, v in point.items()})
+            for i, (scenario, *at) in enumerate(products)
+        ]
+
+    @cached_property
+    def variants(self) -> list[Variant]:
+        """All filters and estimators with all their variants, in order; one that no axis varies stands once."""
+        found = []
+        for choice in self.study.filters:
+            for columns, values in self._knobs("filters", choice.name):
+                one = choice
+                for knob, value in values.items():
+                    one = varied(one, knob, value)
+                settings = one.settings()
+                found.append(Variant(choice.name, columns, replace(settings, name=_label(choice.name, columns))))
+        for name in self.study.estimators:
+            for columns, values in self._knobs("estimators", name):
+                found.append(Variant(name, columns, replace(baselines.get(name), **values)))
+        return found
+
+    def _knobs(self, room: str, name: str) -> Iterator[tuple[dict[str, Value], dict[str, Value]]]:
+        """Columns and knobs of each variant of a filter."""
+        axes = [a for a in self.study.filter_axes if a.key.rsplit(".", 1)[0] in (f"{room}.{name}", f"{room}.*")]
+        for values in itertools.product(*(a.values for a in axes)):
+            yield (
+                {a.name: v for a, v in zip(axes, values, strict=True)},
+                {a.key.rsplit(".", 1)[1]: v for a, v in zip(axes, values, strict=True)},
+            )
+
+    @property
+    def runs(self) -> int:
+        """Number of simulations."""
+        return len(self.cells) * len(self.study.seed_list)
+
+    def key(self, cell: Cell, seed: int) -> str:
+        """A name for one simulation that no other one of any study has."""
+        return hashlib.sha256(f"{self.digest}/{cell.index}/{seed}".encode()).hexdigest()[:16]
+
+    def experiment(self, cell: Cell) -> Experiment:
+        """The cell's scenario, ready to run with any seed."""
+        data, folder = self.scenarios[cell.scenario]
+        data, load = copy.deepcopy(data), None
+        where = f"study {self.study.name}: scenario {cell.scenario}"
+        for axis in self.study.plant_axes:
+            value = cell.columns[axis.name]
+            if isinstance(axis, LoadAxis):
+                load = value
+            elif isinstance(axis, ScaleAxis):
+                for key, base in axis.keys.items():
+                    put(data, key, base * value, f"{where}: {axis.name}")
+            elif not isinstance(axis, CauseAxis):
+                put(data, axis.key, value, f"{where}: {axis.name}")
+        return Experiment.of(parse(data, Scenario, where), Path(folder), load)
+
+    def noise_seed(self, cell: Cell, seed: int) -> int:
+        """Seed of the sensors' noise of a run."""
+        words = np.random.SeedSequence([self.study.seed, zlib.crc32(cell.scenario.encode()), seed]).generate_state(2)
+        return (int(words[0]) << 31) ^ int(words[1])
+
+    def hidden(self, cell: Cell, seed: int, record: np.ndarray) -> np.ndarray | None:
+        """The plant's record with the cell's cause in it, shape (1,); None where there is none."""
+        cause = cell.columns.get("cause", "none")
+        if cause == "none":
+            return None
+        axis = next(a for a in self.study.axes if isinstance(a, CauseAxis))
+        hidden = record.copy()
+        rng = sensors.stream(self.noise_seed(cell, seed), f"cause {cause}")
+        one = causes.get(cause)
+        one.apply(hidden[0], one.draw(hidden[0], rng, float(cell.columns[axis.name])))
+        return hidden

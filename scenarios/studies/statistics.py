@@ -1,0 +1,138 @@
+"""What a dataset says: means over seeds with confidence intervals, and differences between filters paired over seeds.
+
+Intervals are Student's t at 95 %: `mean ± t(0.975, n − 1)·s/√n`. Runs of different seeds are independent, and the mean of
+dozens of them is close to normal whatever a single measure's distribution. A difference between two filters is taken run by
+run, on the same signals: what both have in common cancels, and the interval is that of the differences.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import t as student
+
+from ...models.files import write_into_place
+from .dataset import Dataset
+from .grid import Plan
+from .study import Value
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean of n values with its confidence interval; the interval is NaN for less than two, the mean for none."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+
+    @property
+    def half(self) -> float:
+        """Half the interval's width."""
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def sign(self) -> int:
+        """−1 or 1 where the interval is all on one side of zero, else 0."""
+        return -1 if self.high < 0 else 1 if self.low > 0 else 0
+
+
+def interval(values: np.ndarray, level: float = LEVEL) -> Interval:
+    """Mean of independent values, shape (n,), with Student's t interval; NaN are left out."""
+    x = np.asarray(values, dtype=np.float64)
+    x = x[np.isfinite(x)]
+    n = len(x)
+    if n == 0:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    mean = float(np.mean(x))
+    if n == 1:
+        return Interval(mean, math.nan, math.nan, 1)
+    half = float(student.ppf(0.5 + 0.5 * level, n - 1) * np.std(x, ddof=1) / math.sqrt(n))
+    return Interval(mean, mean - half, mean + half, n)
+
+
+def paired(values: np.ndarray, reference: np.ndarray, level: float = LEVEL) -> Interval:
+    """Mean of values − reference, run by run, shape (n,) each; runs where either is NaN are left out."""
+    return interval(np.asarray(values, dtype=np.float64) - np.asarray(reference, dtype=np.float64), level)
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a filter is worth at a point of a study.
+
+    Attributes:
+      scenario: its name.
+      columns: axis → value, of the plant's and of the filter's axes.
+      filter: its name.
+      runs, failed: how many there are, and how many of them have no measures (diverged).
+      values: metric → mean over seeds.
+      differences: metric → mean of this filter less the reference, on the same runs.
+    """
+
+    scenario: str
+    columns: dict[str, Value | None]
+    filter: str
+    runs: int
+    failed: int
+    values: dict[str, Interval]
+    differences: dict[str, Interval]
+
+
+def summarise(dataset: Dataset) -> Iterator[Summary]:
+    """Summaries of all cells that have rows, one cell in memory at a time."""
+    plan = dataset.plan
+    for cell in plan.cells:
+        table = dataset.read(cell.index)
+        if not table.num_rows:
+            continue
+        width = len(plan.variants)
+        failed = np.array([bool(f) for f in table["failure"].to_pylist()]).reshape(-1, width)
+        values = {}
+        for name in plan.study.metrics:
+            column = table[name].to_numpy(zero_copy_only=False).astype(np.float64)
+            values[name] = column.reshape(-1, width)  # (runs, variants): rows come run by run
+        for i, variant in enumerate(plan.variants):
+            other = reference_of(plan, i)
+            yield Summary(
+                cell.scenario,
+                cell.columns | {a.name: variant.columns.get(a.name) for a in plan.study.filter_axes},
+                variant.name,
+                len(failed),
+                int(failed[:, i].sum()),
+                {name: interval(v[:, i]) for name, v in values.items()},
+                {name: paired(v[:, i], v[:, other]) for name, v in values.items()} if other != i else {},
+            )
+
+
+def reference_of(plan: Plan, i: int) -> int:
+    """Which variant the i-th is compared to: the reference with the same settings of the axes, or else its first."""
+    name, columns = plan.study.compared_to, plan.variants[i].columns
+    same = [j for j, v in enumerate(plan.variants) if v.name == name]
+    fitting = [j for j in same if all(columns.get(k, value) == value for k, value in plan.variants[j].columns.items())]
+    return (fitting or same)[0]
+
+
+def write_csv(summaries: list[Summary], plan: Plan, path: Path) -> None:
+    """All summaries as CSV: for each metric mean, lower and upper end, and the same of the paired difference."""
+    axes = list(summaries[0].columns) if summaries else []
+    metrics = plan.study.metrics
+    ends = ("mean", "low", "high")
+    head = ["scenario", *axes, "filter", "runs", "failed"]
+    head += [f"{m}_{e}" for m in metrics for e in ends] + [f"{m}_difference_{e}" for m in metrics for e in ends]
+
+    def cells(found: dict[str, Interval]) -> list[float | str]:
+        return ["" if m not in found else getattr(found[m], e) for m in metrics for e in ends]
+
+    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(head)
+        for s in summaries:
+            at = ["" if s.columns[a] is None else s.columns[a] for a in axes]
+            writer.writerow([s.scenario, *at, s.filter, s.runs, s.failed, *cells(s.values), *cells(s.differences)])

@@ -1,0 +1,261 @@
+"""The schema of STUDY.yaml: which scenarios, over which seeds and parameters, with which estimators."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, model_validator
+
+from ...estimator import baselines
+from ...models import causes
+from ...models.errors import InputError, nearest
+from ...models.files import Strict, load
+from ..scenario import PAPER_FILTERS, FilterChoice
+
+METRICS = (
+    "rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms", "robust_share", "mean_nis",
+)  # fmt: skip
+"""What may be measured of an estimate; as in a run's `metrics.json`."""
+COLUMNS = ("scenario", "cell", "run", "seed", "key", "cause", "filter", "failure")
+"""Columns of the dataset that no axis may be called."""
+_NAME = r"^[A-Za-z][A-Za-z0-9_]*$"
+_KNOBS = tuple(name for name in FilterChoice.model_fields if name not in ("name", "rule"))
+
+Value = float | str
+
+
+class Axis(Strict):
+    """A parameter that varies. `name`: its column in the dataset; `label`: how pictures call it, with unit."""
+
+    name: Annotated[str, Field(pattern=_NAME)]
+    label: str = ""
+
+    @property
+    def title(self) -> str:
+        """Label, or the name where there is none."""
+        return self.label or self.name
+
+
+class SettingAxis(Axis):
+    """A dotted key of the scenario: `sensors.link_encoder.noise`, `plant.K2`, `mounting`, `controller.kp`.
+
+    `filters.NAME.FIELD`, `filters.*.FIELD` and `estimators.NAME.KNOB` vary a filter; all its variants then watch the same
+    simulation.
+    """
+
+    kind: Literal["set"]
+    key: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[A-Za-z0-9_*-]+)*$")]
+    values: Annotated[list[Value], Field(min_length=1)]
+
+    @property
+    def of_filters(self) -> bool:
+        """Whether it varies filters and not the plant."""
+        return self.key.startswith(("filters.", "estimators."))
+
+
+class ScaleAxis(Axis):
+    """Several keys at once, each of its number times the axis's value: all sensors' noise, say."""
+
+    kind: Literal["scale"]
+    keys: Annotated[dict[str, float], Field(min_length=1)]
+    values: Annotated[list[float], Field(min_length=1)]
+
+
+class LoadAxis(Axis):
+    """Gravity moment [N·m] at horizontal of what is bolted on, known to the estimators; the inertia in proportion."""
+
+    kind: Literal["load"]
+    name: Annotated[str, Field(pattern=_NAME)] = "load"
+    values: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=1)]
+
+
+class CauseAxis(Axis):
+    """Causes of `models.causes`, hidden in the plant: parameters of ordinary size, drawn per seed, times each size.
+
+    The draw at another size is the same draw, larger or smaller. Size 0 is the joint without any, once for all causes.
+    """
+
+    kind: Literal["cause"]
+    name: Annotated[str, Field(pattern=_NAME)] = "size"
+    causes: Annotated[list[str], Field(min_length=1)]
+    sizes: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)]
+
+    @model_validator(mode="after")
+    def _known(self) -> CauseAxis:
+        for i, name in enumerate(self.causes):
+            if name not in causes.names():
+                raise ValueError(
+                    f"causes.{i}: expected the name of a known cause, got {name!r}{nearest(name, causes.names())}"
+                )
+        return self
+
+
+AnyAxis = Annotated[SettingAxis | ScaleAxis | LoadAxis | CauseAxis, Field(discriminator="kind")]
+
+
+class Seeds(Strict):
+    """Which seeds: `count` of them from `first` on."""
+
+    first: Annotated[int, Field(ge=0, lt=2**31)] = 1
+    count: Annotated[int, Field(ge=1, le=10_000_000)]
+
+
+class ScenarioChoice(Strict):
+    """A scenario, by a shipped one's name or a path, with changes to dotted keys; `name`: its own, where used twice."""
+
+    scenario: str
+    name: str = ""
+    set: dict[str, Value | bool] = {}
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_name(cls, data: Any) -> Any:
+        return {"scenario": data} if isinstance(data, str) else data
+
+
+class Study(Strict):
+    """What is swept. All combinations of scenarios and axes' values, each with every seed."""
+
+    format: Literal[1] = 1
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    description: str = ""
+    seed: Annotated[int, Field(ge=0, lt=2**31, description="of the study; every run's streams derive from it")] = 1
+    seeds: Seeds | Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)]
+    scenarios: Annotated[list[ScenarioChoice], Field(min_length=1)]
+    set: Annotated[dict[str, Value | bool], Field(description="changes to dotted keys of every scenario")] = {}
+    axes: Annotated[list[AnyAxis], Field(max_length=4)] = []
+    filters: Annotated[list[FilterChoice], Field(min_length=1)] = PAPER_FILTERS
+    estimators: Annotated[list[str], Field(description="names of estimator.baselines")] = []
+    metrics: Annotated[list[Literal[METRICS]], Field(min_length=1)] = list(METRICS)  # type: ignore[valid-type]
+    reference: Annotated[str, Field(description="filter or estimator that the others are compared to")] = ""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Study:
+        names = self.names
+        for i, name in enumerate(self.estimators):
+            if name not in baselines.names():
+                raise ValueError(
+                    f"estimators.{i}: expected one of {list(baselines.names())}, got {name!r}"
+                    f"{nearest(name, baselines.names())}"
+                )
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"filters: expected names of their own, got {name!r} twice")
+        if self.reference not in ("", *names):
+            raise ValueError(
+                f"reference: expected one of {names}, got {self.reference!r}{nearest(self.reference, names)}"
+            )
+        taken = [*COLUMNS, *METRICS]
+        for i, axis in enumerate(self.axes):
+            if axis.name in taken:
+                raise ValueError(f"axes.{i}.name: expected a name that no other column has, got {axis.name!r}")
+            taken.append(axis.name)
+            values = axis.sizes if isinstance(axis, CauseAxis) else axis.values
+            if len({str(v) for v in values}) < len(values) or len({isinstance(v, str) for v in values}) > 1:
+                raise ValueError(f"axes.{i}: expected values of one kind, each once, got {values}")
+            if isinstance(axis, SettingAxis) and axis.of_filters:
+                self._check_knob(i, axis)
+        if sum(isinstance(axis, CauseAxis) for axis in self.axes) > 1:
+            raise ValueError("axes: expected at most one of kind cause, got more")
+        if len(set(self.seed_list)) < len(self.seed_list):
+            raise ValueError("seeds: expected every seed once, got one twice")
+        chosen = [c.name or c.scenario for c in self.scenarios]
+        for name in chosen:
+            if chosen.count(name) > 1:
+                raise ValueError(f"scenarios: expected names of their own, got {name!r} twice")
+        return self
+
+    def _check_knob(self, i: int, axis: SettingAxis) -> None:
+        parts = axis.key.split(".")
+        if len(parts) != 3:
+            raise ValueError(f"axes.{i}.key: expected {parts[0]}.NAME.FIELD, got {axis.key!r}")
+        room, name, knob = parts
+        if room == "filters":
+            known, knobs = ["*", *(f.name for f in self.filters)], _KNOBS
+        else:
+            known = self.estimators
+            knobs = [f.name for f in dataclasses.fields(baselines.get(name))] if name in known else []
+        if name not in known:
+            raise ValueError(f"axes.{i}.key: expected one of {known}, got {name!r}{nearest(name, known)}")
+        if knob not in knobs or knob == "name":
+            raise ValueError(f"axes.{i}.key: {name} has no {knob!r}{nearest(knob, knobs)}")
+        for value in axis.values:
+            if room == "filters":
+                for choice in self.filters:
+                    if name in ("*", choice.name):
+                        varied(choice, knob, value)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of filters and estimators, in order."""
+        return [f.name for f in self.filters] + self.estimators
+
+    @property
+    def compared_to(self) -> str:
+        """The reference; RAREKF, or else the last filter, where none is named."""
+        filters = [f.name for f in self.filters]
+        return self.reference or ("RAREKF" if "RAREKF" in filters else filters[-1])
+
+    @property
+    def seed_list(self) -> range | list[int]:
+        """The seeds in order."""
+        s = self.seeds
+        return range(s.first, s.first + s.count) if isinstance(s, Seeds) else s
+
+    @property
+    def plant_axes(self) -> list[Axis]:
+        """Axes that ask for another simulation."""
+        return [a for a in self.axes if not (isinstance(a, SettingAxis) and a.of_filters)]
+
+    @property
+    def filter_axes(self) -> list[SettingAxis]:
+        """Axes that only vary filters."""
+        return [a for a in self.axes if isinstance(a, SettingAxis) and a.of_filters]
+
+    def with_seeds(self, count: int) -> Study:
+        """The same study with the first `count` seeds, or with more where it counts them."""
+        if isinstance(self.seeds, Seeds):
+            return self.model_copy(update={"seeds": Seeds(first=self.seeds.first, count=count)})
+        if count > len(self.seeds):
+            raise InputError(f"--seeds: expected at most {len(self.seeds)}, as many as the study lists, got {count}")
+        return self.model_copy(update={"seeds": self.seeds[:count]})
+
+
+def varied(choice: FilterChoice, knob: str, value: Value) -> FilterChoice:
+    """A filter with another value of a field; `InputError` or `ValueError` where it does not take it."""
+    other = FilterChoice.model_validate(choice.model_dump(exclude_none=True) | {knob: value})
+    other.settings()
+    return other
+
+
+def points(axis: Axis) -> list[dict[str, Value]]:
+    """The columns of an axis at each of its points; a cause axis has two."""
+    if isinstance(axis, CauseAxis):
+        none = [{"cause": "none", axis.name: 0.0}] if 0.0 in axis.sizes else []
+        sizes = [s for s in axis.sizes if s != 0.0]
+        return none + [{"cause": c, axis.name: s} for c, s in itertools.product(axis.causes, sizes)]
+    return [{axis.name: value} for value in axis.values]
+
+
+def shipped_studies() -> dict[str, Path]:
+    """The studies that the package ships, by name."""
+    folder = Path(str(resources.files(__package__)))
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def load_study(source: str | Path) -> tuple[Study, Path]:
+    """Load a study by the name of a shipped one, or from a YAML file; and the folder of its file.
+
+    Raises:
+      InputError: no such study, or one that is wrong; one line.
+    """
+    known = shipped_studies()
+    path = known.get(str(source), Path(source))
+    if not path.exists():
+        hint = nearest(str(source), known)
+        raise InputError(f"study {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")
+    return load(path, Study, "a study"), path.parent
