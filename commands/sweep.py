@@ -1,0 +1,78 @@
+"""`flexspline sweep`: a study over seeds, parameters, scenarios and filters into a dataset."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from ..models.files import write_into_place
+from ._console import console
+
+
+def command(
+    study: Annotated[str, typer.Argument(help="Name of a shipped study, or path of a YAML file.")],
+    out: Annotated[Path, typer.Option("--out", help="Folder of the dataset; one that was begun goes on.")],
+    jobs: Annotated[int | None, typer.Option(min=1, help="threads; all cores by default")] = None,
+    scheduler: Annotated[str, typer.Option(help="address of a Dask scheduler, `tcp://…`: compute on its workers")] = "",
+    chunk: Annotated[int | None, typer.Option(min=1, help="runs per file; the rows do not depend on it")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="how many seeds, instead of the study's")] = None,
+    figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+) -> None:
+    """Sweep a study: seeds × parameters × scenarios × filters.
+
+    Rows arrive in `OUT/rows` (partitioned Parquet) as they are computed. Interrupted, it goes on where it was when called
+    again; the rows are the same to the bit. At the end: `summary.md` and `summary.csv`, means with 95 % intervals and
+    differences paired over seeds, and figures.
+    """
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")  # one joint a thread is enough
+    from ..scenarios.studies.dataset import Dataset
+    from ..scenarios.studies.grid import Plan
+    from ..scenarios.studies.statistics import summarise, write_csv
+    from ..scenarios.studies.study import load_study
+    from ..scenarios.studies.sweep import sweep, versions
+    from ..views.sweep_tables import sweep_markdown, sweep_table
+
+    asked, folder = load_study(study)
+    if seeds is not None:
+        asked = asked.with_seeds(seeds)
+    terminal = console()
+    bars = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(f"{asked.name}: reading", total=None)
+        plan = Plan.of(asked, folder)
+        dataset = Dataset.open(out, plan, versions())
+        progress.update(task, description=f"{asked.name}: runs", total=plan.runs, completed=dataset.done())
+        try:
+            sweep(
+                plan, dataset, jobs or os.cpu_count() or 1, chunk, scheduler or None,
+                lambda runs: progress.update(task, advance=runs),
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            progress.stop()
+            Console(stderr=True).print(
+                f"stopped; {dataset.done()} of {plan.runs} runs are in {out}; the same command goes on", highlight=False
+            )
+            raise
+        progress.update(task, description=f"{asked.name}: summary", total=None)
+        summaries = list(summarise(dataset))
+        write_csv(summaries, plan, out / "summary.csv")
+        with write_into_place(out / "summary.md") as path:
+            path.write_text(sweep_markdown(summaries, asked), encoding="utf-8")
+        if figures:
+            from ..views.sweep_figures import save_sweep_figures
+
+            save_sweep_figures(summaries, asked, out / "figures")
+    terminal.print(sweep_table(summaries, asked, asked.metrics[0]))
+    terminal.print(f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}", highlight=False)

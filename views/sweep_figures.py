@@ -1,0 +1,172 @@
+"""Figures of a study: a metric against an axis, a panel for every value of the others, confidence intervals on all points.
+
+For each scenario and metric two figures: the means, and the differences to the reference filter, paired over seeds.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import textwrap
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import matplotlib
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from ..models.files import write_into_place
+from .figures import STYLE, WIDTH
+from .style import filter_colors
+from .sweep_tables import metric_column
+
+if TYPE_CHECKING:
+    from ..scenarios.studies.statistics import Interval, Summary
+    from ..scenarios.studies.study import Study, Value
+
+_COLUMNS = 4
+_HEIGHT = 2.1
+_LOGARITHMIC = 15.0  # largest over smallest mean from which on an axis is logarithmic
+_SPREAD = 0.32  # of the distance between two points, over which the filters stand side by side
+
+
+def save_sweep_figures(summaries: Sequence[Summary], study: Study, folder: Path) -> list[Path]:
+    """Write all figures of a study as PNG; their paths."""
+    paths = []
+    with matplotlib.rc_context(STYLE):
+        for scenario in dict.fromkeys(s.scenario for s in summaries):
+            here = [s for s in summaries if s.scenario == scenario]
+            for metric, differences in itertools.product(study.metrics, (False, True)):
+                figure = sweep_figure(here, study, metric, differences)
+                if figure is None:
+                    continue
+                path = folder / f"{scenario}_{metric}{'_difference' if differences else ''}.png"
+                with write_into_place(path) as temporary:
+                    figure.savefig(temporary)
+                paths.append(path)
+    return paths
+
+
+def sweep_figure(summaries: Sequence[Summary], study: Study, metric: str, differences: bool = False) -> Figure | None:
+    """One metric of one scenario; None where it has no value anywhere.
+
+    Args:
+      summaries: of one scenario.
+      study: whose axes give the panels.
+      metric: which.
+      differences: to the reference, paired, instead of means.
+    """
+    column = metric_column(metric)
+    across, panels = layout(summaries)
+    names = [n for n in study.names if not (differences and n == study.compared_to)]
+
+    def found(s: Summary) -> Interval | None:
+        one = (s.differences if differences else s.values).get(metric)
+        return one if one is not None and math.isfinite(one.mean) else None
+
+    shown = [one for s in summaries if (one := found(s)) is not None]
+    if not shown or not names:
+        return None
+    titles = {axis.name: axis.title for axis in study.axes}
+    places = [v for v in dict.fromkeys(s.columns.get(across) for s in summaries) if v is not None] or [None]
+    columns = min(_COLUMNS, len(panels))
+    rows = math.ceil(len(panels) / columns)
+    what = f"difference to {study.compared_to}, paired over seeds" if differences else column.meaning
+    runs = sorted({s.runs for s in summaries})
+    caption = textwrap.fill(
+        f"{column.heading}: {what}; means over {'–'.join(map(str, dict.fromkeys((runs[0], runs[-1]))))} seeds with 95 % "
+        "intervals (Student's t).",
+        118,
+    )
+    figure = Figure(figsize=(WIDTH, _HEIGHT * rows + 1.15), layout="constrained")
+    FigureCanvasAgg(figure)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).reshape(-1)
+    colors = filter_colors(study.names)
+    for axes, panel in zip(grid, panels, strict=False):
+        for i, name in enumerate(names):
+            line = [
+                (k, found(s)) for k, v in enumerate(places) if (s := _at(summaries, name, across, v, panel)) is not None
+            ]
+            line = [(k, one) for k, one in line if one is not None]
+            if not line:
+                continue
+            x = np.array([k for k, _ in line]) + _SPREAD * (i - 0.5 * (len(names) - 1)) / max(len(names), 2)
+            mean = column.scale * np.array([one.mean for _, one in line])
+            half = np.nan_to_num(column.scale * np.array([one.half for _, one in line]))
+            axes.errorbar(
+                x,
+                mean,
+                yerr=half,
+                color=colors[name],
+                label=name,
+                marker="o",
+                ms=3,
+                lw=1.0,
+                elinewidth=1.4,
+                capsize=2.5,
+            )
+        if differences:
+            axes.axhline(0, color=colors[study.compared_to], lw=1.0)
+        axes.set_title(
+            ", ".join(v if isinstance(v, str) else f"{titles.get(k, k)}: {v:g}" for k, v in panel.items()), fontsize=8.5
+        )
+        axes.set_xticks(range(len(places)), [_tick(v) for v in places])
+    for axes in grid[len(panels) :]:
+        axes.set_visible(False)
+    means = np.abs([one.mean for one in shown])
+    if not differences and means.min() > 0 and means.max() / means.min() > _LOGARITHMIC:
+        grid[0].set_yscale("log")
+    for i, axes in enumerate(grid[: len(panels)]):
+        if i % columns == 0:
+            axes.set_ylabel(f"Δ {column.title}" if differences else column.title)
+        if i + columns >= len(panels):
+            axes.set_xlabel(titles.get(across, ""))
+            axes.tick_params(labelbottom=True)
+    handles, labels = next(
+        (h for axes in grid if len((h := axes.get_legend_handles_labels())[0]) == len(names)),
+        grid[0].get_legend_handles_labels(),
+    )
+    figure.legend(handles, labels, loc="outside upper right", ncols=min(len(names), 8))
+    figure.suptitle(f"{study.name}: {summaries[0].scenario}", x=0.01, ha="left", fontsize=10.5)
+    figure.supxlabel(caption, fontsize=8, x=0.01, ha="left", color="#444A52")
+    return figure
+
+
+def layout(summaries: Sequence[Summary]) -> tuple[str, list[dict[str, Value]]]:
+    """Which axis runs across, and the values of the others, a panel each. Sizes run across, causes have panels.
+
+    The point without any cause stands at the beginning of every cause's line.
+    """
+    axes = list(summaries[0].columns)
+    if not axes:
+        return "", [{}]
+    across = axes[axes.index("cause") + 1] if "cause" in axes else _first(summaries, axes)
+    others = [a for a in axes if a != across]
+    values = {a: [v for v in dict.fromkeys(s.columns[a] for s in summaries) if v is not None] for a in others}
+    if len(values.get("cause", [])) > 1:
+        values["cause"] = [v for v in values["cause"] if v != "none"]
+    return across, [dict(zip(others, at, strict=True)) for at in itertools.product(*values.values())]
+
+
+def _first(summaries: Sequence[Summary], axes: Sequence[str]) -> str:
+    """An axis of filters, where there is one: its filters are lines; or else the first."""
+    return next((a for a in axes if any(s.columns[a] is None for s in summaries)), axes[0])
+
+
+def _at(
+    summaries: Sequence[Summary], name: str, across: str, value: Value | None, panel: dict[str, Value]
+) -> Summary | None:
+    """A filter's summary at a place of a panel; one that an axis does not vary is the same everywhere on it."""
+    for s in summaries:
+        if s.filter != name or s.columns.get(across) not in (value, None):
+            continue
+        none = s.columns.get("cause") == "none"
+        if all(s.columns[k] in (v, None) or (k == "cause" and none) for k, v in panel.items()):
+            return s
+    return None
+
+
+def _tick(value: Value | None) -> str:
+    return "" if value is None else value if isinstance(value, str) else f"{value:.3g}"

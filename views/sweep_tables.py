@@ -1,0 +1,133 @@
+"""A study's summaries as tables: every mean with its confidence interval, and what is better or worse than the reference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from rich.table import Table
+from rich.text import Text
+
+from .style import filter_colors
+from .tables import COLUMNS, Column
+
+if TYPE_CHECKING:
+    from ..scenarios.studies.statistics import Interval, Summary
+    from ..scenarios.studies.study import Study
+
+BETTER, WORSE = "▾", "▴"
+"""Marks of a mean that is lower, or higher, than the reference's: the interval of the paired difference leaves out zero."""
+_NOISE = Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state")
+
+
+def metric_column(metric: str) -> Column:
+    """Heading, unit and scale of a metric."""
+    return next((c for c in COLUMNS if c.key == metric), _NOISE)
+
+
+def with_interval(value: Interval, scale: float = 1.0) -> str:
+    """`0.1452 ± 0.0003`: two digits of the interval where the first is 1, one else; `–` where there is no mean."""
+    if not math.isfinite(value.mean):
+        return "–"
+    mean, half = scale * value.mean, scale * value.half
+    if not math.isfinite(half) or half <= 1e-9 * abs(mean):
+        return f"{mean:.4g}"
+    decimals = -math.floor(math.log10(half))
+    if round(half * 10**decimals) == 1:
+        decimals += 1
+    if decimals < 0:
+        return f"{mean:.0f} ± {half:.0f}"
+    return f"{mean:.{decimals}f} ± {half:.{decimals}f}"
+
+
+def sweep_rows(summaries: Sequence[Summary]) -> Iterator[tuple[str, dict, dict[str, Summary]]]:
+    """Rows of a table: scenario, point of the axes, filter → summary. A filter that an axis does not vary is in all its rows."""
+    whole = [s for s in summaries if None not in s.columns.values()] or list(summaries)
+    seen = set()
+    for s in whole:
+        key = (s.scenario, *s.columns.values())
+        if key in seen:
+            continue
+        seen.add(key)
+        at = [
+            o
+            for o in summaries
+            if o.scenario == s.scenario and all(v is None or v == s.columns[k] for k, v in o.columns.items())
+        ]
+        yield s.scenario, s.columns, {o.filter: o for o in at}
+
+
+def sweep_table(summaries: Sequence[Summary], study: Study, metric: str) -> Table:
+    """One metric for the terminal: a row per scenario and point, a column per filter."""
+    column = metric_column(metric)
+    against = study.compared_to
+    table = Table(
+        title=f"{study.name}: {column.title}, {column.meaning}",
+        caption=f"mean ± 95 % interval over seeds (Student's t); {BETTER} below, {WORSE} above {against}: paired over seeds, "
+        "95 %",
+    )
+    axes = list(summaries[0].columns)
+    colors = filter_colors(study.names)
+    for heading in ("scenario", *axes):
+        table.add_column(heading, justify="left" if heading in ("scenario", "cause") else "right", no_wrap=True)
+    for name in study.names:
+        table.add_column(Text(name, style=colors[name]), justify="right")
+    before = None
+    for scenario, columns, of in sweep_rows(summaries):
+        if before not in (None, scenario):
+            table.add_section()
+        cells = [Text(_cell(of.get(name), metric, column), style=_style(of.get(name), metric)) for name in study.names]
+        table.add_row(scenario if before != scenario else "", *(_value(columns[a]) for a in axes), *cells)
+        before = scenario
+    return table
+
+
+def sweep_markdown(summaries: Sequence[Summary], study: Study) -> str:
+    """All metrics in Markdown, a table each."""
+    axes = list(summaries[0].columns)
+    runs = sorted({s.runs for s in summaries})
+    lines = [
+        f"# {study.name}",
+        "",
+        study.description,
+        "",
+        f"Means over {'–'.join(str(n) for n in dict.fromkeys((runs[0], runs[-1])))} seeds with 95 % intervals (Student's t). "
+        f"{BETTER} lower, {WORSE} higher than {study.compared_to}: the 95 % interval of the difference, paired over seeds, "
+        "leaves out zero. `summary.csv` has the differences.",
+        "",
+    ]
+    failed = [s for s in summaries if s.failed]
+    for s in failed:
+        at = ", ".join(f"{k} {_value(v)}" for k, v in s.columns.items() if v is not None)
+        lines += [
+            f"{s.scenario}, {at}: {s.filter} has no estimate in {s.failed} of {s.runs} runs, which are left out.",
+            "",
+        ]
+    for metric in study.metrics:
+        column = metric_column(metric)
+        lines += [f"## {column.title}", "", f"{column.meaning[0].upper()}{column.meaning[1:]}.", ""]
+        lines.append("| " + " | ".join(("scenario", *axes, *study.names)) + " |")
+        lines.append("|---|" + "---:|" * (len(axes) + len(study.names)))
+        for scenario, columns, of in sweep_rows(summaries):
+            cells = [_cell(of.get(name), metric, column) for name in study.names]
+            lines.append("| " + " | ".join((scenario, *(_value(columns[a]) for a in axes), *cells)) + " |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def _cell(summary: Summary | None, metric: str, column: Column) -> str:
+    if summary is None:
+        return "–"
+    text = with_interval(summary.values[metric], column.scale)
+    sign = summary.differences[metric].sign if metric in summary.differences else 0
+    return f"{text} {' ' if sign == 0 else BETTER if sign < 0 else WORSE}".rstrip()
+
+
+def _style(summary: Summary | None, metric: str) -> str:
+    sign = summary.differences[metric].sign if summary is not None and metric in summary.differences else 0
+    return "" if sign == 0 else "green" if sign < 0 else "red"
+
+
+def _value(value: float | str | None) -> str:
+    return "–" if value is None else value if isinstance(value, str) else f"{value:g}"
