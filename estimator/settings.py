@@ -32,6 +32,7 @@ import numpy as np
 
 from ..models.errors import InputError
 from .gain import GAIN, RULES
+from .knobs import Knob
 
 _RANGES = {
     # field: unit, lowest, may it be the lowest, may it be infinite
@@ -129,6 +130,22 @@ class FilterSettings:
         record["adjusted_covariance"] = self.covariance == "adjusted"
         record["load_index"] = load_index
         return record
+
+
+_W, _V = Knob("W", 1e-8, 1.0), Knob("V", 1e-6, 10.0)
+_RHO, _K = Knob("rho", 0.05, 200.0), Knob("k", 1e-4, 10.0)
+_KNOBS = {
+    # W first: it is the knob that trades noise for delay. An EKF's gain depends on W/V alone, so V stays.
+    "ekf": (_W,),
+    "robust": (_W, _V, Knob("gamma", 1e-2, 10.0)),
+    "arekf": (_W, _V, _RHO),
+    "rarekf": (_W, _V, _RHO, _K),
+}
+
+
+def knobs_of(settings: FilterSettings) -> tuple[Knob, ...]:
+    """What may be tuned of a filter of its rule; P0 goes with V (`scenarios.offline`)."""
+    return _KNOBS[settings.rule]
 
 
 def paper_filters(**changes) -> tuple[FilterSettings, FilterSettings, FilterSettings]:

@@ -17,6 +17,7 @@ from ..models.files import Strict, parse, read_yaml
 from ..models.joint import SYMBOLS, Joint, Sensors, load_joint
 from ..sim.drive import Controller
 from ..sim.plant import TIMESTEP
+from ..sim.sensors import stream
 from .loop import CONTROL_PERIOD
 
 
@@ -31,16 +32,20 @@ class Waypoint(Strict):
 
 
 class Disturbance(Strict):
-    """Torque on the link: a push (half sine), a step (held for the duration), or a ramp up and down (triangle)."""
+    """Torque on the link: a push (half sine), a step (held for the duration), a ramp up and down (triangle), or a random
+    walk, another one for each seed."""
 
-    kind: Literal["push", "step", "triangle", "sine"]
+    kind: Literal["push", "step", "triangle", "sine", "walk"]
     start: Annotated[float, Field(ge=0, description="s")]
     duration: Annotated[float, Field(gt=0, description="s")]
-    torque: Annotated[float, Field(description="N·m at its largest; positive pushes forward")]
+    torque: Annotated[
+        float,
+        Field(description="N·m at its largest; positive pushes forward. Of a walk: standard deviation at its end"),
+    ]
     cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
 
-    def signal(self, time: np.ndarray) -> np.ndarray:
-        """Torque [N·m] at the times [s]."""
+    def signal(self, time: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Torque [N·m] at the times [s]; `seed` is that of the scenario, for a walk."""
         u = (time - self.start) / self.duration
         inside = (u >= 0) & (u < 1)
         shape = {
@@ -48,8 +53,17 @@ class Disturbance(Strict):
             "step": lambda: np.ones_like(u),
             "triangle": lambda: 1 - np.abs(2 * u - 1),
             "sine": lambda: np.sin(2 * np.pi * self.cycles * u),
+            "walk": lambda: _walk(inside, seed, self.start),
         }[self.kind]()
         return np.where(inside, self.torque * shape, 0.0)
+
+
+def _walk(inside: np.ndarray, seed: int, start: float) -> np.ndarray:
+    """A random walk that is zero where it begins and has unit standard deviation where it ends."""
+    steps = stream(seed, f"walk at {start:g} s").standard_normal(len(inside)) * inside
+    first = np.argmax(inside)
+    steps[first] = 0.0
+    return np.cumsum(steps) / np.sqrt(max(np.count_nonzero(inside), 1))
 
 
 class FilterChoice(Strict):
@@ -165,7 +179,7 @@ class Scenario(Strict):
     def external_torque(self) -> np.ndarray:
         """Torque on the link [N·m], shape (n,): the sum of the disturbances."""
         time = self.time
-        return sum((d.signal(time) for d in self.disturbances), np.zeros_like(time))
+        return sum((d.signal(time, self.seed) for d in self.disturbances), np.zeros_like(time))
 
     def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
         """The plant's joint and the one that the estimators know, with the scenario's sensors."""

@@ -10,6 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...models.errors import InputError
+from ..knobs import Knob
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,7 @@ class Estimator(ABC):
 
     name: str  # how tables call it; also its key in the registry
     causal: ClassVar[bool] = True  # whether the estimate at a sample uses nothing later
+    knobs: ClassVar[tuple[Knob, ...]] = ()  # what tuning may turn; first the one that trades noise for delay
 
     @abstractmethod
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:

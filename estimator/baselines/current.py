@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
 from ...models import laws
+from ..knobs import Knob
 from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
 from .joint_dynamics import drive_current, known
 
@@ -58,6 +60,7 @@ class MotorCurrent(Estimator):
 
     name: str = "motor_current"
     cutoff: float = 40.0
+    knobs: ClassVar[tuple[Knob, ...]] = (Knob("cutoff", 1.0, 300.0),)
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         p = known(record)

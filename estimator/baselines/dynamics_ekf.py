@@ -17,14 +17,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
 from ..errors import FilterDiverged
+from ..knobs import Knob
 from . import joint_dynamics as model
 from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
-from .joint_dynamics import SIZE, STATES, STEPS, ProcessNoise
+from .joint_dynamics import PROCESS_KNOBS, SIZE, STATES, STEPS, ProcessNoise
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -109,6 +111,7 @@ class DynamicsEKF(Estimator):
 
     name: str = "dynamics_ekf"
     process: ProcessNoise = field(default_factory=ProcessNoise)
+    knobs: ClassVar[tuple[Knob, ...]] = PROCESS_KNOBS
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         return self._filter(signals, record, noise, False)[0]

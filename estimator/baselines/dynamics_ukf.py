@@ -8,14 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
 from ..errors import FilterDiverged
+from ..knobs import Knob
 from . import joint_dynamics as model
 from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
-from .joint_dynamics import SIZE, STATES, ProcessNoise
+from .joint_dynamics import PROCESS_KNOBS, SIZE, STATES, ProcessNoise
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -102,6 +104,7 @@ class DynamicsUKF(Estimator):
 
     name: str = "dynamics_ukf"
     process: ProcessNoise = field(default_factory=ProcessNoise)
+    knobs: ClassVar[tuple[Knob, ...]] = PROCESS_KNOBS
     kappa: float = 1.0
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:

@@ -12,12 +12,14 @@ is taken, and here the model (two states instead of one). A test runs both.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
 from ..errors import FilterDiverged
-from .kalman import TorqueFilter, predict
+from ..knobs import Knob
+from .kalman import ACCELERATION, TorqueFilter, predict
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -64,6 +66,7 @@ class HInfinity(TorqueFilter):
 
     name: str = "h_infinity"
     gamma: float = 2.0
+    knobs: ClassVar[tuple[Knob, ...]] = (ACCELERATION, Knob("gamma", 1.05, 100.0))
 
     def _run(self, time, y, q, V, x, P, states, variance, e, S) -> None:
         k = run(time, y, q, V, 1.0 / (self.gamma**2 * V), x, P, states, variance, e, S)

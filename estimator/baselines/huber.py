@@ -14,10 +14,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from numba import njit
 
-from .kalman import TorqueFilter, predict
+from ..knobs import Knob
+from .kalman import ACCELERATION, TorqueFilter, predict
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -69,6 +71,7 @@ class Huber(TorqueFilter):
 
     name: str = "huber"
     k: float = 1.345
+    knobs: ClassVar[tuple[Knob, ...]] = (ACCELERATION, Knob("k", 0.3, 10.0))
 
     def _run(self, time, y, q, V, x, P, states, variance, e, S) -> None:
         run(time, y, q, V, self.k, x, P, states, variance, e, S)

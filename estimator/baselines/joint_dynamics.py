@@ -32,6 +32,7 @@ from numba import njit
 from ...models import laws
 from ...models.errors import InputError
 from ...models.parameters import PARAMETERS, PLACES
+from ..knobs import Knob
 from .base import JointSignals, SensorNoise
 from .quantised import update
 
@@ -115,6 +116,15 @@ class ProcessNoise:
             np.array([counts, noise.link_resolution]),
             np.array([self.mesh_time, self.memory, *self.threshold]),
         )
+
+
+PROCESS_KNOBS = (
+    Knob("process.push", 0.05, 100.0),
+    Knob("process.external", 1e-5, 1.0),
+    Knob("process.mesh", 1e-4, 0.5),
+    Knob("process.mesh_push", 1e-2, 30.0),
+)
+"""What tuning may turn of `ProcessNoise`, for estimators that have one as `process`."""
 
 
 class Noise(NamedTuple):

@@ -9,14 +9,17 @@ this folder share the model and differ in their gain.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
+from ..knobs import Knob
 from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
 from .compliance_model import compliance_measurement
 
 STATES = ("torque", "torque_rate")
+ACCELERATION = Knob("acceleration", 1e-3, 1e3)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -68,6 +71,7 @@ class TorqueFilter(Estimator):
     name: str = "kalman"
     acceleration: float = 10.0
     rate: float = 1.0
+    knobs: ClassVar[tuple[Knob, ...]] = (ACCELERATION,)
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         y, V = compliance_measurement(signals, record, noise)

@@ -8,11 +8,13 @@ samples are uneven their median interval counts.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from ...models.errors import InputError
+from ..knobs import Knob
 from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
 from .compliance_model import compliance_measurement
 
@@ -29,6 +31,7 @@ class LowPass(Estimator):
     name: str = "lowpass"
     cutoff: float = 30.0
     order: int = 2
+    knobs: ClassVar[tuple[Knob, ...]] = (Knob("cutoff", 1.0, 400.0),)
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         raw, _ = compliance_measurement(signals, record, noise)

@@ -29,11 +29,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numba import njit
 
 from ...models import laws
+from ..knobs import Knob
 from .base import Estimator, JointSignals, SensorNoise, TorqueEstimate
 from .compliance_model import compliance_measurement
 from .joint_dynamics import drive_current, known
@@ -93,6 +95,7 @@ class MomentumObserver(Estimator):
     name: str = "momentum"
     bandwidth: float = 20.0
     cutoff: float = 40.0
+    knobs: ClassVar[tuple[Knob, ...]] = (Knob("bandwidth", 0.5, 200.0), Knob("cutoff", 2.0, 400.0))
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         p = known(record)
@@ -119,6 +122,9 @@ class MomentumTorsion(MomentumObserver):
     turning: float = 1.0
     smoothing: float = 0.02
     follow: float = 1.0
+    knobs: ClassVar[tuple[Knob, ...]] = (
+        *MomentumObserver.knobs, Knob("turning", 0.05, 50.0), Knob("smoothing", 1e-3, 1.0), Knob("follow", 0.02, 100.0),
+    )  # fmt: skip
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:
         observed = super().estimate(signals, record, noise)

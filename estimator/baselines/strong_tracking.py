@@ -10,10 +10,12 @@ A fading factor λ ≥ 1 on the propagated covariance keeps the innovations orth
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from numba import njit
 
-from .kalman import TorqueFilter, correct
+from ..knobs import Knob
+from .kalman import ACCELERATION, TorqueFilter, correct
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -53,6 +55,7 @@ class StrongTracking(TorqueFilter):
     acceleration: float = 2.0
     forget: float = 0.95
     soften: float = 7.0
+    knobs: ClassVar[tuple[Knob, ...]] = (ACCELERATION, Knob("soften", 1.0, 100.0), Knob("forget", 0.1, 50.0))
 
     def _run(self, time, y, q, V, x, P, states, variance, e, S) -> None:
         run(time, y, q, V, self.forget, self.soften, x, P, states, variance, e, S)

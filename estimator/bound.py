@@ -1,0 +1,217 @@
+"""How small the mean square error of any estimator can be: the posterior Cramér-Rao bound.
+
+For x(k+1) = f(x(k)) + w, y(k) = h(x(k)) + v with Gaussian w ~ (0, Q), v ~ (0, R), every estimator's error covariance is at
+least the inverse of the information J (Tichavský, Muravchik & Nehorai, IEEE Trans. Signal Processing 46, 1998, Eq. 21)
+
+    J(k+1) = D22 − D21 (J(k) + D11)⁻¹ D12        D11 = E[FᵀQ⁻¹F]   D12 = D21ᵀ = −E[Fᵀ]Q⁻¹   D22 = Q⁻¹ + E[HᵀR⁻¹H]
+
+with F, H the Jacobians at the true states. `posterior_information` is that, with the expectation over trajectories.
+
+A joint's Q is singular: only the external torque is random. Along one trajectory the matrix inversion lemma gives the same
+recursion without Q⁻¹, J(k+1) = (Q + F J(k)⁻¹ Fᵀ)⁻¹ + HᵀR⁻¹H, which `joint_bound` runs as covariances. Over trajectories its
+*variance* is averaged: the expectation within the recursion would count how much the Jacobians differ between
+trajectories as information, infinitely much of it about states that have no noise. The average is never below it (J⁻¹ is
+convex); it is what an estimator attains that linearises at the truth.
+
+**The stated model.** Dynamics, friction, elasticity and drive current are exactly the record's (`baselines.joint_dynamics`); the
+external torque is a random walk of a stated intensity, a priori (0.2·T2)² at the start. Both encoders: Gaussian
+noise of variance σ² + q²/12, step q. Of all noise of that variance the Gaussian one tells least: a filter that uses
+where the counts change may come out below such a bound. So may one that adapts, on a scenario that rests most of the time:
+the bound holds for the mean over random walks. It is the bound for filtering; a smoother has a lower one, which is not computed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numba import njit
+
+from ..models.errors import InputError
+from .baselines import joint_dynamics as model
+from .baselines import quantised
+from .baselines.base import JointSignals, SensorNoise
+from .baselines.joint_dynamics import LINK, LINK_RATE, MESH, MOTOR, SIZE, ProcessNoise
+
+QUIET = ProcessNoise()
+"""Prior of the joint's states; and, by its `external`, the lowest intensity of an external torque that is worth stating."""
+_FINE = 1e-2  # of the estimators' difference steps
+
+
+def posterior_information(F, Q, H, R, J0) -> np.ndarray:
+    """Return the information J, shape (T, n, n), of the recursion in the module; J⁻¹ bounds the error covariance.
+
+    Args:
+        F: Shape (T − 1, n, n), Jacobians from step k to k + 1; or (M, T − 1, n, n), of M equally likely trajectories.
+        Q: Shape (n, n), positive definite. R: Shape (m, m), positive definite.
+        H: Shape (T, m, n) or (M, T, m, n), Jacobians of the measurements; that of step 0 is not used.
+        J0: Shape (n, n), information about the first state; it contains the first measurement, if there is one.
+
+    Raises:
+        InputError: shapes that do not fit, Q or R not positive definite.
+    """
+    F, H = (np.asarray(a, dtype=np.float64) for a in (F, H))
+    F, H = F if F.ndim == 4 else F[None], H if H.ndim == 4 else H[None]
+    Q, R, J0 = (np.asarray(a, dtype=np.float64) for a in (Q, R, J0))
+    n, m, T = Q.shape[0], R.shape[0], H.shape[1]
+    if F.shape[1:] != (T - 1, n, n) or H.shape[1:] != (T, m, n) or J0.shape != (n, n) or len(F) != len(H):
+        raise InputError(
+            f"bound: expected F (M, T − 1, n, n), H (M, T, m, n), J0 (n, n), got {F.shape}, {H.shape}, {J0.shape} with "
+            f"n = {n}, m = {m}"
+        )
+    for name, matrix in (("Q", Q), ("R", R)):
+        if not np.linalg.eigvalsh(matrix)[0] > 0.0:
+            raise InputError(f"bound: {name}: expected a positive definite matrix")
+    Qi, Ri = np.linalg.inv(Q), np.linalg.inv(R)
+    J = np.empty((T, n, n))
+    J[0] = J0
+    for k in range(T - 1):
+        D11 = np.einsum("mji,jk,mkl->il", F[:, k], Qi, F[:, k]) / len(F)
+        D12 = -F[:, k].mean(axis=0).T @ Qi
+        D22 = Qi + np.einsum("mji,jk,mkl->il", H[:, k + 1], Ri, H[:, k + 1]) / len(H)
+        J[k + 1] = D22 - D12.T @ np.linalg.solve(J[k] + D11, D12)
+        J[k + 1] = 0.5 * (J[k + 1] + J[k + 1].T)
+    return J
+
+
+def walk_intensity(torque: np.ndarray, time: np.ndarray) -> float:
+    """Return the intensity [N·m/√s] of the random walk that a torque, shape (n,), most likely was: √(Σ Δ²/time)."""
+    return float(np.sqrt(np.sum(np.diff(torque) ** 2) / (time[-1] - time[0])))
+
+
+def joint_bound(
+    time: np.ndarray,
+    states: np.ndarray,
+    current: np.ndarray,
+    command: np.ndarray,
+    record: np.ndarray,
+    noise: SensorNoise,
+    intensity: float,
+) -> np.ndarray:
+    """Return the bound of the joint torque's error variance [(N·m)²], shape (n,), along a true trajectory.
+
+    Args:
+        time: Shape (n,) [s].
+        states: Shape (n, SIZE), the true states, columns `joint_dynamics.STATES`.
+        current: Shape (n,), true motor current [A]. command: in force from a sample to the next [A].
+        record: Shape (1,), the joint's parameters.
+        noise: of the encoders.
+        intensity: of the external torque's random walk [N·m/√s]; ≥ 0.
+
+    Raises:
+        InputError: an intensity that is none, or shapes that do not fit.
+    """
+    p = model.known(record)
+    if not (np.isfinite(intensity) and intensity >= 0.0):
+        raise InputError(f"bound: intensity [N·m/√s]: expected a finite number ≥ 0, got {intensity!r}")
+    if states.shape != (len(time), SIZE):
+        raise InputError(f"bound: states: expected shape ({len(time)}, {SIZE}), got {states.shape}")
+    blank = np.zeros(len(time))
+    signals = JointSignals(time, blank, blank, current, command)
+    process = replace(QUIET, external=intensity / float(p["T2"]), push=0.0, mesh_push=0.0, torque=0.0, bristle=0.0)
+    arrays = process.matrices(signals, p, noise)
+    arrays.walk[MESH] = arrays.walk[model.DAHL] = 0.0
+    variance = np.array([noise.motor_noise**2, noise.link_noise**2])
+    steps = np.array([noise.motor_resolution, noise.link_resolution])
+    arrays = arrays._replace(active=arrays.active[arrays.active != MESH], variance=variance + steps**2 / 12.0)
+    out = np.empty(len(time))
+    _along(time, np.ascontiguousarray(states), current, command, record, arrays, out)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _along(time, states, current, command, record, noise, out):
+    p = record[0]
+    m = len(noise.active)
+    x, y, ahead, work = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros((3, SIZE))
+    P, F, A = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
+    H, PH = np.zeros(m), np.zeros(m)
+    for i in range(m):
+        P[i, i] = noise.start[noise.active[i]]
+    for k in range(len(time)):
+        x[:] = states[k]
+        if k > 0:
+            dt = time[k] - time[k - 1]
+            _jacobian(
+                states[k - 1], current[k - 1], command[k - 1], time[k - 1], dt, p, noise.active, F, y, ahead, work
+            )
+            for i in range(m):
+                for j in range(m):
+                    total = 0.0
+                    for l in range(m):
+                        total += F[i, l] * P[l, j]
+                    A[i, j] = total
+            for i in range(m):
+                for j in range(i + 1):
+                    total = 0.0
+                    for l in range(m):
+                        total += A[i, l] * F[j, l]
+                    P[i, j] = total
+                    P[j, i] = total
+                P[i, i] += noise.walk[noise.active[i]] * dt
+            for sensor in range(2):
+                H[:] = 0.0
+                if sensor == 0:
+                    H[MOTOR] = 1.0
+                else:
+                    reading = model.link_encoder(x, time[k], p)
+                    x[LINK] += 1e-5
+                    slope = (model.link_encoder(x, time[k], p) - reading) / 1e-5
+                    x[LINK] -= 1e-5
+                    H[LINK], H[LINK_RATE] = slope, -p.link_delay * slope
+                quantised.update(x, P, noise.active, H, 0.0, noise.variance[sensor], 0.0, PH)
+        torque = model.joint_torque(x, time[k], p)
+        out[k] = model.torque_variance(x, P, torque, time[k], p, noise.active, H)
+        out[k] = max(out[k], 0.0) / p.torque_gain**2
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _jacobian(at, current, command, time, dt, p, active, F, low, high, work):
+    """Write the Jacobian of a step at a true state, shape (m, m), by central differences.
+
+    Their steps are a hundredth of what an estimator takes: near rest a longer one would reach across the kink of
+    friction's |w| and show an instability that is not there.
+    """
+    low[:] = at
+    steps = model.substeps(low, dt, p)
+    for j in range(len(active)):
+        width = _FINE * model.STEPS[active[j]]
+        low[:] = at
+        high[:] = at
+        low[active[j]] -= width
+        high[active[j]] += width
+        model.advance(low, current, command, time, dt, steps, 1.0, p, work)
+        model.advance(high, current, command, time, dt, steps, 1.0, p, work)
+        for i in range(len(active)):
+            F[i, j] = (high[active[i]] - low[active[i]]) / (2.0 * width)
+
+
+def random_walk_bound(W, V, P0: float) -> np.ndarray:
+    """Return the bound, shape (T,), for a random walk seen directly: x(k+1) = x(k) + w, y = x + v, variances W and V(k).
+
+    This is the limit of the paper's model, F = H = 1, which knows no dynamics. For constant W, V it settles at
+    `steady_variance`.
+
+    Args:
+        W: variance per step. V: Shape (T,), positive. P0: variance at step 0.
+    """
+    V = np.ascontiguousarray(V, dtype=np.float64)
+    if not (np.all(V > 0.0) and W >= 0.0 and P0 >= 0.0):
+        raise InputError("bound: expected W ≥ 0, P0 ≥ 0 and V > 0 everywhere")
+    out = np.empty(len(V))
+    _random_walk(float(W), V, float(P0), out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _random_walk(W, V, P, out):
+    out[0] = P
+    for k in range(1, len(V)):
+        P += W
+        P *= V[k] / (P + V[k])
+        out[k] = P
+
+
+def steady_variance(W: float, V: float) -> float:
+    """Return the steady filtered variance of a random walk: the positive root of P² + W P − W V = 0."""
+    return 0.5 * (-W + np.sqrt(W * W + 4.0 * W * V))

@@ -1,0 +1,105 @@
+"""Whether a filter knows how good it is: NIS, NEES and the whiteness of its innovations (Bar-Shalom, Li & Kirubarajan,
+"Estimation with Applications to Tracking and Navigation", 2001, section 5.4).
+
+A filter whose model is right has innovations ν that are white with the covariance S it states, and errors e with the
+covariance P it states. Then νᵀS⁻¹ν and eᵀP⁻¹e are χ² of as many degrees of freedom as ν and e have
+components. Above the interval of a mean: the filter trusts itself too much; below: too little.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from ..models.errors import InputError
+
+LEVEL = 0.95
+"""Probability with which a matched filter lies within an interval or a band."""
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A mean over samples with the two-sided χ² interval in which that of a matched filter lies.
+
+    Attributes:
+        value: mean per degree of freedom; 1 is expected.
+        low, high: of the interval. samples: independent samples behind it.
+    """
+
+    value: float
+    low: float
+    high: float
+    samples: int
+
+    @property
+    def verdict(self) -> str:
+        """`consistent`, `overconfident` (its covariance is too small) or `cautious` (too large)."""
+        if self.value > self.high:
+            return "overconfident"
+        return "cautious" if self.value < self.low else "consistent"
+
+
+def normalised_squares(vectors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
+    """Return vᵀC⁻¹v, shape (...): vectors (..., m), covariances (..., m, m). NIS of innovations, NEES of errors."""
+    vectors, covariances = np.asarray(vectors), np.asarray(covariances)
+    if covariances.shape != (*vectors.shape, vectors.shape[-1]):
+        raise InputError(f"consistency: covariances: expected (..., m, m) to {vectors.shape}, got {covariances.shape}")
+    return np.einsum("...i,...i->...", vectors, np.linalg.solve(covariances, vectors[..., None])[..., 0])
+
+
+def chi_square_interval(dof: int, samples: int, level: float = LEVEL) -> tuple[float, float]:
+    """Interval in which the mean of `samples` independent χ² of `dof` degrees lies with probability `level`, per degree."""
+    total = dof * samples
+    low, high = chi2.ppf([0.5 - 0.5 * level, 0.5 + 0.5 * level], total)
+    return float(low / total), float(high / total)
+
+
+def mean_consistency(squares: np.ndarray, dof: int, samples: int | None = None, level: float = LEVEL) -> Mean:
+    """Mean of normalised squares per degree of freedom, with its interval.
+
+    Args:
+        squares: any shape.
+        dof: degrees of freedom of each.
+        samples: how many of them are independent; all by default. Innovations of a matched filter are; its errors are
+            correlated in time, only those of different runs are independent.
+    """
+    samples = int(np.size(squares)) if samples is None else samples
+    low, high = chi_square_interval(dof, samples, level)
+    return Mean(float(np.mean(squares)) / dof, low, high, samples)
+
+
+def share_inside(squares: np.ndarray, dof: int, level: float = LEVEL) -> float:
+    """Share of times at which the mean over M runs lies in its interval; squares (M, T). `level` is expected."""
+    low, high = chi_square_interval(dof, squares.shape[0], level)
+    mean = squares.mean(axis=0) / dof
+    return float(np.mean((mean >= low) & (mean <= high)))
+
+
+def autocorrelation(innovations: np.ndarray, lags: int) -> np.ndarray:
+    """Normalised autocorrelation ρ(1 … lags) of normalised innovations, shape (lags,): Σ ν(k) ν(k + l) / Σ ν².
+
+    Args:
+        innovations: Shape (T,), divided by their standard deviations. Their mean is not taken off: of a matched filter it
+            is zero, and an offset shows as correlation.
+        lags: how many.
+    """
+    v = np.asarray(innovations, dtype=np.float64)
+    if v.ndim != 1 or not 0 < lags < len(v):
+        raise InputError(f"autocorrelation: expected shape (T,) with more than {lags} samples, got {v.shape}")
+    # By the spectrum: a lag costs nothing.
+    spectrum = np.abs(np.fft.rfft(v, 2 * len(v))) ** 2
+    covariance = np.fft.irfft(spectrum)[: lags + 1]
+    return covariance[1:] / covariance[0] if covariance[0] > 0.0 else np.zeros(lags)
+
+
+def white_band(samples: int, level: float = LEVEL) -> float:
+    """Half-width of the band in which ρ of white innovations lies with probability `level`: 1.96/√n at 95 %."""
+    return float(norm.ppf(0.5 + 0.5 * level) / np.sqrt(samples))
+
+
+def ljung_box(rho: np.ndarray, samples: int) -> float:
+    """Probability of autocorrelations, shape (L,), as large as these if the innovations are white (Ljung & Box 1978)."""
+    lags = np.arange(1, len(rho) + 1)
+    return float(chi2.sf(samples * (samples + 2) * np.sum(rho**2 / (samples - lags)), len(rho)))

@@ -1,0 +1,60 @@
+"""What may be turned on a filter: fields of its settings with bounds, so that tuning and sweeping need to know nothing else."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+
+@dataclass(frozen=True)
+class Knob:
+    """A field that may be tuned.
+
+    Attributes:
+        field: its name; dotted where it lies in a dataclass inside (`process.push`).
+        low, high: bounds, in the field's unit.
+        scale: how it is searched; `log` needs low > 0.
+    """
+
+    field: str
+    low: float
+    high: float
+    scale: Literal["log", "linear"] = "log"
+
+    def to_unit(self, value: float) -> float:
+        """The value's place between the bounds, 0 to 1."""
+        if self.scale == "log":
+            place = math.log(max(value, self.low) / self.low) / math.log(self.high / self.low)
+        else:
+            place = (value - self.low) / (self.high - self.low)
+        return min(max(place, 0.0), 1.0)
+
+    def from_unit(self, place: float) -> float:
+        """The value at a place between the bounds."""
+        place = min(max(float(place), 0.0), 1.0)
+        if self.scale == "log":
+            return self.low * (self.high / self.low) ** place
+        return self.low + (self.high - self.low) * place
+
+
+def value_of(settings: Any, field: str) -> Any:
+    """Value of a field, which may be dotted."""
+    for part in field.split("."):
+        settings = getattr(settings, part)
+    return settings
+
+
+def turned(settings: Any, values: dict[str, float]) -> Any:
+    """A copy of frozen settings with other values, by field; fields may be dotted."""
+    own: dict[str, Any] = {}
+    inner: dict[str, dict[str, float]] = {}
+    for field, value in values.items():
+        head, _, rest = field.partition(".")
+        if rest:
+            inner.setdefault(head, {})[rest] = value
+        else:
+            own[head] = value
+    for head, parts in inner.items():
+        own[head] = turned(getattr(settings, head), parts)
+    return replace(settings, **own)

@@ -1,0 +1,199 @@
+"""The posterior Cramér-Rao bound: against closed forms, scipy's Riccati solver, filterpy, and filters on the model itself."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from flexspline.estimator import bound
+from flexspline.estimator.baselines import JointSignals, SensorNoise, dynamics_ekf, joint_dynamics
+from flexspline.estimator.baselines.joint_dynamics import BRISTLE, EXTERNAL, LINK, MOTOR, SIZE, ProcessNoise
+from flexspline.models.errors import InputError
+from flexspline.models.joint import load_joint
+from scipy.linalg import solve_discrete_are
+
+NOISE = SensorNoise(motor_resolution=0.0, motor_noise=4e-4, link_resolution=0.0, link_noise=2e-6, current_noise=0.0)
+PRIOR = np.r_[[4e-4, 1.0, 4e-3, 1.0, 2e-3, 2e-6, 1e-2, 2.4], np.zeros(4)]
+
+
+@pytest.fixture(scope="module")
+def record() -> np.ndarray:
+    joint = load_joint("test-joint")
+    return joint.record(joint.mount("link"))
+
+
+def test_random_walk_settles_at_the_closed_form():
+    W, V = 1e-4, 1e-2
+    steady = bound.steady_variance(W, V)
+    riccati = solve_discrete_are(np.eye(1), np.eye(1), W * np.eye(1), V * np.eye(1))[0, 0]  # of the prediction
+    assert steady == pytest.approx(riccati - W, rel=1e-10)
+    assert bound.random_walk_bound(W, np.full(500, V), V)[-1] == pytest.approx(steady, rel=1e-9)
+    information = bound.posterior_information(np.ones((499, 1, 1)), [[W]], np.ones((500, 1, 1)), [[V]], [[1 / V]])
+    assert 1.0 / information[-1, 0, 0] == pytest.approx(steady, rel=1e-9)
+    # Without process noise n readings leave V/n.
+    assert bound.random_walk_bound(0.0, np.full(100, V), V)[-1] == pytest.approx(V / 100, rel=1e-12)
+
+
+def test_a_linear_model_gives_the_kalman_covariance(rng):
+    n, m, T = 3, 2, 60
+    F = np.eye(n) + 0.1 * rng.standard_normal((n, n))
+    H, A = rng.standard_normal((m, n)), rng.standard_normal((n, n))
+    Q, R, P0 = 0.1 * A @ A.T + 0.01 * np.eye(n), np.diag([0.5, 2.0]), np.eye(n)
+    f = KalmanFilter(n, m)
+    f.x, f.P, f.F, f.H, f.Q, f.R = np.zeros(n), P0.copy(), F, H, Q, R
+    J = bound.posterior_information(np.tile(F, (T - 1, 1, 1)), Q, np.tile(H, (T, 1, 1)), R, np.linalg.inv(P0))
+    for k in range(1, T):
+        f.predict()
+        f.update(np.zeros(m))
+        assert np.allclose(np.linalg.inv(J[k]), f.P, rtol=1e-8, atol=1e-10)
+    steady = solve_discrete_are(F.T, H.T, Q, R)  # of the prediction
+    assert np.allclose(F @ np.linalg.inv(J[-1]) @ F.T + Q, steady, rtol=1e-6)
+
+
+def test_expectation_over_trajectories(rng):
+    """M copies of one trajectory are one; different ones tell at least as much as their mean Jacobian does."""
+    T, n = 20, 2
+    F = np.eye(n) + 0.2 * rng.standard_normal((3, T - 1, n, n))
+    H, Q, R, J0 = np.tile([[1.0, 0.0]], (3, T, 1, 1)), 0.1 * np.eye(n), np.eye(1), np.eye(n)
+    one = bound.posterior_information(F[0], Q, H[0], R, J0)
+    assert np.allclose(bound.posterior_information(F[[0, 0, 0]], Q, H, R, J0), one)
+    several = bound.posterior_information(F, Q, H, R, J0)
+    mean = bound.posterior_information(F.mean(axis=0), Q, H[0], R, J0)
+    assert np.linalg.eigvalsh(several[-1] - mean[-1])[0] > -1e-9
+
+
+def test_nonlinear_scalar_model(rng):
+    """x' = x + a sin x: no filter is below the bound, and an extended Kalman filter near the truth is just above it."""
+    T, M, a, q, r = 40, 4000, 0.1, 0.02**2, 0.1**2
+    x = np.empty((M, T))
+    x[:, 0] = 0.1 * rng.standard_normal(M)
+    for k in range(T - 1):
+        x[:, k + 1] = x[:, k] + a * np.sin(x[:, k]) + np.sqrt(q) * rng.standard_normal(M)
+    y = x + np.sqrt(r) * rng.standard_normal((M, T))
+    F = (1 + a * np.cos(x[:, :-1]))[:, :, None, None]
+    limit = 1 / bound.posterior_information(F, [[q]], np.ones((M, T, 1, 1)), [[r]], [[100.0]])[:, 0, 0]
+    estimate, P = np.zeros(M), np.full(M, 0.01)
+    for k in range(1, T):
+        slope = 1 + a * np.cos(estimate)
+        estimate, P = estimate + a * np.sin(estimate), slope**2 * P + q
+        gain = P / (P + r)
+        estimate, P = estimate + gain * (y[:, k] - estimate), (1 - gain) * P
+    ratio = np.mean((estimate - x[:, -1]) ** 2) / limit[-1]
+    print(f"mean square error of the filter / bound: {ratio:.3f}")
+    spread = np.sqrt(2 / M)
+    assert 1 - 3 * spread < ratio < 1.1 + 3 * spread
+
+
+def walk(record, seed: int, intensity: float, n: int = 1500):
+    """Time, states, current, command and encoder readings of the bound's own model, drawn."""
+    rng = np.random.default_rng(seed)
+    p = record[0]
+    time = np.arange(n) * 1e-3
+    command = 1.6 * np.sin(2 * np.pi * 0.7 * time)
+    x, work, states, current = np.zeros(SIZE), np.zeros((3, SIZE)), np.zeros((n, SIZE)), np.zeros(n)
+    for k in range(n):
+        if k > 0:
+            steps = joint_dynamics.substeps(x, 1e-3, p)
+            joint_dynamics.advance(x, current[k - 1], command[k - 1], time[k - 1], 1e-3, steps, 1.0, p, work)
+            current[k] = joint_dynamics.next_current(current[k - 1], command[k - 1], 1e-3, p)
+            x[EXTERNAL] += intensity * np.sqrt(1e-3) * rng.standard_normal()
+        states[k] = x
+    motor = states[:, MOTOR] + NOISE.motor_noise * rng.standard_normal(n)
+    link = states[:, LINK] + NOISE.link_noise * rng.standard_normal(n)
+    return time, states, current, command, motor, link
+
+
+def test_joint_bound_is_the_information_recursion(record):
+    """Against `posterior_information` with Jacobians of its own and a little noise on every state."""
+    time, states, current, command, _, _ = walk(record, 3, 1.0, 121)
+    p, active = record[0], np.arange(8)
+    F = np.empty((120, 8, 8))
+    for k in range(120):
+        for j in active:
+            width = 1e-3 * joint_dynamics.STEPS[j]
+            moved = []
+            for sign in (1, -1):
+                x, work = states[k].copy(), np.zeros((3, SIZE))
+                x[j] += sign * width
+                steps = joint_dynamics.substeps(states[k], 1e-3, p)
+                joint_dynamics.advance(x, current[k], command[k], time[k], 1e-3, steps, 1.0, p, work)
+                moved.append(x[active])
+            F[k, :, j] = (moved[0] - moved[1]) / (2 * width)
+    scale = joint_dynamics.STEPS[active]  # units that differ by ten decades
+    F = F / scale[:, None] * scale[None, :]
+    H = np.zeros((121, 2, 8))
+    H[:, 0, MOTOR], H[:, 1, LINK] = scale[MOTOR], scale[LINK]
+    Q = 1e-10 * np.eye(8)
+    Q[EXTERNAL, EXTERNAL] = 1e-3 / scale[EXTERNAL] ** 2
+    start = ProcessNoise().matrices(JointSignals(*[time] * 4, command), p, NOISE).start[active] / scale**2
+    J = bound.posterior_information(F, Q, H, np.diag([NOISE.motor_noise**2, NOISE.link_noise**2]), np.diag(1 / start))
+    ours = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)
+    for k in (20, 60, 120):
+        x, gradient = states[k], np.empty(8)
+        T = joint_dynamics.joint_torque(x, time[k], p)
+        for j in active:
+            y = x.copy()
+            y[j] += joint_dynamics.STEPS[j]
+            gradient[j] = joint_dynamics.joint_torque(y, time[k], p) - T
+        assert ours[k] == pytest.approx(gradient @ np.linalg.solve(J[k], gradient), rel=0.02)
+
+
+def test_a_filter_of_the_same_model_attains_it(record):
+    """Mean square error over draws of the model: not below the bound, and not far above."""
+    intensity, seeds = 2.0, range(40, 64)
+    print("seeds", list(seeds))
+    process = ProcessNoise(
+        external=intensity / float(record[0]["T2"]), push=0.0, mesh=0.0, mesh_push=0.0, torque=0.0, bristle=1e-4,
+        floor=0.0,
+    )  # fmt: skip
+    filtered = dynamics_ekf.DynamicsEKF(process=process)
+    errors, limits = [], []
+    for seed in seeds:
+        time, states, current, command, motor, link = walk(record, seed, intensity)
+        torque = np.array([joint_dynamics.joint_torque(x, 0.0, record[0]) for x in states[500:]])
+        estimate = filtered.estimate(JointSignals(time, motor, link, current, command), record, NOISE)
+        errors.append(np.mean((estimate.torque[500:] - torque) ** 2))
+        limits.append(bound.joint_bound(time, states, current, command, record, NOISE, intensity)[500:].mean())
+    ratio = np.sqrt(np.mean(errors) / np.mean(limits))
+    spread = np.std(errors) / np.mean(errors) / np.sqrt(len(errors)) / 2
+    print(f"RMS error / bound: {ratio:.3f} ± {spread:.3f}")
+    assert 1 - 3 * spread < ratio < 1.15 + 3 * spread
+
+
+def test_bound_of_the_joint_behaves(record):
+    """A louder torque and a coarser encoder raise it; presliding friction near rest has no instability of its own."""
+    time, states, current, command, _, _ = walk(record, 5, 0.0, 800)
+    quiet = bound.joint_bound(time, states, current, command, record, NOISE, 0.1)
+    loud = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)
+    coarse = SensorNoise(motor_resolution=2e-2, link_resolution=1e-5, link_noise=2e-6, motor_noise=4e-4)
+    assert (loud[100:] > quiet[100:]).all()
+    assert (bound.joint_bound(time, states, current, command, record, coarse, 0.1)[100:] > quiet[100:]).all()
+    rest = np.zeros((2000, SIZE))
+    rest[:, BRISTLE] = 1e-3
+    rest[:, 1] = rest[:, 3] = 1e-9 * (-1.0) ** np.arange(2000)
+    t, zero = np.arange(2000) * 1e-3, np.zeros(2000)
+    still = bound.joint_bound(t, rest, zero, zero, record, NOISE, 0.0)
+    assert still[-1] < still[200] < still[20]
+
+
+def test_intensity():
+    rng = np.random.default_rng(0)
+    time = np.arange(20001) * 1e-3
+    steps = 0.7 * np.sqrt(1e-3) * rng.standard_normal(20000)
+    fitted = bound.walk_intensity(np.r_[0.0, np.cumsum(steps)], time)
+    assert fitted == pytest.approx(0.7, rel=3 / np.sqrt(2 * 20000))
+    assert bound.walk_intensity(np.zeros(10), time[:10]) == 0.0
+
+
+def test_bad_input(record):
+    time, states, current, command, _, _ = walk(record, 1, 0.0, 5)
+    with pytest.raises(InputError, match="intensity"):
+        bound.joint_bound(time, states, current, command, record, NOISE, -1.0)
+    with pytest.raises(InputError, match="states"):
+        bound.joint_bound(time, states[:, :8], current, command, record, NOISE, 1.0)
+    with pytest.raises(InputError, match="Q: expected a positive definite"):
+        bound.posterior_information(np.ones((1, 1, 1)), [[0.0]], np.ones((2, 1, 1)), [[1.0]], [[1.0]])
+    with pytest.raises(InputError, match="expected F"):
+        bound.posterior_information(np.ones((2, 1, 1)), [[1.0]], np.ones((2, 1, 1)), [[1.0]], [[1.0]])
+    with pytest.raises(InputError, match="V > 0"):
+        bound.random_walk_bound(1.0, np.zeros(3), 1.0)
