@@ -8,7 +8,7 @@ import os
 import platform
 from importlib import metadata
 
-NAMES = ("closed_loop", "filters", "compiled_loop")
+NAMES = ("closed_loop", "filters", "compiled_loop", "sweep")
 NAMED_ONLY = ("convergence",)
 
 
@@ -16,7 +16,10 @@ def main() -> None:
     """Run and print."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument(
-        "names", nargs="*", metavar="name", help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first three by default"
+        "names",
+        nargs="*",
+        metavar="name",
+        help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first {len(NAMES)} by default",
     )
     arguments = parser.parse_args()
     unknown = [name for name in arguments.names if name not in NAMES + NAMED_ONLY]
