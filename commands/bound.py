@@ -1,0 +1,82 @@
+"""`flexspline bound`: how far every estimator is from what is possible, and whether it knows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from ..models.errors import InputError
+from ..models.files import write_into_place
+from ..scenarios.limits import assess, fitted_intensity, matched
+from ..scenarios.offline import contenders
+from ..scenarios.scenario import load_scenario
+from ..views.limit_tables import limits_table
+from ._console import console
+from ._options import Changes
+from .compare import PAPER
+
+
+def command(
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")
+    ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds: 1, 2, …")] = 10,
+    filter_: Annotated[
+        list[str] | None, typer.Option("--filter", help="An estimator; repeatable. All by default.")
+    ] = None,
+    intensity: Annotated[
+        float | None,
+        typer.Option(
+            min=0, help="Of the external torque's random walk in the bound, N·m/√s; fitted to the scenario by default."
+        ),
+    ] = None,
+    walk: Annotated[
+        bool, typer.Option(help="Replace the disturbances by draws of that random walk: the bound's own model.")
+    ] = False,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for limits.parquet, summary.csv and a figure per scenario.")
+    ] = None,
+    changes: Changes = None,
+) -> None:
+    """Hold every estimator against the posterior Cramér-Rao bound; NIS, NEES and whiteness of the innovations.
+
+    The bound holds for the joint's dynamics, exactly known, with a random-walk external torque, and the encoders' noise. Of a
+    scripted scenario it is a yardstick: a filter that adapts may fall below it. With `--walk` it may not.
+    """
+    chosen = contenders(filter_ or ())
+    loaded = [load_scenario(name, changes) for name in scenarios or PAPER]
+    if len({scenario.name for scenario, _ in loaded}) < len(loaded):
+        raise InputError("bound: scenarios: expected each once, got one twice")
+    terminal, found = console(), []
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True
+    ) as progress:
+        task = progress.add_task("", total=seeds * len(loaded))
+        for scenario, folder in loaded:
+            progress.update(task, description=scenario.name)
+            level = intensity
+            if walk:
+                level = intensity if intensity is not None else fitted_intensity(scenario)
+                if level == 0.0:
+                    raise InputError(
+                        f"scenario {scenario.name}: --walk: expected an --intensity, it has no disturbance to fit"
+                    )
+                scenario = matched(scenario, level)
+            done = assess(scenario, folder, range(1, seeds + 1), chosen, level, lambda: progress.advance(task))
+            found.append(done)
+    for limits in found:
+        terminal.print(limits_table(limits))
+    if out is not None:
+        from ..views.limit_figures import limits_figure, save_figure
+        from ..views.limit_files import write_limits, write_summary
+
+        for limits in found:
+            write_limits(limits, out / limits.scenario / "limits.parquet")
+            save_figure(limits_figure(limits), out / limits.scenario / "limits.png")
+        with write_into_place(out / "summary.csv") as path:
+            write_summary(found, path)
+        terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario", highlight=False)

@@ -1,0 +1,84 @@
+"""Estimators beside the bounds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from flexspline.models.errors import InputError
+from flexspline.scenarios import limits
+from flexspline.scenarios.offline import contenders
+from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.scenario import load_scenario
+
+NAMES = ("EKF", "RAREKF", "compliance_model", "dynamics_ekf", "rts_smoother")
+
+
+def scenario(*changes: str):
+    return load_scenario("external_push", ["duration=5", *changes])
+
+
+@pytest.fixture(scope="module")
+def drawn():
+    """Draws of the bound's own external torque: one limit for all that is causal."""
+    chosen, folder = scenario()
+    return limits.assess(limits.matched(chosen, 1.0), folder, range(1, 5), contenders(NAMES), 1.0)
+
+
+def test_no_filter_is_below_the_bound_on_its_own_model(drawn):
+    for one in drawn.estimators:
+        print(f"{one.name}: {drawn.ratio(one.name):.2f} of the bound")
+        if one.causal:
+            assert drawn.ratio(one.name) > 1.0
+    assert drawn.ratio("dynamics_ekf") < 3.0  # and it is no idle bound
+    assert drawn.bound_rms < drawn.torsion_bound_rms < drawn.ratio("compliance_model") * drawn.bound_rms
+
+
+def test_what_is_reported(drawn):
+    bins = round(5 / limits.BIN)
+    by_name = {one.name: one for one in drawn.estimators}
+    assert drawn.time.shape == drawn.bound.shape == drawn.torsion_bound.shape == (bins,)
+    for one in drawn.estimators:
+        assert one.rms.shape == (4,) and one.error.shape == (bins,)
+        after = drawn.time > drawn.transient
+        assert np.sqrt(np.mean(one.error[after] ** 2)) == pytest.approx(one.mean_rms, rel=1e-9)
+    assert by_name["compliance_model"].nis is None and by_name["compliance_model"].nees is not None
+    assert by_name["rts_smoother"].nis is None and not by_name["rts_smoother"].causal
+    assert by_name["EKF"].autocorrelation.shape == (limits.LAGS,)
+    assert by_name["EKF"].nis.samples == 4 * 4000
+
+
+def test_measures_are_those_of_the_runs():
+    """One seed: RMS error and mean NIS as the run itself reports them."""
+    chosen, folder = scenario("duration=3")
+    found = limits.assess(chosen, folder, [7], contenders(["EKF", "RAREKF"]))
+    run = run_scenario(chosen.model_copy(update={"seed": 7}), folder)
+    for one in found.estimators:
+        assert one.rms[0] == pytest.approx(run.metrics["filters"][one.name]["rms"], rel=1e-12)
+        assert one.nis.value == pytest.approx(run.metrics["filters"][one.name]["mean_nis"], rel=1e-9)
+
+
+def test_intensity_is_fitted_and_never_silent():
+    chosen, folder = scenario("duration=3", "disturbances=[{kind: step, start: 1, duration: 1, torque: 2}]")
+    expected = np.sqrt(2 * 2.0**2 / 2.999)
+    assert limits.fitted_intensity(chosen) == pytest.approx(expected)
+    quiet, _ = scenario("duration=3", "disturbances=[]")
+    found = limits.assess(quiet, folder, [1], [])
+    assert found.fitted == 0.0 and found.intensity == pytest.approx(0.012)
+
+
+def test_a_walk_is_another_for_each_seed_and_has_its_size():
+    chosen, _ = scenario()
+    walks = [limits.matched(chosen.model_copy(update={"seed": s}), 2.0).external_torque() for s in range(1, 201)]
+    ends = np.array([w[-1] for w in walks])
+    assert all(w[0] == 0.0 for w in walks) and len(set(ends)) == 200
+    assert np.std(ends) == pytest.approx(2.0 * np.sqrt(5.0), rel=0.2)  # four standard deviations of 200 draws
+    assert np.array_equal(walks[3], limits.matched(chosen.model_copy(update={"seed": 4}), 2.0).external_torque())
+
+
+def test_bad_input():
+    chosen, folder = scenario()
+    fed_back = chosen.model_copy(update={"feedback": "EKF"})
+    with pytest.raises(InputError, match="feedback: expected none or sensor"):
+        limits.assess(fed_back, folder, [1], [])
+    with pytest.raises(InputError, match="at least one seed"):
+        limits.assess(chosen, folder, [], [])

@@ -1,0 +1,125 @@
+"""Tuning: it finds what is known, never loses on training, and gives the same twice and on any number of threads."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import yaml
+from flexspline.models.errors import InputError
+from flexspline.scenarios import tuning
+from flexspline.scenarios.offline import contenders
+from flexspline.scenarios.scenario import Scenario, load_scenario
+
+
+class Walk:
+    """What tuning needs of a run: a random walk of variance W per step, seen with noise of variance V."""
+
+    def __init__(self, rng, W: float, V: float, n: int = 20000):
+        self.time = np.arange(n) * 1e-3
+        self.walk = np.cumsum(np.sqrt(W) * rng.standard_normal(n))
+        self.model_torque = self.walk + np.sqrt(V) * rng.standard_normal(n)
+        self.scenario = SimpleNamespace(transient=1.0)
+
+    def truth(self, _: str) -> np.ndarray:
+        return self.walk
+
+
+@pytest.fixture(scope="module")
+def runs():
+    scenarios = [load_scenario("external_push", ["duration=9"])]
+    return tuning.simulated(scenarios, [1, 2]), tuning.simulated(scenarios, [101, 102])
+
+
+def test_recovers_the_ratio_of_a_random_walk(rng):
+    """The best W/V of a Kalman filter on a random walk is the walk's own."""
+    W, V = 4e-5, 1e-2
+    train = [[Walk(rng, W, V) for _ in range(6)]]
+    (ekf,) = contenders(["EKF"])
+    found = tuning.tune(ekf, train, train)
+    ratio = found.values["W"] / found.tuned.settings.V
+    print(f"W/V {ratio:.3e}, {W / V:.3e} is right; {found.evaluations} evaluations")
+    # The error is flat about the optimum: log10 of the ratio scatters by some 0.05 over draws of this length.
+    assert abs(np.log10(ratio / (W / V))) < 0.2
+    assert found.train[1] <= found.train[0]
+    steady = 0.5 * (-W + np.sqrt(W * W + 4 * W * V))
+    assert found.train[1] == pytest.approx(np.sqrt(steady), rel=0.03)
+
+
+def test_never_worse_on_training_and_paired_on_test(runs):
+    train, test = runs
+    for contender in contenders(["EKF", "RAREKF", "lowpass", "strong_tracking", "compliance_model"]):
+        found = tuning.tune(contender, train, test, evaluations=40)
+        assert found.train[1] <= found.train[0]
+        assert found.train[0] == pytest.approx(tuning.score(tuning.errors(contender, train)))
+        assert found.train[1] == pytest.approx(tuning.score(tuning.errors(found.tuned, train)))
+        assert found.gain.mean == pytest.approx(np.mean(found.test_tuned - found.test_default))
+        assert (contender.name == "compliance_model") == (found.values == {})
+    ekf = tuning.tune(contenders(["EKF"])[0], train, test, evaluations=40)
+    assert ekf.gain.high < 0  # a slow default gains under pushes, on seeds it has not seen
+
+
+def test_deterministic_on_any_number_of_threads(runs):
+    train, test = runs
+    (rarekf,) = contenders(["RAREKF"])
+    once, again = (tuning.tune(rarekf, train, test, 25, threads) for threads in (1, 2))
+    assert once.values == again.values and once.train == again.train
+    assert np.array_equal(once.test_tuned, again.test_tuned)
+
+
+def test_settings_without_a_solution_cost_but_do_not_stop(runs):
+    train, _ = runs
+    (h,) = contenders(["REKF"])
+    impossible = h.turned({"W": 1.0})
+    assert (tuning.errors(impossible, train) > 1e5).all()
+    assert tuning.tune(impossible, train, train, 30).train[1] < 1.0
+
+
+def test_front_of_noise_against_delay(runs):
+    _, test = runs
+    (ekf,) = contenders(["EKF"])
+    front = tuning.pareto(ekf, test[0], count=12)
+    delay, noise = front.points.T
+    assert len(delay) > 6 and (np.diff(delay) > 0).all() and (np.diff(noise) < 0).all()
+    # Each point is what its settings give; the default is on the curve of a filter with one knob, or between its points.
+    middle = len(delay) // 2
+    again = tuning.noise_and_delay(ekf.turned(front.settings[middle]), test[0])
+    assert again == pytest.approx(front.points[middle])
+    assert np.interp(front.default[0], delay, noise) == pytest.approx(front.default[1], rel=0.05)
+
+
+def test_undominated():
+    points = np.array([[1, 5], [2, 4], [2, 6], [3, 4], [0.5, 9], [np.nan, 0], [1, 5]], dtype=float)
+    kept = {tuple(points[i]) for i in tuning.undominated(points)}
+    assert kept == {(1, 5), (2, 4), (0.5, 9)}
+
+
+def test_interval():
+    """Student's t for three values: t(0.975, 2) = 4.3027."""
+    i = tuning.Interval.of([1.0, 2.0, 3.0])
+    assert (i.mean, i.high - i.mean) == pytest.approx((2.0, 4.302653 / np.sqrt(3)), rel=1e-6)
+    assert np.isnan(tuning.Interval.of([1.0]).low)
+
+
+def test_the_file_is_a_scenarios_filters(runs, tmp_path):
+    train, test = runs
+    found = [tuning.tune(c, train, test, 20) for c in contenders(["EKF", "RAREKF", "lowpass"])]
+    tuning.write_tuned(found, ["external_push"], [1, 2], [101, 102], tmp_path / "tuned.yaml")
+    data = yaml.safe_load((tmp_path / "tuned.yaml").read_text())
+    base, _ = load_scenario("external_push")
+    used = Scenario.model_validate({**base.model_dump(), "filters": data["filters"]})
+    for one, choice in zip(found[:2], used.filters, strict=True):
+        ours, theirs = one.tuned.settings, choice.settings()
+        for field in ("W", "V", "P0", "rho", "k"):
+            assert getattr(theirs, field) == pytest.approx(getattr(ours, field), rel=1e-5)
+    assert data["baselines"]["lowpass"]["cutoff"] == pytest.approx(found[2].values["cutoff"], rel=1e-5)
+    assert data["rms"]["EKF"]["train"][1] <= data["rms"]["EKF"]["train"][0]
+
+
+def test_bad_input():
+    scenario, folder = load_scenario("torque_feedback", ["duration=2"])
+    with pytest.raises(InputError, match="feedback: expected none or sensor"):
+        tuning.simulated([(scenario, folder)], [1])
+    with pytest.raises(InputError, match="at least one seed"):
+        tuning.simulated([load_scenario("no_load")], [])

@@ -1,0 +1,166 @@
+"""Figures of what is possible: error beside the bound, consistency, noise against delay."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from ..models.files import write_into_place
+from ..scenarios.limits import Assessment, Limits
+from ..scenarios.tuning import Front
+from .figures import STYLE, WIDTH
+from .style import COMMAND, FILTERS, TRUTH
+
+BASELINES = {
+    "compliance_model": "#C8B68E", "motor_current": "#9AA3AD", "lowpass": "#17BECF", "lowpass_first_order": "#0E7C8A",
+    "kalman": "#2CA02C", "h_infinity": "#8C9A2B", "strong_tracking": "#E377C2", "huber": "#8C6D4F",
+    "momentum": "#B5BCC4", "momentum_torsion": "#6B7BB8", "dynamics_ekf": "#111418", "dynamics_ekf_calibrating": "#5B6670",
+    "dynamics_ukf": "#7A3E9D", "rts_smoother": "#C0392B",
+}  # fmt: skip
+"""Colour of each baseline; the paper's filters have theirs in `style`."""
+_SHOWN = (
+    "EKF",
+    "AREKF",
+    "RAREKF",
+    "kalman",
+    "lowpass",
+    "strong_tracking",
+    "dynamics_ekf",
+    "dynamics_ukf",
+    "rts_smoother",
+)
+"""Whose error is drawn over time where there are many."""
+
+
+def contender_color(name: str) -> str:
+    """Colour of an estimator; the same everywhere."""
+    return FILTERS.get(name) or BASELINES.get(name, "#444A52")
+
+
+def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
+    """RMS error over time beside the bounds; NIS and NEES with their intervals; autocorrelation of the innovations.
+
+    Args:
+        limits: of a scenario.
+        shown: whose error to draw over time; all up to nine, else the best-known ones.
+    """
+    every = limits.estimators
+    names = list(shown) or [e.name for e in every]
+    if len(names) > len(_SHOWN) and not shown:
+        names = [e.name for e in every if e.name in _SHOWN]
+    caption = (
+        f"{limits.scenario}, {len(limits.seeds)} seeds. RMS error over seeds in bins of 0.1 s. Bound: posterior Cramér-Rao, the "
+        f"joint's dynamics with encoders and current command, external torque a random walk of {limits.intensity:.3g} N·m/√s "
+        f"(the scenario's own: {limits.fitted:.3g}); RMS {limits.bound_rms:.4f} N·m. Dashed: the paper's model, joint torque "
+        f"as a random walk of {limits.torsion_intensity:.3g} N·m/√s seen through the torsion; RMS "
+        f"{limits.torsion_bound_rms:.4f} N·m. Bars: 95 % intervals of a filter that knows its covariance; χ², NIS of all "
+        "samples, NEES of one error per run. Shaded at the right: 95 % band of white innovations."
+    )
+    with matplotlib.rc_context(STYLE):
+        figure, grid = _figure("Error and bound", caption, 8.0, (4.2, 3.4))
+        top = figure.add_subplot(grid[0, :])
+        for one in every:
+            if one.name in names and one.error.size:
+                top.plot(limits.time, one.error, color=contender_color(one.name), lw=0.9, label=one.name)
+        top.plot(limits.time, limits.torsion_bound, color=COMMAND, ls="--", lw=1.6, label="bound, paper's model")
+        top.plot(limits.time, limits.bound, color=TRUTH, lw=2.4, label="bound, joint's dynamics")
+        after = limits.time >= limits.transient
+        floor = 0.5 * min(limits.bound[after].min(), *(e.error[after].min() for e in every if e.error.size), np.inf)
+        top.set(yscale="log", xlabel="time [s]", ylabel="RMS error [N·m]", ylim=(max(floor, 1e-5), None))
+        top.margins(x=0.01)
+        top.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2, fontsize=8)
+        _consistency(figure.add_subplot(grid[1, 0]), every, "nis", "NIS per degree of freedom")
+        _consistency(figure.add_subplot(grid[1, 1]), every, "nees", "NEES")
+        _whiteness(figure.add_subplot(grid[1, 2]), every, limits.band)
+    return figure
+
+
+def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str = "Noise against delay") -> Figure:
+    """Noise in steady state against delay to a push: a curve per filter, its defaults and tuned settings marked."""
+    caption = (
+        f"{scenario}, {seeds} test seeds. Along a curve a filter's knobs change; only settings are drawn of which no other of "
+        "that filter has both less noise and less delay. Circle: default settings; star: tuned for the RMS error. Delay: the "
+        "shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the error's part "
+        "faster than 0.2 s, in steady state. Below and to the left is better."
+    )
+    with matplotlib.rc_context(STYLE):
+        figure, grid = _figure(title, caption, 6.2, (1.0,))
+        axes = figure.add_subplot(grid[0, :])
+        for front in fronts:
+            color = contender_color(front.name)
+            inside = front.points[:, 0] > -5.0
+            x, y = np.maximum(front.points[inside, 0], _LEAST_DELAY), front.points[inside, 1]
+            line = {"marker": ".", "ms": 4} if len(x) > 1 else {"marker": "s", "ms": 5}
+            axes.plot(x, y, color=color, lw=1.2, label=front.name, **line)
+            for point, marker, size in ((front.default, "o", 6), (front.tuned, "*", 10)):
+                if point is not None and np.isfinite(point).all():
+                    at = max(point[0], _LEAST_DELAY)
+                    axes.plot(at, point[1], marker, ms=size, mfc="white", mec=color, mew=1.4, zorder=5)
+        axes.set(xscale="log", yscale="log", xlabel=f"delay [ms] (less than {_LEAST_DELAY:g} is drawn there)")
+        axes.set_ylabel("noise [N·m]")
+        _plain(axes.xaxis)
+        _plain(axes.yaxis)
+        axes.legend(ncols=1, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)
+    return figure
+
+
+_LEAST_DELAY = 0.1  # ms
+
+
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG, moved into place when complete."""
+    with matplotlib.rc_context(STYLE), write_into_place(path) as temporary:
+        figure.savefig(temporary)
+    return path
+
+
+def _figure(title: str, caption: str, height: float, heights: Sequence[float]):
+    lines = textwrap.wrap(caption.replace(" -", " −"), 140)
+    below = 0.165 * len(lines) + 0.16
+    total = height + below
+    figure = Figure(figsize=(WIDTH, total), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.get_layout_engine().set(rect=(0.0, below / total, 1.0, 1.0 - below / total), h_pad=0.06, w_pad=0.08)
+    figure.suptitle(title, x=0.012, ha="left", fontsize=11, fontweight="bold", color="#22262B")
+    figure.text(0.012, 0.1 / total, "\n".join(lines), fontsize=8.2, color="#444A52", va="bottom", linespacing=1.4)
+    several = len(heights) > 1
+    widths = (1.0, 1.0, 1.15) if several else (1.0,)
+    return figure, figure.add_gridspec(len(heights), len(widths), height_ratios=heights, width_ratios=widths)
+
+
+def _consistency(axes: Axes, estimators: Sequence[Assessment], which: str, label: str) -> None:
+    having = [e for e in estimators if getattr(e, which) is not None]
+    for row, one in enumerate(having):
+        mean = getattr(one, which)
+        axes.plot([mean.low, mean.high], [row, row], color="#CBD2D9", lw=5, solid_capstyle="butt", zorder=1)
+        axes.plot(mean.value, row, "o", ms=4.5, color=contender_color(one.name), zorder=3)
+    axes.axvline(1.0, color="#30353B", lw=0.8, ls="--")
+    axes.set(xscale="log", yticks=range(len(having)), ylim=(len(having) - 0.4, -0.6), xlabel=label)
+    axes.set_yticklabels([e.name for e in having], fontsize=6.8)
+    axes.grid(axis="y", visible=False)
+    _plain(axes.xaxis)
+
+
+def _plain(axis: Axis) -> None:
+    """Numbers as they are written, at 1, 2, 5 of each decade."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
+
+
+def _whiteness(axes: Axes, estimators: Sequence[Assessment], band: float) -> None:
+    for one in estimators:
+        if one.autocorrelation is not None:
+            lags = np.arange(1, len(one.autocorrelation) + 1)
+            axes.plot(lags, one.autocorrelation, color=contender_color(one.name), lw=1.0)
+    axes.axhspan(-band, band, color="#DDE2E7", lw=0)
+    axes.set(xlabel="lag [samples]", ylabel="autocorrelation of innovations")

@@ -1,0 +1,55 @@
+"""What `flexspline bound` writes: errors and bounds over time (Parquet), a row per estimator (CSV)."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from ..models.files import write_into_place
+from ..scenarios.limits import Limits
+
+SUMMARY = (
+    "scenario", "estimator", "causal", "seeds", "rms", "rms_std", "bound", "ratio", "bound_paper_model", "intensity",
+    "nis", "nis_low", "nis_high", "nees", "nees_low", "nees_high", "nees_inside", "outside_white_band", "ljung_box_p",
+)  # fmt: skip
+"""Columns of the summary; errors and bounds [N·m], intensity [N·m/√s]."""
+
+
+def write_limits(limits: Limits, path: Path) -> None:
+    """Errors, bounds and NEES over time as Parquet, with units in the metadata."""
+    columns = {
+        "time": ("s", limits.time),
+        "bound": ("N·m", limits.bound),
+        "bound_paper_model": ("N·m", limits.torsion_bound),
+    }
+    for e in limits.estimators:
+        if e.error.size:
+            columns[f"error_{e.name}"] = ("N·m", e.error)
+        if e.nees_over_time is not None:
+            columns[f"nees_{e.name}"] = ("1", e.nees_over_time)
+    fields = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, (unit, _) in columns.items()]
+    table = pa.Table.from_arrays([pa.array(values) for _, values in columns.values()], schema=pa.schema(fields))
+    with write_into_place(path) as temporary:
+        pq.write_table(table, temporary, compression="zstd")
+
+
+def write_summary(found: Sequence[Limits], path: Path) -> None:
+    """A row per scenario and estimator as CSV; empty where a measure is not defined."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(SUMMARY)
+        for limits in found:
+            for e in limits.estimators:
+                spread = float(np.std(e.rms, ddof=1)) if len(e.rms) > 1 else None
+                row = [
+                    limits.scenario, e.name, e.causal, len(limits.seeds), e.mean_rms, spread, limits.bound_rms,
+                    limits.ratio(e.name), limits.torsion_bound_rms, limits.intensity,
+                ]  # fmt: skip
+                for mean in (e.nis, e.nees):
+                    row += ["", "", ""] if mean is None else [mean.value, mean.low, mean.high]
+                writer.writerow([*row, e.nees_share, e.outside, e.whiteness])
