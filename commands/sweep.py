@@ -49,11 +49,10 @@ def command(
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
+    plan = Plan.of(asked, folder)
+    dataset = Dataset.open(out, plan, versions())
     with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(f"{asked.name}: reading", total=None)
-        plan = Plan.of(asked, folder)
-        dataset = Dataset.open(out, plan, versions())
-        progress.update(task, description=f"{asked.name}: runs", total=plan.runs, completed=dataset.done())
+        task = progress.add_task(f"{asked.name}: runs", total=plan.runs, completed=dataset.done())
         try:
             sweep(
                 plan, dataset, jobs or os.cpu_count() or 1, chunk, scheduler or None,

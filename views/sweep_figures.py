@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 _COLUMNS = 4
 _HEIGHT = 2.1
 _LOGARITHMIC = 15.0  # largest over smallest mean from which on an axis is logarithmic
+_CHARACTERS = 80  # of ticks that stand side by side in a row of panels
 _SPREAD = 0.32  # of the distance between two points, over which the filters stand side by side
 
 
@@ -58,6 +59,11 @@ def sweep_figure(summaries: Sequence[Summary], study: Study, metric: str, differ
       metric: which.
       differences: to the reference, paired, instead of means.
     """
+    with matplotlib.rc_context(STYLE):
+        return _figure(summaries, study, metric, differences)
+
+
+def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences: bool) -> Figure | None:
     column = metric_column(metric)
     across, panels = layout(summaries)
     names = [n for n in study.names if not (differences and n == study.compared_to)]
@@ -71,8 +77,8 @@ def sweep_figure(summaries: Sequence[Summary], study: Study, metric: str, differ
         return None
     titles = {axis.name: axis.title for axis in study.axes}
     places = [v for v in dict.fromkeys(s.columns.get(across) for s in summaries) if v is not None] or [None]
-    columns = min(_COLUMNS, len(panels))
-    rows = math.ceil(len(panels) / columns)
+    rows = math.ceil(len(panels) / _COLUMNS)
+    columns = math.ceil(len(panels) / rows)
     what = f"difference to {study.compared_to}, paired over seeds" if differences else column.meaning
     runs = sorted({s.runs for s in summaries})
     caption = textwrap.fill(
@@ -112,7 +118,8 @@ def sweep_figure(summaries: Sequence[Summary], study: Study, metric: str, differ
         axes.set_title(
             ", ".join(v if isinstance(v, str) else f"{titles.get(k, k)}: {v:g}" for k, v in panel.items()), fontsize=8.5
         )
-        axes.set_xticks(range(len(places)), [_tick(v) for v in places])
+        ticks = [_tick(v) for v in places]
+        axes.set_xticks(range(len(places)), ticks, rotation=35 if sum(map(len, ticks)) > _CHARACTERS / columns else 0)
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
     means = np.abs([one.mean for one in shown])

@@ -36,13 +36,13 @@ def on_cluster(plan: Plan, chunks: Iterator[Chunk], address: str) -> sweep.Done:
     try:
         attempts: dict[Chunk, int] = {}
         pending: dict[str, Chunk] = {}
-        finished = as_completed()
+        finished = as_completed(loop=client.loop)
 
         def submit(chunk: Chunk) -> None:
             attempts[chunk] = attempts.get(chunk, 0) + 1
             key = f"sweep-{plan.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
             # Lost with its worker, a task begins again elsewhere; the scheduler does that itself.
-            future = client.submit(sweep.compute, plan, chunk, key=key, pure=False, retries=_ATTEMPTS)
+            future = client.submit(sweep.compute, plan, chunk, key=key, pure=False)
             pending[future.key] = chunk
             finished.add(future)
 

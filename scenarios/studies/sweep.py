@@ -21,15 +21,15 @@ import numpy as np
 import pyarrow as pa
 
 from ...estimator import FilterDiverged, FilterSettings
-from ...estimator.baselines import JointSignals, SensorNoise
+from ...estimator.baselines import JointSignals
 from ...models.errors import InputError
-from ...models.joint import Joint
 from ...sim import callbacks
 from ..loop import CONTROL_PERIOD, READINGS, TRUTH, Signals
 from ..metrics import Reference
+from ..offline import sensor_noise
 from ..run import STATE_COLUMNS, Experiment
 from .dataset import Chunk, Dataset
-from .grid import Cell, Plan, Variant
+from .grid import Cell, Plan
 
 _LARGEST_CHUNK = 16
 _ROBUST, _NIS = STATE_COLUMNS.index("robust"), STATE_COLUMNS.index("nis")
@@ -105,7 +105,7 @@ def run_one(plan: Plan, cell: Cell, seed: int, experiment: Experiment, record, m
         try:
             signals = experiment.run(settings, plan.noise_seed(cell, seed), record, model)
         except FilterDiverged as error:
-            which = next((i for i in bank if variants[i].settings.name == error.name), None)
+            which = next((i for i in bank if variants[i].settings.name == error.filter), None)
             if which is None or variants[which].name == experiment.scenario.feedback:
                 return [Outcome({}, str(error))] * len(variants)
             failed[which] = Outcome({}, str(error))
@@ -156,18 +156,6 @@ def _measured(plan: Plan, experiment: Experiment, signals: Signals, bank: list[i
         found |= reference.evaluate(estimate)
         outcomes.append(Outcome({name: found.get(name) for name in plan.study.metrics}))
     return outcomes
-
-
-def sensor_noise(joint: Joint) -> SensorNoise:
-    """What the estimators are told of a joint's sensors; quantisation of the current counts as noise."""
-    s = joint.sensors
-    return SensorNoise(
-        motor_resolution=s.motor_encoder.resolution,
-        motor_noise=s.motor_encoder.noise,
-        link_resolution=s.link_encoder.resolution,
-        link_noise=s.link_encoder.noise,
-        current_noise=math.hypot(s.motor_current.noise, s.motor_current.step / math.sqrt(12.0)),
-    )
 
 
 def chunk_size(plan: Plan, jobs: int) -> int:
@@ -239,6 +227,3 @@ def sweep(
             progress(one.end - one.begin)
     finally:
         done.close()
-
-
-__all__ = ["Variant", "compute", "on_threads", "sweep"]

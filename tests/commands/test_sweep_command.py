@@ -1,0 +1,106 @@
+"""`flexspline sweep` from the command line: what it writes, what it says, and that Ctrl-C loses nothing."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import matplotlib.image
+import pytest
+from flexspline import commands
+from flexspline.views.sweep_tables import BETTER, WORSE, with_interval
+
+STUDY = """
+name: quick
+seeds: {count: SEEDS}
+scenarios: [link_sweep]
+set: {duration: 1.5, transient: 0.5}
+axes:
+  - {kind: cause, causes: [stiffness, hard_stop], sizes: [0, 1]}
+  - {kind: set, name: k, key: filters.RAREKF.k, values: [0, 0.1]}
+metrics: [rms]
+"""
+
+
+def write(folder, seeds=2):
+    path = folder / "quick.yaml"
+    path.write_text(STUDY.replace("SEEDS", str(seeds)), encoding="utf-8")
+    return path
+
+
+def call(monkeypatch, capsys, *arguments) -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["flexspline", "sweep", *map(str, arguments)])
+    try:
+        commands.main()
+        code = 0
+    except SystemExit as end:
+        code = int(end.code or 0)
+    out = capsys.readouterr()
+    return code, out.out, out.err
+
+
+def test_a_study_into_a_folder(tmp_path, monkeypatch, capsys):
+    code, out, _ = call(monkeypatch, capsys, write(tmp_path), "--out", tmp_path / "out", "--jobs", 2)
+    assert code == 0
+    assert "quick" in out and "RAREKF" in out and "stiffness" in out and "±" in out
+    folder = tmp_path / "out"
+    assert json.loads((folder / "study.json").read_text())["study"]["name"] == "quick"
+    text = (folder / "summary.md").read_text()
+    assert "## RMS error [N·m]" in text
+    assert text.count("| link_sweep |") == (1 + 2) * 2  # points × k
+    assert len((folder / "summary.csv").read_text().splitlines()) == 1 + 3 * 5
+    pictures = sorted(path.name for path in (folder / "figures").iterdir())
+    assert pictures == ["link_sweep_rms.png", "link_sweep_rms_difference.png"]
+    assert matplotlib.image.imread(folder / "figures" / pictures[0]).std() > 0.01
+
+    code, _, err = call(monkeypatch, capsys, "load_dependent_alpha", "--out", folder)
+    assert code == 2 and err.count("\n") == 1 and "quick" in err and str(folder) in err
+    code, _, err = call(monkeypatch, capsys, "noise_and_lod", "--out", tmp_path / "other")
+    assert code == 2 and err.count("\n") == 1 and "noise_and_load" in err
+    assert not (tmp_path / "other").exists()
+
+
+@pytest.mark.slow
+def test_ctrl_c_leaves_a_dataset_that_goes_on(tmp_path):
+    """SIGINT to the running command: exit code 130, one line, no traceback; the same command does the rest."""
+    command = [sys.executable, "-c", "from flexspline import commands; commands.main()", "sweep"]
+    command += [
+        str(write(tmp_path, 60)),
+        "--out",
+        str(tmp_path / "out"),
+        "--chunk",
+        "2",
+        "--jobs",
+        "2",
+        "--no-figures",
+    ]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    begin = time.monotonic()
+    while len(list(tmp_path.glob("out/rows/*/*/runs-*.parquet"))) < 3:
+        assert time.monotonic() - begin < 120 and process.poll() is None
+        time.sleep(0.02)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "goes on" in err and "Traceback" not in err
+    parts = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/rows/*/*/runs-*.parquet")}
+    assert 3 <= len(parts) < 90
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    after = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/rows/*/*/runs-*.parquet")}
+    assert len(after) == 90 and parts.items() <= after.items()
+
+
+def test_numbers_have_the_digits_of_their_intervals():
+    from flexspline.scenarios.studies.statistics import Interval
+
+    assert with_interval(Interval(0.145237, 0.144937, 0.145537, 9)) == "0.1452 ± 0.0003"
+    assert with_interval(Interval(0.145237, 0.144117, 0.146357, 9)) == "0.1452 ± 0.0011"
+    assert with_interval(Interval(1234.0, 1111.0, 1357.0, 9)) == "1234 ± 123"
+    assert with_interval(Interval(0.05, 0.04, 0.06, 9), 100) == "5.0 ± 1.0"
+    assert with_interval(Interval(0.25, 0.25, 0.25, 9)) == "0.25"
+    assert with_interval(Interval(float("nan"), float("nan"), float("nan"), 0)) == "–"
+    assert BETTER != WORSE

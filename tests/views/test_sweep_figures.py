@@ -1,0 +1,86 @@
+"""A study's figures: what runs across, what has panels, and that the points are the summaries' means and intervals."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from flexspline.scenarios.studies.statistics import Interval, Summary
+from flexspline.scenarios.studies.study import Study
+from flexspline.views.sweep_figures import layout, sweep_figure
+from flexspline.views.sweep_tables import sweep_rows
+
+
+def study(axes) -> Study:
+    return Study.model_validate(
+        {
+            "name": "s", "seeds": {"count": 9}, "scenarios": ["link_sweep"], "axes": axes, "metrics": ["rms", "delay_ms"],
+            "filters": [{"name": "EKF", "rule": "ekf"}, {"name": "RAREKF", "rule": "rarekf"}],
+        }
+    )  # fmt: skip
+
+
+def summary(filter: str, mean: float, **columns) -> Summary:
+    one, none = Interval(mean, mean - 0.1, mean + 0.1, 9), Interval(np.nan, np.nan, np.nan, 0)
+    differences = {} if filter == "RAREKF" else {"rms": Interval(0.5, 0.4, 0.6, 9), "delay_ms": none}
+    return Summary("link_sweep", columns, filter, 9, 0, {"rms": one, "delay_ms": none}, differences)
+
+
+CAUSES = study([{"kind": "cause", "causes": ["stiffness", "hysteresis"], "sizes": [0, 1, 2]}])
+OF_CAUSES = [
+    summary(f, m + i, cause=c, size=s)
+    for (c, s, m) in [("none", 0.0, 1.0), ("stiffness", 1.0, 2.0), ("stiffness", 2.0, 3.0), ("hysteresis", 1.0, 4.0),
+                      ("hysteresis", 2.0, 5.0)]
+    for i, f in enumerate(("EKF", "RAREKF"))
+]  # fmt: skip
+
+
+def test_a_cause_has_a_panel_that_begins_without_any():
+    assert layout(OF_CAUSES) == ("size", [{"cause": "stiffness"}, {"cause": "hysteresis"}])
+    figure = sweep_figure(OF_CAUSES, CAUSES, "rms")
+    panels = [axes for axes in figure.axes if axes.get_visible()]
+    assert [axes.get_title(loc="left") for axes in panels] == ["stiffness", "hysteresis"]
+    for axes, means in zip(panels, ([1, 2, 3], [1, 4, 5]), strict=True):
+        line = axes.containers[0]  # error bars of the first filter
+        np.testing.assert_allclose(line.lines[0].get_ydata(), means)
+        low, high = np.array([segment[:, 1] for segment in line.lines[2][0].get_segments()]).T
+        np.testing.assert_allclose(high - low, 0.2)
+        assert [t.get_text() for t in axes.get_xticklabels()] == ["0", "1", "2"]
+
+
+def test_differences_leave_out_the_reference():
+    figure = sweep_figure(OF_CAUSES, CAUSES, "rms", differences=True)
+    assert [[c.get_label() for c in axes.containers] for axes in figure.axes if axes.get_visible()] == [["EKF"]] * 2
+    np.testing.assert_allclose(figure.axes[0].containers[0].lines[0].get_ydata(), 0.5)
+
+
+def test_no_figure_of_what_has_no_value():
+    assert sweep_figure(OF_CAUSES, CAUSES, "delay_ms") is None
+
+
+@pytest.fixture
+def of_k() -> list[Summary]:
+    """EKF is varied by the load alone, RAREKF by k too."""
+    found = []
+    for load in (3.0, 9.0):
+        found.append(summary("EKF", load, load=load, k=None))
+        found += [summary("RAREKF", load + k, load=load, k=k) for k in (0.0, 1.0)]
+    return found
+
+
+def test_a_filter_that_an_axis_does_not_vary_stands_all_along_it(of_k):
+    asked = study(
+        [
+            {"kind": "load", "values": [3, 9]},
+            {"kind": "set", "name": "k", "key": "filters.RAREKF.k", "values": [0, 1]},
+        ]
+    )
+    assert layout(of_k) == ("k", [{"load": 3.0}, {"load": 9.0}])
+    figure = sweep_figure(of_k, asked, "rms")
+    for axes, load in zip([a for a in figure.axes if a.get_visible()], (3, 9), strict=True):
+        ekf, rarekf = (c.lines[0].get_ydata() for c in axes.containers)
+        np.testing.assert_allclose(ekf, [load, load])
+        np.testing.assert_allclose(rarekf, [load, load + 1])
+    table = [(columns["load"], columns["k"], set(of)) for _, columns, of in sweep_rows(of_k)]
+    assert table == [(load, k, {"EKF", "RAREKF"}) for load, k in itertools.product((3.0, 9.0), (0.0, 1.0))]
