@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -20,8 +21,8 @@ from ..estimator.knobs import Knob, turned, value_of
 from ..estimator.settings import knobs_of
 from ..models.errors import InputError, nearest
 from ..models.joint import Joint
-from .run import Run
-from .scenario import PAPER_FILTERS
+from .run import Run, run_scenario
+from .scenario import PAPER_FILTERS, Scenario
 
 
 def joint_signals(run: Run) -> JointSignals:
@@ -118,6 +119,20 @@ def contenders(names: Sequence[str] = ()) -> tuple[Contender, ...]:
         if name not in known:
             raise InputError(f"filter {name!r}: expected one of {list(known)}{nearest(name, known)}")
     return tuple(known[name] for name in names or known)
+
+
+def run_alone(scenario: Scenario, folder: Path | None, seed: int) -> Run:
+    """Run a scenario with a seed and one filter only: the signals are those of any filters, a run keeps half as much.
+
+    Raises:
+        InputError: an estimate fed back: the signals would depend on the filter.
+    """
+    if scenario.feedback not in ("none", "sensor"):
+        raise InputError(
+            f"scenario {scenario.name}: feedback: expected none or sensor, got {scenario.feedback!r}: the signals would "
+            "depend on the filter"
+        )
+    return run_scenario(scenario.model_copy(update={"seed": int(seed), "filters": PAPER_FILTERS[:1]}), folder)
 
 
 def rms_error(torque: np.ndarray, run: Run) -> float:

@@ -26,8 +26,8 @@ from ..models.errors import InputError
 from ..models.files import write_into_place
 from . import metrics
 from .loop import CONTROL_PERIOD
-from .offline import Contender, rms_error
-from .run import Run, run_scenario
+from .offline import Contender, rms_error, run_alone
+from .run import Run
 from .scenario import FilterChoice, Scenario
 
 EVALUATIONS = 300
@@ -93,20 +93,11 @@ def simulated(scenarios: Sequence[tuple[Scenario, Path | None]], seeds: Sequence
     """Run every scenario with every seed: one list of runs per scenario.
 
     Raises:
-        InputError: a scenario with an estimate fed back: its signals depend on the filter.
+        InputError: no seeds; a scenario with an estimate fed back (`offline.run_alone`).
     """
-    for scenario, _ in scenarios:
-        if scenario.feedback not in ("none", "sensor"):
-            raise InputError(
-                f"scenario {scenario.name}: feedback: expected none or sensor, got {scenario.feedback!r}: the signals would "
-                "depend on the filter that is tuned"
-            )
     if not seeds:
         raise InputError("tune: expected at least one seed, got none")
-    return [
-        [run_scenario(scenario.model_copy(update={"seed": int(seed)}), folder) for seed in seeds]
-        for scenario, folder in scenarios
-    ]
+    return [[run_alone(scenario, folder, seed) for seed in seeds] for scenario, folder in scenarios]
 
 
 def errors(contender: Contender, runs: Sequence[Sequence[Run]], threads: int = 1) -> np.ndarray:

@@ -107,8 +107,8 @@ def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str
                     axes.plot(at, point[1], marker, ms=size, mfc="white", mec=color, mew=1.4, zorder=5)
         axes.set(xscale="log", yscale="log", xlabel=f"delay [ms] (less than {_LEAST_DELAY:g} is drawn there)")
         axes.set_ylabel("noise [N·m]")
-        _plain(axes.xaxis)
-        _plain(axes.yaxis)
+        for axis in (axes.xaxis, axes.yaxis):
+            _plain(axis, (1.0, 2.0))
         axes.legend(ncols=1, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)
     return figure
 
@@ -119,7 +119,7 @@ _LEAST_DELAY = 0.1  # ms
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, moved into place when complete."""
     with matplotlib.rc_context(STYLE), write_into_place(path) as temporary:
-        figure.savefig(temporary)
+        figure.savefig(temporary, dpi=110)
     return path
 
 
@@ -147,12 +147,12 @@ def _consistency(axes: Axes, estimators: Sequence[Assessment], which: str, label
     axes.set(xscale="log", yticks=range(len(having)), ylim=(len(having) - 0.4, -0.6), xlabel=label)
     axes.set_yticklabels([e.name for e in having], fontsize=6.8)
     axes.grid(axis="y", visible=False)
-    _plain(axes.xaxis)
+    _plain(axes.xaxis, axes.get_xlim())
 
 
-def _plain(axis: Axis) -> None:
-    """Numbers as they are written, at 1, 2, 5 of each decade."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+def _plain(axis: Axis, limits: tuple[float, float]) -> None:
+    """Numbers as they are written, at 1, 2, 5 of each decade where there are few."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if limits[1] < 30 * limits[0] else (1.0,)))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())
 

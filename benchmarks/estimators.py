@@ -1,0 +1,350 @@
+"""What each estimator is worth: `python -m benchmarks.estimators` writes the tables and figures of docs/estimators.md.
+
+Tuning on seeds 1 … TRAIN, everything reported on seeds 101 … 100 + SEEDS. The tables go between the markers
+`<!-- begin NAME -->` and `<!-- end NAME -->` of the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from flexspline.models.files import write_into_place
+from flexspline.scenarios import limits, offline, tuning
+from flexspline.scenarios.limits import Limits
+from flexspline.scenarios.offline import Contender, contenders
+from flexspline.scenarios.run import Run
+from flexspline.scenarios.scenario import load_scenario
+from flexspline.scenarios.tuning import Interval, Tuned
+from flexspline.views.limit_figures import limits_figure, pareto_figure, save_figure
+from flexspline.views.limit_tables import markdown, number
+
+SCENARIOS = ("no_load", "link_sweep", "external_push")
+SIMULATING = ("dynamics_ekf", "dynamics_ekf_calibrating", "dynamics_ukf", "rts_smoother")
+"""Estimators that simulate the joint: worth tuning only where there is time."""
+MISTAKES = {
+    "flexspline 10 % softer": ["plant.K1=7560", "plant.K2=8460", "plant.K3=11700"],
+    "friction 50 % higher": ["plant.Fc=0.027", "plant.Fs=0.033"],
+    "torque constant 5 % lower": ["plant.Kt=0.0573"],
+}
+"""What the plant has and the estimators do not know, in the link sweep."""
+READINGS = {
+    "RAREKF": {}, "AREKF (α = 1)": {"rule": "arekf"}, "α as printed, Eq. (23)": {"alpha": "printed"},
+    "memory as printed, Eq. (20)": {"memory": "printed"}, "adjusted covariance, Eqs. (14), (19)": {"covariance": "adjusted"},
+}  # fmt: skip
+"""How the paper's equations may be read."""
+FEW = 5
+"""Test seeds for what hardly differs between seeds: noise against delay, model error."""
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@dataclass(frozen=True)
+class Results:
+    """Of one scenario: errors of every estimator on the test seeds, tuned ones, bounds."""
+
+    limits: Limits
+    tuned: dict[str, Tuned]
+
+    def default(self, name: str) -> np.ndarray:
+        """RMS errors of the default settings, shape (seeds,) [N·m]."""
+        return next(e.rms for e in self.limits.estimators if e.name == name)
+
+    def best(self, name: str) -> np.ndarray:
+        """RMS errors of the tuned settings, or of the defaults where a filter was not tuned."""
+        return self.tuned[name].test_tuned[0] if name in self.tuned else self.default(name)
+
+
+def ratio(values: np.ndarray, others: np.ndarray) -> str:
+    """Mean ratio with its 95 % interval, paired over seeds."""
+    if not (np.isfinite(values).all() and np.all(values < 1e5)):
+        return "diverged"
+    i = Interval.of(values / others)
+    return f"{i.mean:.2f} [{i.low:.2f}, {i.high:.2f}]" if np.isfinite(i.low) else f"{i.mean:.2f}"
+
+
+def rms(values: np.ndarray) -> str:
+    """Mean RMS with its 95 % half-width [N·m]."""
+    i = Interval.of(values)
+    half = f" ± {i.high - i.mean:.4f}" if np.isfinite(i.high) else ""
+    return number(i.mean, 4) + (half if i.mean < 1e5 else "")
+
+
+def error_table(results: Results) -> str:
+    """RMS error by default and tuned, against RAREKF and against the bound; the smallest tuned error first."""
+    rows = []
+    by_error = sorted(results.limits.estimators, key=lambda e: float(np.nan_to_num(results.best(e.name), nan=9).mean()))
+    for e in by_error:
+        default, best = results.default(e.name), results.best(e.name)
+        rows.append(
+            (
+                e.name if e.causal else f"{e.name} (not causal)", rms(default),
+                rms(best) if e.name in results.tuned and results.tuned[e.name].values else "–",
+                ratio(default, results.default("RAREKF")), ratio(best, results.best("RAREKF")),
+                number(results.limits.ratio(e.name), 2),
+            )
+        )  # fmt: skip
+    heads = (
+        "estimator", "RMS, default [N·m]", "tuned", "/ RAREKF, default", "/ RAREKF, both tuned", "default / bound",
+    )  # fmt: skip
+    return markdown(heads, rows)
+
+
+def claim_table(every: dict[str, Results], together: Sequence[Tuned]) -> str:
+    """The best causal baseline of each scenario against RAREKF."""
+    rows = []
+    common = next(one for one in together if one.name == "RAREKF").test_tuned
+    for name, results in every.items():
+        causal = [
+            e.name for e in results.limits.estimators if e.causal and e.name not in ("EKF", "AREKF", "RAREKF", "REKF")
+        ]
+        default = min(causal, key=lambda n: results.default(n).mean())
+        best = min(causal, key=lambda n: results.best(n).mean())
+        simple = [n for n in causal if n not in SIMULATING]
+        without = min(simple, key=lambda n: results.best(n).mean())
+        rows.append(
+            (
+                name, f"{default}: {ratio(results.default(default), results.default('RAREKF'))}",
+                f"{default}: {ratio(results.default(default), common[len(rows)])}",
+                f"{default}: {ratio(results.default(default), results.best('RAREKF'))}",
+                f"{best}: {ratio(results.best(best), results.best('RAREKF'))}",
+                f"{without}: {ratio(results.best(without), results.best('RAREKF'))}",
+            )
+        )  # fmt: skip
+    heads = (
+        "scenario", "best default / RAREKF", "/ RAREKF tuned for all three", "/ RAREKF tuned for this one",
+        "best tuned / RAREKF tuned for this one", "likewise, without the joint's dynamics",
+    )  # fmt: skip
+    return markdown(heads, rows)
+
+
+def consistency_table(every: dict[str, Results]) -> str:
+    """NIS with its verdict, NEES and how often it is inside, whiteness; default settings."""
+    rows = []
+    names = [e.name for e in next(iter(every.values())).limits.estimators if e.nees is not None]
+    for name in names:
+        row = [name]
+        for results in every.values():
+            e = next(e for e in results.limits.estimators if e.name == name)
+            row.append("–" if e.nis is None else f"{e.nis.value:.2f}")
+            row.append(f"{e.nees.value:.2f}")
+            row.append(f"{100 * e.nees_share:.0f}")
+            row.append("–" if e.outside is None else f"{100 * e.outside:.0f}")
+        rows.append(row)
+    heads = ["estimator"]
+    for name in every:
+        heads += [f"{name}: NIS", "NEES", "inside [%]", "ρ outside [%]"]
+    first = next(iter(every.values())).limits
+    low, high = first.estimators[0].nees.low, first.estimators[0].nees.high
+    note = (
+        f"\n\n95 % intervals: NIS within 1 ± 0.01 to 0.02 (all samples); NEES {low:.2f} to {high:.2f} (one error of each of "
+        f"{len(first.seeds)} runs); *inside* and *ρ outside* should be 95 and 5."
+    )
+    return markdown(heads, rows) + note
+
+
+def knobs_table(every: dict[str, Results]) -> str:
+    """What tuning chose for each filter in each scenario, and how much it took off the error."""
+    rows = []
+    for name in next(iter(every.values())).tuned:
+        row = [name]
+        for results in every.values():
+            one = results.tuned[name]
+            knobs = ", ".join(
+                f"{k.split('.')[-1]} {v:.2g}" + ("!" if k in one.at_bound else "") for k, v in one.values.items()
+            )
+            change = 100 * (one.test_tuned.mean() / one.test_default.mean() - 1)
+            row.append(f"{knobs} ({change:+.0f} %)" if knobs else "–")
+        if any(cell != "–" for cell in row[1:]):
+            rows.append(row)
+    return markdown(["filter", *every], rows)
+
+
+def together_table(found: Sequence[Tuned]) -> str:
+    """One setting for all scenarios, on the test seeds."""
+    rows = []
+    reference = next(one for one in found if one.name == "RAREKF").test_tuned
+    for one in sorted(found, key=lambda one: tuning.score(one.test_tuned)):
+        knobs = ", ".join(f"{k.split('.')[-1]} {v:.2g}" for k, v in one.values.items()) or "–"
+        cells = [rms(row) for row in one.test_tuned]
+        means = np.sqrt(
+            np.prod([a.mean() / b.mean() for a, b in zip(one.test_tuned, reference, strict=True)]) ** (2 / 3)
+        )
+        rows.append((one.name, *cells, f"{means:.2f}", knobs))
+    return markdown(("filter", *(f"{s} [N·m]" for s in SCENARIOS), "/ RAREKF, geometric mean", "knobs"), rows)
+
+
+def cost_table(chosen: Sequence[Contender], run: Run) -> str:
+    """Time of one update, core time, median of five."""
+    rows = []
+    for contender in chosen:
+        contender.estimate(run)
+        times = []
+        for _ in range(5):
+            began = time.process_time()
+            contender.estimate(run)
+            times.append(time.process_time() - began)
+        rows.append((contender.name, f"{1e6 * np.median(times) / len(run.time):.2f}"))
+    rows.sort(key=lambda row: float(row[1]))
+    return markdown(("estimator", "µs per update"), rows)
+
+
+def mistake_table(chosen: Sequence[Contender], seeds: Sequence[int], threads: int) -> str:
+    """RMS error in the link sweep where the plant is not what the estimators know."""
+    columns = []
+    for changes in MISTAKES.values():
+        scenario, folder = load_scenario("link_sweep", [*changes, "known_joint=test-joint"])
+        runs = [[offline.run_alone(scenario, folder, seed) for seed in seeds]]
+        columns.append({c.name: tuning.errors(c, runs, threads)[0] for c in chosen})
+    order = sorted(chosen, key=lambda c: columns[0][c.name].mean())
+    rows = [(c.name, *(f"{column[c.name].mean():.3f}" for column in columns)) for c in order]
+    return markdown(("estimator", *(f"{name} [N·m]" for name in MISTAKES)), rows)
+
+
+def readings_table(every: dict[str, list[Run]]) -> str:
+    """RMS error of the paper's filter by the reading of its equations."""
+    (base,) = contenders(["RAREKF"])
+    rows = []
+    for label, changes in READINGS.items():
+        settings = replace(base.settings, **changes)
+        cells = [rms(tuning.errors(Contender(label, settings, ()), [runs])[0]) for runs in every.values()]
+        rows.append((label, *cells))
+    return markdown(("reading", *(f"{name} [N·m]" for name in every)), rows)
+
+
+def walk_table(chosen: Sequence[Contender], seeds: Sequence[int]) -> tuple[str, Limits]:
+    """Error in units of the bound on draws of the bound's own external torque: nothing causal may be below 1."""
+    scenario, folder = load_scenario("external_push", ["duration=12"])
+    found = limits.assess(limits.matched(scenario, 1.0), folder, seeds, chosen, 1.0)
+    rows = [
+        (e.name if e.causal else f"{e.name} (not causal)", rms(e.rms), number(found.ratio(e.name), 2))
+        for e in sorted(found.estimators, key=lambda e: e.mean_rms)
+    ]
+    head = (
+        f"12 s of the link sweep, external torque a random walk of 1 N·m/√s, {len(seeds)} draws. Bound "
+        f"{found.bound_rms:.4f} N·m; of the paper's model {found.torsion_bound_rms:.4f} N·m.\n\n"
+    )
+    return head + markdown(("estimator", "RMS [N·m]", "/ bound"), rows), found
+
+
+def fill(page: Path, tables: dict[str, str]) -> None:
+    """Put each table between its markers."""
+    text = page.read_text(encoding="utf-8")
+    for name, table in tables.items():
+        begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
+        if begin not in text or end not in text:
+            raise SystemExit(f"{page}: expected the markers {begin} and {end}")
+        pattern = re.escape(begin) + ".*?" + re.escape(end)
+        text = re.sub(pattern, lambda _, t=f"{begin}\n{table}\n{end}": t, text, flags=re.DOTALL)
+    with write_into_place(page) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def main() -> None:
+    """Run everything and write the page's tables and figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=20, help="test seeds, from 101 on")
+    parser.add_argument("--train", type=int, default=5, help="training seeds, from 1 on")
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument(
+        "--quick", action="store_true", help="leave the filters that simulate the joint at their defaults"
+    )
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "figures", help="folder of the figures")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
+    asked = parser.parse_args()
+    seeds = range(101, 101 + asked.seeds)
+    few = seeds[:FEW]
+    chosen = contenders()
+    began = time.perf_counter()
+
+    def say(what: str) -> None:
+        print(f"{time.perf_counter() - began:7.0f} s  {what}", flush=True)
+
+    every, runs, fronts = {}, {}, []
+    train_runs: dict[str, list[Run]] = {}
+    to_tune = [c for c in chosen if not (asked.quick and c.name in SIMULATING)]
+    for name in SCENARIOS:
+        scenario, folder = load_scenario(name)
+        train_runs[name] = tuning.simulated([(scenario, folder)], range(1, 1 + asked.train))[0]
+        runs[name] = tuning.simulated([(scenario, folder)], seeds)[0]
+        say(f"{name}: bounds and consistency")
+        found = limits.assess(scenario, folder, seeds, chosen)
+        save_figure(limits_figure(found), asked.out / f"estimators_{name}.png")
+        tuned = {}
+        for contender in to_tune:
+            say(f"{name}: tuning {contender.name}")
+            tuned[contender.name] = tuning.tune(contender, [train_runs[name]], [runs[name]], threads=asked.threads)
+        every[name] = Results(found, tuned)
+    for contender in chosen:
+        say(f"noise against delay: {contender.name}")
+        tuned = every["external_push"].tuned.get(contender.name)
+        fronts.append(
+            tuning.pareto(contender, runs["external_push"][:FEW], tuned.tuned if tuned else None, threads=asked.threads)
+        )
+    save_figure(pareto_figure(fronts, "external_push", len(few)), asked.out / "estimators_pareto.png")
+    together = []
+    for contender in to_tune:
+        say(f"one setting for all: {contender.name}")
+        together.append(tuning.tune(contender, list(train_runs.values()), list(runs.values()), threads=asked.threads))
+    if asked.quick:
+        together += [_untuned(c, list(runs.values()), asked.threads) for c in chosen if c.name in SIMULATING]
+    say("model error, readings, the bound's own model, cost")
+    walk, _ = walk_table(chosen, seeds)
+    tables = {
+        "about": about(asked, len(seeds)),
+        "claim": claim_table(every, together),
+        **{f"errors {name}": error_table(results) for name, results in every.items()},
+        "consistency": consistency_table(every),
+        "knobs": knobs_table(every),
+        "together": together_table(together),
+        "mistakes": mistake_table(chosen, few, asked.threads),
+        "readings": readings_table(runs),
+        "walk": walk,
+        "bounds": bounds_table(every),
+        "cost": cost_table(chosen, runs["link_sweep"][0]),
+    }
+    fill(asked.page, tables)
+    say(f"{asked.page}")
+
+
+def _untuned(contender: Contender, runs: Sequence[Sequence[Run]], threads: int) -> Tuned:
+    found = tuning.errors(contender, runs, threads)
+    return Tuned(contender, contender, {}, (np.nan, np.nan), 0, found, found, ())
+
+
+def bounds_table(every: dict[str, Results]) -> str:
+    """The bounds of each scenario."""
+    rows = [
+        (
+            name, f"{r.limits.fitted:.3g}", f"{r.limits.intensity:.3g}", f"{r.limits.bound_rms:.4f}",
+            f"{r.limits.torsion_intensity:.3g}", f"{r.limits.torsion_bound_rms:.4f}",
+        )
+        for name, r in every.items()
+    ]  # fmt: skip
+    heads = (
+        "scenario", "fitted intensity [N·m/√s]", "stated", "bound [N·m]", "joint torque's intensity",
+        "bound, paper's model [N·m]",
+    )  # fmt: skip
+    return markdown(heads, rows)
+
+
+def about(asked: argparse.Namespace, seeds: int) -> str:
+    """How the page's numbers were made."""
+    quick = " --quick" if asked.quick else ""
+    command = f"python -m benchmarks.estimators --seeds {seeds} --train {asked.train}{quick}"
+    left = ""
+    if asked.quick:
+        left = " The filters that simulate the joint (`dynamics_*`, `rts_smoother`) were left at their defaults."
+    return (
+        f"Everything below is printed by `{command}`: {seeds} test seeds (101 to {100 + seeds}), tuning on seeds 1 to "
+        f"{asked.train}.{left} Intervals are 95 %, Student's t over seeds; ratios are paired over seeds. Noise against delay and "
+        f"model error: {min(seeds, FEW)} seeds."
+    )
+
+
+if __name__ == "__main__":
+    main()
