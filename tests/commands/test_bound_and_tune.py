@@ -58,6 +58,13 @@ def test_bound(flexspline, tmp_path):
     assert (tmp_path / "external_push" / "limits.png").stat().st_size > 10000
 
 
+def test_bound_on_draws_of_its_own_model(flexspline):
+    code, out, _ = flexspline(
+        "bound", "link_sweep", "--walk", "--intensity", 0.5, "--seeds", 1, "--filter", "EKF", "--set", "duration=3"
+    )
+    assert code == 0 and "0.5 N·m/√s" in out and "EKF" in out
+
+
 def test_tune(flexspline, tmp_path):
     code, out, _ = flexspline(
         "tune", "external_push", "--filter", "EKF", "--filter", "lowpass", "--train", "1-2", "--test", "11-12",
