@@ -74,4 +74,9 @@ def command(
 
             save_sweep_figures(summaries, asked, out / "figures")
     terminal.print(sweep_table(summaries, asked, asked.metrics[0]))
+    failed = sum(s.failed for s in summaries)
+    if failed:
+        terminal.print(
+            f"{failed} estimates have no measures; `failure` in the rows says why, summary.md where", style="red"
+        )
     terminal.print(f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}", highlight=False)

@@ -82,8 +82,8 @@ def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences
     what = f"difference to {study.compared_to}, paired over seeds" if differences else column.meaning
     runs = sorted({s.runs for s in summaries})
     caption = textwrap.fill(
-        f"{column.heading}: {what}; means over {'–'.join(map(str, dict.fromkeys((runs[0], runs[-1]))))} seeds with 95 % "
-        "intervals (Student's t).",
+        f"{study.name}, {summaries[0].scenario}. {column.heading}: {what}; means over "
+        f"{'–'.join(map(str, dict.fromkeys((runs[0], runs[-1]))))} seeds with 95 % intervals (Student's t).",
         118,
     )
     figure = Figure(figsize=(WIDTH, _HEIGHT * rows + 1.15), layout="constrained")
@@ -122,8 +122,10 @@ def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences
         axes.set_xticks(range(len(places)), ticks, rotation=35 if sum(map(len, ticks)) > _CHARACTERS / columns else 0)
     for axes in grid[len(panels) :]:
         axes.set_visible(False)
-    means = np.abs([one.mean for one in shown])
-    if not differences and means.min() > 0 and means.max() / means.min() > _LOGARITHMIC:
+    means = column.scale * np.abs([one.mean for one in shown])
+    if differences and means.max() > _LOGARITHMIC * (usual := np.median(means)) > 0:
+        grid[0].set_yscale("symlog", linthresh=usual)
+    elif not differences and means.min() > 0 and means.max() / means.min() > _LOGARITHMIC:
         grid[0].set_yscale("log")
     for i, axes in enumerate(grid[: len(panels)]):
         if i % columns == 0:
@@ -135,8 +137,7 @@ def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences
         (h for axes in grid if len((h := axes.get_legend_handles_labels())[0]) == len(names)),
         grid[0].get_legend_handles_labels(),
     )
-    figure.legend(handles, labels, loc="outside upper right", ncols=min(len(names), 8))
-    figure.suptitle(f"{study.name}: {summaries[0].scenario}", x=0.01, ha="left", fontsize=10.5)
+    figure.legend(handles, labels, loc="outside upper left", ncols=min(len(names), 8))
     figure.supxlabel(caption, fontsize=8, x=0.01, ha="left", color="#444A52")
     return figure
 

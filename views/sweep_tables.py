@@ -27,11 +27,14 @@ def metric_column(metric: str) -> Column:
 
 
 def with_interval(value: Interval, scale: float = 1.0) -> str:
-    """`0.1452 ± 0.0003`: two digits of the interval where the first is 1, one else; `–` where there is no mean."""
+    """`0.1452 ± 0.0003`: two digits of the interval where the first is 1, one else; `–` where there is no mean.
+
+    An interval below the fourth digit of the mean is left out.
+    """
     if not math.isfinite(value.mean):
         return "–"
     mean, half = scale * value.mean, scale * value.half
-    if not math.isfinite(half) or half <= 1e-9 * abs(mean):
+    if not math.isfinite(half) or half <= 5e-4 * abs(mean):
         return f"{mean:.4g}"
     decimals = -math.floor(math.log10(half))
     if round(half * 10**decimals) == 1:
@@ -64,15 +67,15 @@ def sweep_table(summaries: Sequence[Summary], study: Study, metric: str) -> Tabl
     against = study.compared_to
     table = Table(
         title=f"{study.name}: {column.title}, {column.meaning}",
-        caption=f"mean ± 95 % interval over seeds (Student's t); {BETTER} below, {WORSE} above {against}: paired over seeds, "
-        "95 %",
+        caption=f"mean ± 95 % interval over seeds (Student's t), no ± where it is below the digits shown; {BETTER} below, "
+        f"{WORSE} above {against}: paired over seeds, 95 %",
     )
     axes = list(summaries[0].columns)
     colors = filter_colors(study.names)
     for heading in ("scenario", *axes):
         table.add_column(heading, justify="left" if heading in ("scenario", "cause") else "right", no_wrap=True)
     for name in study.names:
-        table.add_column(Text(name, style=colors[name]), justify="right")
+        table.add_column(Text(name, style=colors[name]), justify="right", overflow="fold")
     before = None
     for scenario, columns, of in sweep_rows(summaries):
         if before not in (None, scenario):
@@ -92,7 +95,8 @@ def sweep_markdown(summaries: Sequence[Summary], study: Study) -> str:
         "",
         study.description,
         "",
-        f"Means over {'–'.join(str(n) for n in dict.fromkeys((runs[0], runs[-1])))} seeds with 95 % intervals (Student's t). "
+        f"Means over {'–'.join(str(n) for n in dict.fromkeys((runs[0], runs[-1])))} seeds with 95 % intervals (Student's t), "
+        "no ± where it is below the digits shown. "
         f"{BETTER} lower, {WORSE} higher than {study.compared_to}: the 95 % interval of the difference, paired over seeds, "
         "leaves out zero. `summary.csv` has the differences.",
         "",

@@ -127,7 +127,7 @@ class Study(Strict):
     seeds: Seeds | Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)]
     scenarios: Annotated[list[ScenarioChoice], Field(min_length=1)]
     set: Annotated[dict[str, Value | bool], Field(description="changes to dotted keys of every scenario")] = {}
-    axes: Annotated[list[AnyAxis], Field(max_length=4)] = []
+    axes: Annotated[list[AnyAxis], Field(max_length=6)] = []
     filters: Annotated[list[FilterChoice], Field(min_length=1)] = PAPER_FILTERS
     estimators: Annotated[list[str], Field(description="names of estimator.baselines")] = []
     metrics: Annotated[list[Literal[METRICS]], Field(min_length=1)] = list(METRICS)  # type: ignore[valid-type]

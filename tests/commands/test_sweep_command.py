@@ -103,4 +103,5 @@ def test_numbers_have_the_digits_of_their_intervals():
     assert with_interval(Interval(0.05, 0.04, 0.06, 9), 100) == "5.0 ± 1.0"
     assert with_interval(Interval(0.25, 0.25, 0.25, 9)) == "0.25"
     assert with_interval(Interval(float("nan"), float("nan"), float("nan"), 0)) == "–"
+    assert with_interval(Interval(0.0, 0.0, 0.0, 9)) == "0"
     assert BETTER != WORSE
