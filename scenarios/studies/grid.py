@@ -101,29 +101,41 @@ class Plan:
         return replace(plan, digest=plan._check())
 
     def _check(self) -> str:
-        """Build every cell's plant; the digest of all that rows depend on."""
-        seen = {}
+        """Build the plant at every value of every axis, the others at their first; the digest of all that rows depend on."""
+        seen = set()
         for cell in self.cells:
+            if not self._near_first(cell):
+                continue
             experiment = self.experiment(cell)
+            where = f"study {self.study.name}: scenario {cell.scenario}"
             feedback = experiment.scenario.feedback
             if feedback not in ("none", "sensor") and self.study.filter_axes:
                 raise InputError(
-                    f"study {self.study.name}: scenario {cell.scenario}: feedback: expected none or sensor where an axis "
-                    f"varies filters, which would act on the plant, got {feedback!r}"
+                    f"{where}: feedback: expected none or sensor where an axis varies filters, which would act on the plant, "
+                    f"got {feedback!r}"
                 )
-            cause = cell.columns.get("cause", "none")
-            if cause != "none" and not causes.get(cause).concerns(experiment.joint):
-                raise InputError(
-                    f"study {self.study.name}: cause {cause}: joint {experiment.joint.name} has no room for it"
-                )
+            for axis in self.study.axes:
+                for cause in axis.causes if isinstance(axis, CauseAxis) else ():
+                    if not causes.get(cause).concerns(experiment.joint):
+                        raise InputError(f"{where}: cause {cause}: joint {experiment.joint.name} leaves no room for it")
             experiment.build()
             for joint in (experiment.joint, experiment.known):
-                seen[hashlib.sha256(joint.mjcf.read_bytes()).hexdigest()] = 0
-                seen[hashlib.sha256(joint.model_dump_json().encode()).hexdigest()] = 0
+                seen.add(hashlib.sha256(joint.mjcf.read_bytes()).hexdigest())
+                seen.add(hashlib.sha256(joint.model_dump_json().encode()).hexdigest())
         asked = self.study.model_dump(mode="json", exclude={"seeds", "description", "reference"})
         data = {name: data for name, (data, _) in self.scenarios.items()}
         text = json.dumps([asked, data, sorted(seen)], sort_keys=True, ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()
+
+    def _near_first(self, cell: Cell) -> bool:
+        """Whether a cell is off the first point of at most one axis, and has the first of the causes."""
+        away = 0
+        for axis in self.study.plant_axes:
+            off = any(cell.columns[name] != value for name, value in points(axis)[0].items())
+            if off and isinstance(axis, CauseAxis):
+                return False
+            away += off
+        return away <= 1
 
     @cached_property
     def cells(self) -> list[Cell]:
