@@ -116,7 +116,7 @@ def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences
         if differences:
             axes.axhline(0, color=colors[study.compared_to], lw=1.0)
         axes.set_title(
-            ", ".join(v if isinstance(v, str) else f"{titles.get(k, k)}: {v:g}" for k, v in panel.items()), fontsize=8.5
+            "\n".join(v if isinstance(v, str) else f"{titles.get(k, k)}: {v:g}" for k, v in panel.items()), fontsize=8.5
         )
         ticks = [_tick(v) for v in places]
         axes.set_xticks(range(len(places)), ticks, rotation=35 if sum(map(len, ticks)) > _CHARACTERS / columns else 0)

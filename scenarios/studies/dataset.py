@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,11 @@ import pyarrow.parquet as pq
 from ...models.errors import InputError
 from ...models.files import write_into_place
 from .grid import Plan
+
+try:
+    import fcntl
+except ImportError:  # no such locks on Windows
+    fcntl = None
 
 _PART = re.compile(r"^runs-(\d+)-(\d+)\.parquet$")
 
@@ -78,6 +84,21 @@ class Dataset:
             text = {"format": 1, "digest": plan.digest, "versions": versions, "seeds": seeds, "study": study}
             temporary.write_text(json.dumps(text, indent=1, ensure_ascii=False), encoding="utf-8")
         return cls(folder, plan)
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Hold the folder: two sweeps at once would compute the same rows twice. A process that ends lets go by itself.
+
+        Raises:
+          InputError: another process holds it.
+        """
+        with (self.folder / "lock").open("w") as file:
+            try:
+                if fcntl is not None:
+                    fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except OSError as error:
+                raise InputError(f"{self.folder}: expected no other sweep at work there, found one") from error
+            yield
 
     def home(self, cell: int) -> Path:
         """Folder of a cell's rows."""

@@ -206,8 +206,13 @@ def sweep(
       progress: called with the number of runs that have just been written.
 
     Raises:
-      InputError: no such scheduler; workers with other versions.
+      InputError: no such scheduler; workers with other versions; another sweep at work in the folder.
     """
+    with dataset.alone():
+        _sweep(plan, dataset, jobs, chunk, scheduler, progress)
+
+
+def _sweep(plan, dataset, jobs, chunk, scheduler, progress) -> None:
     chunks = dataset.missing(chunk or chunk_size(plan, jobs))
     if scheduler is None:
         done = on_threads(plan, chunks, jobs)

@@ -118,6 +118,12 @@ def test_another_version_and_another_folder_are_refused(done, tmp_path):
         Dataset.open(tmp_path, done.plan, versions())
 
 
+def test_two_sweeps_into_one_folder_at_once_are_refused(done):
+    with done.alone(), pytest.raises(InputError, match="no other sweep"):
+        sweep(done.plan, Dataset.open(done.folder, done.plan, versions()))
+    sweep(done.plan, done)
+
+
 def test_points_of_an_axis_see_the_same_noise(tmp_path):
     """An axis that reaches no estimator (the wrench's noise): the same measures to the bit at all its points."""
     axis = {"kind": "set", "name": "force_noise", "key": "sensors.wrench.force_noise", "values": [0.1, 5.0]}
