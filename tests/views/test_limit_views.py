@@ -1,0 +1,73 @@
+"""Tables and figures of limits and tuning: they say what the numbers say."""
+
+from __future__ import annotations
+
+import matplotlib.image
+import numpy as np
+import pytest
+from flexspline.estimator.consistency import Mean
+from flexspline.scenarios.limits import Assessment, Limits
+from flexspline.scenarios.offline import contenders
+from flexspline.scenarios.tuning import Front, Tuned
+from flexspline.views import limit_figures, limit_tables
+
+
+@pytest.fixture
+def limits() -> Limits:
+    time = 0.05 + 0.1 * np.arange(40)
+    mean = Mean(0.5, 0.9, 1.1, 100)
+    return Limits(
+        "external_push", np.arange(1, 4), time, 1.0, 1.3, 1.3, np.full(40, 0.01), 0.01, 0.7, np.full(40, 0.02), 0.02, 0.02,
+        (
+            Assessment("RAREKF", True, np.array([0.05, 0.06, 0.055]), np.full(40, 0.055), mean, mean, np.ones(40), 0.9,
+                       np.linspace(0.3, 0, 50), 0.4, 0.01),
+            Assessment("rts_smoother", False, np.full(3, 0.008), np.full(40, 0.008)),
+            Assessment("lost", True, np.full(3, np.nan), np.zeros(0)),
+        ),
+    )  # fmt: skip
+
+
+def test_rows(limits):
+    rows = {row[0]: row for row in limit_tables.limit_rows(limits)}
+    assert list(rows) == ["rts_smoother (not causal)", "RAREKF", "lost"]  # the smallest error first, none last
+    assert rows["RAREKF"][1:5] == ("0.0552", "5.52", "0.50", "0.90–1.10")
+    assert rows["rts_smoother (not causal)"][3] == "–"
+    assert rows["lost"][1] == "diverged"
+
+
+def test_tuned_rows():
+    (ekf,) = contenders(["EKF"])
+    one = Tuned(
+        ekf,
+        ekf.turned({"W": 1e-8}),
+        {"W": 1e-8},
+        (0.1, 0.05),
+        9,
+        np.array([[0.1, 0.12]]),
+        np.array([[0.06, 0.06]]),
+        ("W",),
+    )
+    (row,) = limit_tables.tuned_rows([one])
+    assert row[0] == "EKF" and row[1:3] == ("0.1000", "0.0500") and row[4] == "0.0600"
+    assert row[5].startswith("-0.0500 [") and row[6] == "W 1e-08!"
+    assert limit_tables.markdown(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |"
+
+
+def test_limits_figure(limits, tmp_path):
+    figure = limit_figures.limits_figure(limits)
+    top, nis, nees, whiteness = figure.axes
+    labels = [line.get_label() for line in top.lines]
+    assert {"RAREKF", "rts_smoother", "bound, joint's dynamics"} <= set(labels) and "lost" not in labels
+    assert top.get_yscale() == "log" and [t.get_text() for t in nis.get_yticklabels()] == ["RAREKF"]
+    assert len(nees.lines) == 3 and len(whiteness.lines) == 1
+    path = limit_figures.save_figure(figure, tmp_path / "limits.png")
+    assert np.ptp(matplotlib.image.imread(path)) > 0.5
+
+
+def test_pareto_figure():
+    front = Front("RAREKF", np.array([[-0.4, 0.05], [0.5, 0.03], [8.0, 0.01]]), ({}, {}, {}), (2.0, 0.03), (1.0, 0.02))
+    alone = Front("compliance_model", np.array([[0.3, 0.04]]), ({},), (0.3, 0.04))
+    figure = limit_figures.pareto_figure([front, alone], "external_push", 5)
+    curve = figure.axes[0].lines[0]
+    assert list(curve.get_xdata()) == [0.1, 0.5, 8.0]  # what is early is drawn at the axis' end
+    assert {line.get_label() for line in figure.axes[0].lines} >= {"RAREKF", "compliance_model"}
