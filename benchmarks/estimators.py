@@ -140,9 +140,10 @@ def consistency_table(every: dict[str, Results]) -> str:
         heads += [f"{name}: NIS", "NEES", "inside [%]", "ρ outside [%]"]
     first = next(iter(every.values())).limits
     low, high = first.estimators[0].nees.low, first.estimators[0].nees.high
+    widest = max(e.nis.high - 1 for r in every.values() for e in r.limits.estimators if e.nis is not None)
     note = (
-        f"\n\n95 % intervals: NIS within 1 ± 0.01 to 0.02 (all samples); NEES {low:.2f} to {high:.2f} (one error of each of "
-        f"{len(first.seeds)} runs); *inside* and *ρ outside* should be 95 and 5."
+        f"\n\n95 % intervals: NIS within 1 ± {widest:.3f} or less (all samples); NEES {low:.2f} to {high:.2f} (one error of "
+        f"each of {len(first.seeds)} runs); *inside* and *ρ outside* should be 95 and 5."
     )
     return markdown(heads, rows) + note
 
