@@ -25,8 +25,6 @@ from flexspline.views.limit_figures import limits_figure, pareto_figure, save_fi
 from flexspline.views.limit_tables import markdown, number
 
 SCENARIOS = ("no_load", "link_sweep", "external_push")
-SIMULATING = ("dynamics_ekf", "dynamics_ekf_calibrating", "dynamics_ukf", "rts_smoother")
-"""Estimators that simulate the joint: worth tuning only where there is time."""
 MISTAKES = {
     "flexspline 10 % softer": ["plant.K1=7560", "plant.K2=8460", "plant.K3=11700"],
     "friction 50 % higher": ["plant.Fc=0.027", "plant.Fs=0.033"],
@@ -104,7 +102,7 @@ def claim_table(every: dict[str, Results], together: Sequence[Tuned]) -> str:
         ]
         default = min(causal, key=lambda n: results.default(n).mean())
         best = min(causal, key=lambda n: results.best(n).mean())
-        simple = [n for n in causal if n not in SIMULATING]
+        simple = [c.name for c in contenders(causal) if not c.costly]
         without = min(simple, key=lambda n: results.best(n).mean())
         rows.append(
             (
@@ -267,7 +265,7 @@ def main() -> None:
 
     every, runs, fronts = {}, {}, []
     train_runs: dict[str, list[Run]] = {}
-    to_tune = [c for c in chosen if not (asked.quick and c.name in SIMULATING)]
+    to_tune = [c for c in chosen if not (asked.quick and c.costly)]
     for name in SCENARIOS:
         scenario, folder = load_scenario(name)
         train_runs[name] = tuning.simulated([(scenario, folder)], range(1, 1 + asked.train))[0]
@@ -292,7 +290,7 @@ def main() -> None:
         say(f"one setting for all: {contender.name}")
         together.append(tuning.tune(contender, list(train_runs.values()), list(runs.values()), threads=asked.threads))
     if asked.quick:
-        together += [_untuned(c, list(runs.values()), asked.threads) for c in chosen if c.name in SIMULATING]
+        together += [_untuned(c, list(runs.values()), asked.threads) for c in chosen if c.costly]
     say("model error, readings, the bound's own model, cost")
     walk, _ = walk_table(chosen, seeds)
     tables = {

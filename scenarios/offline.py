@@ -79,6 +79,11 @@ class Contender:
         """Whether an estimate uses nothing later."""
         return self.is_paper or self.settings.causal
 
+    @property
+    def costly(self) -> bool:
+        """Whether it simulates the joint: an update then takes a hundred times as long."""
+        return not self.is_paper and self.settings.costly
+
     def value(self, knob: Knob) -> float:
         """Where a knob stands."""
         return float(value_of(self.settings, knob.field))

@@ -34,7 +34,6 @@ EVALUATIONS = 300
 """Settings that are tried of a filter whose update takes less than a microsecond; a tenth of it of one that takes ten."""
 _SCAN = 7  # values of the first knob before the search
 _STEP = 0.08  # of a knob's range: the first simplex
-_COSTLY = ("dynamics_ekf", "dynamics_ekf_calibrating", "dynamics_ukf", "rts_smoother")
 _FAILED = 1e6  # N·m
 
 
@@ -106,7 +105,7 @@ def errors(contender: Contender, runs: Sequence[Sequence[Run]], threads: int = 1
     def one(run: Run) -> float:
         try:
             return rms_error(contender.estimate(run).torque, run)
-        except (FilterDiverged, InputError):
+        except FilterDiverged:
             return _FAILED
 
     flat = [run for several in runs for run in several]
@@ -136,7 +135,7 @@ def tune(
         threads: runs at a time; the result does not depend on it.
     """
     knobs = contender.knobs
-    budget = max(evaluations // 10, 2 * len(knobs) + 2) if contender.name in _COSTLY else evaluations
+    budget = max(evaluations // 10, 2 * len(knobs) + 2) if contender.costly else evaluations
     tried: dict[tuple[float, ...], float] = {}
 
     def cost(place: np.ndarray) -> float:
@@ -153,7 +152,7 @@ def tune(
     if knobs:
         start = np.array([k.to_unit(contender.value(k)) for k in knobs])
         cost(start)
-        if contender.name not in _COSTLY:
+        if not contender.costly:
             for u in np.linspace(0.0, 1.0, _SCAN):
                 cost(np.r_[u, start[1:]])
         # The simplex may collapse early: begin again from the best, until that gives nothing.
@@ -209,7 +208,7 @@ def noise_and_delay(contender: Contender, runs: Sequence[Run], threads: int = 1)
     def one(run: Run) -> tuple[float, float]:
         try:
             estimate = contender.estimate(run).torque
-        except (FilterDiverged, InputError):
+        except FilterDiverged:
             return math.nan, math.nan
         truth, dt = run.truth("joint_torque"), CONTROL_PERIOD
         kept = run.time >= run.scenario.transient
@@ -253,7 +252,7 @@ def pareto(
         count: settings; threads: runs at a time.
     """
     knobs, base = contender.knobs, tuned or contender
-    count = max(count // 16, 4) if contender.name in _COSTLY else count
+    count = max(count // 16, 4) if contender.costly else count
     if not knobs:
         choices = [{}]
     elif len(knobs) == 1:

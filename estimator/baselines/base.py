@@ -74,6 +74,7 @@ class Estimator(ABC):
 
     name: str  # how tables call it; also its key in the registry
     causal: ClassVar[bool] = True  # whether the estimate at a sample uses nothing later
+    costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
     knobs: ClassVar[tuple[Knob, ...]] = ()  # what tuning may turn; first the one that trades noise for delay
 
     @abstractmethod

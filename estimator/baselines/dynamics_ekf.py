@@ -111,6 +111,7 @@ class DynamicsEKF(Estimator):
 
     name: str = "dynamics_ekf"
     process: ProcessNoise = field(default_factory=ProcessNoise)
+    costly: ClassVar[bool] = True
     knobs: ClassVar[tuple[Knob, ...]] = PROCESS_KNOBS
 
     def estimate(self, signals: JointSignals, record: np.ndarray, noise: SensorNoise) -> TorqueEstimate:

@@ -104,6 +104,7 @@ class DynamicsUKF(Estimator):
 
     name: str = "dynamics_ukf"
     process: ProcessNoise = field(default_factory=ProcessNoise)
+    costly: ClassVar[bool] = True
     knobs: ClassVar[tuple[Knob, ...]] = PROCESS_KNOBS
     kappa: float = 1.0
 

@@ -76,6 +76,18 @@ def test_settings_without_a_solution_cost_but_do_not_stop(runs):
     assert tuning.tune(impossible, train, train, 30).train[1] < 1.0
 
 
+@pytest.mark.slow
+def test_the_joints_dynamics_halve_the_error_of_a_tuned_rarekf():
+    """Against one tuning for the three experiments, on a seed that it has not seen."""
+    scenarios = [load_scenario(name) for name in ("no_load", "link_sweep", "external_push")]
+    train, test = tuning.simulated(scenarios, [1]), tuning.simulated(scenarios, [101])
+    rarekf = tuning.tune(contenders(["RAREKF"])[0], train, test, 150)
+    found = [tuning.errors(c, test, threads=2)[:, 0] for c in contenders(["dynamics_ekf", "dynamics_ukf"])]
+    ratios = np.min(found, axis=0) / rarekf.test_tuned[:, 0]
+    print(f"best of EKF and UKF on the joint's dynamics / tuned RAREKF: {ratios}; {rarekf.values}")
+    assert (ratios <= 0.5).all()
+
+
 def test_front_of_noise_against_delay(runs):
     _, test = runs
     (ekf,) = contenders(["EKF"])
