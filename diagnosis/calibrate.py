@@ -221,7 +221,7 @@ def bounds(problem: Problem, model: tuple[Hypothesis, ...]) -> tuple[np.ndarray,
     return low, np.concatenate([common, *(u for _, u in limits)])
 
 
-def _bounded_step(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def bounded_step(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Minimise g·s + s·A·s/2 within low ≤ s ≤ high: unknowns that leave are held at their bound, the rest answers."""
     step = np.zeros(len(g))
     held = np.zeros(len(g), bool)
@@ -289,6 +289,8 @@ def fit(
     def objective(state, t, limit):
         r = whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0]
         total = robust_loss(r, limit)[0] + prior_cost(problem, t, model)
+        if state[1] is not None:
+            total -= robust_loss(whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0], 2 * HUBER)[0]
         return total if np.isfinite(total) else np.inf
 
     state = evaluate_at(theta)
@@ -309,6 +311,8 @@ def fit(
                     J[..., problem.linear] = known[s][..., problem.linear]
                 jacobian.append(J)
             fresh = True
+            if echo is not None and known is not None:
+                echo = _echo_again(problem, theta, model, state, jacobian, echo)
         else:
             part = problem.jacobian(theta, model, state[0], effects)
             kept = [a[..., : problem.size] for a in (common if jacobian is None else jacobian)]
@@ -319,17 +323,17 @@ def fit(
         limit = _limit(whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0])
         cost = objective(state, theta, limit)
         history.append(cost)
-        H, g, echo_gradient, *_ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
+        H, g, *_ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
         accepted = False
-        for _ in range(4):
+        for _ in range(6):
             A = H + damping * np.diag(np.abs(np.diag(H)))
-            new = theta + _bounded_step(A, g, low - theta, high - theta)
+            new = theta + bounded_step(A, g, low - theta, high - theta)
             trial = evaluate_at(new)
-            c = objective(trial, new, limit) - 2 * echo_gradient @ (new - theta)
+            c = objective(trial, new, limit)
             if c < cost:
                 accepted = True
                 break
-            damping = max(4 * damping, 1e-2)
+            damping = max(5 * damping, 1e-2)
         if not accepted:
             if fresh or not refresh:
                 break
@@ -344,6 +348,19 @@ def fit(
             break
         update = refresh and gain < 0.75 * expected
     return evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian, tuple(history))
+
+
+def _echo_again(problem, theta, model, state, jacobian, echo):
+    """The echo where the fit is now; derivatives that do not depend on where they are taken are kept."""
+    moving = np.setdiff1d(np.arange(problem.size), problem.linear)
+    twin = [a + b for a, b in zip(*state, strict=True)]
+    part = problem.jacobian(theta, model, twin, moving, twin=True)
+    found = []
+    for kept, new, own in zip(echo.jacobian, part, jacobian, strict=True):
+        again = kept.copy()
+        again[..., moving] = new - own[..., moving]
+        found.append(again)
+    return Echo(found)
 
 
 def _twin_jacobian(problem, theta, model, state, jacobian, echo):
@@ -415,3 +432,43 @@ def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, 
     degrees = max(sum(drive.usable.sum() / drive.block for drive in problem.drives) - len(theta), 1.0)
     covariance *= max(loss / degrees, 1.0)
     return Fit(model, theta, state, jacobian, twin_jacobian, covariance, float(log_evidence), loss, tuple(history))
+
+
+CLUSTER = 1.0
+"""Residuals within so many seconds may have to do with each other in ways that the noise model does not know."""
+
+
+def with_dispersion(problem: Problem, noise: Noise, f: Fit) -> Fit:
+    """The fit with a covariance that no noise model has to be right for, where that is the larger one.
+
+    The score's own scatter between stretches of `CLUSTER` seconds takes the place of its expected variance (the
+    sandwich of Huber and White, clustered): what the laws leave over, in time together, then counts as what it is.
+    """
+    jacobian = [np.concatenate([r[..., None], j], -1) for r, j in zip(f.state[0], f.jacobian, strict=True)]
+    score = _scores(whiten(problem.drives, noise, jacobian), HUBER)
+    if f.twin_jacobian is not None:
+        share = [np.concatenate([r[..., None], j], -1) for r, j in zip(f.state[1], f.twin_jacobian, strict=True)]
+        score -= _scores(whiten(problem.drives, noise, share), 2 * HUBER)
+    cluster, count = [], 0
+    for drive in problem.drives:
+        index = count + ((drive.at[:: drive.block] - drive.at[0]) / CLUSTER).astype(int)
+        cluster.append(np.tile(index, 3))
+        count = int(index.max()) + 1
+    total = np.zeros((count, score.shape[1]))
+    np.add.at(total, np.concatenate(cluster), score)
+    total = total[np.any(total, axis=1)]
+    H = normal_equations(problem, noise, f.model, f.theta, f.state, f.jacobian, f.twin_jacobian)[0]
+    prior = np.diag(1 / problem.spread(f.model) ** 2)
+    S, V = H - prior, total.T @ total
+    unbiased = max(len(total) - len(V) - 1, 0.25 * len(total)) / len(total)  # of an inverse Wishart matrix
+    d = 1 / np.sqrt(np.diag(V) + 1e-9 * np.diag(prior))
+    known = S @ (d[:, None] * np.linalg.pinv(V * d[:, None] * d, rcond=1e-9, hermitian=True) * d) @ S
+    covariance = np.linalg.inv(0.5 * unbiased * (known + known.T) + prior)
+    larger = np.sqrt(np.maximum(np.diag(covariance) / np.diag(f.covariance), 1.0))
+    return replace(f, covariance=f.covariance * larger[:, None] * larger)
+
+
+def _scores(stack: np.ndarray, limit: float) -> np.ndarray:
+    """Gradient of half the robust loss, row by row, of a whitened stack of residual and columns."""
+    r, X = stack[:, 0], stack[:, 1:]
+    return (robust_loss(r, limit)[1] * r)[:, None] * X

@@ -10,7 +10,7 @@ import numpy as np
 from ..models import causes
 from ..models.joint import Effect, Estimate, Joint
 from . import identify, unknown
-from .calibrate import Fit, Problem, robust_loss
+from .calibrate import Fit, Problem, robust_loss, with_dispersion
 from .coordinates import hypotheses
 from .evidence import THRESHOLD, Library, Round, Search, level, search
 from .noise import louder
@@ -162,6 +162,7 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
     tried = [h for name in available for h in hypotheses(causes.get(name), record, present.get(name))]
     found = search(problem, tried, _quantum(joint), most)
     first, chosen = found.rounds[0], found.chosen
+    chosen = with_dispersion(problem, found.noise, chosen)
     term = _unknown(problem, found)
     after = chosen
     if term is not None:

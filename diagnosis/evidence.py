@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .calibrate import Echo, Fit, Problem, bounds, echo, evaluate, fit, prior_cost, robust_loss
+from .calibrate import Echo, Fit, Problem, bounded_step, bounds, echo, evaluate, fit, prior_cost, robust_loss
 from .coordinates import Hypothesis
 from .noise import Noise, estimate, first_guess, louder, whiten
 
@@ -99,13 +99,16 @@ def screen(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[Sc
     H, g = XW.T @ X[:, :n] + np.diag(prior), XW.T @ r + prior * at.theta
     low, high = bounds(problem, at.model)
     held = (at.theta <= low + 1e-6) | (at.theta >= high - 1e-6)  # at the end of its tolerance: cannot answer further
-    H[held, held] += 1e15
+    bare, H = H, H + np.diag(np.where(held, 1e15, 0.0))
     C = X[:, n:]
     CW = C * weight[:, None]
     cross = CW.T @ X[:, :n]
     solved = np.linalg.solve(H, cross.T)
     information = CW.T @ C - cross @ solved
     score = -(CW.T @ r) + solved.T @ g
+    # Calibration's own way back from its bounds is no merit of a cause.
+    own = bounded_step(bare, g, low - at.theta, high - at.theta)
+    idle = g @ own + 0.5 * own @ bare @ own
     found: dict[tuple, Screened] = {}
     position = 0
     for h, m, origin in zip(library.hypotheses, count, library.origins, strict=True):
@@ -124,9 +127,24 @@ def screen(problem: Problem, noise: Noise, at: Fit, library: Library) -> list[Sc
             start = h.confine(start)
             change = start[_probed(h)] - origin
             gain = b @ change - 0.5 * change @ A @ change - 0.5 * logdet - np.log(h.alternatives)
+        shift = -solved[:, block] @ change
+        if held.any():
+            # What is at the end of its tolerance may come back when the cause takes over its part.
+            joined = np.block(
+                [[bare, cross[block].T], [cross[block], CW[:, block].T @ C[:, block] + np.diag(1 / spread**2)]]
+            )
+            slope = np.concatenate([g, CW[:, block].T @ r + origin / spread**2])
+            u_low, u_high = (limit[_probed(h)] - origin for limit in h.limits)
+            step = bounded_step(
+                joined, slope, np.concatenate([low - at.theta, u_low]), np.concatenate([high - at.theta, u_high])
+            )
+            relieved = idle - (slope @ step + 0.5 * step @ joined @ step) - 0.5 * logdet - np.log(h.alternatives)
+            if relieved > gain:
+                gain, shift = relieved, step[:n]
+                start[_probed(h)] = origin + step[n:]
         key = (h.cause.name, *h.fixed.items())
         if key not in found or gain > found[key].gain:
-            found[key] = Screened(h, float(gain), start, -solved[:, block] @ change)
+            found[key] = Screened(h, float(gain), start, shift)
     return sorted(found.values(), key=lambda s: -s.gain)
 
 
@@ -224,7 +242,7 @@ def settle(
 
 
 _STUCK = 2.7
-"""A number so many standard deviations from nominal may stand in for an effect: try again without."""
+"""A number so many standard deviations from nominal may stand in for an effect."""
 _UNSETTLED = 1.35
 """A residual that should be noise and is so many times the noise it was taken for: calibration got stuck."""
 _QUIET = 1.2
@@ -284,12 +302,20 @@ def converge(problem: Problem, noise: Noise, f: Fit, echo: Echo | None = None) -
     return f
 
 
+def _stuck(problem: Problem, f: Fit) -> bool:
+    """Whether a number that the data know well is near the end of its tolerance: a local minimum, or an effect."""
+    known = np.sqrt(np.diag(f.covariance))[: problem.calibration.size] < 0.3
+    return bool(np.any(known & (np.abs(f.theta[: problem.calibration.size]) > _STUCK)))
+
+
 def _afresh(problem: Problem, noise: Noise, f: Fit, echo: Echo | None) -> Fit:
     """The same model calibrated anew, its effects as they are: numbers that stood in for an effect let go of it."""
     theta = np.concatenate([np.zeros(problem.size), f.theta[problem.size :]])
     again = fit(problem, louder(noise, 30.0), f.model, theta, 3, 5.0, None, echo)
     again = settle(problem, noise, f.model, again.theta, again.jacobian, echo, 5.0)
     again = converge(problem, noise, again, echo)
+    if level(problem, noise, again) < 2.0:  # far from where it began: to the end, with fresh columns
+        again = fit(problem, noise, f.model, again.theta, 12, 1.0, None, echo)
     loudness = min(level(problem, noise, g) for g in (f, again))
     return max(f, again, key=lambda g: log_evidence(problem, noise, g, loudness))
 
@@ -302,9 +328,9 @@ def hand_over(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]
     theta = theta.copy()
     c, at = problem.calibration, problem.size
     for h in model:
-        if [q.name for q in h.free] == ["scale"]:
+        slots = _scaled(problem, h, theta[: c.size])
+        if slots:
             x, u = theta[: c.size], theta[at : at + 1]
-            slots = _scaled(problem, h, x)
             best, options = np.inf, h.values(u)["scale"] * np.geomspace(0.6, 1.6, 121)
             for scale in (h.values(u)["scale"], *options):
                 shares = _shares(problem, slots, x, h.values(u)["scale"] / scale)
@@ -315,7 +341,7 @@ def hand_over(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]
                 cost = float(sum(y * y for y in shares.values()) + (v[0] / h.spread[0]) ** 2)
                 if cost < best - 1e-9:
                     best, chosen = cost, (shares, v)
-            if slots and np.isfinite(best):
+            if np.isfinite(best):
                 for name, y in chosen[0].items():
                     theta[c.names.index(name)] = y
                 theta[at : at + 1] = chosen[1]
@@ -324,7 +350,9 @@ def hand_over(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]
 
 
 def _scaled(problem: Problem, h: Hypothesis, x: np.ndarray) -> list:
-    """The numbers with tolerances that a cause scales."""
+    """The numbers with tolerances that a cause scales; none where it does something else."""
+    if [q.name for q in h.free] != ["scale"]:
+        return []
     one, two = (problem.calibration.record(x, mounting) for mounting in [max(problem.mountings, key=_moment)] * 2)
     h.cause.apply(two[0], {"scale": 2.0})
     return [s for s in problem.calibration.slots if s.index < 0 and one[0][s.field] != two[0][s.field]]
@@ -387,6 +415,11 @@ def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, loudn
     """Whether an effect is significant, and improves data that the fit did not see."""
     tempered = noise if loudness < _QUIET else louder(noise, loudness)
     scale = 1.0 if loudness < _QUIET else level(problem, noise, f)
+    if _scaled(problem, f.model[-1], f.theta[: problem.calibration.size]):
+        # Numbers strained against their tolerances are at odds with what is known of them, not with the data.
+        relief = 0.5 * (prior_cost(problem, base.theta, base.model) - prior_cost(problem, f.theta, f.model))
+        if relief > THRESHOLD:
+            return True
     if significance(problem, f) < SIGNIFICANT * scale:
         return False
     share = sum(d.held_out.sum() for d in problem.drives) / max(sum(d.usable.sum() for d in problem.drives), 1)
@@ -447,13 +480,14 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             estimated = True
             if level(problem, noise, base) > _UNSETTLED:
                 base = converge(problem, noise, base, echoed)
-            if level(problem, noise, base) > _UNSETTLED:
+            if level(problem, noise, base) > _UNSETTLED or _stuck(problem, base):
                 base = _afresh(problem, noise, base, echoed)
             loudness = level(problem, noise, base)
         tempered = noise if loudness < _QUIET else louder(noise, loudness)
         screened = screen(problem, tempered, base, library)
         fits = []
-        for s in finalists(screened, FINALISTS if loudness > 2.0 else 2):
+        strained = bool(np.any(np.abs(base.theta[: problem.calibration.size]) > _STUCK))
+        for s in finalists(screened, FINALISTS if loudness > 2.0 or strained else 2):
             model = (*base.model, s.hypothesis)
             start = _start(problem, tempered, base, s)
             fits.append(settle(problem, noise, model, start, base.jacobian, echoed, loudness))
@@ -476,7 +510,7 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
         if not earned or len(base.model) >= most:
             break
         base = converge(problem, noise, earned[0], echoed)
-        if level(problem, noise, base) > 2.0:
+        if level(problem, noise, base) > 2.0 or _stuck(problem, base):
             base = _afresh(problem, noise, base, echoed)
     loudness = level(problem, noise, base)
     if echoed is None:
@@ -486,7 +520,9 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
     ):  # what either can express, numbers and effects share as the priors say: to the end, with fresh columns
         quiet = noise if loudness < _QUIET else louder(noise, loudness)
         theta = hand_over(problem, base.theta, base.model)
-        base = fit(problem, quiet, base.model, theta, 5, 0.1, None, echoed)
+        base = fit(problem, quiet, base.model, theta, 8, 0.5, None, echoed)
+        if _stuck(problem, base):
+            base = _afresh(problem, quiet, base, echoed)
     return Search(tuple(rounds), base, noise if estimated else louder(noise, loudness), noise, echoed, loudness)
 
 

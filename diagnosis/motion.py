@@ -125,10 +125,15 @@ class Smooth:
     acceleration: np.ndarray
 
 
+def passband(time: np.ndarray, cutoff: float = CUTOFF) -> float:
+    """Passband fc [Hz] of the smoother for samples at these times [s]."""
+    return min(cutoff, 0.25 / float(np.median(np.diff(time))))
+
+
 def smooth(time: np.ndarray, channels: np.ndarray, step: float, cutoff: float = CUTOFF) -> Smooth:
     """Smooth channels, shape (n, c), sampled at `time` [s] and evaluate them on a uniform grid of `step` [s]."""
     interval = float(np.median(np.diff(time)))
-    cutoff = min(cutoff, 0.25 / interval)
+    cutoff = passband(time, cutoff)
     scale = 2 * np.pi * cutoff  # time in units of 1/ωc keeps the covariances near one
     offset = channels[0]
     state = _smooth(scale * time, np.ascontiguousarray(channels - offset, dtype=np.float64), scale * interval)

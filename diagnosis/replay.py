@@ -5,11 +5,14 @@ between and is not measured: the wave generator, the friction's bristle and the 
 
     joint torque    Tf − bl θl', as the torque sensor would read it,
     motor current   (Jm θm'' + bm θm' + Tw − rotor_torque)/Kt, as the current sensor would read it,
-    link balance    Ts + link torques + τext − Jl θl'', zero when the link's description is right.
+    link balance    Ts + link torques + τext − Jl θl'', zero when the link's description is right; where the torque is
+                    measured, its reading stands for Ts and the rest as that sensor would read it.
 
 Nothing drifts, since both ends are tied to the data, and a push of unknown size on the link does no harm: it enters the
 link balance alone, which is then left out. The motion is reconstructed from the encoders' readings with
-the parameters of the encoders (zero, delay, eccentricity) in the record.
+the parameters of the encoders (zero, delay, eccentricity) in the record. It has been smoothed, and so have current and
+torque: what is linear does not mind, and of the orders of motor and gear the replay has what the smoother leaves of them
+at that speed.
 """
 
 from __future__ import annotations
@@ -26,7 +29,7 @@ from scipy.signal import welch
 from ..models import laws
 from ..models.joint import EncoderSpec, Sensors
 from ..models.parameters import PLACES
-from .motion import smooth
+from .motion import passband, smooth
 
 STEP = 1e-3
 """Step of the replay [s]."""
@@ -67,6 +70,7 @@ class Drive:
       usable: which residuals count, shape (k, 3).
       held_out: residuals kept from every fit, to measure what was gained, shape (k, 3).
       at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
+      passband: of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s].
       block: residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
     """
 
@@ -85,6 +89,7 @@ class Drive:
     usable: np.ndarray
     held_out: np.ndarray
     at_rest: np.ndarray
+    passband: float
     block: int = 1
 
 
@@ -195,6 +200,7 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
                     usable=usable,
                     held_out=scored,
                     at_rest=_at_rest(state[:, 0]),
+                    passband=1 / (2 * np.pi * passband(time)),
                 )
             )
             found[-1] = replace(found[-1], block=_block(motion, disturbance))
@@ -236,19 +242,23 @@ def _block(motion: list[np.ndarray], disturbance: list[np.ndarray]) -> int:
     return int(np.clip(0.5 * rate / max(highest, 1e-3), 1, _BLOCK))
 
 
+_SHIFT = 1 / 3
+"""Zero of the other draw, in counts: nearer to the reading's own, its smoothed angle falls on the same counts again."""
+
+
 def _encoder_noise(time: np.ndarray, reading: np.ndarray, encoder: EncoderSpec, rng: np.random.Generator) -> np.ndarray:
     """Another draw of an encoder's error [rad]: noise, and the counts as they fall with another zero.
 
     At rest the error of the counts is a constant, and so it is here.
     """
     motion = smooth(time, reading[:, None], float(np.median(np.diff(time))))
-    angle = np.interp(time, motion.time, motion.value[:, 0]) + rng.uniform(0.0, encoder.resolution)
+    angle = np.interp(time, motion.time, motion.value[:, 0]) + _SHIFT * encoder.resolution
     noisy = angle + encoder.noise * rng.standard_normal(len(time))
     return np.round(noisy / encoder.resolution) * encoder.resolution - angle
 
 
 @njit(cache=True, nogil=True)
-def _transmission(p, time, rotor, link, h, inner):
+def _transmission(p, time, rotor, link, passband, h, inner):
     """Move the wave generator, the bristle and the Dahl state; fills `inner`, shape (n, len(_INNER)). False: runaway."""
     n = len(time)
     terms = laws.has_terms(p)
@@ -297,7 +307,7 @@ def _transmission(p, time, rotor, link, h, inner):
             l = 0.5 * (l0 + l1) + 0.125 * h * (vl0 - vl1)
             vl = 0.5 * (vl0 + vl1)
             x = theta_w + 0.5 * h * w
-            error, error_slope = laws.kinematic_error_and_slope(x, p)
+            error, error_slope = laws.smoothed_kinematic_error(x, abs(w) * passband, p)
             slope = inverse_N - error_slope
             torsion = x * inverse_N - l - error
             rate = w * slope - vl
@@ -332,7 +342,7 @@ def _transmission(p, time, rotor, link, h, inner):
                 w = rotor[i, 1]
             if dahl_present:
                 dahl = laws.dahl_step(dahl, w_middle * slope - vl, h, p)
-        error, error_slope = laws.kinematic_error_and_slope(theta_w, p)
+        error, error_slope = laws.smoothed_kinematic_error(theta_w, abs(w) * passband, p)
         torsion = theta_w * inverse_N - l1 - error
         Tf = laws.flexspline_spring(torsion, p) + p.df * (w * (inverse_N - error_slope) - vl1)
         if dahl_present:
@@ -359,7 +369,7 @@ READ_OUT = (
 
 
 @njit(cache=True, nogil=True)
-def _readings(p, time, rotor, torque, external, inner, every, window, out):
+def _readings(p, time, rotor, torque, external, inner, passband, every, window, out):
     """Means of current reading, torque reading and link balance; fills out, shape (k, 3)."""
     n = len(time)
     out[:] = 0.0
@@ -369,7 +379,7 @@ def _readings(p, time, rotor, torque, external, inner, every, window, out):
     for i in range(n):
         w, l1, vl1, al1 = inner[i, 0], inner[i, 1], inner[i, 2], inner[i, 3]
         Tf, load, Tw = inner[i, 4], inner[i, 5], inner[i, 6]
-        on_rotor = laws.rotor_torque(rotor[i, 0], p)
+        on_rotor = laws.rotor_torque(rotor[i, 0], p, abs(rotor[i, 1]) * passband)
         on_link = laws.link_torque(l1, p) + external[i] + laws.gravity_torque(l1, p)
         if terms:
             on_rotor += laws.term(_ROTOR, rotor[i, 0], l1, w, load, time[i], p)
@@ -383,20 +393,21 @@ def _readings(p, time, rotor, torque, external, inner, every, window, out):
             more = laws.term(_JOINT_TORQUE, rotor[i, 0], l1, w, load, time[i], p)
             sensed += more
             offset += more
-        if has_torque:
-            Ts = (torque[i] - offset) / p.torque_gain
+        # The link's balance as the torque sensor reads it: in these units its noise is the same at all parameters.
+        balance = on_link - p.Jl * al1
+        balance = torque[i] - offset + p.torque_gain * balance if has_torque else Ts + balance
         k = i // every
         r = i - k * every
         u = window[r]
         out[k, 0] += u * current
         out[k, 1] += u * sensed
-        out[k, 2] += u * (Ts + on_link - p.Jl * al1)
+        out[k, 2] += u * balance
         weights[k] += u
         if r > 0 and k + 1 < len(out):
             u = window[every - r]
             out[k + 1, 0] += u * current
             out[k + 1, 1] += u * sensed
-            out[k + 1, 2] += u * (Ts + on_link - p.Jl * al1)
+            out[k + 1, 2] += u * balance
             weights[k + 1] += u
     for k in range(len(out)):
         for c in range(3):
@@ -406,7 +417,7 @@ def _readings(p, time, rotor, torque, external, inner, every, window, out):
 def transmission(drive: Drive, record: np.ndarray) -> np.ndarray:
     """What moves between rotor and link, shape (n, len(_INNER)); not a number where the record is beyond reason."""
     inner = np.empty((len(drive.time), len(_INNER)))
-    if not _transmission(record[0], drive.time, drive.rotor, drive.link, STEP, inner):
+    if not _transmission(record[0], drive.time, drive.rotor, drive.link, drive.passband, STEP, inner):
         inner[:] = np.nan
     return inner
 
@@ -419,7 +430,18 @@ def replay(drive: Drive, record: np.ndarray, inner: np.ndarray | None = None) ->
     """
     inner = transmission(drive, record) if inner is None else inner
     out = np.empty((len(drive.at), 3))
-    _readings(record[0], drive.time, drive.rotor, drive.torque, drive.external, inner, DECIMATION, _WINDOW, out)
+    _readings(
+        record[0],
+        drive.time,
+        drive.rotor,
+        drive.torque,
+        drive.external,
+        inner,
+        drive.passband,
+        DECIMATION,
+        _WINDOW,
+        out,
+    )
     return out
 
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..models.joint import Joint, Term
 from ..models.parameters import PLACES, VARIABLES
-from .calibrate import HUBER, Fit, Problem, _bounded_step, bounds, robust_loss
+from .calibrate import HUBER, Fit, Problem, bounded_step, bounds, robust_loss
 from .noise import Noise, louder, whiten
 
 COMPONENT = {
@@ -278,7 +278,7 @@ def refine(problem: Problem, noise: Noise, at: Fit, candidate: Candidate, level,
         )
         loud = louder(noise, level(problem, noise, here))
         H, g, _ = _normal(problem, loud, at.model, x[:n], residuals, jacobian, columns, x[n:], scale)
-        step = _bounded_step(H, g, low - x, high - x)
+        step = bounded_step(H, g, low - x, high - x)
     loudness = level(problem, noise, here)
     judged = louder(noise, loudness)
     H, _, _ = _normal(problem, judged, at.model, x[:n], residuals, jacobian, columns, x[n:], scale)
@@ -328,12 +328,12 @@ def _direct(problem: Problem, records, place: str, bases: list[np.ndarray]) -> l
         if place == "rotor":
             J[:, 0] = B / p["Kt"]
         elif place == "link":
-            J[:, 2] = B
+            J[:, 2] = B * (p["torque_gain"] if len(drive.torque) else 1.0)
         elif place == "motor_current":
             J[:, 0] = -B
         elif len(drive.torque):
             J[:, 1] = -B
-            J[:, 2] = -B / p["torque_gain"]
+            J[:, 2] = -B
         found.append(J)
     return found
 

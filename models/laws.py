@@ -100,14 +100,22 @@ def kinematic_error_slope(theta_w, p):
 
 
 @njit(cache=True)
-def kinematic_error_and_slope(theta_w, p):
-    """Kinematic error and its derivative at once: sine and cosine of an angle cost little more than one of them."""
+def smoothed_share(order, speed):
+    """What a smoother of passband 1/(1 + (f/fc)⁶) leaves of a harmonic: `speed` is the shaft's in turns per 1/fc."""
+    x = order * speed
+    return 1.0 / (1.0 + x * x * x * x * x * x)
+
+
+@njit(cache=True)
+def smoothed_kinematic_error(theta_w, speed, p):
+    """Kinematic error [rad] and its derivative [1] as they are seen through a smoother (`smoothed_share`)."""
     error, slope = 0.0, 0.0
     for k in range(N_ORDERS):
         if p.amplitude[k] != 0.0:
             angle = p.order[k] * theta_w + p.phase[k]
-            error += p.amplitude[k] * math.sin(angle)
-            slope += p.order[k] * p.amplitude[k] * math.cos(angle)
+            amplitude = p.amplitude[k] * smoothed_share(p.order[k], speed)
+            error += amplitude * math.sin(angle)
+            slope += p.order[k] * amplitude * math.cos(angle)
     return error, slope
 
 
@@ -163,12 +171,13 @@ def hysteresis_torque(z, p):
 
 
 @njit(cache=True)
-def rotor_torque(theta_m, p):
-    """Cogging torque on the rotor: Σ A sin(n θm + φ) [N·m, motor side]."""
+def rotor_torque(theta_m, p, speed=0.0):
+    """Cogging torque on the rotor: Σ A sin(n θm + φ) [N·m, motor side]; seen through a smoother, `smoothed_share`."""
     torque = 0.0
     for k in range(N_PERIODIC):
         if p.cogging_amplitude[k] != 0.0:
-            torque += p.cogging_amplitude[k] * math.sin(p.cogging_order[k] * theta_m + p.cogging_phase[k])
+            amplitude = p.cogging_amplitude[k] * smoothed_share(p.cogging_order[k], speed)
+            torque += amplitude * math.sin(p.cogging_order[k] * theta_m + p.cogging_phase[k])
     return torque
 
 

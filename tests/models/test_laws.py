@@ -181,7 +181,11 @@ def test_stiffness_of_the_wave_generator_is_the_slope_of_its_spring(p):
         assert laws.wave_generator_stiffness(torsion, p) == pytest.approx(rise / (2 * step), rel=1e-3)
 
 
-def test_kinematic_error_and_slope_are_those_of_the_separate_laws(p):
+def test_seen_through_a_smoother_harmonics_are_smaller(p):
     for angle in (0.0, 1.3, -250.0):
-        both = laws.kinematic_error_and_slope(angle, p)
-        assert both == pytest.approx((laws.kinematic_error(angle, p), laws.kinematic_error_slope(angle, p)))
+        still = laws.smoothed_kinematic_error(angle, 0.0, p)
+        assert still == pytest.approx((laws.kinematic_error(angle, p), laws.kinematic_error_slope(angle, p)))
+    p["amplitude"][1:] = 0.0
+    p["order"][0] = 2.0
+    at_cutoff = laws.smoothed_kinematic_error(0.4, 0.5, p)
+    assert at_cutoff == pytest.approx((0.5 * laws.kinematic_error(0.4, p), 0.5 * laws.kinematic_error_slope(0.4, p)))
