@@ -290,7 +290,7 @@ def fit(
         r = whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0]
         total = robust_loss(r, limit)[0] + prior_cost(problem, t, model)
         if state[1] is not None:
-            total -= robust_loss(whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0], 2 * HUBER)[0]
+            total -= robust_loss(whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0], limit)[0]
         return total if np.isfinite(total) else np.inf
 
     state = evaluate_at(theta)
@@ -401,7 +401,7 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
     echo_gradient = np.zeros(len(g))
     share = np.zeros_like(information)
     if twin_jacobian is not None:
-        noise_loss, share, echo_gradient = products(state[1], twin_jacobian, 2 * HUBER)
+        noise_loss, share, echo_gradient = products(state[1], twin_jacobian, limit)
         loss -= noise_loss
         g = g - echo_gradient
         information = information - share
@@ -448,7 +448,7 @@ def with_dispersion(problem: Problem, noise: Noise, f: Fit) -> Fit:
     score = _scores(whiten(problem.drives, noise, jacobian), HUBER)
     if f.twin_jacobian is not None:
         share = [np.concatenate([r[..., None], j], -1) for r, j in zip(f.state[1], f.twin_jacobian, strict=True)]
-        score -= _scores(whiten(problem.drives, noise, share), 2 * HUBER)
+        score -= _scores(whiten(problem.drives, noise, share), HUBER)
     cluster, count = [], 0
     for drive in problem.drives:
         index = count + ((drive.at[:: drive.block] - drive.at[0]) / CLUSTER).astype(int)

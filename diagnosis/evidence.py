@@ -214,6 +214,25 @@ _EXCESS = 1.15
 """Noise of the motion below so many times what the sensors state is what they state."""
 
 
+def fine(problem: Problem, noise: Noise, at: Fit, cleaned: list[np.ndarray]) -> list[float]:
+    """What is missing from the twins' motion noise to that of the residuals, one factor a stretch, near one.
+
+    The shares must balance: where the twin is a few per cent too loud, whatever makes noise louder would look better, the
+    scale of all torques first of all.
+    """
+    found = []
+    for drive, channels, r, s in zip(problem.drives, noise, cleaned, sensors(problem, at), strict=True):
+        white = [whiten([drive], [channels], [x[..., None]]).reshape(3, -1) for x in (r, s)]
+        losses = [[robust_loss(x[c])[0] for c in (1, 2)] for x in white]
+        c = 0 if drive.usable[:, 1].any() else 1
+        ratio = losses[0][c] / losses[1][c] if losses[1][c] > 0 else 1.0
+        found.append(float(np.clip(np.sqrt(ratio), _FINE, 1 / _FINE)))
+    return found
+
+
+_FINE = 0.85
+
+
 def level(problem: Problem, noise: Noise, at: Fit) -> float:
     """How many times the noise the residual is: one when the model is right."""
     r = whiten(problem.drives, noise, [x[..., None] for x in at.state[0]])[:, 0]
@@ -231,7 +250,7 @@ def settle(
         quiet = loudness < _QUIET
         f = fit(
             problem, noise if quiet else louder(noise, loudness), model, theta, 5 if quiet else 2, 1.0, common,
-            echo, refresh=quiet or f is not None,
+            echo if loudness < _LOUD else None, refresh=quiet or f is not None,
         )  # fmt: skip
         theta, common = f.theta, f.jacobian
         if quiet:
@@ -245,6 +264,8 @@ _STUCK = 2.7
 """A number so many standard deviations from nominal may stand in for an effect."""
 _UNSETTLED = 1.35
 """A residual that should be noise and is so many times the noise it was taken for: calibration got stuck."""
+_LOUD = 2.0
+"""Where the residual is more than so many times the noise, the noise's share of it does not matter."""
 _QUIET = 1.2
 """Where the residual is less than so many times the noise, it is taken for noise."""
 
@@ -252,7 +273,9 @@ _QUIET = 1.2
 def log_evidence(problem: Problem, noise: Noise, f: Fit, loudness: float) -> float:
     """Log evidence of a fit under noise of a common loudness."""
     noise = noise if loudness < _QUIET else louder(noise, loudness)
-    return evaluate(problem, noise, f.model, f.theta, f.state, f.jacobian, f.twin_jacobian).log_evidence
+    if loudness < _LOUD:
+        return evaluate(problem, noise, f.model, f.theta, f.state, f.jacobian, f.twin_jacobian).log_evidence
+    return evaluate(problem, noise, f.model, f.theta, (f.state[0], None), f.jacobian).log_evidence
 
 
 @dataclass(frozen=True)
@@ -386,11 +409,11 @@ def _shares(problem: Problem, slots: list, x: np.ndarray, factor: float) -> dict
     return found if all(abs(y) <= 3.0 for y in found.values()) else None
 
 
-def held_out_loss(problem: Problem, noise: Noise, f: Fit) -> float:
-    """Robust sum of squares of the whitened residual on held-out samples, without the motion noise's share."""
+def held_out_loss(problem: Problem, noise: Noise, f: Fit, corrected: bool = True) -> float:
+    """Robust sum of squares of the whitened residual on held-out samples; `corrected`: less the motion noise's share."""
     drives = [replace(d, usable=d.held_out) for d in problem.drives]
     total = robust_loss(whiten(drives, noise, [r[..., None] for r in f.state[0]])[:, 0], 10.0)[0]
-    if f.state[1] is not None:
+    if corrected and f.state[1] is not None:
         total -= robust_loss(whiten(drives, noise, [r[..., None] for r in f.state[1]])[:, 0], 10.0)[0]
     return total
 
@@ -425,8 +448,8 @@ def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, loudn
     share = sum(d.held_out.sum() for d in problem.drives) / max(sum(d.usable.sum() for d in problem.drives), 1)
     if share < 0.02:
         return True
-    improved = held_out_loss(problem, tempered, base) - held_out_loss(problem, tempered, f)
-    return bool(improved > HELD_OUT_SHARE * 2 * gain * share)
+    before, after = (held_out_loss(problem, tempered, g, loudness < _LOUD) for g in (base, f))
+    return bool(before - after > HELD_OUT_SHARE * 2 * gain * share)
 
 
 def _start(problem: Problem, noise: Noise, base: Fit, s: Screened) -> np.ndarray:
@@ -464,30 +487,29 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
     base = converge(problem, noise, base)
     rounds: list[Round] = []
     echoed: Echo | None = None
-    estimated = False
+    estimated = again = False
     while True:
         loudness = level(problem, noise, base)
         library = Library(problem, base, [h for h in hypotheses if h.cause.name not in _names(base.model)],
-                          PROBE if loudness < 2.0 else PROBE_LOUD)  # fmt: skip
-        if loudness < 2.0:
-            if echoed is None:
+                          PROBE if loudness < _LOUD else PROBE_LOUD)  # fmt: skip
+        if loudness < _LOUD:
+            if not estimated:
                 problem.match_twins(excess(problem, base))
+            cleaned = clean(problem, noise, base, library)
+            noise = estimate(problem.drives, cleaned, quantum, sensors(problem, base), base.state[0])
+            if not estimated:
+                problem.match_twins(fine(problem, noise, base, cleaned))
                 echoed = echo(problem, base.theta, base.model, base.jacobian)
-            noise = estimate(
-                problem.drives, clean(problem, noise, base, library), quantum, sensors(problem, base), base.state[0]
-            )
             base = fit(problem, noise, base.model, base.theta, 5, 1.0, base.jacobian, echoed)
             estimated = True
             if level(problem, noise, base) > _UNSETTLED:
                 base = converge(problem, noise, base, echoed)
-            if level(problem, noise, base) > _UNSETTLED or _stuck(problem, base):
-                base = _afresh(problem, noise, base, echoed)
             loudness = level(problem, noise, base)
         tempered = noise if loudness < _QUIET else louder(noise, loudness)
         screened = screen(problem, tempered, base, library)
         fits = []
         strained = bool(np.any(np.abs(base.theta[: problem.calibration.size]) > _STUCK))
-        for s in finalists(screened, FINALISTS if loudness > 2.0 or strained else 2):
+        for s in finalists(screened, FINALISTS if loudness > _LOUD or strained else 2):
             model = (*base.model, s.hypothesis)
             start = _start(problem, tempered, base, s)
             fits.append(settle(problem, noise, model, start, base.jacobian, echoed, loudness))
@@ -507,6 +529,12 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             and not problem.is_calibration(f.theta, f.model)
             and _holds(problem, noise, base, f, gain, loudness)
         ]
+        if not earned and not again and (loudness > _UNSETTLED or _stuck(problem, base)):
+            again, other = True, _afresh(problem, noise, base, echoed)
+            if other is not base:
+                base = other
+                rounds.pop()
+                continue
         if not earned or len(base.model) >= most:
             break
         base = converge(problem, noise, earned[0], echoed)
