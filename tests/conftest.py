@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +43,23 @@ def rng() -> np.random.Generator:
     seed = int(os.environ.get("FLEXSPLINE_SEED", SEED))
     print(f"seed {seed}: repeat with FLEXSPLINE_SEED={seed}")
     return np.random.default_rng(seed)
+
+
+@pytest.fixture
+def flexspline(capfd, monkeypatch):
+    """Return a function: arguments → exit code, stdout, stderr; in this process, which has the compiled code already."""
+    from flexspline import commands
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["flexspline", *map(str, arguments)])
+        monkeypatch.setenv("COLUMNS", "200")
+        code = 0
+        capfd.readouterr()
+        try:
+            commands.main()
+        except SystemExit as stop:
+            code = stop.code or 0
+        out, err = capfd.readouterr()
+        return code, out, err
+
+    return call

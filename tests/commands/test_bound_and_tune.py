@@ -3,33 +3,12 @@
 from __future__ import annotations
 
 import csv
-import sys
 
 import pyarrow.parquet as pq
 import pytest
 import yaml
 
 SHORT = ("--set", "duration=9")
-
-
-@pytest.fixture
-def flexspline(capfd, monkeypatch):
-    """Return a function: arguments → exit code, stdout, stderr; in this process, which has the compiled code already."""
-    from flexspline import commands
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["flexspline", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "200")
-        code = 0
-        capfd.readouterr()
-        try:
-            commands.main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return call
 
 
 def test_bound(flexspline, tmp_path):

@@ -18,26 +18,6 @@ trajectory: [{time: 0, position: 0}, {time: 1, position: 0.1}]
 """
 
 
-@pytest.fixture
-def flexspline(capfd, monkeypatch):
-    """Return a function: arguments → exit code, stdout, stderr; in this process, which has the compiled code already."""
-    from flexspline import commands
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["flexspline", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "200")
-        code = 0
-        capfd.readouterr()
-        try:
-            commands.main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return call
-
-
 def files(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
 

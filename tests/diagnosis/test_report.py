@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import sys
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -151,26 +150,6 @@ def test_rerun_recording_is_written(report, tmp_path):
     path = write_rerun_report(report, tmp_path / "report.rrd")
     assert path.read_bytes()[:3] == b"RRF"
     assert path.stat().st_size < 20e6
-
-
-@pytest.fixture
-def flexspline(capfd, monkeypatch):
-    """Return a function: arguments → exit code, stdout, stderr."""
-    from flexspline import commands
-
-    def call(*arguments: object) -> tuple[int, str, str]:
-        monkeypatch.setattr(sys, "argv", ["flexspline", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "200")
-        code = 0
-        capfd.readouterr()
-        try:
-            commands.main()
-        except SystemExit as stop:
-            code = stop.code or 0
-        out, err = capfd.readouterr()
-        return code, out, err
-
-    return call
 
 
 def test_diagnose_writes_the_answer_as_specified(flexspline, measured, report, tmp_path, monkeypatch):
