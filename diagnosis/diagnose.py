@@ -23,8 +23,9 @@ UNKNOWN_EXPLAINS = 0.05
 """Share of the held-out discrepancy that an unknown effect must explain."""
 _NEARLY_ALL = 2 / 3
 """Share of the causes that could not have shown, from which on a measurement is inconclusive."""
-TEMPER = 5.0
-"""The laws are not exact and neither is the noise model: log evidence counts this many times less."""
+TEMPER, INEXACT = 5.0, 0.05
+"""The laws are not exact and neither is the noise model: log evidence counts `TEMPER` times less, and less still where
+the last round found something too small to be a cause: `INEXACT` times its log evidence is added."""
 HELD_OUT = (
     f"every {HELD_OUT_EVERY}th block of {HELD_OUT_BLOCK:g} s of each recording was kept from every fit; "
     "RMS over 8 ms means, in motion, while rotor and link follow their measured motion"
@@ -315,11 +316,19 @@ def _confidence(found: Search, i: int, term: _Unknown | None) -> float:
     gains = np.array(found.rounds[i].gains)
     names = [f.model[-1].cause.name for f in found.rounds[i].fits]
     chosen = found.rounds[i + 1].base.model[i].cause.name if i + 1 < len(found.rounds) else names[0]
-    weight = np.exp((gains - gains.max()) / TEMPER)
+    temper = _temper(found)
+    weight = np.exp((gains - gains.max()) / temper)
     same = np.array([n == chosen for n in names])
-    none = np.exp(-(gains.max() - 0.5 * THRESHOLD) / TEMPER)
+    none = np.exp(-(gains.max() - 0.5 * THRESHOLD) / temper)
     p = float(weight[same].sum() / (weight.sum() + none))
     return min(p, 0.99 if term is None else 0.7)
+
+
+def _temper(found: Search) -> float:
+    """By how much log evidence is to be divided, from what was left that no cause may explain."""
+    last = found.rounds[-1]
+    left = max(last.gains, default=0.0) if len(last.base.model) == len(found.chosen.model) else 0.0
+    return TEMPER + INEXACT * max(left, 0.0)
 
 
 def _close(found: Search) -> list[tuple[str, str]]:
@@ -329,7 +338,7 @@ def _close(found: Search) -> list[tuple[str, str]]:
         chosen = after.base.model[-1].cause.name
         for f, gain in zip(r.fits, r.gains, strict=True):
             name = f.model[-1].cause.name
-            if name != chosen and gain > max(r.gains) - TEMPER:
+            if name != chosen and gain > max(r.gains) - _temper(found):
                 pairs.append((chosen, name))
     return pairs
 

@@ -470,6 +470,16 @@ def _start(problem: Problem, noise: Noise, base: Fit, s: Screened) -> np.ndarray
     return starts[int(np.nanargmin(costs))]
 
 
+def _to_the_end(problem: Problem, noise: Noise, f: Fit, echo: Echo | None, loudness: float) -> Fit:
+    if loudness > _QUIET:
+        return converge(problem, noise, f, echo)
+    return fit(problem, noise, f.model, f.theta, 8, 0.5, None, echo)
+
+
+_PROXY = 0.5
+"""A cause that earns less than this part of what another earns, be that too small to be named, stands in for it."""
+
+
 def _ranked(problem, noise, base: Fit, fits: list[Fit], loudness: float) -> tuple[list[Fit], list[float]]:
     """Fits by their gain in log evidence over the base, best first, and these gains."""
     reference = log_evidence(problem, noise, base, loudness)
@@ -514,9 +524,9 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             start = _start(problem, tempered, base, s)
             fits.append(settle(problem, noise, model, start, base.jacobian, echoed, loudness))
         fits, gains = _ranked(problem, noise, base, fits, loudness)
-        if len(gains) > 1 and loudness > _QUIET and gains[1] > max(0.5 * gains[0], 0.0):
+        if len(gains) > 1 and gains[1] > max(0.5 * gains[0], 0.0):  # a close race is decided by fits at their ends
             rivals = [
-                converge(problem, noise, f, echoed) if g > 0.5 * gains[0] else f
+                _to_the_end(problem, noise, f, echoed, loudness) if g > 0.5 * gains[0] else f
                 for f, g in zip(fits, gains, strict=True)
             ]
             fits, gains = _ranked(problem, noise, base, rivals, loudness)
@@ -524,7 +534,7 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
         earned = [
             f
             for f, gain in zip(fits, gains, strict=True)
-            if gain > THRESHOLD
+            if gain > max(THRESHOLD, _PROXY * gains[0])
             and size(f.model[-1], problem.split(f.theta, f.model)[-1]) > SMALLEST
             and not problem.is_calibration(f.theta, f.model)
             and _holds(problem, noise, base, f, gain, loudness)

@@ -124,7 +124,7 @@ def save_figure(figure: Figure, path: Path) -> Path:
 
 
 def _figure(title: str, caption: str, height: float, heights: Sequence[float]):
-    lines = textwrap.wrap(caption.replace(" -", " −"), 140)
+    lines = textwrap.wrap(caption.replace(" -", " −"), 130)
     below = 0.165 * len(lines) + 0.16
     total = height + below
     figure = Figure(figsize=(WIDTH, total), layout="constrained")
