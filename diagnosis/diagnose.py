@@ -313,8 +313,9 @@ def _findings(problem: Problem, found: Search, after: Fit, term: _Unknown | None
 
 def _confidence(found: Search, i: int, term: _Unknown | None) -> float:
     """Probability of the i-th cause among those tried in its round, and of there being one at all."""
-    gains = np.array(found.rounds[i].gains)
-    names = [f.model[-1].cause.name for f in found.rounds[i].fits]
+    r = found.rounds[i]
+    gains = np.array([g for g, nameable in zip(r.gains, r.nameable, strict=True) if nameable])
+    names = [f.model[-1].cause.name for f, nameable in zip(r.fits, r.nameable, strict=True) if nameable]
     chosen = found.rounds[i + 1].base.model[i].cause.name if i + 1 < len(found.rounds) else names[0]
     temper = _temper(found)
     weight = np.exp((gains - gains.max()) / temper)
@@ -336,9 +337,10 @@ def _close(found: Search) -> list[tuple[str, str]]:
     pairs = []
     for r, after in zip(found.rounds, found.rounds[1:], strict=False):
         chosen = after.base.model[-1].cause.name
-        for f, gain in zip(r.fits, r.gains, strict=True):
+        best = max(g for g, nameable in zip(r.gains, r.nameable, strict=True) if nameable)
+        for f, gain, nameable in zip(r.fits, r.gains, r.nameable, strict=True):
             name = f.model[-1].cause.name
-            if name != chosen and gain > max(r.gains) - _temper(found):
+            if nameable and name != chosen and gain > best - _temper(found):
                 pairs.append((chosen, name))
     return pairs
 

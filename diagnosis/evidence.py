@@ -288,6 +288,7 @@ class Round:
       screened: all hypotheses by their linearised gain.
       fits: finalists, best first.
       gains: their log evidence over the base's.
+      nameable: whether each is large enough to be named, and beyond what tolerances can express.
     """
 
     base: Fit
@@ -295,6 +296,7 @@ class Round:
     screened: list[Screened]
     fits: list[Fit]
     gains: list[float]
+    nameable: list[bool]
 
 
 @dataclass(frozen=True)
@@ -434,8 +436,8 @@ HELD_OUT_SHARE = 0.2
 """Of what an effect gains on the data of the fit, it must gain so much on as many held-out data."""
 
 
-def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, loudness: float) -> bool:
-    """Whether an effect is significant, and improves data that the fit did not see."""
+def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, best: float, loudness: float) -> bool:
+    """Whether an effect is significant, no stand-in for another, and improves data that the fit did not see."""
     tempered = noise if loudness < _QUIET else louder(noise, loudness)
     scale = 1.0 if loudness < _QUIET else level(problem, noise, f)
     if _scaled(problem, f.model[-1], f.theta[: problem.calibration.size]):
@@ -443,7 +445,7 @@ def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, loudn
         relief = 0.5 * (prior_cost(problem, base.theta, base.model) - prior_cost(problem, f.theta, f.model))
         if relief > THRESHOLD:
             return True
-    if significance(problem, f) < SIGNIFICANT * scale:
+    if gain < _PROXY * best or significance(problem, f) < SIGNIFICANT * scale:
         return False
     share = sum(d.held_out.sum() for d in problem.drives) / max(sum(d.usable.sum() for d in problem.drives), 1)
     if share < 0.02:
@@ -530,14 +532,16 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
                 for f, g in zip(fits, gains, strict=True)
             ]
             fits, gains = _ranked(problem, noise, base, rivals, loudness)
-        rounds.append(Round(base, loudness, screened, fits, gains))
+        nameable = [
+            size(f.model[-1], problem.split(f.theta, f.model)[-1]) > SMALLEST
+            and not problem.is_calibration(f.theta, f.model)
+            for f in fits
+        ]
+        rounds.append(Round(base, loudness, screened, fits, gains, nameable))
         earned = [
             f
-            for f, gain in zip(fits, gains, strict=True)
-            if gain > max(THRESHOLD, _PROXY * gains[0])
-            and size(f.model[-1], problem.split(f.theta, f.model)[-1]) > SMALLEST
-            and not problem.is_calibration(f.theta, f.model)
-            and _holds(problem, noise, base, f, gain, loudness)
+            for f, gain, named in zip(fits, gains, nameable, strict=True)
+            if named and gain > THRESHOLD and _holds(problem, noise, base, f, gain, gains[0], loudness)
         ]
         if not earned and not again and (loudness > _UNSETTLED or _stuck(problem, base)):
             again, other = True, _afresh(problem, noise, base, echoed)

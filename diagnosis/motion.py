@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-CUTOFF = 80.0
+CUTOFF = 120.0
 """Passband fc of the smoother [Hz]; at half of the Nyquist frequency where sampling is slower than that."""
 
 
