@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from flexspline.diagnosis.replay import READ_OUT, drives, residual, residuals, transmission
+from flexspline.diagnosis.motion import smooth
+from flexspline.diagnosis.replay import READ_OUT, _encoder_noise, drives, residual, residuals, transmission
 from flexspline.models import causes
 from flexspline.models.joint import Mounting, load_joint
 from hidden_joint import measure
@@ -69,3 +70,35 @@ def test_numbers_that_are_read_out_move_nothing_inside_the_transmission(joint, s
         changed = record.copy()
         changed[name] = 1.1 * changed[name] + 1e-6
         assert not np.array_equal(transmission(drive, changed), inner), name
+
+
+def test_at_the_true_numbers_nothing_is_left_but_noise_at_any_speed(joint):
+    """The twins draw the sensors' noise again: as much as that, and no more, is left of torque and link balance."""
+    measurement, _ = measure(joint, seed=11, exact=True)
+    for drive, twin in zip(*drives(list(measurement.recordings), joint.sensors), strict=True):
+        record = joint.record(Mounting(inertia=drive.inertia, gravity_moment=drive.gravity_moment))
+        left = residual(drive, record)
+        share = residual(twin, record) - left
+        speed = np.abs(drive.state[:, 2])
+        # The fourth order of the gear leaves the smoother's passband at the fastest.
+        for slowest, fastest in ((15.0, 40.0), (40.0, 70.0), (70.0, 200.0)):
+            for c in (1, 2):
+                use = drive.usable[:, c] & (speed > slowest) & (speed < fastest)
+                if use.sum() > 200:
+                    # Below one where the counts happen to beat with the sampling.
+                    assert 0.75 < np.std(left[use, c]) / np.std(share[use, c]) < 1.15, (drive.recording, slowest, c)
+
+
+@pytest.mark.parametrize("interval", [1e-3, 4e-3])
+def test_twins_are_as_noisy_as_the_encoder(interval, joint, rng):
+    """Counts of a smooth motion, drawn again, leave as much of position, rate and acceleration as the first time."""
+    time = np.arange(0, 6, interval) + rng.uniform(0, 0.05 * interval, round(6 / interval))
+    true = 60 * (1 - np.cos(0.9 * time)) + 2e-3 * np.sin(40 * time)
+    encoder = joint.sensors.motor_encoder
+    read = np.round(true / encoder.resolution) * encoder.resolution
+    again = _encoder_noise(time, read, encoder, rng)
+    s = smooth(time, np.column_stack([read - true, again]), 1e-3)
+    inside = slice(500, -500)
+    for part in (s.value, s.rate, s.acceleration):
+        first, second = np.std(part[inside], axis=0)
+        assert 0.8 < second / first < 1.25
