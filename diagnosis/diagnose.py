@@ -19,6 +19,8 @@ from .replay import CHANNELS, HELD_OUT_BLOCK, HELD_OUT_EVERY, drives
 UNITS = {"motor_current": "A", "joint_torque": "N·m", "link": "N·m"}
 LOUD = 1.6
 """A residual this many times the noise, after every known cause was tried, is an unknown effect."""
+LEFT = 40.0
+"""Log evidence of something too small to be named: the cause that was named may stand in for an unknown effect."""
 UNKNOWN_EXPLAINS = 0.05
 """Share of the held-out discrepancy that an unknown effect must explain."""
 _NEARLY_ALL = 2 / 3
@@ -222,7 +224,8 @@ class _Unknown:
 def _unknown(problem: Problem, found: Search) -> _Unknown | None:
     """The nonparametric term, where the library needs several causes for what one explains or leaves something."""
     count = len(found.chosen.model)
-    if found.loudness < LOUD and count < 2:
+    left = max(found.rounds[-1].gains, default=0.0) if problem.has_torque else 0.0
+    if found.loudness < LOUD and count < 2 and not (count and left > LEFT):
         return None
     noise, first = found.rounds_noise, found.rounds[0]
     # Against the joint without causes: does a term alone do better than the library's whole answer?
@@ -298,8 +301,7 @@ def _findings(problem: Problem, found: Search, after: Fit, term: _Unknown | None
         findings.append(Finding(h.cause.name, h.cause.component, _confidence(found, i, term), parameters, share))
     if term is not None:
         share = float(np.clip((losses[-2] - losses[-1]) / whole, 0.0, 1.0))
-        t = term.candidate.term
-        variables = ("link_position", "direction") if t.variable == "direction_link_position" else (t.variable,)
+        variables = unknown.depends_on(term.candidate.term.variable)
         confidence = float(np.clip(1 - np.exp(-term.gain / (4 * TEMPER)), 0.3, 0.95))
         if level(problem, found.rounds_noise, term.fit) > LOUD:  # the term is a part of it at most
             confidence = min(confidence, 0.6)
@@ -322,6 +324,8 @@ def _confidence(found: Search, i: int, term: _Unknown | None) -> float:
     same = np.array([n == chosen for n in names])
     none = np.exp(-(gains.max() - 0.5 * THRESHOLD) / temper)
     p = float(weight[same].sum() / (weight.sum() + none))
+    if found.loudness > LOUD and term is None:  # whatever it is, this is not all of it
+        return min(p, 0.5)
     return min(p, 0.99 if term is None else 0.7)
 
 

@@ -445,13 +445,17 @@ def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, best:
         relief = 0.5 * (prior_cost(problem, base.theta, base.model) - prior_cost(problem, f.theta, f.model))
         if relief > THRESHOLD:
             return True
-    if gain < _PROXY * best or significance(problem, f) < SIGNIFICANT * scale:
+    if gain < _PROXY * best:
         return False
+    significant = significance(problem, f) >= SIGNIFICANT * scale
     share = sum(d.held_out.sum() for d in problem.drives) / max(sum(d.usable.sum() for d in problem.drives), 1)
     if share < 0.02:
-        return True
+        return significant
     before, after = (held_out_loss(problem, tempered, g, loudness < _LOUD) for g in (base, f))
-    return bool(before - after > HELD_OUT_SHARE * 2 * gain * share)
+    if loudness > _UNSETTLED and before - after > (2 * SIGNIFICANT * scale) ** 2:
+        # Numbers at the end of their tolerances may leave an effect's size open, not its presence.
+        significant = True
+    return bool(significant and before - after > HELD_OUT_SHARE * 2 * gain * share)
 
 
 def _start(problem: Problem, noise: Noise, base: Fit, s: Screened) -> np.ndarray:

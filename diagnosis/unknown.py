@@ -30,13 +30,14 @@ SCALE = {
     "joint_torque": 0.6, "link_position": 5e-4, "motor_current": 0.15,
 }  # fmt: skip
 """Prior standard deviation of a coefficient, in the unit of the place."""
-COUNT = {"link_position": 32, "motor_position": 24, "direction_link_position": 32}
+COUNT = {"link_position": 32, "motor_position": 24, "direction_link_position": 32, "motor_position_two_turns": 32}
 _COUNT = 10
 PENALTY = 8.0
 """Log prior odds of a known cause against an unknown term."""
 _USUAL = {
     "link_position": ("link", "link_position"),
     "motor_position": ("rotor",),
+    "motor_position_two_turns": ("flexspline", "link_position"),
     "motor_velocity": ("mesh",),
     "load": ("flexspline", "mesh", "joint_torque"),
     "time": ("motor_current", "joint_torque"),
@@ -66,7 +67,7 @@ class Candidate:
     @property
     def component(self) -> str:
         """Component in which the term sits."""
-        return COMPONENT[self.term.place]
+        return "transmission" if _kinematic(self.term) else COMPONENT[self.term.place]
 
 
 def _basis(u: np.ndarray, count: int) -> np.ndarray:
@@ -88,6 +89,8 @@ def _variable(name: str, drive) -> np.ndarray:
         return theta_l
     if name == "motor_position":
         return theta_m % (2 * np.pi)
+    if name == "motor_position_two_turns":
+        return theta_m % (4 * np.pi)
     if name == "motor_velocity":
         return velocity
     if name == "time":
@@ -100,6 +103,8 @@ def _variable(name: str, drive) -> np.ndarray:
 def _range(name: str, problem: Problem) -> tuple[float, float]:
     if name == "motor_position":
         return 0.0, float(2 * np.pi)
+    if name == "motor_position_two_turns":
+        return 0.0, float(4 * np.pi)
     values = np.concatenate([_variable(name, d) for d in problem.drives])
     return float(values.min()), float(values.max())
 
@@ -380,6 +385,24 @@ def describe(candidate: Candidate) -> str:
     what = {
         "rotor": "a torque on the rotor", "mesh": "a friction torque in the mesh", "flexspline": "a flexspline torque",
         "link": "a torque on the link", "joint_torque": "an error of the torque sensor",
-        "link_position": "an error of the link encoder", "motor_current": "an error of the current reading",
+        "link_position": "a kinematic error" if _kinematic(t) else "an error of the link encoder",
+        "motor_current": "an error of the current reading",
     }[t.place]  # fmt: skip
-    return f"{what} of {size:.2g} {t.unit} that depends on {t.variable.replace('_', ' ')}"
+    return f"{what} of {size:.2g} {t.unit} that depends on {_words(t.variable)}"
+
+
+def _kinematic(term: Term) -> bool:
+    """Whether an angle error returns with the motor: no link encoder knows the motor's angle, but the gear does."""
+    return term.place == "link_position" and term.variable.startswith("motor_position")
+
+
+def _words(variable: str) -> str:
+    return {"motor_position_two_turns": "motor position, over two turns"}.get(variable, variable.replace("_", " "))
+
+
+def depends_on(variable: str) -> tuple[str, ...]:
+    """Names of the measured variables that a term's variable is made of."""
+    return {
+        "direction_link_position": ("link_position", "direction"),
+        "motor_position_two_turns": ("motor_position",),
+    }.get(variable, (variable,))

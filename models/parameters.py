@@ -21,7 +21,10 @@ N_COEFFICIENTS = 32
 
 # Where a nonparametric term acts, and on what it depends: the codes that `term_place` and `term_variable` hold.
 PLACES = ("none", "rotor", "mesh", "flexspline", "link", "joint_torque", "link_position", "motor_current")
-VARIABLES = ("link_position", "motor_position", "motor_velocity", "load", "time", "direction_link_position")
+VARIABLES = (
+    "link_position", "motor_position", "motor_velocity", "load", "time", "direction_link_position",
+    "motor_position_two_turns",
+)  # fmt: skip
 
 _F = np.float64
 PARAMETERS = np.dtype(

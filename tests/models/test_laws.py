@@ -170,6 +170,9 @@ def test_term_variables(p):
     for name, value in state.items():
         p["term_variable"][0] = VARIABLES.index(name)
         assert laws.term(place, *arguments, p) == pytest.approx(value), name
+    p["term_variable"][0] = VARIABLES.index("motor_position_two_turns")
+    for turns in (-3, 0, 5):
+        assert laws.term(place, 1.3 + 4 * np.pi * turns, *arguments[1:], p) == pytest.approx(1.3)
     p["term_variable"][0] = VARIABLES.index("direction_link_position")
     assert laws.term(place, *arguments, p) == pytest.approx(0.4 * np.tanh(-0.6))
 
