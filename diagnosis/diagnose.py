@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -19,8 +19,8 @@ from .replay import CHANNELS, HELD_OUT_BLOCK, HELD_OUT_EVERY, drives
 UNITS = {"motor_current": "A", "joint_torque": "N·m", "link": "N·m"}
 LOUD = 1.6
 """A residual this many times the noise, after every known cause was tried, is an unknown effect."""
-LEFT = 40.0
-"""Log evidence of something too small to be named: the cause that was named may stand in for an unknown effect."""
+LEFT, LEFT_SHARE = 40.0, 0.01
+"""Log evidence left after a cause, and its share of the cause's own, from which on it may stand in for an unknown effect."""
 UNKNOWN_EXPLAINS = 0.05
 """Share of the held-out discrepancy that an unknown effect must explain."""
 _NEARLY_ALL = 2 / 3
@@ -185,6 +185,9 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
     undetermined, alike = identify.limits(problem, found.noise, chosen, library, THRESHOLD)
     missing = [n for n in causes.of(joint) if n not in available]
     undetermined = sorted({*undetermined, *missing} - {c.name for c in findings})
+    if len(undetermined) >= _NEARLY_ALL * len(causes.of(joint)):
+        # Something is wrong; where it sits cannot be told from what could not have shown.
+        findings = [replace(f, confidence=min(f.confidence, 0.5)) if f.name == "unknown" else f for f in findings]
     confusable = sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found)]})
     verdict = "discrepancy" if findings else "consistent"
     if not findings and len(undetermined) >= _NEARLY_ALL * len(causes.of(joint)):
@@ -225,7 +228,8 @@ def _unknown(problem: Problem, found: Search) -> _Unknown | None:
     """The nonparametric term, where the library needs several causes for what one explains or leaves something."""
     count = len(found.chosen.model)
     left = max(found.rounds[-1].gains, default=0.0) if problem.has_torque else 0.0
-    if found.loudness < LOUD and count < 2 and not (count and left > LEFT):
+    doubtful = count == 1 and left > max(LEFT, LEFT_SHARE * max(found.rounds[0].gains))
+    if found.loudness < LOUD and count < 2 and not doubtful:
         return None
     noise, first = found.rounds_noise, found.rounds[0]
     # Against the joint without causes: does a term alone do better than the library's whole answer?
