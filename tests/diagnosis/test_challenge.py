@@ -22,7 +22,7 @@ from flexspline.sim.recording import Measurement, read_measurement
 
 SEED = 7
 NOMINAL = load_joint("test-joint")
-FAST = ("friction_asymmetry", "encoder_delay", "cable_spring", "torque_sensor_offset")
+FAST = ("friction_asymmetry", "cable_spring", "torque_sensor_offset")
 KNOWN_GAPS = {
     "quadratic_friction": "named viscous_friction, position_dependent_friction, friction_drift at 0.99 each",
     "half_order": "named backlash and link_encoder_eccentricity at 0.99, then kinematic_error at 0.45",
