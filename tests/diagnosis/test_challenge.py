@@ -24,8 +24,6 @@ SEED = 7
 NOMINAL = load_joint("test-joint")
 FAST = ("friction_asymmetry", "cable_spring", "torque_sensor_offset")
 KNOWN_GAPS = {
-    "quadratic_friction": "named viscous_friction, position_dependent_friction, friction_drift at 0.99 each",
-    "half_order": "named backlash and link_encoder_eccentricity at 0.99, then kinematic_error at 0.45",
     "rotor_pulse": "unknown, but as an error of the current reading, which the same residual is: component sensor, not motor",
     "current_drift": "named friction_asymmetry, friction_drift, link_encoder_eccentricity at 0.99 each",
 }
