@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 from flexspline.models.files import write_into_place
 from flexspline.scenarios import limits, offline, tuning
+from flexspline.scenarios.intervals import interval
 from flexspline.scenarios.limits import Limits
 from flexspline.scenarios.offline import Contender, contenders
 from flexspline.scenarios.run import Run
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.scenarios.tuning import Interval, Tuned
+from flexspline.scenarios.tuning import Tuned
 from flexspline.views.limit_figures import limits_figure, pareto_figure, save_figure
 from flexspline.views.limit_tables import markdown, number
 
@@ -61,13 +62,13 @@ def ratio(values: np.ndarray, others: np.ndarray) -> str:
     """Mean ratio with its 95 % interval, paired over seeds."""
     if not (np.isfinite(values).all() and np.all(values < 1e5)):
         return "diverged"
-    i = Interval.of(values / others)
+    i = interval(values / others)
     return f"{i.mean:.2f} [{i.low:.2f}, {i.high:.2f}]" if np.isfinite(i.low) else f"{i.mean:.2f}"
 
 
 def rms(values: np.ndarray) -> str:
     """Mean RMS with its 95 % half-width [N·m]."""
-    i = Interval.of(values)
+    i = interval(values)
     half = f" ± {i.high - i.mean:.4f}" if np.isfinite(i.high) else ""
     return number(i.mean, 4) + (half if i.mean < 1e5 else "")
 

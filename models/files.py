@@ -48,6 +48,19 @@ _Loader.add_implicit_resolver(
 )
 
 
+def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
+    """The file that a shipped name, or a path, stands for.
+
+    Raises:
+      InputError: neither; one line.
+    """
+    path = known.get(str(source), Path(source))
+    if not path.exists():
+        hint = nearest(str(source), known)
+        raise InputError(f"{what} {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")
+    return path
+
+
 def read_yaml(path: Path, what: str) -> Any:
     """Parse a YAML file; anything wrong with it raises `InputError` naming file and line."""
     try:

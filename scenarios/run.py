@@ -123,14 +123,17 @@ class Run:
         return self.signals.filters[:, self.filters.index(name), STATE_COLUMNS.index(column)]
 
     @cached_property
+    def reference(self) -> measures.Reference:
+        """What estimates of the joint torque are measured against."""
+        return measures.Reference(
+            self.truth("joint_torque"), self.reading("joint_torque"), self.model_torque, self.external_torque,
+            CONTROL_PERIOD, self.scenario.transient,
+        )  # fmt: skip
+
+    @cached_property
     def metrics(self) -> dict[str, Any]:
         """Measures of every filter, of the raw compliance model and of the torque sensor (`scenarios.metrics`)."""
-        truth, reading = self.truth("joint_torque"), self.reading("joint_torque")
-
-        reference = measures.Reference(
-            truth, reading, self.model_torque, self.external_torque, CONTROL_PERIOD, self.scenario.transient
-        )
-        evaluate = reference.evaluate
+        truth, reading, evaluate = self.truth("joint_torque"), self.reading("joint_torque"), self.reference.evaluate
 
         kept = self.time >= self.scenario.transient
         filters = {}

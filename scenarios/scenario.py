@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 
 from ..estimator import FilterSettings
 from ..models.errors import InputError, nearest
-from ..models.files import Strict, parse, read_yaml
+from ..models.files import Strict, find, parse, read_yaml
 from ..models.joint import SYMBOLS, Joint, Sensors, load_joint
 from ..sim.drive import Controller
 from ..sim.plant import TIMESTEP
@@ -247,11 +247,7 @@ def load_scenario(
     Raises:
       InputError: no such scenario, or one that is wrong; one line.
     """
-    known = shipped_scenarios()
-    path = known.get(str(source), Path(source))
-    if not path.exists():
-        hint = nearest(str(source), known)
-        raise InputError(f"scenario {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")
+    path = find(source, shipped_scenarios(), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")

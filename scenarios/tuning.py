@@ -19,13 +19,13 @@ from typing import Any
 import numpy as np
 import yaml
 from scipy.optimize import minimize
-from scipy.stats import qmc, t
+from scipy.stats import qmc
 
 from ..estimator import FilterDiverged
 from ..models.errors import InputError
 from ..models.files import write_into_place
 from . import metrics
-from .loop import CONTROL_PERIOD
+from .intervals import Interval, interval
 from .offline import Contender, rms_error, run_alone
 from .run import Run
 from .scenario import FilterChoice, Scenario
@@ -35,24 +35,6 @@ EVALUATIONS = 300
 _SCAN = 7  # values of the first knob before the search
 _STEP = 0.08  # of a knob's range: the first simplex
 _FAILED = 1e6  # N·m
-
-
-@dataclass(frozen=True)
-class Interval:
-    """A mean over seeds with the 95 % interval of Student's t: `low` and `high` are NaN for one seed."""
-
-    mean: float
-    low: float
-    high: float
-
-    @classmethod
-    def of(cls, values: Sequence[float]) -> Interval:
-        """Of one value per seed."""
-        a = np.asarray(values, dtype=float)
-        if len(a) < 2:
-            return cls(float(a.mean()), math.nan, math.nan)
-        half = float(t.ppf(0.975, len(a) - 1) * a.std(ddof=1) / math.sqrt(len(a)))
-        return cls(float(a.mean()), float(a.mean() - half), float(a.mean() + half))
 
 
 @dataclass(frozen=True)
@@ -85,7 +67,7 @@ class Tuned:
     @property
     def gain(self) -> Interval:
         """Tuned RMS less the default's on the same test runs [N·m], paired over seeds; below zero where tuning helps."""
-        return Interval.of((self.test_tuned - self.test_default).mean(axis=0))
+        return interval((self.test_tuned - self.test_default).mean(axis=0))
 
 
 def simulated(scenarios: Sequence[tuple[Scenario, Path | None]], seeds: Sequence[int]) -> list[list[Run]]:
@@ -210,16 +192,9 @@ def noise_and_delay(contender: Contender, runs: Sequence[Run], threads: int = 1)
             estimate = contender.estimate(run).torque
         except FilterDiverged:
             return math.nan, math.nan
-        truth, dt = run.truth("joint_torque"), CONTROL_PERIOD
-        kept = run.time >= run.scenario.transient
-        during = np.zeros(len(truth), dtype=bool)
-        for a, b in metrics.pushes(run.external_torque, dt):
-            if kept[a]:
-                during[a : min(b + round(0.2 / dt), len(truth))] = True
-        lag = metrics.delay(estimate, truth, dt, during)
-        return math.nan if lag is None else 1e3 * lag, metrics.noise(
-            estimate, truth, dt, metrics.steady(truth, dt, kept)
-        )
+        r = run.reference
+        lag = metrics.delay(estimate, r.truth, r.dt, r.during) if r.events else None
+        return math.nan if lag is None else 1e3 * lag, metrics.noise(estimate, r.truth, r.dt, r.calm)
 
     with ThreadPoolExecutor(threads) as pool:
         found = np.array(list(pool.map(one, runs)))

@@ -13,7 +13,7 @@ from pydantic import Field, model_validator
 from ...estimator import baselines
 from ...models import causes
 from ...models.errors import InputError, nearest
-from ...models.files import Strict, load
+from ...models.files import Strict, find, load
 from ..scenario import PAPER_FILTERS, FilterChoice
 
 METRICS = (
@@ -253,9 +253,5 @@ def load_study(source: str | Path) -> tuple[Study, Path]:
     Raises:
       InputError: no such study, or one that is wrong; one line.
     """
-    known = shipped_studies()
-    path = known.get(str(source), Path(source))
-    if not path.exists():
-        hint = nearest(str(source), known)
-        raise InputError(f"study {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")
+    path = find(source, shipped_studies(), "study")
     return load(path, Study, "a study"), path.parent

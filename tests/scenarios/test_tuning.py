@@ -9,6 +9,7 @@ import pytest
 import yaml
 from flexspline.models.errors import InputError
 from flexspline.scenarios import tuning
+from flexspline.scenarios.intervals import interval
 from flexspline.scenarios.offline import contenders
 from flexspline.scenarios.scenario import Scenario, load_scenario
 
@@ -109,9 +110,9 @@ def test_undominated():
 
 def test_interval():
     """Student's t for three values: t(0.975, 2) = 4.3027."""
-    i = tuning.Interval.of([1.0, 2.0, 3.0])
+    i = interval([1.0, 2.0, 3.0])
     assert (i.mean, i.high - i.mean) == pytest.approx((2.0, 4.302653 / np.sqrt(3)), rel=1e-6)
-    assert np.isnan(tuning.Interval.of([1.0]).low)
+    assert np.isnan(interval([1.0]).low)
 
 
 def test_the_file_is_a_scenarios_filters(runs, tmp_path):

@@ -1,0 +1,51 @@
+"""Means over seeds with Student's t intervals: `mean ± t(0.975, n − 1)·s/√n`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A mean of n values with its confidence interval; the interval is NaN for less than two, the mean for none."""
+
+    mean: float
+    low: float
+    high: float
+    n: int
+
+    @property
+    def half(self) -> float:
+        """Half the interval's width."""
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def sign(self) -> int:
+        """−1 or 1 where the interval is all on one side of zero, else 0."""
+        return -1 if self.high < 0 else 1 if self.low > 0 else 0
+
+
+def interval(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Interval:
+    """Mean of independent values, shape (n,), with Student's t interval; NaN are left out."""
+    x = np.asarray(values, dtype=np.float64)
+    x = x[np.isfinite(x)]
+    n = len(x)
+    if n == 0:
+        return Interval(math.nan, math.nan, math.nan, 0)
+    mean = float(np.mean(x))
+    if n == 1:
+        return Interval(mean, math.nan, math.nan, 1)
+    half = float(student.ppf(0.5 + 0.5 * level, n - 1) * np.std(x, ddof=1) / math.sqrt(n))
+    return Interval(mean, mean - half, mean + half, n)
+
+
+def paired(values: np.ndarray, reference: np.ndarray, level: float = LEVEL) -> Interval:
+    """Mean of values − reference, run by run, shape (n,) each; runs where either is NaN are left out."""
+    return interval(np.asarray(values, dtype=np.float64) - np.asarray(reference, dtype=np.float64), level)
