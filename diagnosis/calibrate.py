@@ -382,8 +382,7 @@ def echo(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...], jac
 
 
 def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian=None, limit=HUBER):
-    """Hessian and gradient (of half the objective) of the posterior, the noise's share of the latter, the robust loss, and the
-    noise's share of the information."""
+    """Hessian and gradient (of half the objective) of the posterior, robust loss, and the noise's share of the information."""
 
     def products(r, j, limit):
         """Loss, and weighted products JᵀJ and Jᵀr of whitened residuals; one symmetric product, without empty rows."""
@@ -398,14 +397,13 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
     curvature = 1 / problem.spread(model) ** 2
     loss, information, g = products(state[0], jacobian, limit)
     g = g + curvature * theta
-    echo_gradient = np.zeros(len(g))
     share = np.zeros_like(information)
     if twin_jacobian is not None:
-        noise_loss, share, echo_gradient = products(state[1], twin_jacobian, limit)
+        noise_loss, share, noise_gradient = products(state[1], twin_jacobian, limit)
         loss -= noise_loss
-        g = g - echo_gradient
+        g = g - noise_gradient
         information = information - share
-    return _positive(information, problem.spread(model)) + np.diag(curvature), g, echo_gradient, loss, share
+    return _positive(information, problem.spread(model)) + np.diag(curvature), g, loss, share
 
 
 def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -416,7 +414,7 @@ def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, history=()) -> Fit:
     """The Laplace approximation of a model at its maximum."""
-    H, _, _, loss, share = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
+    H, _, loss, share = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
     spread = problem.spread(model)
     _, logdet = np.linalg.slogdet(H * spread[:, None] * spread)
     log_evidence = -0.5 * (loss + prior_cost(problem, theta, model) + logdet)
@@ -426,12 +424,17 @@ def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, 
     prior = np.diag(1 / spread**2)
     S = H - prior
     V = S + 2 * _positive(share, spread)
-    d = 1 / np.sqrt(np.diag(V) + 1e-9 * np.diag(prior))
-    known = S @ (d[:, None] * np.linalg.pinv(V * d[:, None] * d, rcond=1e-12, hermitian=True) * d) @ S
-    covariance = np.linalg.inv(0.5 * (known + known.T) + prior)
+    covariance = np.linalg.inv(_godambe(S, V, prior, 1e-12) + prior)
     degrees = max(sum(drive.usable.sum() / drive.block for drive in problem.drives) - len(theta), 1.0)
     covariance *= max(loss / degrees, 1.0)
     return Fit(model, theta, state, jacobian, twin_jacobian, covariance, float(log_evidence), loss, tuple(history))
+
+
+def _godambe(S: np.ndarray, V: np.ndarray, prior: np.ndarray, rcond: float) -> np.ndarray:
+    """Godambe's information S V⁻¹ S of curvature S and score variance V, over what V knows to be more than `rcond`."""
+    d = 1 / np.sqrt(np.diag(V) + 1e-9 * np.diag(prior))
+    known = S @ (d[:, None] * np.linalg.pinv(V * d[:, None] * d, rcond=rcond, hermitian=True) * d) @ S
+    return 0.5 * (known + known.T)
 
 
 CLUSTER = 1.0
@@ -461,9 +464,7 @@ def with_dispersion(problem: Problem, noise: Noise, f: Fit) -> Fit:
     prior = np.diag(1 / problem.spread(f.model) ** 2)
     S, V = H - prior, total.T @ total
     unbiased = max(len(total) - len(V) - 1, 0.25 * len(total)) / len(total)  # of an inverse Wishart matrix
-    d = 1 / np.sqrt(np.diag(V) + 1e-9 * np.diag(prior))
-    known = S @ (d[:, None] * np.linalg.pinv(V * d[:, None] * d, rcond=1e-9, hermitian=True) * d) @ S
-    covariance = np.linalg.inv(0.5 * unbiased * (known + known.T) + prior)
+    covariance = np.linalg.inv(unbiased * _godambe(S, V, prior, 1e-9) + prior)
     larger = np.sqrt(np.maximum(np.diag(covariance) / np.diag(f.covariance), 1.0))
     return replace(f, covariance=f.covariance * larger[:, None] * larger)
 

@@ -319,9 +319,8 @@ def _findings(problem: Problem, found: Search, after: Fit, term: _Unknown | None
 
 def _confidence(found: Search, i: int, term: _Unknown | None) -> float:
     """Probability of the i-th cause among those tried in its round, and of there being one at all."""
-    r = found.rounds[i]
-    gains = np.array([g for g, nameable in zip(r.gains, r.nameable, strict=True) if nameable])
-    names = [f.model[-1].cause.name for f, nameable in zip(r.fits, r.nameable, strict=True) if nameable]
+    names, gains = zip(*found.rounds[i].named, strict=True)
+    gains = np.array(gains)
     chosen = found.rounds[i + 1].base.model[i].cause.name if i + 1 < len(found.rounds) else names[0]
     temper = _temper(found)
     weight = np.exp((gains - gains.max()) / temper)
@@ -345,10 +344,9 @@ def _close(found: Search) -> list[tuple[str, str]]:
     pairs = []
     for r, after in zip(found.rounds, found.rounds[1:], strict=False):
         chosen = after.base.model[-1].cause.name
-        best = max(g for g, nameable in zip(r.gains, r.nameable, strict=True) if nameable)
-        for f, gain, nameable in zip(r.fits, r.gains, r.nameable, strict=True):
-            name = f.model[-1].cause.name
-            if nameable and name != chosen and gain > best - _temper(found):
+        best = max(gain for _, gain in r.named)
+        for name, gain in r.named:
+            if name != chosen and gain > best - _temper(found):
                 pairs.append((chosen, name))
     return pairs
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .calibrate import Echo, Fit, Problem, bounded_step, bounds, echo, evaluate, fit, prior_cost, robust_loss
+from .calibrate import BOX, Echo, Fit, Problem, bounded_step, bounds, echo, evaluate, fit, prior_cost, robust_loss
 from .coordinates import Hypothesis
 from .noise import Noise, estimate, first_guess, louder, whiten
 
@@ -298,6 +298,15 @@ class Round:
     gains: list[float]
     nameable: list[bool]
 
+    @property
+    def named(self) -> list[tuple[str, float]]:
+        """Names and gains of those that could be named, best first."""
+        return [
+            (f.model[-1].cause.name, gain)
+            for f, gain, nameable in zip(self.fits, self.gains, self.nameable, strict=True)
+            if nameable
+        ]
+
 
 @dataclass(frozen=True)
 class Search:
@@ -339,7 +348,7 @@ def _afresh(problem: Problem, noise: Noise, f: Fit, echo: Echo | None) -> Fit:
     again = fit(problem, louder(noise, 30.0), f.model, theta, 3, 5.0, None, echo)
     again = settle(problem, noise, f.model, again.theta, again.jacobian, echo, 5.0)
     again = converge(problem, noise, again, echo)
-    if level(problem, noise, again) < 2.0:  # far from where it began: to the end, with fresh columns
+    if level(problem, noise, again) < _LOUD:  # far from where it began: to the end, with fresh columns
         again = fit(problem, noise, f.model, again.theta, 12, 1.0, None, echo)
     loudness = min(level(problem, noise, g) for g in (f, again))
     return max(f, again, key=lambda g: log_evidence(problem, noise, g, loudness))
@@ -378,13 +387,10 @@ def _scaled(problem: Problem, h: Hypothesis, x: np.ndarray) -> list:
     """The numbers with tolerances that a cause scales; none where it does something else."""
     if [q.name for q in h.free] != ["scale"]:
         return []
-    one, two = (problem.calibration.record(x, mounting) for mounting in [max(problem.mountings, key=_moment)] * 2)
+    one = problem.calibration.record(x, max(problem.mountings, key=lambda m: m.gravity_moment))
+    two = one.copy()
     h.cause.apply(two[0], {"scale": 2.0})
     return [s for s in problem.calibration.slots if s.index < 0 and one[0][s.field] != two[0][s.field]]
-
-
-def _moment(mounting) -> float:
-    return mounting.gravity_moment
 
 
 def _shares(problem: Problem, slots: list, x: np.ndarray, factor: float) -> dict[str, float] | None:
@@ -408,7 +414,7 @@ def _shares(problem: Problem, slots: list, x: np.ndarray, factor: float) -> dict
     for s in slots:
         if s.number.tolerance:
             found[s.name] = (ratios[s.name] / common - 1) / s.number.tolerance
-    return found if all(abs(y) <= 3.0 for y in found.values()) else None
+    return found if all(abs(y) <= BOX for y in found.values()) else None
 
 
 def held_out_loss(problem: Problem, noise: Noise, f: Fit, corrected: bool = True) -> float:
@@ -556,7 +562,7 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
         if not earned or len(base.model) >= most:
             break
         base = converge(problem, noise, earned[0], echoed)
-        if level(problem, noise, base) > 2.0 or _stuck(problem, base):
+        if level(problem, noise, base) > _LOUD or _stuck(problem, base):
             base = _afresh(problem, noise, base, echoed)
     loudness = level(problem, noise, base)
     if echoed is None:

@@ -135,19 +135,8 @@ def _along(time, states, current, command, record, noise, out):
             _jacobian(
                 states[k - 1], current[k - 1], command[k - 1], time[k - 1], dt, p, noise.active, F, y, ahead, work
             )
+            model.propagate(F, P, A)
             for i in range(m):
-                for j in range(m):
-                    total = 0.0
-                    for l in range(m):
-                        total += F[i, l] * P[l, j]
-                    A[i, j] = total
-            for i in range(m):
-                for j in range(i + 1):
-                    total = 0.0
-                    for l in range(m):
-                        total += A[i, l] * F[j, l]
-                    P[i, j] = total
-                    P[j, i] = total
                 P[i, i] += noise.walk[noise.active[i]] * dt
             for sensor in range(2):
                 H[:] = 0.0

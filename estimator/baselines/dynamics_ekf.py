@@ -50,19 +50,7 @@ def predict(x, P, i_now, command, time, dt, ratio, noise, p, F, A, base, y, work
         for i in range(m):
             F[i, j] = (y[active[i]] - base[active[i]]) / STEPS[active[j]]
     x[:] = base
-    for i in range(m):
-        for j in range(m):
-            total = 0.0
-            for l in range(m):
-                total += F[i, l] * P[l, j]
-            A[i, j] = total
-    for i in range(m):
-        for j in range(i + 1):
-            total = 0.0
-            for l in range(m):
-                total += A[i, l] * F[j, l]
-            P[i, j] = total
-            P[j, i] = total
+    model.propagate(F, P, A)
     model.add_noise(P, dt, ratio, noise)
 
 

@@ -291,6 +291,25 @@ def drive_current(signals: JointSignals, p: np.void) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def propagate(F, P, A):
+    """P ← F P Fᵀ in place, shape (m, m), symmetric; A: like F, scratch."""
+    m = len(F)
+    for i in range(m):
+        for j in range(m):
+            total = 0.0
+            for l in range(m):
+                total += F[i, l] * P[l, j]
+            A[i, j] = total
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for l in range(m):
+                total += A[i, l] * F[j, l]
+            P[i, j] = total
+            P[j, i] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def add_noise(P, dt, ratio, noise):
     """Add the process noise of `dt` [s] to P, shape (m, m); more of it where the encoders' mean NIS `ratio` (2,) is high."""
     low, high = noise.rule[2], noise.rule[3]
