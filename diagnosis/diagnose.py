@@ -426,6 +426,14 @@ def _adds(name: str) -> bool:
     return any(q.integer or q.name == "scale" for q in causes.get(name).parameters)
 
 
+def _means(r: np.ndarray, use: np.ndarray, block: int) -> np.ndarray:
+    """Means of a residual over the blocks that count as one (`Drive.block`), of those samples that are used."""
+    starts = np.arange(0, len(r), block)
+    count = np.add.reduceat(use.astype(float), starts)
+    total = np.add.reduceat(np.where(use, r, 0.0), starts)
+    return (total[count > 0.5 * block] / count[count > 0.5 * block]) if np.any(count > 0.5 * block) else r[use]
+
+
 def _channels(problem: Problem, at: Fit, before: list[np.ndarray], after: list[np.ndarray]) -> dict[str, Channel]:
     """RMS on held-out samples by channel, in motion: at rest friction may be anything up to its level."""
     names = {"motor_current": "motor_current", "joint_torque": "joint_torque", "link": "link_balance"}
@@ -439,8 +447,8 @@ def _channels(problem: Problem, at: Fit, before: list[np.ndarray], after: list[n
         if not any(u.any() for u in use):
             continue
         rms = [
-            float(np.sqrt(np.mean(np.concatenate([r[u, c] for r, u in zip(rs, use, strict=True)]) ** 2)))
-            for rs in (before, after, noise)
+            float(np.sqrt(np.mean(np.concatenate([_means(r[:, c], u, d.block) for r, u, d in stretches]) ** 2)))
+            for stretches in (list(zip(rs, use, problem.drives, strict=True)) for rs in (before, after, noise))
         ]
         found[names[channel]] = Channel(*rms, UNITS[channel])
     return found

@@ -42,8 +42,8 @@ THREADS = 2
 _RUNAWAY = 1e5
 """Speed of the wave generator [rad/s] that no joint reaches."""
 
-_STIFFEST = 0.5
-"""Torque of the wave generator's compliance [N·m, motor side] beyond any that a joint of this kind carries."""
+_STIFFEST = 2.5
+"""Torque of the wave generator's compliance beyond any that a joint carries, in torques of its motor at the limit."""
 
 _ROTOR, _MESH, _FLEXSPLINE, _LINK, _JOINT_TORQUE, _LINK_POSITION, _CURRENT = (
     PLACES.index(name)
@@ -153,11 +153,12 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
             known_push = recording.external == "measured"
             if known_push:
                 columns.append(recording.external_torque)
+            columns = [x[stretch] for x in columns]
             noise = rng.standard_normal((len(time), len(deviations))) * deviations
             for i, encoder in enumerate((sensors.motor_encoder, sensors.link_encoder)):
-                noise[:, i] = _encoder_noise(time, columns[i][stretch], encoder, rng)
+                noise[:, i] = _encoder_noise(time, columns[i], encoder, rng)
             c = len(columns)
-            s = smooth(time, np.column_stack([*(x[stretch] for x in columns), noise]), STEP)
+            s = smooth(time, np.column_stack([*columns, noise]), STEP)
             read = slice(2, 4) if has_torque else slice(2, 3)
             noise_read = slice(c + 2, c + len(deviations))
             motion, disturbance = (
@@ -203,7 +204,9 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
                     passband=1 / (2 * np.pi * passband(time)),
                 )
             )
-            found[-1] = replace(found[-1], block=_block(motion, disturbance))
+            # Wrong stamps are louder in the accelerations than all that the twin has of noise.
+            mistimed = timing_error(time, columns[0], columns[1]) > 0.0
+            found[-1] = replace(found[-1], block=_BLOCK if mistimed else _block(motion, disturbance))
             twins.append(
                 replace(
                     found[-1],
@@ -257,6 +260,39 @@ def _encoder_noise(time: np.ndarray, reading: np.ndarray, encoder: EncoderSpec, 
     return np.round(noisy / encoder.resolution) * encoder.resolution - angle
 
 
+_TOGETHER = 0.5
+"""Correlation of what both encoders are off their own smooth motion, from which on it is the time that is wrong."""
+
+
+def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float:
+    """Standard deviation [s] of the error of a recording's time stamps; zero where the encoders do not show any.
+
+    A sample with a wrong time is off the motion at both encoders at once, by their speeds times that error: encoder noise
+    is not, and a rotor that trembles leaves the link where it is.
+
+    Args:
+      time: of the samples of one stretch [s], shape (n,).
+      motor, link: readings of both encoders [rad], shape (n,).
+    """
+    (a, v), (b, u) = (_off(time, x) for x in (motor, link))
+    moving = np.abs(v) > 0.2 * np.sqrt(np.mean(v * v))
+    a, b, speeds = a[moving], b[moving], (v * u)[moving]
+    common = np.mean(a * b)
+    if len(a) < 50 or common <= _TOGETHER * np.sqrt(np.mean(a * a) * np.mean(b * b)) or np.mean(speeds) <= 0:
+        return 0.0
+    return float(np.sqrt(common / np.mean(speeds)))
+
+
+def _off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Samples less the cubic through two neighbours on either side, as noise of one sample; and the speed there."""
+    i = np.arange(2, len(t) - 2)
+    others = [i - 2, i - 1, i + 1, i + 2]
+    weights = [np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in others if b is not a], axis=0) for a in others]
+    off = x[i] - sum(w * x[a] for w, a in zip(weights, others, strict=True))
+    speed = (x[i + 1] - x[i - 1]) / (t[i + 1] - t[i - 1])
+    return off / np.sqrt(1 + sum(w * w for w in weights)), speed
+
+
 @njit(cache=True, nogil=True)
 def _transmission(p, time, rotor, link, passband, h, inner):
     """Move the wave generator, the bristle and the Dahl state; fills `inner`, shape (n, len(_INNER)). False: runaway."""
@@ -265,7 +301,7 @@ def _transmission(p, time, rotor, link, passband, h, inner):
     dahl_present = p.hysteresis_torque != 0.0
     shift = p.link_delay / h
     inverse_N = 1.0 / p.N
-    reach = laws.wave_generator_torsion(_STIFFEST, p)
+    reach = laws.wave_generator_torsion(_STIFFEST * p.Kt * p.current_limit, p)
 
     z = 0.0
     dahl = 0.0

@@ -3,6 +3,7 @@
 Each calibration variable `x_j ~ N(0, 1)` moves one number of the joint (or, where a tolerance is shared, several):
 `value = nominal · (1 + tolerance · x_own) · (1 + shared tolerance · x_shared) + deviation · x_own`. Drawing a
 joint within its tolerances is drawing `x`; fitting one is finding `x` with the prior that the joint file states.
+No factor `1 + tolerance · x` passes through zero, however wide the tolerance: below 0.3 it goes on as an exponential.
 """
 
 from __future__ import annotations
@@ -59,9 +60,10 @@ class Calibration:
         """Value of one number at `x`."""
         number = slot.number
         own = x[self._position[slot.name]] if slot.name in self._position else 0.0
-        value = number.value * (1 + number.tolerance * own) + number.deviation * own
+        value = number.value * _factor(number.tolerance * own) + number.deviation * own
         if number.shared is not None:
-            value *= 1 + self.joint.shared_tolerances[number.shared] * x[self._position[f"shared {number.shared}"]]
+            shared = self.joint.shared_tolerances[number.shared]
+            value *= _factor(shared * x[self._position[f"shared {number.shared}"]])
         return float(value)
 
     def record(self, x: np.ndarray, mounting: Mounting | None = None, effects: bool = True) -> np.ndarray:
@@ -84,6 +86,14 @@ class Calibration:
         if effects:
             self.joint.apply_effects(record)
         return record
+
+
+_LEAST = 0.3
+
+
+def _factor(change: float) -> float:
+    """1 + change, and positive all the same for changes near −1 and below: an inertia is no less than nothing."""
+    return 1 + change if change > _LEAST - 1 else _LEAST * float(np.exp((change + 1 - _LEAST) / _LEAST))
 
 
 def _slots(joint: Joint) -> list[Slot]:
