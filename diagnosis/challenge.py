@@ -73,9 +73,16 @@ class Challenge:
         if self.hidden == "outside":
             known = [name for name, e in OUTSIDE.items() if self.sensor or not e.needs_sensor]
         else:
-            known = [
-                n for n in causes.of(load_joint(self.joint)) if self.sensor or "joint_torque" not in causes.get(n).needs
-            ]
+            joint = load_joint(self.joint)
+            known = [n for n in causes.of(joint) if self.sensor or "joint_torque" not in causes.get(n).needs]
+            if not self.exact:
+                lost = [n for n in known if _lost(joint, n)]
+                known = [n for n in known if n not in lost]
+                for name in set(self.only) & set(lost):
+                    raise InputError(
+                        f"--cause {name}: expected an effect beyond the tolerances of {joint.name}, "
+                        "got one whose ordinary sizes they express (--exact takes none)"
+                    )
         for name in self.only:
             if name not in known:
                 raise InputError(f"--cause: expected one of {', '.join(known)}, got {name!r}")
@@ -243,10 +250,14 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
     calibration = Calibration(nominal)
     x = np.zeros(calibration.size)
     if not challenge.exact:
-        x = calibration.draw(streams[1])
-        whole = _effects(challenge, index, 1.0, nominal, np.random.default_rng([challenge.seed, index, 0]))
-        while any(within_tolerance(calibration, x, effect) for effect in whole):
+        for attempt in itertools.count():
             x = calibration.draw(streams[1])
+            stream = [challenge.seed, index, 0, attempt // _REDRAWN][: 3 + (attempt >= _REDRAWN)]
+            whole, effects = (
+                _effects(challenge, index, s, nominal, np.random.default_rng(stream)) for s in (1.0, size)
+            )
+            if not any(within_tolerance(calibration, x, effect) for effect in whole):
+                break
     scenarios = _scenarios(challenge, nominal, streams[2])
     records, recordings = [], []
     for k, scenario in enumerate(scenarios):
@@ -263,6 +274,20 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
         recordings.append(recording)
     measurement = Measurement(f"draw {index}", Path(), tuple(recordings))
     return Draw(effects, tuple(records), measurement, nominal)
+
+
+_REDRAWN = 40
+"""Joints drawn for an effect before the effect is drawn anew too: it may be within tolerance of nearly all of them."""
+
+
+def _lost(joint: Joint, name: str) -> bool:
+    """Whether the joint's tolerances can express whatever a cause makes of it at ordinary size."""
+    calibration, cause = Calibration(joint), causes.get(name)
+    rng, record = np.random.default_rng(0), joint.record()[0]
+    drawn = (cause.draw(record, rng) for _ in range(_REDRAWN))
+    x = np.zeros(calibration.size)
+    effects = (Effect(name, cause.component, v, "", lambda p, v=v: cause.apply(p, v)) for v in drawn)
+    return all(within_tolerance(calibration, x, effect) for effect in effects)
 
 
 WITHIN = 3.0

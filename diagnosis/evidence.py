@@ -15,7 +15,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .calibrate import BOX, Echo, Fit, Problem, bounded_step, bounds, echo, evaluate, fit, prior_cost, robust_loss
+from .calibrate import (
+    BOX,
+    Echo,
+    Fit,
+    Problem,
+    bounded_step,
+    bounds,
+    echo,
+    evaluate,
+    fit,
+    prior_cost,
+    robust_loss,
+    with_dispersion,
+)
 from .coordinates import Hypothesis
 from .noise import Noise, estimate, first_guess, louder, whiten
 
@@ -488,6 +501,8 @@ def _to_the_end(problem: Problem, noise: Noise, f: Fit, echo: Echo | None, loudn
     return fit(problem, noise, f.model, f.theta, 8, 0.5, None, echo)
 
 
+_SMALL = 0.2
+"""A further cause that earns less than this part of what the first did must stand out from what the laws leave, too."""
 _PROXY = 0.5
 """A cause that earns less than this part of what another earns, be that too small to be named, stands in for it."""
 
@@ -553,6 +568,8 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             for f, gain, named in zip(fits, gains, nameable, strict=True)
             if named and gain > THRESHOLD and _holds(problem, noise, base, f, gain, gains[0], loudness)
         ]
+        if earned and len(rounds) > 1 and gains[0] < _SMALL * rounds[0].gains[0] and loudness < _QUIET:
+            earned = [f for f in earned[:1] if significance(problem, with_dispersion(problem, noise, f)) > SIGNIFICANT]
         if not earned and not again and (loudness > _UNSETTLED or _stuck(problem, base)):
             again, other = True, _afresh(problem, noise, base, echoed)
             if other is not base:
