@@ -288,9 +288,12 @@ def fit(
 
     def objective(state, t, limit):
         r = whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0]
-        total = robust_loss(r, limit)[0] + prior_cost(problem, t, model)
+        total = robust_loss(r, limit)[0]
         if state[1] is not None:
-            total -= robust_loss(whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0], limit)[0]
+            total = _corrected(
+                total, robust_loss(whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0], limit)[0]
+            )
+        total += prior_cost(problem, t, model)
         return total if np.isfinite(total) else np.inf
 
     state = evaluate_at(theta)
@@ -400,10 +403,23 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
     share = np.zeros_like(information)
     if twin_jacobian is not None:
         noise_loss, share, noise_gradient = products(state[1], twin_jacobian, limit)
-        loss -= noise_loss
+        loss = _corrected(loss, noise_loss)
         g = g - noise_gradient
         information = information - share
     return _positive(information, problem.spread(model)) + np.diag(curvature), g, loss, share
+
+
+_CHANCE = 6.0
+"""Three standard deviations of the difference of two sums of squares, over the root of either."""
+
+
+def _corrected(loss: float, share: float) -> float:
+    """A loss less the noise's share of it: about zero at best, and what is below that by more than chance is above it.
+
+    Where the twin's noise is a little louder than the data's, parameters that make all noise louder would win.
+    """
+    floor = -_CHANCE * np.sqrt(max(min(loss, share), 1.0))
+    return loss - share if loss - share > floor else 2 * floor - (loss - share)
 
 
 def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:

@@ -29,6 +29,7 @@ from scipy.signal import welch
 from ..models import laws
 from ..models.joint import EncoderSpec, Sensors
 from ..models.parameters import PLACES
+from .held import between, fresh
 from .motion import passband, smooth
 
 STEP = 1e-3
@@ -153,10 +154,19 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
             known_push = recording.external == "measured"
             if known_push:
                 columns.append(recording.external_torque)
-            columns = [x[stretch] for x in columns]
-            noise = rng.standard_normal((len(time), len(deviations))) * deviations
+            rates = [sensors.motor_encoder.rate, sensors.link_encoder.rate, *(x.rate for x in analog[: 1 + has_torque])]
+            rates += [sensors.wrench.rate] * known_push
+            slow = int(np.argmin(rates[:2]))
+            news = fresh(time, columns[slow][stretch], rates[slow])
+            time, columns = time[news], [x[stretch][news] for x in columns]
+            noise = np.empty((len(time), len(deviations)))
             for i, encoder in enumerate((sensors.motor_encoder, sensors.link_encoder)):
                 noise[:, i] = _encoder_noise(time, columns[i], encoder, rng)
+            for i in range(2, len(columns)):
+                at = fresh(time, columns[i], rates[i])
+                columns[i] = between(time, time[at], columns[i][at])
+                if i < len(deviations):
+                    noise[:, i] = between(time, time[at], deviations[i] * rng.standard_normal(int(at.sum())))
             c = len(columns)
             s = smooth(time, np.column_stack([*columns, noise]), STEP)
             read = slice(2, 4) if has_torque else slice(2, 3)
