@@ -44,7 +44,7 @@ class Problem:
         self.twins = twins
         self.joint = joint
         self.calibration = Calibration(joint)
-        self.mountings = [Mounting(inertia=d.inertia, gravity_moment=d.gravity_moment) for d in drives]
+        self.mountings = [d.mounting for d in drives]
         self.size = self.calibration.size + 2
         linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
         self.linear = np.array(
@@ -75,10 +75,10 @@ class Problem:
     def records(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> list[np.ndarray]:
         """Parameter records of the joint at `theta`, one a stretch."""
         parts = self.split(theta, model)
-        made: dict[Mounting, np.ndarray] = {}
+        made: dict[tuple[float, ...], np.ndarray] = {}
         found = []
         for mounting in self.mountings:
-            key = (mounting.inertia, mounting.gravity_moment)
+            key = (mounting.inertia, mounting.gravity_moment, mounting.gravity_angle)
             if key not in made:
                 record = self.calibration.record(theta[: self.calibration.size], mounting)
                 for h, u in zip(model, parts, strict=True):

@@ -158,7 +158,7 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
     Args:
       most: largest number of causes at once.
     """
-    problem = Problem(*drives(list(measurement.recordings), joint.sensors), joint)
+    problem = Problem(*drives(list(measurement.recordings), joint), joint)
     available = [n for n in causes.of(joint) if problem.has_torque or "joint_torque" not in causes.get(n).needs]
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     present = {effect.name: effect.values for effect in joint.effects}

@@ -351,7 +351,7 @@ def converge(problem: Problem, noise: Noise, f: Fit, echo: Echo | None = None) -
 
 def _stuck(problem: Problem, f: Fit) -> bool:
     """Whether a number that the data know well is near the end of its tolerance: a local minimum, or an effect."""
-    known = np.sqrt(np.diag(f.covariance))[: problem.calibration.size] < 0.3
+    known = np.diag(f.covariance)[: problem.calibration.size] < 0.3**2
     return bool(np.any(known & (np.abs(f.theta[: problem.calibration.size]) > _STUCK)))
 
 
@@ -501,8 +501,9 @@ def _to_the_end(problem: Problem, noise: Noise, f: Fit, echo: Echo | None, loudn
     return fit(problem, noise, f.model, f.theta, 8, 0.5, None, echo)
 
 
-_SMALL = 0.2
-"""A further cause that earns less than this part of what the first did must stand out from what the laws leave, too."""
+_SMALL, _SMALLEST_GAIN = 0.2, 100.0
+"""A cause that earns less than this, or less than this part of what the first did, must stand out from what the laws
+leave, too."""
 _PROXY = 0.5
 """A cause that earns less than this part of what another earns, be that too small to be named, stands in for it."""
 
@@ -568,8 +569,12 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             for f, gain, named in zip(fits, gains, nameable, strict=True)
             if named and gain > THRESHOLD and _holds(problem, noise, base, f, gain, gains[0], loudness)
         ]
-        if earned and len(rounds) > 1 and gains[0] < _SMALL * rounds[0].gains[0] and loudness < _QUIET:
-            earned = [f for f in earned[:1] if significance(problem, with_dispersion(problem, noise, f)) > SIGNIFICANT]
+        if (
+            loudness < _QUIET
+            and gains
+            and gains[0] < max(_SMALL * rounds[0].gains[0] * (len(rounds) > 1), _SMALLEST_GAIN)
+        ):
+            earned = [f for f in earned if significance(problem, with_dispersion(problem, noise, f)) > SIGNIFICANT]
         if not earned and not again and (loudness > _UNSETTLED or _stuck(problem, base)):
             again, other = True, _afresh(problem, noise, base, echoed)
             if other is not base:

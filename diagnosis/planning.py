@@ -115,7 +115,7 @@ def plan(diagnosis: Diagnosis, joint: Joint) -> Plan:
         mounting = joint.mount(scenario.mounting or None)
         record = problem.calibration.record(base.theta[: problem.calibration.size], mounting)
         recording = ideal_recording(record, mounting, scenario, problem.has_torque)
-        new = Problem(*drives([recording], joint.sensors), joint)
+        new = Problem(*drives([recording], joint), joint)
         if not new.drives:
             continue
         state = new.residuals([base.theta], [()])[0]

@@ -27,7 +27,7 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 from scipy.signal import welch
 
 from ..models import laws
-from ..models.joint import EncoderSpec, Sensors
+from ..models.joint import EncoderSpec, Joint, Mounting
 from ..models.parameters import PLACES
 from .held import between, fresh
 from .motion import passband, smooth
@@ -63,11 +63,13 @@ class Drive:
       link: link encoder's reading and its two derivatives [rad], shape (n, 3).
       torque: joint torque reading [N·m], shape (n,); empty without a sensor.
       external: known torque on the link [N·m], shape (n,).
-      inertia, gravity_moment: of the mounting.
+      mounting: of the link.
       at: time of each residual [s], shape (k,).
       measured: decimated readings of current and joint torque (zero without sensor), shape (k, 2).
       measured_rate: their rates [1/s], shape (k, 2).
       state: decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors.
+      load: what the joint gives the link [N·m]: the torque sensor's reading or, without one, what the link as it is
+        described and a known push ask for; shape (k,).
       usable: which residuals count, shape (k, 3).
       held_out: residuals kept from every fit, to measure what was gained, shape (k, 3).
       at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
@@ -81,12 +83,12 @@ class Drive:
     link: np.ndarray
     torque: np.ndarray
     external: np.ndarray
-    inertia: float
-    gravity_moment: float
+    mounting: Mounting
     at: np.ndarray
     measured: np.ndarray
     measured_rate: np.ndarray
     state: np.ndarray
+    load: np.ndarray
     usable: np.ndarray
     held_out: np.ndarray
     at_rest: np.ndarray
@@ -130,13 +132,14 @@ def _at_rest(theta_m: np.ndarray) -> np.ndarray:
 _WINDOW = 0.5 * (1 + np.cos(np.pi * np.arange(DECIMATION) / DECIMATION))
 
 
-def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Drive], list[Drive]]:
+def drives(recordings: list, joint: Joint, seed: int = 1) -> tuple[list[Drive], list[Drive]]:
     """Smooth every stretch of every recording (`sim.recording.Recording`) into what the replay takes.
 
     Returns the stretches, and their twins: the same with the sensors' noise added a second time, drawn anew. The
     difference between the two tells what the noise of the motion does to a residual, at any parameters.
     """
     rng = np.random.default_rng(seed)
+    sensors = joint.sensors
     analog = (sensors.motor_current, sensors.joint_torque)
     rms = [0.0, 0.0, *(float(np.hypot(x.noise, x.step / np.sqrt(12))) for x in analog)]
     found, twins = [], []
@@ -182,6 +185,7 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
             )
             since = s.time - recording.time[0]
             n = len(since)
+            external = np.ascontiguousarray(s.value[:, c - 1]) if known_push else np.zeros(n)
             at = decimate(since)
             state = decimate(np.column_stack([motion[0][:, 0], motion[1][:, 0], motion[0][:, 1], motion[1][:, 1],
                                               motion[1][:, 2]]))  # fmt: skip
@@ -201,13 +205,13 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
                     rotor=np.ascontiguousarray(motion[0]),
                     link=np.ascontiguousarray(motion[1]),
                     torque=np.ascontiguousarray(s.value[:, 3]) if has_torque else np.empty(0),
-                    external=np.ascontiguousarray(s.value[:, c - 1]) if known_push else np.zeros(n),
-                    inertia=recording.link.inertia,
-                    gravity_moment=recording.link.gravity_moment,
+                    external=external,
+                    mounting=recording.link,
                     at=at,
                     measured=measured,
                     measured_rate=measured_rate,
                     state=state,
+                    load=measured[:, 1] if has_torque else _own_load(joint, recording.link, state) - decimate(external),
                     usable=usable,
                     held_out=scored,
                     at_rest=_at_rest(state[:, 0]),
@@ -228,6 +232,12 @@ def drives(recordings: list, sensors: Sensors, seed: int = 1) -> tuple[list[Driv
                 )
             )
     return found, twins
+
+
+def _own_load(joint: Joint, mounting: Mounting, state: np.ndarray) -> np.ndarray:
+    """Torque [N·m] that gravity and inertia of the link as described ask for, shape (k,)."""
+    p = joint.record(mounting)[0]
+    return p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
 
 
 _BLOCK = 8

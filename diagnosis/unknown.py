@@ -95,9 +95,7 @@ def _variable(name: str, drive) -> np.ndarray:
         return velocity
     if name == "time":
         return drive.at
-    if len(drive.torque):
-        return drive.measured[:, 1]
-    return drive.gravity_moment * np.sin(theta_l) + drive.inertia * drive.state[:, 4]
+    return drive.load
 
 
 def _range(name: str, problem: Problem) -> tuple[float, float]:

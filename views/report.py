@@ -328,11 +328,9 @@ def _balances(r: Report, noise: Noise) -> list[figures.Balance]:
         columns: list[list[np.ndarray]] = [[] for _ in range(8)]
         for drive, before, after in zip(p.drives, d.before, d.after, strict=True):
             use = (drive.usable[:, c] | drive.held_out[:, c]) & ~drive.at_rest
-            theta_m, theta_l, w, _, acceleration = drive.state.T
-            own = drive.gravity_moment * np.sin(theta_l) + drive.inertia * acceleration
-            load = drive.measured[:, 1] if len(drive.torque) else own
-            rising = np.gradient(uniform_filter1d(load, 3)) > 0
-            values = (before[:, c], after[:, c], drive.at, theta_l, theta_m, w, load, rising)
+            theta_m, theta_l, w = drive.state.T[:3]
+            rising = np.gradient(uniform_filter1d(drive.load, 3)) > 0
+            values = (before[:, c], after[:, c], drive.at, theta_l, theta_m, w, drive.load, rising)
             for column, x in zip(columns, values, strict=True):
                 column.append(x[use])
         before, after, *variables = (np.concatenate(x) for x in columns)

@@ -5,7 +5,7 @@ import pytest
 from flexspline.diagnosis.motion import smooth
 from flexspline.diagnosis.replay import READ_OUT, _encoder_noise, drives, residual, residuals, transmission
 from flexspline.models import causes
-from flexspline.models.joint import Mounting, load_joint
+from flexspline.models.joint import load_joint
 from hidden_joint import measure
 
 
@@ -17,14 +17,14 @@ def joint():
 @pytest.fixture(scope="module")
 def stretches(joint):
     measurement, _ = measure(joint, seed=3, exact=True)
-    return drives(list(measurement.recordings), joint.sensors)[0]
+    return drives(list(measurement.recordings), joint)[0]
 
 
 def rms(joint, stretches, change=lambda p: None):
     """RMS of each channel while the rotor moves."""
     left = [[], [], []]
     for drive in stretches:
-        record = joint.record(Mounting(inertia=drive.inertia, gravity_moment=drive.gravity_moment))
+        record = joint.record(drive.mounting)
         change(record[0])
         r = residual(drive, record)
         for c in range(3):
@@ -56,7 +56,7 @@ def test_an_effect_breaks_only_the_balances_that_it_touches(joint, stretches, na
 
 def test_numbers_that_are_read_out_move_nothing_inside_the_transmission(joint, stretches):
     drive = stretches[0]
-    record = joint.record(Mounting(inertia=drive.inertia, gravity_moment=drive.gravity_moment))
+    record = joint.record(drive.mounting)
     inner = transmission(drive, record)
     for name in READ_OUT:
         changed = record.copy()
@@ -75,8 +75,8 @@ def test_numbers_that_are_read_out_move_nothing_inside_the_transmission(joint, s
 def test_at_the_true_numbers_nothing_is_left_but_noise_at_any_speed(joint):
     """The twins draw the sensors' noise again: as much as that, and no more, is left of torque and link balance."""
     measurement, _ = measure(joint, seed=11, exact=True)
-    for drive, twin in zip(*drives(list(measurement.recordings), joint.sensors), strict=True):
-        record = joint.record(Mounting(inertia=drive.inertia, gravity_moment=drive.gravity_moment))
+    for drive, twin in zip(*drives(list(measurement.recordings), joint), strict=True):
+        record = joint.record(drive.mounting)
         left = residual(drive, record)
         share = residual(twin, record) - left
         speed = np.abs(drive.state[:, 2])
