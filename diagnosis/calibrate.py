@@ -195,10 +195,7 @@ class Fit:
 def robust_loss(r: np.ndarray, limit: float = HUBER) -> tuple[float, np.ndarray]:
     """Twice the Huber loss, summed, and the weights that make least squares of it."""
     a = np.abs(r)
-    far = a > limit
-    return float(np.sum(np.where(far, limit * (2 * a - limit), r * r))), np.where(
-        far, limit / np.maximum(a, limit), 1.0
-    )
+    return float(np.sum(_huber(r, limit))), np.where(a > limit, limit / np.maximum(a, limit), 1.0)
 
 
 def _limit(r: np.ndarray) -> float:
@@ -288,11 +285,10 @@ def fit(
 
     def objective(state, t, limit):
         r = whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0]
-        total = robust_loss(r, limit)[0]
+        share = None
         if state[1] is not None:
-            total = _corrected(
-                total, robust_loss(whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0], limit)[0]
-            )
+            share = whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0]
+        total = _loss(problem, r, share, limit)
         total += prior_cost(problem, t, model)
         return total if np.isfinite(total) else np.inf
 
@@ -388,38 +384,54 @@ def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobia
     """Hessian and gradient (of half the objective) of the posterior, robust loss, and the noise's share of the information."""
 
     def products(r, j, limit):
-        """Loss, and weighted products JᵀJ and Jᵀr of whitened residuals; one symmetric product, without empty rows."""
+        """Whitened residual, and weighted products JᵀJ and Jᵀr; one symmetric product, without empty rows."""
         columns = [np.concatenate([a[..., None], b], -1) for a, b in zip(r, j, strict=True)]
         stack = whiten(problem.drives, noise, columns)
-        loss, weight = robust_loss(stack[:, 0], limit)
+        weight = robust_loss(stack[:, 0], limit)[1]
         counted = np.flatnonzero(np.any(stack, axis=1))
         rows = stack[counted] * np.sqrt(weight[counted, None])
         G = rows.T @ rows
-        return loss, G[1:, 1:], G[1:, 0]
+        return stack[:, 0], G[1:, 1:], G[1:, 0]
 
     curvature = 1 / problem.spread(model) ** 2
-    loss, information, g = products(state[0], jacobian, limit)
+    r, information, g = products(state[0], jacobian, limit)
     g = g + curvature * theta
-    share = np.zeros_like(information)
+    noise_r, share = None, np.zeros_like(information)
     if twin_jacobian is not None:
-        noise_loss, share, noise_gradient = products(state[1], twin_jacobian, limit)
-        loss = _corrected(loss, noise_loss)
+        noise_r, share, noise_gradient = products(state[1], twin_jacobian, limit)
         g = g - noise_gradient
         information = information - share
-    return _positive(information, problem.spread(model)) + np.diag(curvature), g, loss, share
+    return (
+        _positive(information, problem.spread(model)) + np.diag(curvature),
+        g,
+        _loss(problem, r, noise_r, limit),
+        share,
+    )
 
 
 _CHANCE = 6.0
 """Three standard deviations of the difference of two sums of squares, over the root of either."""
 
 
-def _corrected(loss: float, share: float) -> float:
-    """A loss less the noise's share of it: about zero at best, and what is below that by more than chance is above it.
+def _loss(problem: Problem, r: np.ndarray, share: np.ndarray | None, limit: float) -> float:
+    """Robust loss of a whitened residual less that of the noise's share of it.
 
-    Where the twin's noise is a little louder than the data's, parameters that make all noise louder would win.
+    What is left of a stretch's channel is about zero at best; what is below that by more than chance counts as if it were
+    above. Where the twin is a little louder than the data, parameters that make all noise louder would win otherwise.
     """
-    floor = -_CHANCE * np.sqrt(max(min(loss, share), 1.0))
-    return loss - share if loss - share > floor else 2 * floor - (loss - share)
+    if share is None:
+        return robust_loss(r, limit)[0]
+    lengths = np.repeat([-(-len(d.at) // d.block) for d in problem.drives], 3)
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    whole, part = (np.add.reduceat(_huber(x, limit), starts) for x in (r, share))
+    floor = -_CHANCE * np.sqrt(np.maximum(np.minimum(whole, part), 1.0))
+    left = whole - part
+    return float(np.sum(np.where(left > floor, left, 2 * floor - left)))
+
+
+def _huber(r: np.ndarray, limit: float) -> np.ndarray:
+    a = np.abs(r)
+    return np.where(a > limit, limit * (2 * a - limit), r * r)
 
 
 def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:

@@ -589,10 +589,12 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
     loudness = level(problem, noise, base)
     if echoed is None:
         echoed = echo(problem, base.theta, base.model, base.jacobian)
-    if (
-        base.model
-    ):  # what either can express, numbers and effects share as the priors say: to the end, with fresh columns
+    if base.model:
+        # What either can express, numbers and effects share as the priors say: to the end, with fresh columns.
         quiet = noise if loudness < _QUIET else louder(noise, loudness)
+        if loudness < _QUIET:  # all that is left is noise: now it is known how much of it the motion brings
+            problem.match_twins(fine(problem, noise, base, base.state[0]))
+            echoed = echo(problem, base.theta, base.model, base.jacobian)
         theta = hand_over(problem, base.theta, base.model)
         base = fit(problem, quiet, base.model, theta, 8, 0.5, None, echoed)
         if _stuck(problem, base):

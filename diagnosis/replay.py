@@ -64,6 +64,7 @@ class Drive:
       torque: joint torque reading [N·m], shape (n,); empty without a sensor.
       external: known torque on the link [N·m], shape (n,).
       mounting: of the link.
+      stiffness: sum of the described joint's K1 to K3 [N·m/rad].
       at: time of each residual [s], shape (k,).
       measured: decimated readings of current and joint torque (zero without sensor), shape (k, 2).
       measured_rate: their rates [1/s], shape (k, 2).
@@ -84,6 +85,7 @@ class Drive:
     torque: np.ndarray
     external: np.ndarray
     mounting: Mounting
+    stiffness: float
     at: np.ndarray
     measured: np.ndarray
     measured_rate: np.ndarray
@@ -207,6 +209,7 @@ def drives(recordings: list, joint: Joint, seed: int = 1) -> tuple[list[Drive], 
                     torque=np.ascontiguousarray(s.value[:, 3]) if has_torque else np.empty(0),
                     external=external,
                     mounting=recording.link,
+                    stiffness=float(sum(joint.record(recording.link)[0][k] for k in ("K1", "K2", "K3"))),
                     at=at,
                     measured=measured,
                     measured_rate=measured_rate,
@@ -425,7 +428,7 @@ READ_OUT = (
 
 
 @njit(cache=True, nogil=True)
-def _readings(p, time, rotor, torque, external, inner, passband, every, window, out):
+def _readings(p, time, rotor, torque, external, stiffness, inner, passband, every, window, out):
     """Means of current reading, torque reading and link balance; fills out, shape (k, 3)."""
     n = len(time)
     out[:] = 0.0
@@ -451,7 +454,11 @@ def _readings(p, time, rotor, torque, external, inner, passband, every, window, 
             offset += more
         # The link's balance as the torque sensor reads it: in these units its noise is the same at all parameters.
         balance = on_link - p.Jl * al1
-        balance = torque[i] - offset + p.torque_gain * balance if has_torque else Ts + balance
+        # Without one the noise is the torsion's, which the stiffness scales: at the described stiffness it stays the same.
+        if has_torque:
+            balance = torque[i] - offset + p.torque_gain * balance
+        else:
+            balance = (Ts + balance) * stiffness / (p.K1 + p.K2 + p.K3)
         k = i // every
         r = i - k * every
         u = window[r]
@@ -492,6 +499,7 @@ def replay(drive: Drive, record: np.ndarray, inner: np.ndarray | None = None) ->
         drive.rotor,
         drive.torque,
         drive.external,
+        drive.stiffness,
         inner,
         drive.passband,
         DECIMATION,
