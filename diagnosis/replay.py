@@ -299,11 +299,13 @@ def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float
     """
     (a, v), (b, u) = (_off(time, x) for x in (motor, link))
     moving = np.abs(v) > 0.2 * np.sqrt(np.mean(v * v))
-    a, b, speeds = a[moving], b[moving], (v * u)[moving]
-    common = np.mean(a * b)
-    if len(a) < 50 or common <= _TOGETHER * np.sqrt(np.mean(a * a) * np.mean(b * b)) or np.mean(speeds) <= 0:
+    if moving.sum() < 50:
         return 0.0
-    return float(np.sqrt(common / np.mean(speeds)))
+    a, b, speeds = a[moving], b[moving], np.mean((v * u)[moving])
+    common = np.mean(a * b)
+    if speeds <= 0 or common <= _TOGETHER * np.sqrt(np.mean(a * a) * np.mean(b * b)):
+        return 0.0
+    return float(np.sqrt(common / speeds))
 
 
 def _off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
