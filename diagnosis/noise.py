@@ -97,7 +97,7 @@ def _blocks(white: np.ndarray, counts: np.ndarray, block: int) -> np.ndarray:
 
 
 def first_guess(drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarray) -> Noise:
-    """Noise before anything is fitted: white noise from the residual's differences, rest from one encoder count.
+    """Noise before anything is fitted: white noise from the differences of what counts as one, rest from one count.
 
     Args:
       residuals: shape (k, 3) a stretch.
@@ -108,7 +108,9 @@ def first_guess(drives: list[Drive], residuals: list[np.ndarray], quantum: np.nd
         channels = []
         for c in range(3):
             use = drive.usable[:, c] & ~drive.at_rest
-            difference = np.diff(r[use, c], 2) if use.sum() > 10 else np.ones(1)
+            x = r[use, c]
+            x = x[: len(x) // drive.block * drive.block].reshape(-1, drive.block).sum(axis=1) / np.sqrt(drive.block)
+            difference = np.diff(x, 2) if len(x) > 10 else np.ones(1)
             white = _ROBUST * np.median(np.abs(difference)) / np.sqrt(6.0)
             channels.append(ChannelNoise(np.zeros(ORDER), max(float(white), 1e-6), (0.0, float(quantum[c]))))
         found.append(channels)
