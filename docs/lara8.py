@@ -7,6 +7,7 @@ python docs/lara8.py ../shared/data/lara8/joint3_outbound.csv --write  # and mod
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,13 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from flexspline.diagnosis.balance import extended, fit_current, fit_eccentricity
+from flexspline.diagnosis.diagnose import Diagnosis, diagnose
 from flexspline.diagnosis.estimate import ESTIMATORS, estimate
 from flexspline.diagnosis.importing import import_recording, load_layout
 from flexspline.diagnosis.motion import smooth
 from flexspline.models import laws
 from flexspline.models.joint import Joint, load_joint, shipped
-from flexspline.sim.recording import Recording
+from flexspline.sim.recording import Measurement, Recording
 from flexspline.views import style
 
 HERE = Path(__file__).parent
@@ -39,6 +41,9 @@ def extend(recording: Recording, joint: Joint, use: np.ndarray | None = None) ->
     effects = fit_current(recording, joint, CAUSES, use).effects
     known = extended(joint, effects, "lara8-joint3-extended", DESCRIPTION)
     return extended(known, (fit_eccentricity(recording, known, use),), known.name, DESCRIPTION)
+
+
+DIAGNOSED = ("model", "RAREKF", "current", "payload_smoothed")
 
 
 def hold_outs(q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -99,6 +104,19 @@ def table(recording: Recording, path: Path) -> list[tuple[str, list[float]]]:
         errors = [published(recording, path), *(found[e] for e in ESTIMATORS)]
         rows.append((name, [float(np.sqrt(np.mean((e - recording.external_torque)[where] ** 2))) for e in errors]))
     return rows
+
+
+def diagnosed(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[float]]]:
+    """What `flexspline diagnose` makes of a part of the sweep by itself, and RMS [N·m] in motion on the rest of it."""
+    joint, q = load_joint(recording.joint), recording.link_position
+    moving = np.gradient(q, recording.time) > 0.05
+    everything = np.ones(len(q), bool)
+    for name, (fit, test) in [("nothing", (everything, everything)), *hold_outs(q).items()]:
+        part = replace(recording, **{c: x[fit] for c, x in recording.columns.items()})
+        answer = diagnose(Measurement(part.name, Path(), (part,)), joint)
+        found = estimate(recording, answer.extended_joint()).external_torque
+        errors = [(found[e] - recording.external_torque)[test & moving] for e in DIAGNOSED]
+        yield name, answer, [float(np.sqrt(np.mean(e**2))) for e in errors]
 
 
 def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 1.0) -> tuple[Recording, np.ndarray]:
@@ -246,6 +264,12 @@ def main() -> None:
     print("|---|---|---|---|---|---|---|")
     for name, values in assumed(recording):
         print(f"| {name} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
+    print("| held out | found | " + " | ".join(DIAGNOSED) + " |")
+    print("|---" * (len(DIAGNOSED) + 2) + "|")
+    for name, answer, values in diagnosed(recording):
+        causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
+        print(f"| {name} | {causes} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
+    print()
     folder = HERE / "figures"
     folder.mkdir(exist_ok=True)
     figures(recording, path, folder)

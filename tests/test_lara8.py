@@ -146,3 +146,22 @@ def test_diagnosis_extends_a_joint_with_a_gravity_angle(log, tmp_path):
     assert json.loads((out / "diagnosis.json").read_text())["verdict"] in ("consistent", "discrepancy", "inconclusive")
     extended = load_joint(out / "joint.yaml")
     assert extended.gravity_angle is not None and extended.gravity_angle.nominal is not None
+
+
+def test_diagnosis_alone_finds_what_the_torsion_hides(recording, page):
+    """Of the three effects the eccentricity, worth 50 N·m in torsion, is the one that one-way motion leaves no doubt of."""
+    name, answer, errors = next(page.diagnosed(recording))
+    assert name == "nothing" and answer.verdict == "discrepancy"
+    (found,) = answer.causes
+    assert found.name == "link_encoder_eccentricity" and found.component == "sensor"
+    amplitude = found.parameters["amplitude"]
+    assert abs(amplitude.value - 1.08e-3) < 3 * np.hypot(amplitude.std, 0.26e-3)
+    assert {"hysteresis", "backlash", "friction_asymmetry"} <= set(answer.undetermined)  # it never reverses
+    current = answer.residual["motor_current"]
+    assert current.after < current.before / 3
+    nominal = estimate(recording, load_joint(recording.joint)).external_torque
+    moving = np.gradient(recording.link_position, recording.time) > 0.05
+    for estimator, error in zip(page.DIAGNOSED, errors, strict=True):
+        before = np.sqrt(np.mean((nominal[estimator] - recording.external_torque)[moving] ** 2))
+        assert error < before / 4, estimator
+    assert dict(zip(page.DIAGNOSED, errors, strict=True))["current"] < 2.671  # published, of a recurrent network

@@ -276,6 +276,16 @@ def outcome(index, hidden, named, size=1.0, confidence=0.95):
     return Outcome(index, size, hidden, "", "", "discrepancy" if named else "consistent", found, {}, None, 1.0)
 
 
+def test_effect_that_no_joint_can_hide_is_not_drawn():
+    wide = Challenge(joint="lara8-joint3", seed=1)
+    assert "torque_constant" not in wide.pool() and "hysteresis" in wide.pool()
+    assert "torque_constant" in Challenge(joint="lara8-joint3", seed=1, exact=True).pool()
+    with pytest.raises(InputError, match="beyond the tolerances of lara8-joint3"):
+        Challenge(joint="lara8-joint3", only=("torque_constant",)).pool()
+    # Twice the rotor inertia is within tolerance of most joints: the draw ends all the same.
+    assert challenges.draw(replace(wide, seed=31), 0).effects
+
+
 def test_rates_and_tables_count():
     right = [outcome(i, {"cogging": {}}, ["cogging"]) for i in range(9)]
     wrong = outcome(9, {"cogging": {}}, ["rotor_inertia"])

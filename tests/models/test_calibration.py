@@ -73,3 +73,16 @@ def test_each_variable_moves_something(calibration):
         x = np.zeros(calibration.size)
         x[i] = 1.0
         assert np.any(as_floats(calibration.record(x)) != nominal), name
+
+
+def test_no_tolerance_makes_a_number_negative():
+    joint = load_joint("lara8-joint3")
+    calibration = Calibration(joint)
+    low, high = (calibration.record(np.full(calibration.size, x))[0] for x in (-3.0, 3.0))
+    nominal = calibration.record(np.zeros(calibration.size))[0]
+    for name in ("Jm", "Jw", "Kw0", "dw", "s0", "K1", "Jl"):
+        assert 0 < low[name] < nominal[name] < high[name]
+    slot = next(s for s in calibration.slots if s.name == "Jm")
+    x = np.zeros(calibration.size)
+    x[calibration.names.index("Jm")] = -1.2
+    assert calibration.value(slot, x) == pytest.approx(nominal["Jm"] * (1 - 1.2 * 0.5))  # a tolerance as it says
