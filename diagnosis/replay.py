@@ -29,8 +29,8 @@ from scipy.signal import welch
 from ..models import laws
 from ..models.joint import EncoderSpec, Joint, Mounting
 from ..models.parameters import PLACES
-from .held import between, fresh
 from .motion import passband, smooth
+from .sampling import between, fresh, timing_error
 
 STEP = 1e-3
 """Step of the replay [s]."""
@@ -281,41 +281,6 @@ def _encoder_noise(time: np.ndarray, reading: np.ndarray, encoder: EncoderSpec, 
     angle = np.interp(time, motion.time, motion.value[:, 0]) + _SHIFT * encoder.resolution
     noisy = angle + encoder.noise * rng.standard_normal(len(time))
     return np.round(noisy / encoder.resolution) * encoder.resolution - angle
-
-
-_TOGETHER = 0.5
-"""Correlation of what both encoders are off their own smooth motion, from which on it is the time that is wrong."""
-
-
-def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float:
-    """Standard deviation [s] of the error of a recording's time stamps; zero where the encoders do not show any.
-
-    A sample with a wrong time is off the motion at both encoders at once, by their speeds times that error: encoder noise
-    is not, and a rotor that trembles leaves the link where it is.
-
-    Args:
-      time: of the samples of one stretch [s], shape (n,).
-      motor, link: readings of both encoders [rad], shape (n,).
-    """
-    (a, v), (b, u) = (_off(time, x) for x in (motor, link))
-    moving = np.abs(v) > 0.2 * np.sqrt(np.mean(v * v))
-    if moving.sum() < 50:
-        return 0.0
-    a, b, speeds = a[moving], b[moving], np.mean((v * u)[moving])
-    common = np.mean(a * b)
-    if speeds <= 0 or common <= _TOGETHER * np.sqrt(np.mean(a * a) * np.mean(b * b)):
-        return 0.0
-    return float(np.sqrt(common / speeds))
-
-
-def _off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples less the cubic through two neighbours on either side, as noise of one sample; and the speed there."""
-    i = np.arange(2, len(t) - 2)
-    others = [i - 2, i - 1, i + 1, i + 2]
-    weights = [np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in others if b is not a], axis=0) for a in others]
-    off = x[i] - sum(w * x[a] for w, a in zip(weights, others, strict=True))
-    speed = (x[i + 1] - x[i - 1]) / (t[i + 1] - t[i - 1])
-    return off / np.sqrt(1 + sum(w * w for w in weights)), speed
 
 
 @njit(cache=True, nogil=True)

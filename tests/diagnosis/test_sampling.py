@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from flexspline.diagnosis.challenge import Challenge, draw
-from flexspline.diagnosis.held import between, fresh
-from flexspline.diagnosis.replay import drives, residual, timing_error
+from flexspline.diagnosis.replay import drives, residual
+from flexspline.diagnosis.sampling import between, fresh, timing_error
 
 
 def hold(time, signal, rate):
