@@ -23,6 +23,9 @@ TIMING = (0.5e-3, 0.3e-3)
 """Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
 BOX = 3.0
 """A number within so many standard deviations is calibration; beyond, it is a cause."""
+REACH = 2.6
+"""Standard deviations within which every calibration variable stays: joints are drawn within 2.5, and two variables that
+move the same number (its own tolerance and a shared one) reach no further together than `BOX` of that number's."""
 _STEP_X, _STEP_U = 0.05, 0.03
 
 
@@ -212,7 +215,7 @@ def prior_cost(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...
 
 def bounds(problem: Problem, model: tuple[Hypothesis, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Smallest and largest value of every unknown."""
-    common = np.full(problem.size, BOX)
+    common = np.full(problem.size, REACH)
     limits = [h.limits for h in model]
     low = np.concatenate([-common, *(l for l, _ in limits)])
     return low, np.concatenate([common, *(u for _, u in limits)])

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .calibrate import (
-    BOX,
+    REACH,
     Echo,
     Fit,
     Problem,
@@ -273,7 +273,7 @@ def settle(
     return f
 
 
-_STUCK = 2.7
+_STUCK = 0.92 * REACH
 """A number so many standard deviations from nominal may stand in for an effect."""
 _UNSETTLED = 1.35
 """A residual that should be noise and is so many times the noise it was taken for: calibration got stuck."""
@@ -427,7 +427,7 @@ def _shares(problem: Problem, slots: list, x: np.ndarray, factor: float) -> dict
     for s in slots:
         if s.number.tolerance:
             found[s.name] = (ratios[s.name] / common - 1) / s.number.tolerance
-    return found if all(abs(y) <= BOX for y in found.values()) else None
+    return found if all(abs(y) <= REACH for y in found.values()) else None
 
 
 def held_out_loss(problem: Problem, noise: Noise, f: Fit, corrected: bool = True) -> float:
@@ -455,8 +455,14 @@ HELD_OUT_SHARE = 0.2
 """Of what an effect gains on the data of the fit, it must gain so much on as many held-out data."""
 
 
-def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, best: float, loudness: float) -> bool:
-    """Whether an effect is significant, no stand-in for another, and improves data that the fit did not see."""
+def _holds(
+    problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, best: float, loudness: float, small: bool
+) -> bool:
+    """Whether an effect is significant, no stand-in for another, and improves data that the fit did not see.
+
+    Args:
+      small: it must stand out from what the laws leave over, too.
+    """
     tempered = noise if loudness < _QUIET else louder(noise, loudness)
     scale = 1.0 if loudness < _QUIET else level(problem, noise, f)
     if _scaled(problem, f.model[-1], f.theta[: problem.calibration.size]):
@@ -465,6 +471,8 @@ def _holds(problem: Problem, noise: Noise, base: Fit, f: Fit, gain: float, best:
         if relief > THRESHOLD:
             return True
     if gain < _PROXY * best:
+        return False
+    if small and significance(problem, with_dispersion(problem, noise, f)) < SIGNIFICANT:
         return False
     significant = significance(problem, f) >= SIGNIFICANT * scale
     share = sum(d.held_out.sum() for d in problem.drives) / max(sum(d.usable.sum() for d in problem.drives), 1)
@@ -502,7 +510,7 @@ def _to_the_end(problem: Problem, noise: Noise, f: Fit, echo: Echo | None, loudn
 
 
 _SMALL, _SMALLEST_GAIN = 0.2, 100.0
-"""A cause that earns less than this, or less than this part of what the first did, must stand out from what the laws
+"""A cause that earns less than this part of what the first did, or less than this, must stand out from what the laws
 leave, too."""
 _PROXY = 0.5
 """A cause that earns less than this part of what another earns, be that too small to be named, stands in for it."""
@@ -564,17 +572,13 @@ def search(problem: Problem, hypotheses: list[Hypothesis], quantum: np.ndarray, 
             for f in fits
         ]
         rounds.append(Round(base, loudness, screened, fits, gains, nameable))
+        before = rounds[0].gains[0] if len(rounds) > 1 else 0.0
+        small = loudness < _QUIET and bool(gains) and gains[0] < max(_SMALL * before, _SMALLEST_GAIN)
         earned = [
             f
             for f, gain, named in zip(fits, gains, nameable, strict=True)
-            if named and gain > THRESHOLD and _holds(problem, noise, base, f, gain, gains[0], loudness)
+            if named and gain > THRESHOLD and _holds(problem, noise, base, f, gain, gains[0], loudness, small)
         ]
-        if (
-            loudness < _QUIET
-            and gains
-            and gains[0] < max(_SMALL * rounds[0].gains[0] * (len(rounds) > 1), _SMALLEST_GAIN)
-        ):
-            earned = [f for f in earned if significance(problem, with_dispersion(problem, noise, f)) > SIGNIFICANT]
         if not earned and not again and (loudness > _UNSETTLED or _stuck(problem, base)):
             again, other = True, _afresh(problem, noise, base, echoed)
             if other is not base:
