@@ -239,9 +239,9 @@ def channel_panel(channel: Channel) -> rrb.Container:
 def send_channel(stream: rr.RecordingStream, channel: Channel) -> None:
     """Send a channel's series."""
     simulations = {"simulated": channel.simulated, **(channel.candidates or {})}
-    colors = dict(
-        zip(simulations, (TRUTH, "#E0533D", "#3D8FE0", "#E8A100", "#9A6FCB") * len(simulations), strict=False)
-    )
+    # What a candidate improves on is red, and the first candidate green, as in the page.
+    palette = ("#E0533D", TRUTH, "#3D8FE0", "#E8A100", "#9A6FCB") if channel.candidates else (TRUTH,)
+    colors = dict(zip(simulations, palette * len(simulations), strict=False))
     send_series(stream, f"{channel.path}/values/measured", channel.time, channel.measured, "measured", SENSOR)
     for label, values in simulations.items():
         place = label.replace(" ", "_").replace("/", "_")
