@@ -59,7 +59,8 @@ def _rows(recordings, summaries: list[Summary]):
     yield row("samples", lambda s: f"{s.samples}")
     yield row("duration [s]", lambda s: f"{s.duration:.2f}")
     yield row("sample rate [Hz]", lambda s: f"{1 / s.interval:.4g}")
-    yield row("jitter of the time stamps [ms rms]", lambda s: f"{1e3 * s.jitter:.3f}")
+    yield row("jitter of the intervals [ms rms]", lambda s: f"{1e3 * s.jitter:.3f}")
+    yield row("time stamps wrong by [ms rms]", lambda s: f"{1e3 * s.late:.2f}" if s.late else "not seen")
     yield row("single samples missing", lambda s: f"{s.missing}")
     yield row("gaps > 0.1 s", lambda s: f"{len(s.gaps)}")
     for column, unit in COLUMNS.items():

@@ -14,6 +14,7 @@ from ..models import causes
 from ..models.joint import Joint
 from ..sim.recording import GAP, OPTIONAL, Measurement, Recording
 from .motion import smooth
+from .sampling import timing_error
 
 _MOVES = 2.5  # Stribeck velocities above which the mesh slides
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
@@ -28,6 +29,7 @@ class Summary:
     Attributes:
       samples, duration [s], interval (median) [s], jitter: rms of the intervals' deviation from it, without missing
         samples [s].
+      late: by how much the time stamps are wrong, as both encoders have it [s rms]; zero where they do not say so.
       missing: single samples that are missing; gaps: longer ones, begin and end [s].
       ranges: smallest and largest value by column.
       motor_speed, link_speed: largest [rad/s].
@@ -43,6 +45,7 @@ class Summary:
     duration: float
     interval: float
     jitter: float
+    late: float
     missing: int
     gaps: tuple[tuple[float, float], ...]
     ranges: dict[str, tuple[float, float]]
@@ -78,6 +81,9 @@ def summarise(recording: Recording, joint: Joint) -> Summary:
         duration=float(time[-1] - time[0]),
         interval=interval,
         jitter=float(np.sqrt(np.mean((regular - interval) ** 2))) if len(regular) else 0.0,
+        late=max(
+            timing_error(time[k], recording.motor_position[k], recording.link_position[k]) for k in recording.stretches
+        ),
         missing=max(round(float(inside.sum()) / interval) - len(inside), 0),
         gaps=recording.gaps,
         ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items() if name != "time"},

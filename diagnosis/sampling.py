@@ -41,6 +41,8 @@ def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
     return CubicSpline(at, values)(np.clip(time, at[0], at[-1]))
 
 
+_FEWEST = 50
+"""Samples in motion below which nothing is said about the time stamps."""
 _TOGETHER = 0.5
 """Correlation of what both encoders are off their own smooth motion, from which on it is the time that is wrong."""
 
@@ -55,9 +57,11 @@ def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float
       time: of the samples of one stretch [s], shape (n,).
       motor, link: readings of both encoders [rad], shape (n,).
     """
+    if len(time) < _FEWEST:
+        return 0.0
     (a, v), (b, u) = (_off(time, x) for x in (motor, link))
     moving = np.abs(v) > 0.2 * np.sqrt(np.mean(v * v))
-    if moving.sum() < 50:
+    if moving.sum() < _FEWEST:
         return 0.0
     a, b, speeds = a[moving], b[moving], np.mean((v * u)[moving])
     common = np.mean(a * b)

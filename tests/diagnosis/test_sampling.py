@@ -55,6 +55,7 @@ def test_noise_of_encoders_is_no_error_of_time(rng):
     assert timing_error(time, motor, link) == 0.0
     assert timing_error(time, trembling, link) == 0.0
     assert timing_error(time, np.zeros(len(time)), np.zeros(len(time))) == 0.0
+    assert timing_error(time[:3], motor[:3], link[:3]) == 0.0
 
 
 def test_slow_sensors_in_a_fast_log_leave_their_noise_alone():
