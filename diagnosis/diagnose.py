@@ -14,7 +14,7 @@ from .calibrate import Fit, Problem, robust_loss, with_dispersion
 from .coordinates import hypotheses
 from .evidence import THRESHOLD, Library, Round, Search, level, search
 from .noise import louder
-from .replay import CHANNELS, HELD_OUT_BLOCK, HELD_OUT_EVERY, drives
+from .replay import CHANNELS, DECIMATION, HELD_OUT_BLOCK, HELD_OUT_EVERY, STEP, drives
 
 UNITS = {"motor_current": "A", "joint_torque": "N·m", "link": "N·m"}
 LOUD = 1.6
@@ -28,10 +28,6 @@ _NEARLY_ALL = 2 / 3
 TEMPER, INEXACT = 5.0, 0.05
 """The laws are not exact and neither is the noise model: log evidence counts `TEMPER` times less, and less still where
 the last round found something too small to be a cause: `INEXACT` times its log evidence is added."""
-HELD_OUT = (
-    f"every {HELD_OUT_EVERY}th block of {HELD_OUT_BLOCK:g} s of each recording was kept from every fit; "
-    "RMS over 8 ms means, in motion, while rotor and link follow their measured motion"
-)
 
 
 @dataclass(frozen=True)
@@ -113,7 +109,7 @@ class Diagnosis:
     before: list[np.ndarray] = field(repr=False)
     after: list[np.ndarray] = field(repr=False)
     estimation: dict[str, Any] | None = None
-    held_out: str = HELD_OUT
+    held_out: str = ""
 
     def extended_joint(self) -> Joint:
         """The joint's description with calibration, effects and terms in it."""
@@ -204,6 +200,17 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
         problem=problem,
         before=first.base.state[0],
         after=after_residuals,
+        held_out=_held_out(problem),
+    )
+
+
+def _held_out(problem: Problem) -> str:
+    """How data were kept from the fits, and over what the numbers of `residual` are means."""
+    blocks = sorted({d.block for d in problem.drives})
+    means = " to ".join(f"{1e3 * STEP * DECIMATION * b:.0f}" for b in {blocks[0]: 0, blocks[-1]: 0})
+    return (
+        f"every {HELD_OUT_EVERY}th block of {HELD_OUT_BLOCK:g} s of each recording was kept from every fit; "
+        f"RMS over means of {means} ms, in motion, while rotor and link follow their measured motion"
     )
 
 
