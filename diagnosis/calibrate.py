@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..models.calibration import Calibration
-from ..models.joint import Joint, Mounting
-from ..models.parameters import as_floats
+from ..models.joint import Joint
 from .coordinates import Hypothesis
 from .noise import Noise, whiten
 from .replay import Drive, residuals
@@ -21,11 +20,10 @@ from .replay import Drive, residuals
 HUBER = 3.0
 TIMING = (0.5e-3, 0.3e-3)
 """Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
-BOX = 3.0
-"""A number within so many standard deviations is calibration; beyond, it is a cause."""
 REACH = 2.6
 """Standard deviations within which every calibration variable stays: joints are drawn within 2.5, and two variables that
-move the same number (its own tolerance and a shared one) reach no further together than `BOX` of that number's."""
+move the same number (its own tolerance and a shared one) reach little further together than the number's own limit
+(`models.calibration.WITHIN`)."""
 _STEP_X, _STEP_U = 0.05, 0.03
 
 
@@ -141,24 +139,7 @@ class Problem:
         """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause."""
         records = self.records(theta, model)
         before = self.records(theta[: len(theta) - model[-1].size], model[:-1])
-        return all(self._within(*trio) for trio in zip(records, before, self.mountings, strict=True))
-
-    def _within(self, record: np.ndarray, without: np.ndarray, mounting: Mounting) -> bool:
-        """Whether all that differs between two records is within tolerance of nominal in the first."""
-        bare = self.calibration.record(np.zeros(self.calibration.size), mounting)
-        tolerance = np.zeros(1, record.dtype)
-        for slot in self.calibration.slots:
-            number = slot.number
-            shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
-            deviation = np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation)
-            scale = bare[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
-            if slot.index < 0:
-                tolerance[0][slot.field] = deviation * scale
-            else:
-                tolerance[0][slot.field][slot.index] = deviation
-        allowed = BOX * as_floats(tolerance)
-        changed = as_floats(record) != as_floats(without)
-        return not np.any(changed & (np.abs(as_floats(record) - as_floats(bare)) > allowed))
+        return all(self.calibration.expresses(*trio) for trio in zip(records, before, self.mountings, strict=True))
 
     def spread(self, model: tuple[Hypothesis, ...]) -> np.ndarray:
         """Prior standard deviation of every unknown."""
@@ -291,8 +272,7 @@ def fit(
         share = None
         if state[1] is not None:
             share = whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0]
-        total = _loss(problem, r, share, limit)
-        total += prior_cost(problem, t, model)
+        total = _loss(problem, r, share, limit) + prior_cost(problem, t, model)
         return total if np.isfinite(total) else np.inf
 
     state = evaluate_at(theta)

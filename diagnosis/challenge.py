@@ -14,6 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
@@ -26,7 +27,7 @@ from ..models import causes
 from ..models.calibration import Calibration
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting, load_joint
-from ..models.parameters import N_COEFFICIENTS, PLACES, VARIABLES, as_floats
+from ..models.parameters import N_COEFFICIENTS, PLACES, VARIABLES
 from ..scenarios.loop import CONTROL_PERIOD, READINGS, simulate
 from ..scenarios.scenario import Disturbance, Scenario, Waypoint, load_scenario
 from ..sim import plant, sensors
@@ -76,9 +77,9 @@ class Challenge:
             joint = load_joint(self.joint)
             known = [n for n in causes.of(joint) if self.sensor or "joint_torque" not in causes.get(n).needs]
             if not self.exact:
-                lost = [n for n in known if _lost(joint, n)]
-                known = [n for n in known if n not in lost]
-                for name in set(self.only) & set(lost):
+                drowned = _drowned(self.joint)
+                known = [n for n in known if n not in drowned]
+                for name in drowned.intersection(self.only):
                     raise InputError(
                         f"--cause {name}: expected an effect beyond the tolerances of {joint.name}, "
                         "got one whose ordinary sizes they express (--exact takes none)"
@@ -246,18 +247,10 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
     if challenge.exact:
         nominal = exactly(nominal)
     streams = [np.random.default_rng([challenge.seed, index, k]) for k in range(4)]
-    effects = _effects(challenge, index, size, nominal, streams[0])
     calibration = Calibration(nominal)
-    x = np.zeros(calibration.size)
+    x, effects = np.zeros(calibration.size), _effects(challenge, index, size, nominal, streams[0])
     if not challenge.exact:
-        for attempt in itertools.count():
-            x = calibration.draw(streams[1])
-            stream = [challenge.seed, index, 0, attempt // _REDRAWN][: 3 + (attempt >= _REDRAWN)]
-            whole, effects = (
-                _effects(challenge, index, s, nominal, np.random.default_rng(stream)) for s in (1.0, size)
-            )
-            if not any(within_tolerance(calibration, x, effect) for effect in whole):
-                break
+        x, effects = _beyond_tolerance(challenge, index, size, calibration, streams[1])
     scenarios = _scenarios(challenge, nominal, streams[2])
     records, recordings = [], []
     for k, scenario in enumerate(scenarios):
@@ -280,40 +273,43 @@ _REDRAWN = 40
 """Joints drawn for an effect before the effect is drawn anew too: it may be within tolerance of nearly all of them."""
 
 
-def _lost(joint: Joint, name: str) -> bool:
-    """Whether the joint's tolerances can express whatever a cause makes of it at ordinary size."""
-    calibration, cause = Calibration(joint), causes.get(name)
-    rng, record = np.random.default_rng(0), joint.record()[0]
-    drawn = (cause.draw(record, rng) for _ in range(_REDRAWN))
+def _beyond_tolerance(
+    challenge: Challenge, index: int, size: float, calibration: Calibration, rng: np.random.Generator
+) -> tuple[np.ndarray, tuple[Effect, ...]]:
+    """A joint within its tolerances, shape (n,), and effects that at ordinary size are beyond them."""
+    for again in itertools.count():
+        stream = [challenge.seed, index, 0, again] if again else [challenge.seed, index, 0]
+        whole, effects = (
+            _effects(challenge, index, s, calibration.joint, np.random.default_rng(stream)) for s in (1.0, size)
+        )
+        for _ in range(_REDRAWN):
+            x = calibration.draw(rng)
+            if not any(within_tolerance(calibration, x, effect) for effect in whole):
+                return x, effects
+
+
+@lru_cache
+def _drowned(name: str) -> frozenset[str]:
+    """Causes whose ordinary sizes the tolerances of that joint express, whatever they are."""
+    joint = load_joint(name)
+    calibration, record = Calibration(joint), joint.record()[0]
     x = np.zeros(calibration.size)
-    effects = (Effect(name, cause.component, v, "", lambda p, v=v: cause.apply(p, v)) for v in drawn)
-    return all(within_tolerance(calibration, x, effect) for effect in effects)
 
+    def hidden(cause: causes.Cause) -> bool:
+        rng = np.random.default_rng(0)
+        drawn = (cause.draw(record, rng) for _ in range(_REDRAWN))
+        effects = (Effect(cause.name, cause.component, v, "", lambda p, v=v: cause.apply(p, v)) for v in drawn)
+        return all(within_tolerance(calibration, x, effect) for effect in effects)
 
-WITHIN = 3.0
-"""Standard deviations of its tolerance within which a number is calibration and no cause."""
+    return frozenset(n for n in causes.of(joint) if hidden(causes.get(n)))
 
 
 def within_tolerance(calibration: Calibration, x: np.ndarray, effect: Effect) -> bool:
-    """Whether the tolerances can express what an effect makes of the joint at x: nothing would then be hidden.
-
-    A stiffness 25 % up on a joint whose own is 15 % down is an ordinary joint, and diagnosis is right to say so.
-    """
-    bare_, without = calibration.record(np.zeros(calibration.size)), calibration.record(x)
+    """Whether the tolerances can express what an effect makes of the joint at x: nothing would then be hidden."""
+    without = calibration.record(x)
     record = without.copy()
     effect.apply(record[0])
-    allowed = np.zeros(1, record.dtype)
-    for slot in calibration.slots:
-        number = slot.number
-        shared = calibration.joint.shared_tolerances[number.shared] if number.shared else 0.0
-        deviation = np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation)
-        if slot.index >= 0:
-            allowed[0][slot.field][slot.index] = deviation
-        else:
-            allowed[0][slot.field] = deviation * (bare_[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0)
-    now, before, nominal, deviation = (as_floats(r) for r in (record, without, bare_, allowed))
-    changed = now != before
-    return bool(np.all((deviation[changed] > 0) & (np.abs(now - nominal)[changed] <= WITHIN * deviation[changed])))
+    return calibration.expresses(record, without)
 
 
 def exactly(joint: Joint) -> Joint:

@@ -206,8 +206,8 @@ def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
 
 def _held_out(problem: Problem) -> str:
     """How data were kept from the fits, and over what the numbers of `residual` are means."""
-    blocks = sorted({d.block for d in problem.drives})
-    means = " to ".join(f"{1e3 * STEP * DECIMATION * b:.0f}" for b in {blocks[0]: 0, blocks[-1]: 0})
+    blocks = {d.block for d in problem.drives}
+    means = " to ".join(f"{1e3 * STEP * DECIMATION * b:.0f}" for b in sorted({min(blocks), max(blocks)}))
     return (
         f"every {HELD_OUT_EVERY}th block of {HELD_OUT_BLOCK:g} s of each recording was kept from every fit; "
         f"RMS over means of {means} ms, in motion, while rotor and link follow their measured motion"

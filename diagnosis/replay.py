@@ -146,6 +146,7 @@ def drives(recordings: list, joint: Joint, seed: int = 1) -> tuple[list[Drive], 
     rms = [0.0, 0.0, *(float(np.hypot(x.noise, x.step / np.sqrt(12))) for x in analog)]
     found, twins = [], []
     for index, recording in enumerate(recordings):
+        p = joint.record(recording.link)[0]
         for stretch in recording.stretches:
             time = recording.time[stretch]
             if len(time) < 50 or time[-1] - time[0] < 0.5:
@@ -209,12 +210,12 @@ def drives(recordings: list, joint: Joint, seed: int = 1) -> tuple[list[Drive], 
                     torque=np.ascontiguousarray(s.value[:, 3]) if has_torque else np.empty(0),
                     external=external,
                     mounting=recording.link,
-                    stiffness=float(sum(joint.record(recording.link)[0][k] for k in ("K1", "K2", "K3"))),
+                    stiffness=float(p["K1"] + p["K2"] + p["K3"]),
                     at=at,
                     measured=measured,
                     measured_rate=measured_rate,
                     state=state,
-                    load=measured[:, 1] if has_torque else _own_load(joint, recording.link, state) - decimate(external),
+                    load=measured[:, 1] if has_torque else _own_torque(p, state) - decimate(external),
                     usable=usable,
                     held_out=scored,
                     at_rest=_at_rest(state[:, 0]),
@@ -237,9 +238,8 @@ def drives(recordings: list, joint: Joint, seed: int = 1) -> tuple[list[Drive], 
     return found, twins
 
 
-def _own_load(joint: Joint, mounting: Mounting, state: np.ndarray) -> np.ndarray:
-    """Torque [N·m] that gravity and inertia of the link as described ask for, shape (k,)."""
-    p = joint.record(mounting)[0]
+def _own_torque(p: np.void, state: np.ndarray) -> np.ndarray:
+    """Torque [N·m] that gravity and inertia of the link ask for, shape (k,)."""
     return p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
 
 

@@ -331,7 +331,7 @@ def _direct(problem: Problem, records, place: str, bases: list[np.ndarray]) -> l
         if place == "rotor":
             J[:, 0] = B / p["Kt"]
         elif place == "link":
-            J[:, 2] = B * (p["torque_gain"] if len(drive.torque) else 1.0)
+            J[:, 2] = B * (p["torque_gain"] if len(drive.torque) else drive.stiffness / (p["K1"] + p["K2"] + p["K3"]))
         elif place == "motor_current":
             J[:, 0] = -B
         elif len(drive.torque):

@@ -13,9 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from .joint import Joint, Mounting, Number
+from .parameters import as_floats
 
 CUT = 2.5
 """Joints are drawn with every variable within this many standard deviations."""
+WITHIN = 3.0
+"""A number within so many standard deviations of its tolerance is calibration; beyond, it is a cause."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,25 @@ class Calibration:
         if effects:
             self.joint.apply_effects(record)
         return record
+
+    def expresses(self, record: np.ndarray, without: np.ndarray, mounting: Mounting | None = None) -> bool:
+        """Whether all that differs between two records, shape (1,) each, is within tolerance of nominal in the first.
+
+        A stiffness 25 % up on a joint whose own is 15 % down is an ordinary joint: there is no cause to be found.
+        """
+        nominal = self.record(np.zeros(self.size), mounting)
+        allowed = np.zeros(1, record.dtype)
+        for slot in self.slots:
+            number = slot.number
+            shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
+            deviation = np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation)
+            if slot.index >= 0:
+                allowed[0][slot.field][slot.index] = WITHIN * deviation
+            else:
+                scale = nominal[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
+                allowed[0][slot.field] = WITHIN * deviation * scale
+        now, before, described, limit = (as_floats(r) for r in (record, without, nominal, allowed))
+        return not np.any((now != before) & (np.abs(now - described) > limit))
 
 
 _LEAST = 0.3

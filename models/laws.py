@@ -211,9 +211,8 @@ def _variable(code, theta_m, theta_l, velocity, load, time):
         return load
     if code == 4:
         return time
-    if (
-        code == 6
-    ):  # what returns with the flexspline's teeth, two teeth fewer than the circular spline's, not with the motor
+    if code == 6:
+        # What returns with the flexspline's teeth, two fewer than the circular spline's, and not with the motor.
         return theta_m - 4.0 * math.pi * math.floor(theta_m / (4.0 * math.pi))
     return theta_l
 

@@ -156,9 +156,8 @@ def test_diagnosis_alone_finds_what_the_torsion_hides(recording, page):
     assert found.name == "link_encoder_eccentricity" and found.component == "sensor"
     amplitude = found.parameters["amplitude"]
     assert abs(amplitude.value - 1.08e-3) < 3 * np.hypot(amplitude.std, 0.26e-3)
-    assert {"hysteresis", "friction_asymmetry", "load_dependent_friction"} <= set(
-        answer.undetermined
-    )  # it never reverses
+    # The motion never reverses.
+    assert {"hysteresis", "friction_asymmetry", "load_dependent_friction"} <= set(answer.undetermined)
     current = answer.residual["motor_current"]
     assert current.after < current.before / 3
     nominal = estimate(recording, load_joint(recording.joint)).external_torque
