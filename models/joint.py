@@ -14,7 +14,7 @@ from pydantic import Field, PrivateAttr, model_validator
 from . import causes
 from .errors import InputError, nearest
 from .files import Strict, load, write_into_place
-from .parameters import N_COEFFICIENTS, N_ORDERS, N_TERMS, PLACES, VARIABLES, neutral
+from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PLACES, VARIABLES, neutral
 
 # Symbol: unit, may it be zero? All are non-negative.
 SYMBOLS: dict[str, tuple[str, bool]] = {
@@ -30,9 +30,13 @@ SYMBOLS: dict[str, tuple[str, bool]] = {
     "rated_torque": ("N·m", False),
 }  # fmt: skip
 
-OPTIONAL_SYMBOLS: dict[str, tuple[str, bool]] = {"back_driven_friction": ("1", True)}
+OPTIONAL_SYMBOLS: dict[str, tuple[str, bool]] = {
+    "back_driven_friction": ("1", True), "knee_width": ("rad", True), "viscous_exponent": ("1", False),
+}  # fmt: skip
 """Numbers that a joint may leave out. `back_driven_friction` is the share of load-dependent friction that acts while
-the load drives the motor (torque and velocity of opposite sign); 1 where it is left out."""
+the load drives the motor (torque and velocity of opposite sign), `knee_width` half the torsion over which the stiffness goes from
+one slope to the next, `viscous_exponent` the power of speed as which viscous friction grows at high speed; 1, 0 and 1 where
+they are left out."""
 
 _SPELLINGS = str.maketrans({"*": "·", ".": "·", "⋅": "·", "Ω": "Ω"})
 
@@ -81,7 +85,10 @@ class Mounting(Strict):
 
 
 class EncoderSpec(Strict):
-    """An encoder: `counts` per revolution or `bits`, noise [rad rms], delay [s], zero, sample rate [Hz]."""
+    """An encoder: `counts` per revolution or `bits`, noise [rad rms], delay [s], zero, sample rate [Hz].
+
+    `cyclic_error`: amplitude of the error that returns with every line of the disc (four counts), in counts.
+    """
 
     counts: Annotated[int, Field(gt=1)] | None = None
     bits: Annotated[int, Field(gt=1, lt=40)] | None = None
@@ -89,6 +96,7 @@ class EncoderSpec(Strict):
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
     zero: Number | None = None
+    cyclic_error: Annotated[float, Field(ge=0, lt=2)] = 0.0
 
     @model_validator(mode="after")
     def _one_resolution(self) -> EncoderSpec:
@@ -102,8 +110,27 @@ class EncoderSpec(Strict):
         return 2 * np.pi / (self.counts if self.counts is not None else 2.0**self.bits)
 
 
+class Ripple(Strict):
+    """What returns with the motor's angle: amplitude · sin(order · θm + phase), in the sensor's unit."""
+
+    order: Annotated[float, Field(gt=0)]
+    amplitude: Annotated[float, Field(ge=0)]
+    phase: float = 0.0
+
+
+class Vibration(Strict):
+    """A vibration of the structure that the sensor sees: amplitude (rms, in its unit), frequency [Hz]."""
+
+    frequency: Annotated[float, Field(gt=0, lt=500)]
+    amplitude: Annotated[float, Field(ge=0)]
+
+
 class AnalogSpec(Strict):
-    """An analog sensor: noise (rms), quantisation step, delay [s], sample rate [Hz], gain and offset."""
+    """An analog sensor: noise (rms), quantisation step, delay [s], sample rate [Hz], gain and offset.
+
+    And its imperfections: `bandwidth` of a first-order low-pass [Hz], `flicker` (rms of 1/f noise), `ripple` over the motor's
+    angle, `vibration`, `crosstalk` (amplitude over the cosine of the link's angle); all in the sensor's unit, none by default.
+    """
 
     noise: Annotated[float, Field(ge=0)] = 0.0
     step: Annotated[float, Field(ge=0)] = 0.0
@@ -111,6 +138,11 @@ class AnalogSpec(Strict):
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
     gain: Number | None = None
     offset: Number | None = None
+    bandwidth: Annotated[float, Field(gt=0)] | None = None
+    flicker: Annotated[float, Field(ge=0)] = 0.0
+    ripple: Ripple | None = None
+    vibration: Vibration | None = None
+    crosstalk: float = 0.0
 
 
 class WrenchSpec(Strict):
@@ -128,7 +160,9 @@ class Sensors(Strict):
     motor_encoder: EncoderSpec
     link_encoder: EncoderSpec
     motor_current: AnalogSpec
+    motor_torque: AnalogSpec = AnalogSpec()
     joint_torque: AnalogSpec = AnalogSpec()
+    temperature: AnalogSpec = AnalogSpec()
     wrench: WrenchSpec = WrenchSpec()
 
 
@@ -166,8 +200,9 @@ class Effect(Strict):
         return {name: estimate.value for name, estimate in self.parameters.items()}
 
 
-class Term(Strict):
-    """A nonparametric term: what acts at `place` as a cubic B-spline of `variable` (coefficients on a uniform grid)."""
+class Discrepancy(Strict):
+    """A nonparametric model discrepancy: what acts at `place` beyond the laws, a cubic B-spline of `variable` (coefficients on
+    a uniform grid from `low` to `high`)."""
 
     place: Literal[PLACES[1:]]  # type: ignore[valid-type]
     variable: Literal[VARIABLES]  # type: ignore[valid-type]
@@ -177,7 +212,7 @@ class Term(Strict):
     coefficients: Annotated[list[float], Field(min_length=4, max_length=N_COEFFICIENTS)]
 
     @model_validator(mode="after")
-    def _ordered(self) -> Term:
+    def _ordered(self) -> Discrepancy:
         if not self.high > self.low:
             raise ValueError(f"expected high > low, got low={self.low}, high={self.high}")
         return self
@@ -203,7 +238,7 @@ class Joint(Strict):
     mountings: dict[str, Mounting]
     sensors: Sensors
     effects: list[Effect] = []
-    terms: Annotated[list[Term], Field(max_length=N_TERMS)] = []
+    discrepancies: Annotated[list[Discrepancy], Field(max_length=N_DISCREPANCIES)] = []
     _path: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
@@ -270,19 +305,22 @@ class Joint(Strict):
         return self.mountings[wanted]
 
     def record(self, mounting: Mounting | None = None) -> np.ndarray:
-        """Return the joint in a mounting as a parameter record, shape (1,): numbers, calibration, effects, terms."""
+        """Return the joint in a mounting as a parameter record, shape (1,): numbers, calibration, effects, discrepancies."""
         record = self.bare_record(mounting)
         self.apply_effects(record)
         return record
 
     def bare_record(self, mounting: Mounting | None = None) -> np.ndarray:
-        """Return the record without effects and terms."""
+        """Return the record without effects and discrepancies."""
         mounting = self.mount() if mounting is None else mounting
         record = neutral()
         p = record[0]
         for symbol, number in self.numbers.items():
             if symbol in PARAMETERS_NAMES:
                 p[symbol] = number.value
+        # What the drive believes: a datasheet's constant stays in it whatever calibration makes of the motor's own.
+        Kt = self.numbers["Kt"]
+        p["Kt_drive"] = Kt.value if Kt.nominal is None else Kt.nominal
         for i, order in enumerate(self.kinematic_error):
             p["order"][i] = order.order
             p["amplitude"][i] = order.amplitude.value
@@ -304,16 +342,16 @@ class Joint(Strict):
         return record
 
     def apply_effects(self, record: np.ndarray) -> None:
-        """Put the joint's effects and terms into a record, in place."""
+        """Put the joint's effects and discrepancies into a record, in place."""
         p = record[0]
         for effect in self.effects:
             causes.get(effect.name).apply(p, effect.values)
-        for k, term in enumerate(self.terms):
-            p["term_place"][k] = PLACES.index(term.place)
-            p["term_variable"][k] = VARIABLES.index(term.variable)
-            p["term_low"][k], p["term_high"][k] = term.low, term.high
-            p["term_count"][k] = len(term.coefficients)
-            p["term_coefficient"][k, : len(term.coefficients)] = term.coefficients
+        for k, one in enumerate(self.discrepancies):
+            p["discrepancy_place"][k] = PLACES.index(one.place)
+            p["discrepancy_variable"][k] = VARIABLES.index(one.variable)
+            p["discrepancy_low"][k], p["discrepancy_high"][k] = one.low, one.high
+            p["discrepancy_count"][k] = len(one.coefficients)
+            p["discrepancy_coefficient"][k, : len(one.coefficients)] = one.coefficients
 
     def write(self, path: Path) -> None:
         """Write the description as YAML; `load_joint` reads it back."""

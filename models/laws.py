@@ -1,29 +1,25 @@
-"""The equations of the joint: the only place where its physics is written.
+"""The laws of the joint: what each of its elements does. How they make equations of motion stands in `models.dynamics`.
 
 Each law is a compiled scalar function of a state and a parameter record `p` (`models.parameters`), SI units.
 Angles: `theta_m` rotor and `theta_w` wave generator, motor side; `theta_l` link, output side. `w` is the wave
 generator's velocity. Equation numbers are those of Shi & Liu; the other laws are stated where they stand.
-
-    rotor           Jm θm'' = Kt i − bm θm' + rotor_torque − Tw
-    wave generator  Jw θw'' = Tw − Fmesh − Tf (1/N − θerr'(θw))
-    link            Jl θl'' = Ts − Mg sin(θl + gravity_angle) + link_torque + τext        with Ts = Tf − bl θl'
 """
 
 from __future__ import annotations
 
 import math
 
-from numba import njit
-
-from .parameters import N_ORDERS, N_PERIODIC, N_TERMS
+from .kernels import kernel
+from .parameters import N_DISCREPANCIES, N_ENCODER_ORDERS, N_ORDERS, N_PERIODIC
 
 _SMALLEST_FRICTION = 1e-5  # N·m: g(w) stays positive whatever an effect subtracts
 # The logarithm of Eqs. (3)-(5) goes on as its tangent from here: 0.29 N·m on the motor side of the test joint, beyond what
 # its motor gives, where the law is so stiff that no practical step would resolve it.
 LOGARITHM_END = 3e-3
+_BENDING = 20.0  # Stribeck velocities about which viscous friction begins to grow as a power of speed
 
 
-@njit(cache=True)
+@kernel
 def flexspline_spring(torsion, p):
     """Torque k(Δθf) of the flexspline [N·m], Eq. (7) as an odd function, behind a dead zone of width `backlash`."""
     x = abs(torsion) - 0.5 * p.backlash
@@ -31,7 +27,10 @@ def flexspline_spring(torsion, p):
         return 0.0
     knee1 = p.T1 / p.K1
     knee2 = knee1 + (p.T2 - p.T1) / p.K2
-    if x <= knee1:
+    if p.knee_width > 0.0:
+        torque = p.K1 * x + (p.K2 - p.K1) * _ramp(x - knee1, p.knee_width)
+        torque += (p.K3 - p.K2) * _ramp(x - knee2, p.knee_width)
+    elif x <= knee1:
         torque = p.K1 * x
     elif x < knee2:
         torque = p.T1 + p.K2 * (x - knee1)
@@ -40,7 +39,15 @@ def flexspline_spring(torsion, p):
     return torque if torsion > 0.0 else -torque
 
 
-@njit(cache=True)
+@kernel
+def _ramp(u, width):
+    """max(0, u) with a knee that is a parabola between ±width."""
+    if u <= -width:
+        return 0.0
+    return u if u >= width else (u + width) ** 2 / (4.0 * width)
+
+
+@kernel
 def flexspline_torsion(torque, p):
     """Torsion Δθf [rad] at a torque [N·m], Eq. (2) as an odd function; the middle of the dead zone at zero torque."""
     T = abs(torque)
@@ -50,12 +57,15 @@ def flexspline_torsion(torque, p):
         x = p.T1 / p.K1 + (T - p.T1) / p.K2
     else:
         x = p.T1 / p.K1 + (p.T2 - p.T1) / p.K2 + (T - p.T2) / p.K3
+    if p.knee_width > 0.0:  # the slope is never less than the least of three: a few fixed-point steps
+        for _ in range(8):
+            x += (T - flexspline_spring(x + 0.5 * p.backlash, p)) / max(p.K1, p.K2, p.K3)
     if T > 0.0:
         x += 0.5 * p.backlash
     return x if torque >= 0.0 else -x
 
 
-@njit(cache=True)
+@kernel
 def wave_generator_spring(torsion, p):
     """Torque of the wave generator's compliance [N·m, motor side] at δ = θm − θw [rad]: Eqs. (3)-(5) inverted."""
     u = 1.0 - p.Cw * p.Kw0 * abs(torsion)
@@ -66,20 +76,20 @@ def wave_generator_spring(torsion, p):
     return torque if torsion > 0.0 else -torque
 
 
-@njit(cache=True)
+@kernel
 def wave_generator_stiffness(torsion, p):
     """Slope of `wave_generator_spring` [N·m/rad, motor side]: Kw0 exp(Cw |Tw|), Eq. (4)."""
     return p.Kw0 / max(1.0 - p.Cw * p.Kw0 * abs(torsion), LOGARITHM_END)
 
 
-@njit(cache=True)
+@kernel
 def wave_generator_torsion(torque, p):
     """Torsion δ of the wave generator [rad, motor side] at a torque [N·m, motor side], Eq. (5)."""
     x = (1.0 - math.exp(-p.Cw * abs(torque))) / (p.Cw * p.Kw0)
     return x if torque >= 0.0 else -x
 
 
-@njit(cache=True)
+@kernel
 def kinematic_error(theta_w, p):
     """Kinematic error θerr [rad, output side] at the wave generator's angle: Σ A_k sin(k θw + φ_k)."""
     error = 0.0
@@ -89,7 +99,7 @@ def kinematic_error(theta_w, p):
     return error
 
 
-@njit(cache=True)
+@kernel
 def kinematic_error_slope(theta_w, p):
     """Derivative dθerr/dθw [1] of the kinematic error."""
     slope = 0.0
@@ -99,50 +109,73 @@ def kinematic_error_slope(theta_w, p):
     return slope
 
 
-@njit(cache=True)
-def smoothed_share(order, speed):
-    """What a smoother of passband 1/(1 + (f/fc)⁶) leaves of a harmonic: `speed` is the shaft's in turns per 1/fc."""
+@kernel
+def magnitude_response(order, speed):
+    """Magnitude response 1/(1 + (f/fc)⁶) of a smoother to an order of a shaft whose speed is in turns per 1/fc."""
     x = order * speed
     return 1.0 / (1.0 + x * x * x * x * x * x)
 
 
-@njit(cache=True)
+@kernel
 def smoothed_kinematic_error(theta_w, speed, p):
-    """Kinematic error [rad] and its derivative [1] as they are seen through a smoother (`smoothed_share`)."""
+    """Kinematic error [rad] and its derivative [1] as they are seen through a smoother (`magnitude_response`)."""
     error, slope = 0.0, 0.0
     for k in range(N_ORDERS):
         if p.amplitude[k] != 0.0:
             angle = p.order[k] * theta_w + p.phase[k]
-            amplitude = p.amplitude[k] * smoothed_share(p.order[k], speed)
+            amplitude = p.amplitude[k] * magnitude_response(p.order[k], speed)
             error += amplitude * math.sin(angle)
             slope += p.order[k] * amplitude * math.cos(angle)
     return error, slope
 
 
-@njit(cache=True)
-def friction_level(w, theta_l, flexspline_torque, time, p):
-    """Sliding mesh friction g(w) > 0 [N·m, motor side] of the LuGre law, with the effects that change it."""
+@kernel
+def stribeck_friction(w, theta_l, load, time, temperature, p):
+    """Sliding mesh friction g(w) > 0 of the LuGre law [N·m, motor side]: the Stribeck curve, and the effects that change it.
+
+    `load`: flexspline torque Tf [N·m]; `time` since the recording's start [s]; `temperature` of gear or motor [°C].
+    """
     g = p.Fc + (p.Fs - p.Fc) * math.exp(-((w / p.vs) ** 2))
     if p.friction_asymmetry != 0.0:
         g *= 1.0 + (p.friction_asymmetry if w > 0.0 else -p.friction_asymmetry)
     if p.drift_amplitude != 0.0:
         g *= 1.0 + p.drift_amplitude * math.exp(-time / p.drift_time)
     if p.friction_load != 0.0:
-        load = p.friction_load * abs(flexspline_torque) / p.N
-        g += load if flexspline_torque * w >= 0.0 else p.back_driven_friction * load
+        more = p.friction_load * abs(load) / p.N
+        g += more if load * w >= 0.0 else p.back_driven_friction * more
     for k in range(N_PERIODIC):
         if p.friction_amplitude[k] != 0.0:
             g += p.friction_amplitude[k] * math.sin(p.friction_order[k] * theta_l + p.friction_phase[k])
+    if p.friction_temperature != 0.0:
+        g *= _thermal_factor(temperature, p)
     return max(g, _SMALLEST_FRICTION)
 
 
-@njit(cache=True)
+@kernel
+def _thermal_factor(temperature, p):
+    """1 + c (ϑ − ϑ0), never below a tenth: friction does not turn round."""
+    return max(1.0 + p.friction_temperature * (temperature - p.reference_temperature), 0.1)
+
+
+@kernel
+def viscous_friction(w, temperature, p):
+    """Viscous part of mesh friction [N·m, motor side]: bw w, at high speed as |w| to the power `viscous_exponent`."""
+    torque = p.bw * w
+    if p.viscous_exponent != 1.0:
+        x = w / (_BENDING * p.vs)
+        torque *= (1.0 + x * x) ** (0.5 * (p.viscous_exponent - 1.0))
+    if p.friction_temperature != 0.0:
+        torque *= _thermal_factor(temperature, p)
+    return torque
+
+
+@kernel
 def bristle_rate(z, w, g, p):
     """Rate of the LuGre bristle z' = w − s0 |w|/g z [rad/s]."""
     return w - p.s0 * abs(w) / g * z
 
 
-@njit(cache=True)
+@kernel
 def bristle_step(z, w, g, h, p):
     """Bristle deflection after a time `h` [s] at constant velocity: exact, as the rate is stiff at speed."""
     rate = p.s0 * abs(w) / g
@@ -150,13 +183,13 @@ def bristle_step(z, w, g, h, p):
     return z + (w / rate - z) * decay if rate * h > 1e-12 else z + w * h
 
 
-@njit(cache=True)
+@kernel
 def mesh_friction(z, w, g, p):
     """Mesh friction at the wave generator without its viscous part: s0 z + s1 z' [N·m, motor side]."""
     return p.s0 * z + p.s1 * bristle_rate(z, w, g, p)
 
 
-@njit(cache=True)
+@kernel
 def dahl_step(z, v, h, p):
     """Dahl state z [rad] of the flexspline's hysteresis after `h` at torsion rate `v`: z' = v − |v| z/x, exact."""
     x = p.hysteresis_extent
@@ -164,24 +197,24 @@ def dahl_step(z, v, h, p):
     return z + ((x if v > 0.0 else -x) - z) * decay
 
 
-@njit(cache=True)
+@kernel
 def hysteresis_torque(z, p):
     """Hysteresis torque F z/x across the flexspline [N·m]."""
     return p.hysteresis_torque * z / p.hysteresis_extent
 
 
-@njit(cache=True)
-def rotor_torque(theta_m, p, speed=0.0):
-    """Cogging torque on the rotor: Σ A sin(n θm + φ) [N·m, motor side]; seen through a smoother, `smoothed_share`."""
+@kernel
+def cogging_torque(theta_m, p, speed=0.0):
+    """Cogging torque on the rotor: Σ A sin(n θm + φ) [N·m, motor side]; through a smoother, `magnitude_response`."""
     torque = 0.0
     for k in range(N_PERIODIC):
         if p.cogging_amplitude[k] != 0.0:
-            amplitude = p.cogging_amplitude[k] * smoothed_share(p.cogging_order[k], speed)
+            amplitude = p.cogging_amplitude[k] * magnitude_response(p.cogging_order[k], speed)
             torque += amplitude * math.sin(p.cogging_order[k] * theta_m + p.cogging_phase[k])
     return torque
 
 
-@njit(cache=True)
+@kernel
 def link_torque(theta_l, p):
     """Torque of a cable spring and a hard stop on the link [N·m]."""
     torque = -p.cable_stiffness * (theta_l - p.cable_rest)
@@ -190,19 +223,18 @@ def link_torque(theta_l, p):
     return torque
 
 
-@njit(cache=True)
-def has_terms(p):
-    """Whether the joint has a nonparametric term."""
-    for k in range(N_TERMS):
-        if p.term_place[k] != 0.0:
+@kernel
+def has_discrepancy(p):
+    """Whether the joint has a nonparametric model discrepancy."""
+    for k in range(N_DISCREPANCIES):
+        if p.discrepancy_place[k] != 0.0:
             return True
     return False
 
 
-@njit(cache=True)
+@kernel
 def _variable(code, theta_m, theta_l, velocity, load, time):
-    if code == 0:
-        return theta_l
+    """What a discrepancy depends on, by the index of its name in `parameters.VARIABLES`."""
     if code == 1:
         return theta_m - 2.0 * math.pi * math.floor(theta_m / (2.0 * math.pi))
     if code == 2:
@@ -217,14 +249,14 @@ def _variable(code, theta_m, theta_l, velocity, load, time):
     return theta_l
 
 
-@njit(cache=True)
+@kernel
 def _spline(u, k, p):
-    """Cubic B-spline of term k at u in [0, 1], clamped; coefficients 0 … count−1 on a uniform grid."""
-    n = int(p.term_count[k])
+    """Cubic B-spline of discrepancy k at u in [0, 1], clamped; coefficients 0 … count−1 on a uniform grid."""
+    n = int(p.discrepancy_count[k])
     s = min(max(u, 0.0), 1.0) * (n - 3)
     i = min(int(s), n - 4)
     t = s - i
-    c = p.term_coefficient[k]
+    c = p.discrepancy_coefficient[k]
     a = 1.0 - t
     return (
         a * a * a * c[i]
@@ -234,46 +266,64 @@ def _spline(u, k, p):
     ) / 6.0
 
 
-@njit(cache=True)
-def term(place, theta_m, theta_l, velocity, load, time, p):
-    """Sum of the nonparametric terms that act at `place` (index into `parameters.PLACES`), in that place's unit.
+@kernel
+def discrepancy(place, theta_m, theta_l, velocity, load, time, p):
+    """Sum of the model discrepancies that act at `place` (index into `parameters.PLACES`), in that place's unit.
 
-    A term in `direction_link_position` is multiplied by the sign of the velocity (friction in shape).
+    One in `direction_link_position` is multiplied by the sign of the velocity (friction in shape).
     """
     total = 0.0
-    for k in range(N_TERMS):
-        if p.term_place[k] == place:
-            code = int(p.term_variable[k])
+    for k in range(N_DISCREPANCIES):
+        if p.discrepancy_place[k] == place:
+            code = int(p.discrepancy_variable[k])
             x = _variable(code, theta_m, theta_l, velocity, load, time)
-            value = _spline((x - p.term_low[k]) / (p.term_high[k] - p.term_low[k]), k, p)
+            value = _spline((x - p.discrepancy_low[k]) / (p.discrepancy_high[k] - p.discrepancy_low[k]), k, p)
             if code == 5:
                 value *= math.tanh(velocity)
             total += value
     return total
 
 
-@njit(cache=True)
+@kernel
+def motor_reading(theta_m, p):
+    """What the motor encoder reads [rad] before noise and counts: eccentricity A (sin(θm + φ) − sin φ)."""
+    if p.motor_eccentricity == 0.0:
+        return theta_m
+    phase = p.motor_eccentricity_phase
+    return theta_m + p.motor_eccentricity * (math.sin(theta_m + phase) - math.sin(phase))
+
+
+@kernel
 def link_reading(theta_l, p):
-    """What the link encoder reads [rad] before delay, noise and bits: zero, eccentricity A (sin(θl + φ) − sin φ)."""
+    """What the link encoder reads [rad] before delay, noise and bits: zero, and its orders Σ A (sin(n θl + φ) − sin φ)."""
     reading = theta_l + p.link_zero
-    if p.eccentricity != 0.0:
-        reading += p.eccentricity * (math.sin(theta_l + p.eccentricity_phase) - math.sin(p.eccentricity_phase))
+    for k in range(N_ENCODER_ORDERS):
+        if p.link_error_amplitude[k] != 0.0:
+            phase = p.link_error_phase[k]
+            angle = p.link_error_order[k] * theta_l + phase
+            reading += p.link_error_amplitude[k] * (math.sin(angle) - math.sin(phase))
     return reading
 
 
-@njit(cache=True)
+@kernel
 def current_reading(current, p):
     """What the current sensor reads [A]."""
     return current + p.current_offset
 
 
-@njit(cache=True)
+@kernel
+def drive_torque_reading(current, p):
+    """Motor torque that a drive reports [N·m, motor side]: the current it reads times the torque constant it believes in."""
+    return p.Kt_drive * current_reading(current, p)
+
+
+@kernel
 def torque_reading(torque, time, p):
     """What the joint torque sensor reads [N·m]: gain, offset and drift."""
     return p.torque_gain * torque + p.torque_offset + p.torque_rate * time
 
 
-@njit(cache=True)
+@kernel
 def gravity_torque(theta_l, p):
     """Torque of the link's weight about the joint axis, −Mg sin(θl + gravity_angle) [N·m]."""
     return -p.Mg * math.sin(theta_l + p.gravity_angle)

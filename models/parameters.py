@@ -14,30 +14,35 @@ N_ORDERS = 8
 """Orders of kinematic error that a joint may have."""
 N_PERIODIC = 3
 """Orders of cogging, and of position-dependent friction, that a joint may have."""
-N_TERMS = 4
-"""Nonparametric terms that a joint may have."""
+N_ENCODER_ORDERS = 3
+"""Orders of the link encoder's error that a joint may have, once per turn (eccentricity) among them."""
+N_DISCREPANCIES = 4
+"""Nonparametric model discrepancies that a joint may have."""
 N_COEFFICIENTS = 32
-"""Coefficients of one nonparametric term."""
+"""Coefficients of one model discrepancy."""
 
-# Where a nonparametric term acts, and on what it depends: the codes that `term_place` and `term_variable` hold.
+# Where a model discrepancy acts, and on what it depends: the codes that `discrepancy_place`, `discrepancy_variable` hold.
 PLACES = ("none", "rotor", "mesh", "flexspline", "link", "joint_torque", "link_position", "motor_current")
 VARIABLES = (
     "link_position", "motor_position", "motor_velocity", "load", "time", "direction_link_position",
     "motor_position_two_turns",
 )  # fmt: skip
 
+REFERENCE_TEMPERATURE = 25.0
+"""Temperature [°C] at which a joint has the friction that its description states, where it says nothing else."""
+
 _F = np.float64
 PARAMETERS = np.dtype(
     [
         # rotor and motor
-        ("N", _F), ("Jm", _F), ("Kt", _F), ("bm", _F),
+        ("N", _F), ("Jm", _F), ("Kt", _F), ("bm", _F), ("Kt_drive", _F),
         ("R", _F), ("L", _F), ("supply_voltage", _F), ("current_limit", _F),
         # wave generator
         ("Jw", _F), ("Kw0", _F), ("Cw", _F), ("dw", _F),
         # mesh friction (LuGre)
         ("Fc", _F), ("Fs", _F), ("vs", _F), ("s0", _F), ("s1", _F), ("bw", _F),
         # flexspline
-        ("K1", _F), ("K2", _F), ("K3", _F), ("T1", _F), ("T2", _F), ("df", _F),
+        ("K1", _F), ("K2", _F), ("K3", _F), ("T1", _F), ("T2", _F), ("df", _F), ("knee_width", _F),
         # kinematic error: A_k sin(k θw + φ_k)
         ("order", _F, N_ORDERS), ("amplitude", _F, N_ORDERS), ("phase", _F, N_ORDERS),
         # output and link
@@ -48,15 +53,20 @@ PARAMETERS = np.dtype(
         ("friction_asymmetry", _F), ("friction_load", _F), ("back_driven_friction", _F),
         ("friction_order", _F, N_PERIODIC), ("friction_amplitude", _F, N_PERIODIC), ("friction_phase", _F, N_PERIODIC),
         ("drift_amplitude", _F), ("drift_time", _F),
+        ("friction_temperature", _F), ("reference_temperature", _F), ("viscous_exponent", _F),
         # effects at the link
         ("cable_stiffness", _F), ("cable_rest", _F), ("stop_angle", _F), ("stop_stiffness", _F),
+        ("flexible_share", _F), ("flexible_frequency", _F), ("flexible_damping", _F),
         # what the sensors make of it
-        ("link_zero", _F), ("link_delay", _F), ("eccentricity", _F), ("eccentricity_phase", _F),
+        ("motor_eccentricity", _F), ("motor_eccentricity_phase", _F),
+        ("link_zero", _F), ("link_delay", _F), ("link_error_order", _F, N_ENCODER_ORDERS),
+        ("link_error_amplitude", _F, N_ENCODER_ORDERS), ("link_error_phase", _F, N_ENCODER_ORDERS),
         ("current_offset", _F), ("torque_gain", _F), ("torque_offset", _F), ("torque_rate", _F),
-        # nonparametric terms: cubic B-splines on a uniform grid
-        ("term_place", _F, N_TERMS), ("term_variable", _F, N_TERMS),
-        ("term_low", _F, N_TERMS), ("term_high", _F, N_TERMS), ("term_count", _F, N_TERMS),
-        ("term_coefficient", _F, (N_TERMS, N_COEFFICIENTS)),
+        # nonparametric model discrepancies: cubic B-splines on a uniform grid
+        ("discrepancy_place", _F, N_DISCREPANCIES), ("discrepancy_variable", _F, N_DISCREPANCIES),
+        ("discrepancy_low", _F, N_DISCREPANCIES), ("discrepancy_high", _F, N_DISCREPANCIES),
+        ("discrepancy_count", _F, N_DISCREPANCIES),
+        ("discrepancy_coefficient", _F, (N_DISCREPANCIES, N_COEFFICIENTS)),
     ],
     align=True,
 )  # fmt: skip
@@ -73,7 +83,10 @@ def neutral() -> np.ndarray:
     p["drift_time"] = 10.0
     p["torque_gain"] = 1.0
     p["back_driven_friction"] = 1.0
-    p["term_high"] = 1.0
+    p["viscous_exponent"] = 1.0
+    p["flexible_frequency"] = 20.0
+    p["reference_temperature"] = REFERENCE_TEMPERATURE
+    p["discrepancy_high"] = 1.0
     return record
 
 

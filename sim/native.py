@@ -1,4 +1,4 @@
-"""MuJoCo's C structures and functions as compiled code sees them.
+"""MuJoCo's C structures and functions: where their fields lie, what their addresses are.
 
 Compiled code gets the addresses of an mjModel and an mjData. Where a field lies inside them is found once per
 process, by looking for the address that Python's view of the field reports, so that it holds for any build.
@@ -15,61 +15,8 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
-from numba.np.numpy_support import from_dtype
-
-from ..models.parameters import PARAMETERS
 
 _FARTHEST = 1 << 19  # bytes: beyond the largest structure
-
-
-@intrinsic
-def floats_at(typingctx, address):
-    """Pointer to float64 at an integer address."""
-
-    def codegen(context, builder, signature, args):
-        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
-
-    return types.CPointer(types.float64)(types.intp), codegen
-
-
-_RECORD = from_dtype(PARAMETERS)
-
-
-@intrinsic
-def record_at(typingctx, address):
-    """Pointer to a parameter record at an integer address."""
-
-    def codegen(context, builder, signature, args):
-        return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
-
-    return types.CPointer(_RECORD)(types.intp), codegen
-
-
-@intrinsic
-def word_at(typingctx, address):
-    """The 8-byte integer (a size, a pointer) at an integer address."""
-
-    def codegen(context, builder, signature, args):
-        return builder.load(builder.inttoptr(args[0], ir.IntType(64).as_pointer()))
-
-    return types.int64(types.intp), codegen
-
-
-@intrinsic
-def call_step(typingctx, function, model, data):
-    """Call a C function `void f(const mjModel*, mjData*)` by address, without Python."""
-
-    def codegen(context, builder, signature, args):
-        pointer = ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [pointer, pointer])
-        f = builder.inttoptr(args[0], kind.as_pointer())
-        builder.call(f, [builder.inttoptr(args[1], pointer), builder.inttoptr(args[2], pointer)])
-        return context.get_dummy_value()
-
-    return types.void(types.intp, types.intp, types.intp), codegen
 
 
 @cache

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
-from ..models.parameters import PARAMETERS
+from ..models.parameters import PARAMETERS, REFERENCE_TEMPERATURE
 from . import callbacks
 
 TIMESTEP = 0.0002
@@ -25,6 +25,7 @@ def build(
     record: np.ndarray | None = None,
     ideal_current: bool = False,
     locked_rotor: bool = False,
+    temperature: float = REFERENCE_TEMPERATURE,
 ) -> mujoco.MjModel:
     """Build the MuJoCo model of a joint.
 
@@ -36,10 +37,11 @@ def build(
       ideal_current: the motor's control is torque without the winding's dynamics and voltage limit, as the
         independent reference solutions assume.
       locked_rotor: the rotor cannot turn.
+      temperature: of the gear [°C]; `set_temperature` changes it.
 
     Returns:
-      The model. Coordinates: rotor, wave generator, link. Activations: motor current [A] (unless ideal), bristle,
-      Dahl state (where the joint has hysteresis).
+      The model. Coordinates: rotor, wave generator, link, and what hangs on the link by a spring (where the link is not rigid).
+      Activations: motor current [A] (unless ideal), bristle, Dahl state (where the joint has hysteresis).
 
     Raises:
       InputError: an MJCF that cannot be read or is not a joint's.
@@ -61,11 +63,15 @@ def build(
             _add_state(spec, "hysteresis")
         if locked_rotor:
             spec.joint("rotor").armature = _LOCKED
+        joints = _JOINTS
+        if p["flexible_share"] > 0:
+            _hang_flexibly(spec, p)
+            joints = (*_JOINTS, "flexible")
         spec.add_numeric(name="joint", size=callbacks.NUMERIC_SIZE, data=[0.0])
         model = spec.compile()
     except (ValueError, KeyError, AttributeError) as error:
         raise InputError(f"{joint.mjcf}: not the MJCF of a joint: {' '.join(str(error).split())}") from error
-    if tuple(model.joint(i).name for i in range(model.njnt)) != _JOINTS:
+    if tuple(model.joint(i).name for i in range(model.njnt)) != joints:
         raise InputError(f"{joint.mjcf}: expected the joints {', '.join(_JOINTS)} in this order, got others")
     if model.nnumeric != 1:
         raise InputError(f"{joint.mjcf}: expected no custom numeric fields of its own, got {model.nnumeric - 1}")
@@ -83,6 +89,7 @@ def build(
         native_friction,
         model.actuator("rotor_velocity").id,
         model.actuator("hysteresis").id if has_dahl else -1,
+        temperature,
     )
     model.numeric_data[:] = callbacks.numeric(record, timestep, header)
     return model
@@ -97,6 +104,11 @@ def _correct_to_fourth_order(model: mujoco.MjModel, p: np.void, h: float) -> Non
     """
     reduced = callbacks.reduced_inertia(p)
     model.tendon_armature[model.tendon("flexspline").id] = h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced)
+
+
+def set_temperature(model: mujoco.MjModel, temperature: float) -> None:
+    """Change the temperature [°C] of a joint's gear."""
+    model.numeric_data[callbacks.TEMPERATURE] = temperature
 
 
 def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | None = None) -> None:
@@ -115,7 +127,7 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
     data.act[activation(model, "mesh_friction")] = -h * data.qvel[callbacks.WAVE_GENERATOR]
     p = model.numeric_data[callbacks.HEADER :].copy().view(PARAMETERS)[0]
     if p["hysteresis_torque"] != 0:  # what the first step takes to zero (laws.dahl_step)
-        _, _, rate, _ = callbacks.transmission(data.qpos[:3].copy(), data.qvel[:3].copy(), 0.0, p)
+        rate = callbacks.transmission_at(data.qpos[:3].copy(), data.qvel[:3].copy(), 0.0, p).torsion_rate
         x = p["hysteresis_extent"]
         data.act[activation(model, "hysteresis")] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
 
@@ -163,7 +175,7 @@ def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     """A mass with the gravity moment, off the link's axis by the gravity angle, and the rest of the inertia as its shape."""
     body = spec.body("link")
-    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"])
+    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"]) * (1.0 - float(p["flexible_share"]))
     # The mass sits close enough for its own m r² to leave 40 % of the inertia to its shape.
     lever = min(_LEVER, 0.6 * inertia / moment) if moment > 0 else _LEVER
     mass = moment / lever if moment > 0 else 0.1
@@ -177,6 +189,18 @@ def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     flange.explicitinertial = True
 
 
+def _hang_flexibly(spec: mujoco.MjSpec, p: np.void) -> None:
+    """Hang a share of the link's inertia on a spring: J_s (φ'' + θl'') = −k φ − d φ', resonance at the stated frequency."""
+    inertia = float(p["flexible_share"] * p["Jl"])
+    pulsation = 2 * np.pi * float(p["flexible_frequency"])
+    body = spec.body("link").add_body(name="flexible")
+    body.explicitinertial = True
+    body.mass, body.inertia = 1e-6, [inertia] * 3
+    joint = body.add_joint(name="flexible", type=mujoco.mjtJoint.mjJNT_HINGE, axis=spec.joint("link").axis)
+    joint.stiffness = [inertia * pulsation**2, 0, 0]
+    joint.damping = [2 * float(p["flexible_damping"]) * inertia * pulsation, 0, 0]
+
+
 def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
     """MuJoCo's own LuGre where the sliding friction is a function of velocity alone; the callback's otherwise."""
     friction = spec.actuator("mesh_friction")
@@ -184,6 +208,7 @@ def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
         p["friction_asymmetry"] == 0
         and p["friction_load"] == 0
         and p["drift_amplitude"] == 0
+        and p["friction_temperature"] == 0
         and not np.any(p["friction_amplitude"])
     )
     if plain:

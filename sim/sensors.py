@@ -1,6 +1,6 @@
-"""What the sensors make of the joint's state: sample rate, delay, quantisation, noise.
+"""What the sensors make of the joint's state: sample rate, delay, bandwidth, noise, quantisation, imperfections.
 
-Every sensor has a random stream of its own, derived from the seed and the sensor's name: adding a sensor, or changing
+Every channel has random streams of its own, derived from the seed and the channel's name: adding a sensor, or changing
 one, leaves the noise of the others as it was, to the bit.
 """
 
@@ -10,32 +10,78 @@ import math
 import zlib
 
 import numpy as np
-from numba import njit
 
-from ..models.joint import Joint
+from ..models.joint import AnalogSpec, EncoderSpec, Joint, WrenchSpec
+from ..models.kernels import kernel
+from ..models.signals import CHANNELS, READINGS, SENSED
 
-SENSOR = np.dtype([(name, np.float64) for name in ("noise", "step", "delay", "period")])
-"""A sensor as one record for compiled code: noise [rms], step of quantisation, delay [s], sample period [s]."""
+SENSOR = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "step", "delay", "period", "smoothing", "at_step", "ripple_order", "ripple_amplitude", "ripple_phase",
+            "crosstalk", "cyclic_error",
+        )
+    ]
+)  # fmt: skip
+"""A sensor as one record for compiled code: step of quantisation, delay [s], sample period [s], share of a change that its
+low-pass passes within a control period [1] (1: no low-pass), whether it is read once the plant has stepped, ripple over the motor's
+angle, crosstalk (amplitude over the cosine of the link's angle), error within four counts [rad]."""
+_CYCLE = 4  # counts of an incremental encoder in one line of its disc
 
-NAMES = ("motor_position", "link_position", "motor_current", "joint_torque")
-WRENCH = ("force_x", "force_y", "force_z", "torque_x", "torque_y", "torque_z")
 
-
-def sensor_records(joint: Joint, link_delay: float) -> np.ndarray:
-    """The joint's sensors as records, shape (5,): `NAMES`, then the wrench (noise of force, torque in `noise`, `step`)."""
-    s = joint.sensors
-    records = np.zeros(len(NAMES) + 1, SENSOR)
-    records[0] = (s.motor_encoder.noise, s.motor_encoder.resolution, s.motor_encoder.delay, 1 / s.motor_encoder.rate)
-    records[1] = (s.link_encoder.noise, s.link_encoder.resolution, link_delay, 1 / s.link_encoder.rate)
-    for i, analog in ((2, s.motor_current), (3, s.joint_torque)):
-        records[i] = (analog.noise, analog.step, analog.delay, 1 / analog.rate)
-    records[4] = (s.wrench.force_noise, s.wrench.torque_noise, s.wrench.delay, 1 / s.wrench.rate)
+def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
+    """The joint's sensors as records, shape (channels,), in the order of `signals.SENSED`; `dt`: control period [s]."""
+    records = np.zeros(len(SENSED), SENSOR)
+    for i, name in enumerate(SENSED):
+        spec, r = getattr(joint.sensors, CHANNELS[name].sensor), records[i]
+        r["delay"], r["period"], r["smoothing"] = spec.delay, 1 / spec.rate, 1.0
+        r["at_step"] = CHANNELS[name].at_step
+        if isinstance(spec, EncoderSpec):
+            r["step"] = spec.resolution
+            r["cyclic_error"] = spec.cyclic_error * spec.resolution
+        elif isinstance(spec, AnalogSpec):
+            r["step"], r["crosstalk"] = spec.step, spec.crosstalk
+            if spec.bandwidth is not None:
+                r["smoothing"] = -math.expm1(-2 * math.pi * spec.bandwidth * dt)
+            if spec.ripple is not None:
+                r["ripple_order"], r["ripple_amplitude"] = spec.ripple.order, spec.ripple.amplitude
+                r["ripple_phase"] = spec.ripple.phase
+    records[SENSED.index("link_position")]["delay"] = link_delay
     return records
 
 
-def noise(seed: int, samples: int) -> np.ndarray:
-    """Standard normal noise of every sensor and wrench axis, shape (10, samples): `NAMES`, then `WRENCH`."""
-    return np.stack([stream(seed, name).standard_normal(samples) for name in (*NAMES, *WRENCH)])
+def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
+    """Noise of every channel in its unit, shape (samples,), records of `signals.READINGS`; `dt`: control period [s]."""
+    found = np.zeros(samples, READINGS)
+    for name in SENSED:
+        spec = getattr(joint.sensors, CHANNELS[name].sensor)
+        white = _rms(spec, name)
+        if white > 0.0:
+            found[name] = white * stream(seed, name).standard_normal(samples)
+        if isinstance(spec, AnalogSpec) and spec.flicker > 0.0:
+            found[name] += spec.flicker * flicker(samples, stream(seed, f"{name} flicker"))
+        if isinstance(spec, AnalogSpec) and spec.vibration is not None:
+            phase = stream(seed, f"{name} vibration").uniform(0.0, 2 * np.pi)
+            angle = 2 * np.pi * spec.vibration.frequency * dt * np.arange(samples) + phase
+            found[name] += math.sqrt(2.0) * spec.vibration.amplitude * np.sin(angle)
+    return found
+
+
+def _rms(spec: EncoderSpec | AnalogSpec | WrenchSpec, channel: str) -> float:
+    if isinstance(spec, WrenchSpec):
+        return spec.force_noise if channel.startswith("force") else spec.torque_noise
+    return spec.noise
+
+
+def flicker(samples: int, rng: np.random.Generator) -> np.ndarray:
+    """Noise of unit variance whose power falls as 1/f, shape (samples,): white noise, shaped in its spectrum."""
+    spectrum = np.fft.rfft(rng.standard_normal(samples))
+    shape = np.arange(len(spectrum), dtype=np.float64)
+    shape[0] = np.inf
+    x = np.fft.irfft(spectrum / np.sqrt(shape), samples)
+    spread = float(np.std(x))
+    return x / spread if spread > 0.0 else x
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
@@ -43,13 +89,13 @@ def stream(seed: int, name: str) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence([seed, zlib.crc32(name.encode())])))
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def quantise(value, step):
     """Round to a multiple of `step`; 0 leaves the value as it is."""
     return math.floor(value / step + 0.5) * step if step > 0.0 else value
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def sample_tick(k, dt, sensor):
     """Control tick of a sensor's last sample at tick k: k itself, or an earlier one where it is slower than the control."""
     if sensor.period > dt * 1.000001:
@@ -57,13 +103,28 @@ def sample_tick(k, dt, sensor):
     return k
 
 
-@njit(cache=True, nogil=True)
+@kernel
+def distort(value, before, first, motor_position, link_position, sensor):
+    """What a sensor's imperfections make of a value [its unit]: ripple, crosstalk, error within counts, low-pass.
+
+    `before`: what came out at the tick before; `first`: whether there was none.
+    """
+    if sensor.ripple_amplitude != 0.0:
+        value += sensor.ripple_amplitude * math.sin(sensor.ripple_order * motor_position + sensor.ripple_phase)
+    if sensor.crosstalk != 0.0:
+        value += sensor.crosstalk * math.cos(link_position)
+    if sensor.cyclic_error != 0.0:
+        value += sensor.cyclic_error * math.sin(2.0 * math.pi * value / (_CYCLE * sensor.step))
+    return value if first else before + sensor.smoothing * (value - before)
+
+
+@kernel
 def sample(history, k, dt, noise, sensor):
     """What a sensor gives at control tick k.
 
     Args:
       history: true values at the ticks up to k.
-      dt: control period [s]; noise: standard normal, one value a tick; sensor: `SENSOR` record.
+      dt: control period [s]; noise: of each tick, in the sensor's unit; sensor: `SENSOR` record.
 
     Returns:
       The value at the sensor's last sample instant less its delay (before the start: the first value), with noise,
@@ -78,4 +139,4 @@ def sample(history, k, dt, noise, sensor):
     else:
         i = int(back)
         value = history[i] + (back - i) * (history[min(i + 1, t)] - history[i])
-    return quantise(value + sensor.noise * noise[t], sensor.step)
+    return quantise(value + noise[t], sensor.step)

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from . import plant
-from .callbacks import LINK, transmission
+from .callbacks import LINK, transmission_at
 
 CLOSED_LOOP = {"no_load": "no_load", "link_sweep": "link", "external_push": "link"}
 """Reference file: the mounting that it was made with."""
@@ -119,7 +119,7 @@ def closed_loop(
         if substeps > 1:
             mujoco.mj_step(model, data, nstep=substeps - 1)
         last_current, last_external = current[k], external[k]
-    torque = np.array([transmission(q, w, 0.0, p)[1] for q, w in zip(theta, omega, strict=True)])
+    torque = np.array([transmission_at(q, w, 0.0, p).flexspline_torque for q, w in zip(theta, omega, strict=True)])
     return {
         "torsion": theta[:, 0] / p["N"] - theta[:, LINK],
         "joint_torque": torque - p["bl"] * omega[:, LINK],
@@ -140,7 +140,7 @@ def locked_rotor(joint: Joint, external: np.ndarray, timestep: float) -> tuple[n
     link, torque = np.zeros(len(external)), np.zeros(len(external))
     for k, tau in enumerate(external):
         link[k] = data.qpos[LINK]
-        torque[k] = transmission(data.qpos[:3], data.qvel[:3], 0.0, p)[1]
+        torque[k] = transmission_at(data.qpos[:3], data.qvel[:3], 0.0, p).flexspline_torque
         data.xfrc_applied[body, 4] = -tau
         mujoco.mj_step(model, data, nstep=substeps)
     return link, torque

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import PHASE, Cause, Parameter
+from .base import PHASE, Cause, Parameter, put_order
 
 
 class LinkEncoderEccentricity(Cause):
@@ -19,5 +19,4 @@ class LinkEncoderEccentricity(Cause):
     )
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["eccentricity"] = values["amplitude"]
-        p["eccentricity_phase"] = values["phase"]
+        put_order(p, "link_error", {"order": 1.0, **values})

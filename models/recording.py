@@ -1,13 +1,15 @@
 """Recordings: what a joint's sensors read over time, as a table and a YAML file of the same stem.
 
 The format is the same whether a simulator or a robot wrote it. A *measurement* is one recording or a folder of several
-taken on the same joint. Sampling may be irregular with single samples missing; a gap splits a recording into stretches.
+taken on the same joint. Sampling may be irregular with single samples missing; a gap splits a recording into segments.
+Which channels there may be, and their units, stands in `models.signals`.
 """
 
 from __future__ import annotations
 
 import csv
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -19,25 +21,13 @@ import pyarrow.csv
 import pyarrow.parquet
 import yaml
 
-from ..models.errors import InputError, nearest
-from ..models.files import Strict, load, write_into_place
-from ..models.joint import Joint, Mounting, load_joint
+from .errors import InputError, nearest
+from .files import Strict, load, write_into_place
+from .joint import Joint, Mounting, load_joint
+from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 
 GAP = 0.1
-"""A time [s] between samples that splits a recording into stretches."""
-
-COLUMNS: dict[str, str] = {
-    "time": "s",
-    "motor_position": "rad",
-    "link_position": "rad",
-    "motor_current": "A",
-    "joint_torque": "N·m",
-    "position_command": "rad",
-    "external_torque": "N·m",
-}
-"""Columns of a recording and their units; motor_position on the motor side, the others on the output side."""
-REQUIRED = ("time", "motor_position", "link_position", "motor_current")
-OPTIONAL = tuple(name for name in COLUMNS if name not in REQUIRED)
+"""A time [s] between samples that splits a recording into segments."""
 SUFFIXES = (".parquet", ".csv")
 
 External = Literal["none", "measured", "unmeasured"]
@@ -62,17 +52,13 @@ class Sidecar(Strict):
 
 @dataclass(frozen=True)
 class Recording:
-    """One recording; every array has shape (n,) and is float64.
+    """One recording.
 
     Attributes:
       name: stem of its files.
-      time: [s], increasing; not necessarily even, nor from zero.
-      motor_position: motor encoder [rad, motor side].
-      link_position: link encoder [rad, output side].
-      motor_current: [A].
-      joint_torque: torque that the joint gives the link [N·m], None without a sensor.
-      position_command: [rad, output side], None if not known.
-      external_torque: torque on the link that was known from a sensor [N·m], None if not.
+      time: [s], increasing; not necessarily even, nor from zero; shape (n,).
+      columns: its channels by name (`signals.CHANNELS`), shape (n,) each, SI; at least one position, and one of motor
+        current, motor torque and joint torque. `recording["link_position"]` is one of them.
       joint: name of the joint's description, or path to one.
       description: for people.
       link: what was bolted to the output.
@@ -80,17 +66,12 @@ class Recording:
       source: where it came from, for messages.
 
     Raises:
-      InputError: columns of different length, values that are not finite, time that does not increase.
+      InputError: columns of different length, values that are not finite, time that does not increase, too few channels.
     """
 
     name: str
     time: np.ndarray
-    motor_position: np.ndarray
-    link_position: np.ndarray
-    motor_current: np.ndarray
-    joint_torque: np.ndarray | None = None
-    position_command: np.ndarray | None = None
-    external_torque: np.ndarray | None = None
+    columns: Mapping[str, np.ndarray]
     joint: str = "test-joint"
     description: str = ""
     link: Mounting = _LINK
@@ -99,22 +80,23 @@ class Recording:
 
     def __post_init__(self) -> None:
         where = self.source or f"recording {self.name!r}"
-        for column in COLUMNS:
-            values = getattr(self, column)
-            if values is None:
-                if column in REQUIRED:
-                    raise InputError(f"{where}: column {column!r}: missing")
-                continue
-            values = np.ascontiguousarray(values, dtype=np.float64)
+        object.__setattr__(self, "time", np.ascontiguousarray(self.time, dtype=np.float64))
+        found = {}
+        for name, given in {"time": self.time, **self.columns}.items():
+            if name not in CHANNELS:
+                raise InputError(f"{where}: column {name!r}: unknown column{nearest(name, CHANNELS)}")
+            values = np.ascontiguousarray(given, dtype=np.float64)
             if values.ndim != 1 or len(values) != len(self.time):
-                raise InputError(f"{where}: column {column!r}: expected shape ({len(self.time)},), got {values.shape}")
-            object.__setattr__(self, column, values)
+                raise InputError(f"{where}: column {name!r}: expected shape ({len(self.time)},), got {values.shape}")
+            found[name] = values
             bad = np.flatnonzero(~np.isfinite(values))
             if len(bad):
                 raise InputError(
-                    f"{where}: column {column!r}, {_row(self.source, bad[0])}: "
+                    f"{where}: column {name!r}, {_row(self.source, int(bad[0]))}: "
                     f"expected a finite number, got {values[bad[0]]}"
                 )
+        object.__setattr__(self, "columns", {k: v for k, v in found.items() if k != "time"})
+        check_channels(where, self.columns)
         if len(self.time) < 2:
             raise InputError(f"{where}: expected at least 2 rows, got {len(self.time)}")
         back = np.flatnonzero(np.diff(self.time) <= 0)
@@ -124,15 +106,36 @@ class Recording:
                 f"{where}: column 'time', {_row(self.source, i + 1)}: expected time to increase, "
                 f"got {self.time[i + 1]:.9g} s after {self.time[i]:.9g} s"
             )
-        if self.external == "measured" and self.external_torque is None:
+        if self.external == "measured" and "external_torque" not in self.columns:
             raise InputError(f"{where}: column 'external_torque': missing, while external_torque is measured")
-        if self.external != "measured" and self.external_torque is not None and np.any(self.external_torque):
+        if self.external != "measured" and np.any(self.columns.get("external_torque", 0.0)):
             raise InputError(
                 f"{where}: external_torque: expected 'measured', as the table has that column, got {self.external!r}"
             )
 
+    def __getitem__(self, channel: str) -> np.ndarray:
+        if channel not in self.columns:
+            raise InputError(f"{self.source or self.name}: column {channel!r}: missing{nearest(channel, self.columns)}")
+        return self.columns[channel]
+
+    def __contains__(self, channel: str) -> bool:
+        return channel in self.columns
+
+    @property
+    def signals(self) -> Signals:
+        """Its channels for whoever needs no more: an estimator, a view."""
+        return Signals(self.time, self.columns)
+
+    def without(self, *channels: str) -> Recording:
+        """The same recording, had there been no such sensors."""
+        kept = {name: values for name, values in self.columns.items() if name not in channels}
+        external = self.external
+        if "external_torque" in channels and external == "measured":
+            external = "unmeasured"
+        return replace(self, columns=kept, external=external)
+
     @cached_property
-    def stretches(self) -> tuple[slice, ...]:
+    def segments(self) -> tuple[slice, ...]:
         """The parts between gaps, as slices of samples."""
         cuts = np.flatnonzero(np.diff(self.time) > GAP) + 1
         edges = [0, *cuts.tolist(), len(self.time)]
@@ -141,17 +144,12 @@ class Recording:
     @cached_property
     def gaps(self) -> tuple[tuple[float, float], ...]:
         """Begin and end of every gap longer than `GAP` [s]."""
-        return tuple((float(self.time[s.start - 1]), float(self.time[s.start])) for s in self.stretches[1:])
+        return tuple((float(self.time[s.start - 1]), float(self.time[s.start])) for s in self.segments[1:])
 
     @cached_property
     def interval(self) -> float:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
-
-    @property
-    def columns(self) -> dict[str, np.ndarray]:
-        """The columns that it has, by name."""
-        return {name: getattr(self, name) for name in COLUMNS if getattr(self, name) is not None}
 
 
 @dataclass(frozen=True)
@@ -230,12 +228,13 @@ def read_recording(path: str | Path) -> Recording:
         raise InputError(f"{path}: expected a YAML file {sidecar_path.name} beside it, found none")
     sidecar = load(sidecar_path, Sidecar, "the YAML file of a recording")
     columns = _read_parquet(path) if path.suffix == ".parquet" else _read_csv(path)
-    for name in REQUIRED:
-        if name not in columns:
-            raise InputError(f"{path}: column {name!r}: missing{nearest(name, columns)}")
+    if "time" not in columns:
+        raise InputError(f"{path}: column 'time': missing{nearest('time', columns)}")
+    time = columns.pop("time")
     return Recording(
         name=path.stem,
-        **columns,
+        time=time,
+        columns=columns,
         joint=sidecar.joint,
         description=sidecar.description,
         link=sidecar.link,
@@ -247,10 +246,9 @@ def read_recording(path: str | Path) -> Recording:
 def write_recording(recording: Recording, folder: str | Path) -> Path:
     """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path."""
     folder = Path(folder)
-    fields = [
-        pa.field(name, pa.float64(), nullable=False, metadata={"unit": COLUMNS[name]}) for name in recording.columns
-    ]
-    table = pa.table(list(recording.columns.values()), schema=pa.schema(fields))
+    ordered = {"time": recording.time, **{n: recording.columns[n] for n in CHANNELS if n in recording.columns}}
+    fields = [pa.field(name, pa.float64(), nullable=False, metadata={"unit": CHANNELS[name].unit}) for name in ordered]
+    table = pa.table(list(ordered.values()), schema=pa.schema(fields))
     path = folder / f"{recording.name}.parquet"
     sidecar = Sidecar(
         format=1,
@@ -274,11 +272,20 @@ def _row(source: str, index: int) -> str:
     return f"row {index + 1}{line}"
 
 
+def check_channels(where: str, columns: Iterable[str]) -> None:
+    """Raise `InputError` where a recording with these columns could show nothing at all."""
+    columns = set(columns)
+    for wanted, what in ((POSITIONS, "position"), (DRIVING, "torque")):
+        if not columns.intersection(wanted):
+            found = ", ".join(sorted(columns)) or "none"
+            raise InputError(f"{where}: expected a {what}, one of the columns {', '.join(wanted)} at least, got {found}")
+
+
 def _check_header(path: Path, names: list[str]) -> None:
     for i, name in enumerate(names):
-        if name not in COLUMNS:
+        if name not in CHANNELS:
             raise InputError(
-                f"{path}: column {name!r}: unknown column{nearest(name, COLUMNS)}; known are {', '.join(COLUMNS)}"
+                f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)}"
             )
         if name in names[:i]:
             raise InputError(f"{path}: column {name!r}: stands twice")
@@ -296,9 +303,9 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         kind = field.type
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
             raise InputError(f"{path}: column {field.name!r}: expected numbers, got {kind}")
-        unit = (field.metadata or {}).get(b"unit", COLUMNS[field.name].encode()).decode()
-        if unit != COLUMNS[field.name]:
-            raise InputError(f"{path}: column {field.name!r}: expected unit {COLUMNS[field.name]!r}, got {unit!r}")
+        unit = (field.metadata or {}).get(b"unit", CHANNELS[field.name].unit.encode()).decode()
+        if unit != CHANNELS[field.name].unit:
+            raise InputError(f"{path}: column {field.name!r}: expected unit {CHANNELS[field.name].unit!r}, got {unit!r}")
         column = table.column(field.name)
         if column.null_count:
             i = int(np.flatnonzero(column.is_null().to_numpy())[0])

@@ -1,0 +1,163 @@
+"""Compiled code: one decorator, one cache on disk that knows when it is out of date.
+
+`kernel` is `numba.njit` with this package's settings: no interpreter lock, IEEE arithmetic (a division by zero is an
+infinity, which whoever calls sees and names; an exception inside MuJoCo's callbacks could only be printed), cached on disk.
+
+Numba's own cache looks at a function's own file alone: it keeps code that was compiled against an older version of an
+imported law. Here the folder of the cache carries a digest of the function's module and of every module of this package
+that it imports, directly or not, and of the versions of Numba, NumPy and MuJoCo. A changed law is compiled anew wherever it is
+used, and nothing else is.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import config
+
+_PACKAGE = __name__.split(".")[0]
+_IMPORT = re.compile(r"^\s*from\s+(\.*[\w.]*)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
+_KEPT = 4
+"""Caches of a folder's earlier states that are kept beside the present one: whoever goes back and forth compiles once."""
+
+
+def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
+    """Compile a function when it is first called; `@kernel`, or `@kernel(forceinline=True)` with options of `numba.njit`."""
+    if function is None:
+        return lambda f: kernel(f, **options)
+    with _cached_beside(function):
+        return numba.njit(cache=True, nogil=True, error_model="numpy", **options)(function)
+
+
+def c_function(signature: Any, function: Callable[..., Any]) -> Any:
+    """Compile a C callback of a signature now; its address is `.address`."""
+    with _cached_beside(function):
+        return numba.cfunc(signature, cache=True, nopython=True, error_model="numpy")(function)
+
+
+_setting = threading.Lock()
+
+
+@contextmanager
+def _cached_beside(function: Callable[..., Any]) -> Iterator[None]:
+    """Let Numba's cache be the folder for the module of a function; Numba reads that setting as it decorates."""
+    folder = cache_folder(function.__module__)
+    with _setting:
+        before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+        try:
+            yield
+        finally:
+            config.CACHE_DIR = before
+
+
+@cache
+def cache_folder(module: str) -> Path:
+    """The folder in which a module's compiled code lies: inside `__pycache__`, or of the user where that is not writable."""
+    own = _file(module)
+    top = own.parent / "__pycache__" / "kernels" if own is not None else _users()
+    try:
+        top.mkdir(parents=True, exist_ok=True)
+        writable = os.access(top, os.W_OK)
+    except OSError:
+        writable = False
+    if not writable:
+        top = _users()
+        top.mkdir(parents=True, exist_ok=True)
+    name = module.rsplit(".", 1)[-1]
+    folder = top / f"{name}-{digest(module)}"
+    if not folder.exists():
+        _forget_old(top, name)
+        folder.mkdir(exist_ok=True)
+    return folder
+
+
+def _users() -> Path:
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / _PACKAGE / "kernels"
+
+
+def _forget_old(top: Path, name: str) -> None:
+    """Remove all but the latest caches of a module's earlier states."""
+    earlier = [f for f in top.glob(f"{name}-*") if f.is_dir() and re.fullmatch(re.escape(name) + r"-[0-9a-f]{16}", f.name)]
+    for folder in sorted(earlier, key=lambda f: f.stat().st_mtime)[: -_KEPT or None]:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+@cache
+def digest(module: str) -> str:
+    """Sixteen hexadecimal digits of a module's source, of all sources that it imports from here, and of the compiler."""
+    versions = [metadata.version(name) for name in ("numba", "llvmlite", "numpy", "mujoco")]
+    whole = hashlib.blake2b(" ".join([*versions, sys.version]).encode(), digest_size=8)
+    for name in sorted(_imported(module)):
+        whole.update(_source(name))
+    return whole.hexdigest()
+
+
+@cache
+def _imported(module: str) -> frozenset[str]:
+    """A module and every module of this package that it imports, directly or not."""
+    found, waiting = set(), [module]
+    while waiting:
+        name = waiting.pop()
+        if name not in found and _file(name) is not None:
+            found.add(name)
+            waiting += _imports(name)
+    return frozenset(found)
+
+
+@cache
+def _imports(module: str) -> tuple[str, ...]:
+    """Modules of this package that a module names in its `from … import`."""
+    package = module if _is_package(module) else module.rpartition(".")[0]
+    found = []
+    for source, names in _IMPORT.findall(_source(module).decode()):
+        dots = len(source) - len(source.lstrip("."))
+        if dots:
+            base = package.split(".")[: len(package.split(".")) - dots + 1]
+            target = ".".join([*base, *source.lstrip(".").split(".")]).rstrip(".")
+        else:
+            target = source
+        if target.split(".")[0] != _PACKAGE:
+            continue
+        inner = [f"{target}.{n.split()[0]}" for n in names.strip("()").replace("\n", " ").split(",") if n.strip()]
+        found += [target, *(name for name in inner if _file(name) is not None)]
+    return tuple(found)
+
+
+def _source(module: str) -> bytes:
+    path = _file(module)
+    return path.read_bytes() if path is not None else b""
+
+
+def _is_package(module: str) -> bool:
+    path = _file(module)
+    return path is not None and path.name == "__init__.py"
+
+
+@cache
+def _file(module: str) -> Path | None:
+    """File of a module, None where there is none; of this package without importing it."""
+    loaded = sys.modules.get(module)
+    if loaded is not None:
+        file = getattr(loaded, "__file__", None)
+        return Path(file).resolve() if file else None
+    parent, _, name = module.rpartition(".")
+    folder = _file(parent) if parent else None
+    if folder is None or folder.name != "__init__.py":
+        return None
+    for candidate in (folder.parent / name / "__init__.py", folder.parent / f"{name}.py"):
+        if candidate.is_file():
+            return candidate.resolve()
+    return None

@@ -1,0 +1,77 @@
+"""Memory by its address, as compiled code sees it: MuJoCo's structures, and what C functions of this package are handed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+from numba.np.numpy_support import from_dtype
+
+from .parameters import PARAMETERS
+
+
+@intrinsic
+def floats_at(typingctx, address):
+    """Pointer to float64 at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+
+    return types.CPointer(types.float64)(types.intp), codegen
+
+
+def pointer_to(dtype: np.dtype) -> Any:
+    """Return a compiled function: integer address → pointer to records of `dtype`; `carray(…, 1)[0]` is the record."""
+    record = from_dtype(dtype)
+
+    @intrinsic
+    def pointer(typingctx, address):
+        def codegen(context, builder, signature, args):
+            return builder.inttoptr(args[0], context.get_value_type(signature.return_type))
+
+        return types.CPointer(record)(types.intp), codegen
+
+    return pointer
+
+
+record_at = pointer_to(PARAMETERS)
+"""Pointer to a parameter record at an integer address."""
+
+
+@intrinsic
+def word_at(typingctx, address):
+    """The 8-byte integer (a size, a pointer) at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.load(builder.inttoptr(args[0], ir.IntType(64).as_pointer()))
+
+    return types.int64(types.intp), codegen
+
+
+@intrinsic
+def call_step(typingctx, function, model, data):
+    """Call a C function `void f(const mjModel*, mjData*)` by address, without Python."""
+
+    def codegen(context, builder, signature, args):
+        pointer = ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [pointer, pointer])
+        f = builder.inttoptr(args[0], kind.as_pointer())
+        builder.call(f, [builder.inttoptr(args[1], pointer), builder.inttoptr(args[2], pointer)])
+        return context.get_dummy_value()
+
+    return types.void(types.intp, types.intp, types.intp), codegen
+
+
+@intrinsic
+def call_estimator(typingctx, function, memory, sample, record, settings, out):
+    """Call a C function `int64 f(void*, void*, void*, void*, void*)` by address, without Python."""
+
+    def codegen(context, builder, signature, args):
+        kind = ir.FunctionType(ir.IntType(64), [ir.IntType(64)] * 5)
+        f = builder.inttoptr(args[0], kind.as_pointer())
+        return builder.call(f, list(args[1:]))
+
+    return types.int64(*[types.intp] * 6), codegen

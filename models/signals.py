@@ -1,0 +1,115 @@
+"""Signals by name: every channel that a joint's sensors, a log or a command may have, with its unit.
+
+A channel that a sensor reads is one entry here, with the field of `joint.Sensors` that states its noise, delay and rate, and its
+reading law in `models.dynamics.readings`. Recordings, the simulated sensors and run folders take the channels from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .errors import InputError, nearest
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A channel.
+
+    Attributes:
+      name: of its column.
+      unit: SI; positions of the motor on the motor side, of the link on the output side.
+      description: for people.
+      sensor: field of `joint.Sensors` that states its noise; empty where no sensor reads it (time, commands).
+      at_step: whether its value belongs to forces that are known only once the plant has stepped.
+    """
+
+    name: str
+    unit: str
+    description: str
+    sensor: str = ""
+    at_step: bool = False
+
+
+_AXES = "xyz"
+_ALL = (
+    Channel("time", "s", "time of the sample"),
+    Channel("motor_position", "rad", "motor encoder, motor side", "motor_encoder"),
+    Channel("link_position", "rad", "link encoder, output side", "link_encoder"),
+    Channel("motor_current", "A", "motor current", "motor_current"),
+    Channel("motor_torque", "N·m", "motor torque as the drive reports it, motor side", "motor_torque"),
+    Channel("joint_torque", "N·m", "torque that the joint gives the link, about the joint axis", "joint_torque", True),
+    Channel("temperature", "°C", "temperature of gear or motor", "temperature"),
+    *(Channel(f"force_{a}", "N", f"force along {a} in the sensor's frame", "wrench", True) for a in _AXES),
+    *(Channel(f"torque_{a}", "N·m", f"torque about {a} in the sensor's frame", "wrench", True) for a in _AXES),
+    Channel("position_command", "rad", "commanded link position"),
+    Channel("external_torque", "N·m", "torque on the link that was known"),
+)
+CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _ALL}
+"""All channels by name."""
+
+SENSED: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor)
+"""Channels that sensors read, in the order of `READINGS`."""
+POSITIONS: tuple[str, ...] = ("motor_position", "link_position")
+"""Of these a recording has one at least."""
+DRIVING: tuple[str, ...] = ("motor_current", "motor_torque", "joint_torque")
+"""Of these a recording has one at least: what says how large the torques were."""
+WRENCH: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor == "wrench")
+"""Axes of the force/torque sensor; the joint's axis is its y, and positive torque about it drives the link back."""
+
+READINGS = np.dtype([(name, np.float64) for name in SENSED])
+"""What all sensors read at one instant, as a record for compiled code."""
+
+
+@dataclass(frozen=True)
+class Signals(Mapping[str, np.ndarray]):
+    """Time and channels by name, shape (n,) each, float64, SI.
+
+    Attributes:
+      time: [s], increasing; not necessarily even, nor from zero.
+      columns: channels by name (`CHANNELS`, or a further name such as `current_command`).
+
+    Raises:
+      InputError: shapes that differ, values that are not finite, time that does not increase.
+    """
+
+    time: np.ndarray
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        time = np.ascontiguousarray(self.time, dtype=np.float64)
+        if time.ndim != 1 or len(time) < 2 or not bool(np.all(np.diff(time) > 0)):
+            raise InputError("signals: time: expected two or more increasing times [s]")
+        found = {}
+        for name, given in self.columns.items():
+            values = np.ascontiguousarray(given, dtype=np.float64)
+            if values.shape != time.shape or not np.isfinite(values).all():
+                raise InputError(f"signals: {name}: expected finite numbers, shape {time.shape}, got {values.shape}")
+            found[name] = values
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "columns", found)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        if name not in self.columns:
+            raise InputError(f"signals: expected a channel {name!r}, got {sorted(self.columns)}{nearest(name, self.columns)}")
+        return self.columns[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.columns)
+
+    def __len__(self) -> int:
+        return len(self.columns)
+
+    def part(self, samples: slice | np.ndarray) -> Signals:
+        """The same channels at some of the samples."""
+        return Signals(self.time[samples], {name: values[samples] for name, values in self.columns.items()})
+
+    def without(self, *names: str) -> Signals:
+        """The same without some channels."""
+        return Signals(self.time, {name: values for name, values in self.columns.items() if name not in names})
+
+    def with_columns(self, **columns: np.ndarray) -> Signals:
+        """The same with further channels, or others of the same name."""
+        return Signals(self.time, {**self.columns, **columns})

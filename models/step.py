@@ -1,0 +1,106 @@
+"""The step of an estimator as a C function: what the closed loop and every estimator agree on.
+
+    int64 step(memory, sample, record, settings, out)        five addresses
+
+reads one `SAMPLE`, moves the estimator's `memory` on and writes `out`, whose first number is the joint torque Ts [N·m]. The first
+sample, whose `interval` is zero, finds memory filled with zeros and starts the estimator. A status other than 0 says why there is no
+next estimate. Called by address, one compiled loop serves every estimator, also one that was written elsewhere.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numba import types
+
+from .kernels import c_function
+from .pointers import pointer_to
+from .signals import READINGS
+
+SAMPLE = np.dtype([("time", np.float64), ("interval", np.float64), ("current_command", np.float64), *READINGS.descr])
+"""What an estimator reads at one instant, as a record for compiled code: `time` since the recording's start and `interval` since
+the sample before [s] (0 at the first), the current command in force until now [A] (the reading where no command is known), and
+every reading; NaN where there is no such sensor."""
+
+sample_at = pointer_to(SAMPLE)
+"""Pointer to a `SAMPLE` at an integer address, for compiled steps."""
+SIGNATURE = types.int64(*[types.intp] * 5)
+_PYTHON = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
+_compiling = threading.RLock()
+
+
+class Step:
+    """A step function, compiled when it is first needed; `@Step` above a function of five addresses."""
+
+    def __init__(self, function: Callable[[int, int, int, int, int], int]):
+        self.function = function
+        self._compiled: Any = None
+
+    @property
+    def address(self) -> int:
+        """Address of the compiled C function."""
+        with _compiling:
+            if self._compiled is None:
+                self._compiled = c_function(SIGNATURE, self.function)
+        return int(self._compiled.address)
+
+
+class PythonStep:
+    """A step that is an ordinary Python function of five addresses: slower by a thousand, and as good.
+
+    `numpy_at` gives the arrays behind the addresses. An exception ends the loop with status −1 and is kept in `error`.
+    """
+
+    def __init__(self, function: Callable[[int, int, int, int, int], int]):
+        self.error: BaseException | None = None
+
+        def guarded(*addresses: int) -> int:
+            try:
+                return int(function(*addresses))
+            except BaseException as error:  # nothing may pass through compiled code
+                self.error = error
+                return -1
+
+        self._callback = _PYTHON(guarded)
+
+    @property
+    def address(self) -> int:
+        """Address of the C callback."""
+        return int(ctypes.cast(self._callback, ctypes.c_void_p).value or 0)
+
+
+def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:
+    """The array, shape (count,), that lies at an address."""
+    size = np.dtype(dtype).itemsize * count
+    return np.frombuffer((ctypes.c_char * size).from_address(address), dtype=dtype)
+
+
+@dataclass(frozen=True)
+class CompiledStep:
+    """A step with what it takes, ready for the loop.
+
+    Attributes:
+      address: of the C function.
+      memory: how many float64 it remembers.
+      record: shape (1,), what it knows of the joint (`parameters.PARAMETERS`).
+      settings: float64, its tuning parameters, in its own order.
+      outputs: length of `out`.
+      owner: kept alive as long as the address is used.
+    """
+
+    address: int
+    memory: int
+    record: np.ndarray
+    settings: np.ndarray = field(default_factory=lambda: np.zeros(1))
+    outputs: int = 1
+    owner: Any = None
+
+    def arrays(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Address, fresh memory, record, settings and `out`, for compiled code."""
+        settings = np.ascontiguousarray(self.settings, dtype=np.float64)
+        return self.address, np.zeros(max(self.memory, 1)), self.record, settings, np.zeros(max(self.outputs, 1))

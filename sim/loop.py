@@ -1,0 +1,254 @@
+"""The closed loop, compiled: plant, sensors, one estimator and the drive at control rate, with no Python inside.
+
+One call runs a whole scenario and releases the interpreter's lock, so that threads run scenarios side by side. Only an
+estimator whose torque is fed back changes what happens, so only that one is in here; it is called by its address, as all
+estimators share one signature (`models.signals.SAMPLE` in, estimate out). Every other one runs over the signals afterwards, and says to
+the bit what it would have said in the loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numba import carray
+
+from ..models import dynamics
+from ..models.kernels import kernel
+from ..models.parameters import REFERENCE_TEMPERATURE
+from ..models.pointers import call_estimator, call_step, floats_at, word_at
+from ..models.signals import READINGS, SENSED, WRENCH
+from ..models.step import SAMPLE, CompiledStep
+from . import native, plant
+from .callbacks import LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
+from .drive import control
+from .sensors import distort, sample
+
+CONTROL_PERIOD = 0.001
+"""Period [s] of sensors, estimators and position controller."""
+
+TRUTH = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "motor_position", "wave_generator_position", "link_position",
+            "motor_velocity", "wave_generator_velocity", "link_velocity",
+            "motor_current", "wave_generator_torque", "flexspline_torque", "joint_torque", "bristle", "dahl",
+        )
+    ]
+)  # fmt: skip
+"""The true state at one instant, as a record."""
+
+_WRENCH_AT = SENSED.index(WRENCH[0])
+_JOINT_AXIS = SENSED.index("torque_y")
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where things lie in a model's state: addresses of activations and sensor data (−1: none)."""
+
+    current: int
+    bristle: int
+    dahl: int
+    force: int
+    torque: int
+    link_body: int
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel) -> Layout:
+        """Look the addresses up."""
+        motor = model.actuator("motor").id
+        has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
+        return cls(
+            current=plant.activation(model, "motor") if model.actuator_actnum[motor] else -1,
+            bristle=plant.activation(model, "mesh_friction"),
+            dahl=plant.activation(model, "hysteresis") if has_dahl else -1,
+            force=int(model.sensor("force").adr[0]),
+            torque=int(model.sensor("torque").adr[0]),
+            link_body=model.body("link").id,
+        )
+
+    def as_array(self) -> np.ndarray:
+        """Shape (6,), for compiled code."""
+        return np.array(
+            [self.current, self.bristle, self.dahl, self.force, self.torque, self.link_body], dtype=np.int64
+        )
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What a closed-loop run gives; n control ticks.
+
+    Attributes:
+      time: shape (n,) [s].
+      truth: shape (n,), records of `TRUTH`, SI.
+      readings: shape (n,), records of `signals.READINGS`, SI.
+      command: shape (n,), current command [A].
+      failed: tick at which the estimator in the loop failed, and its status; (n, 0) where it did not.
+    """
+
+    time: np.ndarray
+    truth: np.ndarray
+    readings: np.ndarray
+    command: np.ndarray
+    failed: tuple[int, int]
+
+
+SENSOR_FEEDBACK = "sensor"
+"""Stands for an estimator where the torque sensor's own reading is fed back."""
+
+
+def simulate(
+    model: mujoco.MjModel,
+    record: np.ndarray,
+    position: np.ndarray,
+    velocity: np.ndarray,
+    external_torque: np.ndarray,
+    sensors: np.ndarray,
+    noise: np.ndarray,
+    controller: np.ndarray,
+    feedback: CompiledStep | str | None = None,
+    temperature: np.ndarray | None = None,
+) -> Simulation:
+    """Run the closed loop from rest at the first commanded position.
+
+    Args:
+      model: of `plant.build`.
+      record: the plant's parameter record, shape (1,).
+      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
+      sensors, noise: of `sim.sensors`.
+      controller: `drive.CONTROLLER` record, shape (1,).
+      feedback: the estimator that closes the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: none.
+      temperature: of the gear [°C], shape (n,); constant by default.
+    """
+    n = len(position)
+    data = mujoco.MjData(model)
+    begin = position[0]
+    p = record[0]
+    plant.start(model, data, np.array([begin * p["N"], begin * p["N"], begin]))
+    truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
+    failed = np.array([n, 0], dtype=np.int64)
+    substeps = round(CONTROL_PERIOD / model.opt.timestep)
+    at = native.offsets()
+    offsets = np.array([at[k] for k in ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata")], dtype=np.int64)
+    if temperature is None:
+        temperature = np.full(n, REFERENCE_TEMPERATURE)
+    if isinstance(feedback, CompiledStep):
+        address, memory, known, settings, out = feedback.arrays()
+    else:
+        address, memory, known, settings, out = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record).arrays()
+    with native.quiet():
+        _loop(
+            native.function_address("mj_step"), model._address, data._address, offsets, Layout.of(model).as_array(),
+            model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,
+            temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
+            readings, _as_floats(readings), command, failed,
+        )  # fmt: skip
+    return Simulation(np.arange(n) * CONTROL_PERIOD, truth, readings, command, (int(failed[0]), int(failed[1])))
+
+
+def _as_floats(records: np.ndarray) -> np.ndarray:
+    """Records of float64 fields as a matrix, shape (n, fields); a view."""
+    return records.view(np.float64).reshape(len(records), -1)
+
+
+@kernel
+def _loop(
+    step, model, data, offsets, layout, numeric, substeps, h, record, position, velocity, external, temperature,
+    sensors, noise, noise_of, controller, estimator, memory, known, settings, out, truth, readings, reading_of,
+    command, failed,
+):  # fmt: skip
+    p, c = record[0], controller[0]
+    q = carray(floats_at(word_at(data + 8 * offsets[0])), 3)
+    v = carray(floats_at(word_at(data + 8 * offsets[1])), 3)
+    act = floats_at(word_at(data + 8 * offsets[2]))
+    ctrl = floats_at(word_at(data + 8 * offsets[3]))
+    link_force = carray(floats_at(word_at(data + 8 * offsets[4]) + 48 * layout[5]), 6)
+    sensordata = floats_at(word_at(data + 8 * offsets[5]))
+    at_current, at_bristle, at_dahl, at_force, at_torque = layout[0], layout[1], layout[2], layout[3], layout[4]
+
+    n, channels = position.size, len(sensors)
+    dt = substeps * h
+    # What the sensors see before delay, noise and quantisation, as histories.
+    seen = np.zeros((channels, n))
+    ideal = np.zeros(1, READINGS)
+    ideal_of = ideal.view(np.float64)
+    given = np.zeros(1, SAMPLE)
+    drive = np.zeros(3)
+    drive[0] = c.gear * position[0]
+    theta, before, omega = np.zeros(3), np.zeros(3), np.zeros(3)
+    current_command, last_command, last_external, estimate = 0.0, 0.0, 0.0, 0.0
+
+    for k in range(n):
+        time = k * dt
+        theta[:] = q
+        before[:] = v
+        numeric[TEMPERATURE] = temperature[k]
+        current = act[at_current] if at_current >= 0 else last_command
+        dahl = act[at_dahl] if at_dahl >= 0 else 0.0
+
+        # The sensors that read the state itself, at this instant.
+        state = state_of(theta, before, act[at_bristle], dahl, current, time, temperature[k])
+        dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
+        for s in range(channels):
+            if sensors[s].at_step == 0.0:
+                last = seen[s, max(k - 1, 0)]
+                seen[s, k] = distort(ideal_of[s], last, k == 0, theta[ROTOR], theta[LINK], sensors[s])
+                reading_of[k, s] = sample(seen[s], k, dt, noise_of[:, s], sensors[s])
+
+        # The estimator and the drive.
+        if estimator == 1:
+            estimate = readings[k - 1].joint_torque if k > 0 else 0.0
+        elif estimator != 0:
+            given[0].time, given[0].interval, given[0].current_command = time, dt if k > 0 else 0.0, last_command
+            given[0].motor_position, given[0].link_position = readings[k].motor_position, readings[k].link_position
+            given[0].motor_current, given[0].motor_torque = readings[k].motor_current, readings[k].motor_torque
+            given[0].temperature = readings[k].temperature
+            status = call_estimator(
+                estimator, memory.ctypes.data, given.ctypes.data, known.ctypes.data, settings.ctypes.data, out.ctypes.data
+            )
+            if status != 0:
+                failed[0], failed[1] = k, status
+                return
+            estimate = out[0]
+        current_command = control(position[k], velocity[k], readings[k].motor_position, estimate, drive, dt, c)
+        command[k] = current_command
+
+        # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
+        ctrl[0] = p.Kt * 0.5 * (current_command + last_command)
+        link_force[4] = -0.5 * (external[k] + last_external)
+        call_step(step, model, data)
+        for s in range(3):
+            omega[s] = 0.5 * (before[s] + v[s])
+        dahl = act[at_dahl] if at_dahl >= 0 else 0.0
+        state = state_of(theta, omega, act[at_bristle], dahl, current, time, temperature[k])
+        b = dynamics.balance(state, p)
+        t = truth[k]
+        t.motor_position, t.wave_generator_position, t.link_position = theta[ROTOR], theta[WAVE_GENERATOR], theta[LINK]
+        t.motor_velocity, t.wave_generator_velocity, t.link_velocity = omega[ROTOR], omega[WAVE_GENERATOR], omega[LINK]
+        t.motor_current, t.bristle, t.dahl = current, state.bristle, dahl
+        t.wave_generator_torque, t.flexspline_torque, t.joint_torque = (
+            b.wave_generator_torque,
+            b.flexspline_torque,
+            b.joint_torque,
+        )
+
+        # The torque sensor and its wrench, which MuJoCo evaluates within the step.
+        dynamics.readings(state, b, p, ideal[0])
+        for axis in range(3):
+            ideal_of[_WRENCH_AT + axis] = sensordata[at_force + axis]
+            ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at_torque + axis]
+        # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
+        ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
+        for s in range(channels):
+            if sensors[s].at_step != 0.0:
+                last = seen[s, max(k - 1, 0)]
+                seen[s, k] = distort(ideal_of[s], last, k == 0, theta[ROTOR], theta[LINK], sensors[s])
+                reading_of[k, s] = sample(seen[s], k, dt, noise_of[:, s], sensors[s])
+
+        ctrl[0] = p.Kt * current_command
+        link_force[4] = -external[k]
+        for _ in range(1, substeps):
+            call_step(step, model, data)
+        last_command, last_external = current_command, external[k]
