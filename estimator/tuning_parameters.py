@@ -1,4 +1,4 @@
-"""What may be turned on a filter: fields of its settings with bounds, so that tuning and sweeping need to know nothing else."""
+"""Tuning parameters of a filter: fields of its settings with bounds, so that tuning and sweeping need to know nothing else."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 
 @dataclass(frozen=True)
-class Knob:
+class TuningParameter:
     """A field that may be tuned.
 
     Attributes:
@@ -45,7 +45,7 @@ def value_of(settings: Any, field: str) -> Any:
     return settings
 
 
-def turned(settings: Any, values: dict[str, float]) -> Any:
+def with_values(settings: Any, values: dict[str, float]) -> Any:
     """A copy of frozen settings with other values, by field; fields may be dotted."""
     own: dict[str, Any] = {}
     inner: dict[str, dict[str, float]] = {}
@@ -56,5 +56,5 @@ def turned(settings: Any, values: dict[str, float]) -> Any:
         else:
             own[head] = value
     for head, parts in inner.items():
-        own[head] = turned(getattr(settings, head), parts)
+        own[head] = with_values(getattr(settings, head), parts)
     return replace(settings, **own)

@@ -1,0 +1,271 @@
+"""What an estimator is: signals and what is known of the joint in, a posterior of the joint torque out.
+
+An estimator is a frozen dataclass of its tuning parameters, with units. Every one works everywhere by its name (`registry`): over the
+signals of a run or a recording (`estimate`), and in the closed loop (`step`). One that looks ahead, a smoother, cannot be fed back and
+says so. It gives the *actual* joint torque Ts; what a torque sensor with its known gain, offset and drift would read of it is
+`KnownJoint.as_read`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..models.errors import InputError
+from ..models.joint import Joint, Mounting
+from ..models.kernels import kernel
+from ..models.parameters import PARAMETERS
+from ..models.pointers import call_estimator
+from ..models.signals import SENSED, Signals
+from ..models.step import SAMPLE, CompiledStep, Step
+from .errors import FilterDiverged
+from .tuning_parameters import TuningParameter
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Resolution (one count) and noise (rms) of the sensors: [rad, motor side], [rad], [A]."""
+
+    motor_resolution: float = 2 * math.pi / 4096
+    motor_noise: float = 0.0
+    link_resolution: float = 2 * math.pi / 2**20
+    link_noise: float = 1.5e-6
+    current_noise: float = 0.01
+
+
+@dataclass(frozen=True)
+class KnownJoint:
+    """What an estimator knows of a joint.
+
+    Attributes:
+      record: shape (1,), numbers and known effects (`models.parameters`).
+      noise: of its sensors.
+      rated_torque: [N·m], the scale of torques.
+      friction: relative standard deviation of the friction model: its tolerance, or what a diagnosis found.
+      link_zero: standard deviation of the link encoder's zero against the motor encoder's [rad].
+      link_wander: by how much that zero may wander with the link's angle [rad]: of a known eccentricity, how well it is known.
+      back_driven: standard deviation of the share of load-dependent friction that acts while the load drives.
+    """
+
+    record: np.ndarray
+    noise: SensorNoise = field(default_factory=SensorNoise)
+    rated_torque: float = 16.0
+    friction: float = 0.15
+    link_zero: float = 0.0
+    link_wander: float = 0.0
+    back_driven: float = 0.0
+
+    def __post_init__(self) -> None:
+        if getattr(self.record, "dtype", None) != PARAMETERS or self.record.shape != (1,):
+            got = type(self.record).__name__
+            raise InputError(f"estimator: record: expected a parameter record of shape (1,), got {got}")
+
+    @classmethod
+    def of(cls, joint: Joint, mounting: Mounting | None = None, record: np.ndarray | None = None) -> KnownJoint:
+        """What a joint's description says, in a mounting; `record`, shape (1,), instead of the description's own."""
+        s, friction = joint.sensors, joint.numbers["Fc"]
+        shared = joint.shared_tolerances.get(friction.shared, 0.0) if friction.shared else 0.0
+        found = friction.std / friction.value if friction.std is not None else math.hypot(friction.tolerance, shared)
+        zero, share = s.link_encoder.zero, joint.numbers.get("back_driven_friction")
+        wander = [e.parameters["amplitude"].std or 0.0 for e in joint.effects if e.name == "link_encoder_eccentricity"]
+        return cls(
+            joint.record(mounting) if record is None else record,
+            SensorNoise(
+                s.motor_encoder.resolution, s.motor_encoder.noise, s.link_encoder.resolution, s.link_encoder.noise,
+                s.motor_current.noise,
+            ),
+            joint.numbers["rated_torque"].value, found, _deviation(zero), sum(wander), _deviation(share),
+        )  # fmt: skip
+
+    @property
+    def p(self) -> np.void:
+        """The parameters by name."""
+        return self.record[0]
+
+    def as_read(self, torque: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """What the joint's torque sensor would read [N·m] of a joint torque: its known gain, offset and drift."""
+        p = self.p
+        return p["torque_gain"] * torque + p["torque_offset"] + p["torque_rate"] * (time - time[0])
+
+
+def _deviation(number: Any) -> float:
+    """How well a number is known: what a diagnosis found, or else its stated deviation; 0 where there is none."""
+    if number is None:
+        return 0.0
+    return float(number.std if number.std is not None else number.deviation)
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """A joint torque estimate over n samples.
+
+    Attributes:
+      estimator: its name.
+      time: shape (n,) [s].
+      mean: shape (n,), joint torque Ts [N·m].
+      variance: shape (n,), what the estimator believes its error variance to be [(N·m)²]; None: it has no belief.
+      innovation, innovation_covariance: shape (n, m), (n, m, m) in the measurements' units; row 0, the start, may be zero.
+      robust: shape (n,), bool, its mode: whether it doubted itself (Eq. 19 of the paper); None: it has no modes.
+      columns: whatever else it keeps, shape (n,) each, by name: states, gains.
+      external: shape (n,), its own estimate of the external torque on the link [N·m]; None: it has none.
+    """
+
+    estimator: str
+    time: np.ndarray
+    mean: np.ndarray
+    variance: np.ndarray | None = None
+    innovation: np.ndarray | None = None
+    innovation_covariance: np.ndarray | None = None
+    robust: np.ndarray | None = None
+    columns: Mapping[str, np.ndarray] = field(default_factory=dict)
+    external: np.ndarray | None = None
+
+    @property
+    def nis(self) -> np.ndarray | None:
+        """Normalised innovation squared, shape (n,); None where there are no innovations. Zero where S is zero (the start)."""
+        if self.innovation is None or self.innovation_covariance is None:
+            return None
+        S, e = self.innovation_covariance, self.innovation
+        good = np.all(np.diagonal(S, axis1=1, axis2=2) > 0, axis=1)
+        found = np.zeros(len(e))
+        found[good] = np.einsum("ni,ni->n", e[good], np.linalg.solve(S[good], e[good][..., None])[..., 0])
+        return found
+
+
+class Estimator(ABC):
+    """An estimator of the joint torque: a frozen dataclass of its tuning parameters."""
+
+    name: str  # how tables call it; also its key in the registry
+    causal: ClassVar[bool] = True  # whether the estimate at a sample uses nothing later
+    costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
+    needs: ClassVar[tuple[str, ...]] = ("motor_position", "link_position", "motor_current")  # channels it reads
+    tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # what tuning may change; first what trades noise for delay
+    description: ClassVar[str] = ""  # a line for people, with its source
+
+    @abstractmethod
+    def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        """Estimate the joint torque over signals.
+
+        Args:
+          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known. A torque
+            sensor's reading is not looked at.
+          joint: what is known of the joint.
+
+        Raises:
+          InputError: a channel that is missing. FilterDiverged: the next estimate would not be finite.
+        """
+
+    def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
+        """The estimator for the closed loop, whose samples are `interval` [s] apart.
+
+        Raises:
+          InputError: one that looks ahead.
+        """
+        raise InputError(f"estimator {self.name!r}: expected one that can run in the loop, got one that looks ahead")
+
+
+class CausalEstimator(Estimator):
+    """An estimator that is one compiled step, called in the loop and over signals alike.
+
+    A subclass gives `compiled` (a `models.step.Step`), `outputs`, the names of what the step writes, `memory` and `settings`.
+    Outputs with these names find their place in the posterior: `torque` (the first), `variance`, `innovation…` and
+    `innovation_variance…` (as many of one as of the other), `robust`, `external_torque`; the others are its columns.
+    """
+
+    compiled: ClassVar[Step]
+    outputs: ClassVar[tuple[str, ...]] = ("torque",)
+
+    @abstractmethod
+    def memory(self, joint: KnownJoint) -> int:
+        """How many float64 the step remembers."""
+
+    @abstractmethod
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        """The step's settings, float64; `interval`: median time between samples [s]."""
+
+    def reason(self, status: int, out: np.ndarray) -> str:
+        """Why a step with this status gave no estimate, for people; `out`: the last good outputs."""
+        return "the estimate is no longer a finite number"
+
+    def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
+        return CompiledStep(
+            self.compiled.address, self.memory(joint), joint.record, self.settings(joint, interval), len(self.outputs)
+        )
+
+    def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        samples = as_samples(signals, self.needs)
+        out, failed, status = run_step(self.step(joint, float(np.median(np.diff(signals.time)))), samples)
+        if failed < len(samples):
+            last = out[max(failed - 1, 0)]
+            raise FilterDiverged(self.name, failed, float(signals.time[failed]), self.reason(status, last))
+        return self.posterior(signals.time, out)
+
+    def posterior(self, time: np.ndarray, out: np.ndarray) -> Posterior:
+        """Outputs, shape (n, len(outputs)), as a posterior."""
+        column = {name: out[:, i] for i, name in enumerate(self.outputs)}
+        innovations = [n for n in self.outputs if n.startswith("innovation") and not n.startswith("innovation_variance")]
+        variances = [n for n in self.outputs if n.startswith("innovation_variance")]
+        e = np.column_stack([column[n] for n in innovations]) if innovations else None
+        S = None
+        if innovations:
+            S = np.column_stack([column[n] for n in variances])[:, :, None] * np.eye(len(innovations))
+        own = {"torque", "variance", "robust", "external_torque", *innovations, *variances}
+        return Posterior(
+            self.name, time, column["torque"].copy(), column.get("variance"), e, S,
+            column["robust"] > 0 if "robust" in column else None,
+            {n: v for n, v in column.items() if n not in own}, column.get("external_torque"),
+        )  # fmt: skip
+
+
+def as_samples(signals: Signals, needs: tuple[str, ...]) -> np.ndarray:
+    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there.
+
+    Raises:
+      InputError: a channel of `needs` that is missing.
+    """
+    time = signals.time
+    found = np.full(len(time), np.nan, SAMPLE)
+    found["time"], found["interval"] = time - time[0], np.diff(time, prepend=time[0])
+    for name in needs:
+        signals[name]
+    for name in SENSED:
+        if name in signals and name != "joint_torque":
+            found[name] = signals[name]
+    if "current_command" in signals:
+        command = signals["current_command"]
+        found["current_command"] = np.r_[0.0, command[:-1]]
+    elif "motor_current" in signals:
+        found["current_command"] = signals["motor_current"]
+    return found
+
+
+def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """Run a step over samples, records of `SAMPLE`, shape (n,); without the interpreter's lock.
+
+    Returns:
+      Its outputs, shape (n, outputs); the sample at which it failed and its status, (n, 0) where it did not.
+    """
+    address, memory, record, settings, out = step.arrays()
+    history = np.zeros((len(samples), len(out)))
+    failed, status = _run(address, memory, samples, record, settings, history)
+    return history, int(failed), int(status)
+
+
+@kernel
+def _run(address, memory, samples, record, settings, history):
+    size = samples.itemsize
+    width = 8 * history.shape[1]
+    at, to = samples.ctypes.data, history.ctypes.data
+    for k in range(len(samples)):
+        status = call_estimator(
+            address, memory.ctypes.data, at + k * size, record.ctypes.data, settings.ctypes.data, to + k * width
+        )
+        if status != 0:
+            return k, status
+    return len(samples), 0
+
