@@ -1,0 +1,5 @@
+"""`python -m flexspline`: the command line."""
+
+from .commands import main
+
+main()
