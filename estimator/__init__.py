@@ -1,41 +1,36 @@
-"""Joint torque from measurements: the compliance model, Eqs. (1)-(7), and the filters, Eqs. (10)-(25)."""
+"""Joint torque from measurements: the paper's compliance model and filters, and every other estimator behind one interface.
 
-from .compliance import Compliance, compliance, compliance_torque, torsions
+`registry.get(name)` gives an estimator, `KnownJoint.of(joint)` what it may know of a joint, `estimate` runs it over signals.
+"""
+
+from .arrays import FilterHistory, FilterModel, run, run_batch, run_extended
+from .compliance import Compliance, compliance, compliance_torque, measurement_variance, torsions
 from .errors import FilterDiverged
-from .filters import (
-    FilterHistory,
-    FilterModel,
-    filter_bank,
-    run,
-    run_batch,
-    run_extended,
-    start_bank,
-    unpack,
-)
-from .recursion import FilterBank, state_size, update, update_bank, update_predicted, workspace
-from .settings import FilterSettings, measurement_variance, paper_filters
+from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise
+from .filters.paper import PaperFilter, paper_filters
+from .registry import get, names
+from .tuning_parameters import TuningParameter
 
 __all__ = [
+    "CausalEstimator",
     "Compliance",
-    "FilterBank",
+    "Estimator",
     "FilterDiverged",
     "FilterHistory",
     "FilterModel",
-    "FilterSettings",
+    "KnownJoint",
+    "PaperFilter",
+    "Posterior",
+    "SensorNoise",
+    "TuningParameter",
     "compliance",
     "compliance_torque",
-    "filter_bank",
+    "get",
     "measurement_variance",
+    "names",
     "paper_filters",
     "run",
     "run_batch",
     "run_extended",
-    "start_bank",
-    "state_size",
     "torsions",
-    "unpack",
-    "update",
-    "update_bank",
-    "update_predicted",
-    "workspace",
 ]

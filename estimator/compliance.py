@@ -1,24 +1,221 @@
 """The harmonic-drive compliance model, Eqs. (1)-(7): joint torque from two encoders and the motor torque.
 
-The equations themselves are the joint's and stand in `models.laws`; here they are composed into a measurement.
-The calibration `p` is a parameter record (`models.parameters`): N, K1, K2, K3, T1, T2, Kw0, Cw, the orders of the
-kinematic error, and the zero of the link encoder. Effects of the record that change what the sensors read or the
-flexspline's law are respected; whoever wants the bare calibration passes `Joint.bare_record`.
+The laws are the joint's (`models.laws`, `models.dynamics`); here they are composed into a measurement. `compliance` is the
+paper's, over arrays: Eqs. (1), (5), (6), (7) as they stand. `measure` is the same, sample by sample inside every estimator
+that is built on torsion, and knows what a joint's record knows beyond the paper:
+
+* **encoders**: zero and orders of the link encoder, eccentricity of the motor encoder, model discrepancies of the link encoder;
+* **Tw**: the motor torque is the command in force (the reading, its offset taken off, where no command is known) plus cogging
+  and what a model discrepancy does at the rotor;
+* **delay of the link encoder**: it is compared with the rotor where the rotor was then; what is late is only the torsion, and
+  that goes on along the line that fits its last samples best (`_AHEAD`);
+* **flexspline**: backlash, hysteresis, model discrepancies. The Dahl state follows the torsion through a low-pass and a dead
+  zone as wide as its noise: counts would wind it back and forth until nothing is left of it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from ..models import dynamics, laws
+from ..models.dynamics import State
 from ..models.errors import InputError
+from ..models.kernels import kernel
 from ..models.laws import flexspline_spring, kinematic_error, wave_generator_torsion
 from ..models.parameters import PARAMETERS
+from .estimator import KnownJoint
+from .sensing import LOWPASS, lowpass, motor_current, temperature
+
+_RING = 512
+"""Samples that a delay of the link encoder may be long: beyond, the oldest stands for what was before it."""
+_AHEAD, _FEWEST = 1.5, 5
+"""The line that carries a late torsion on: fitted to as many delays, and samples at least."""
+_VELOCITY = 2.0 * math.pi * 40.0
+"""Low-pass [rad/s] of the rotor's velocity, on which model discrepancies may depend."""
+_HYSTERESIS = 2.0 * math.pi * 20.0
+"""Low-pass [rad/s] of the torsion that drives the hysteresis."""
+_PLAY = 4e-6
+"""Half of the dead zone through which the torsion drives the hysteresis [rad]."""
+
+TORSION = np.dtype(
+    [
+        ("torque", np.float64), ("dahl", np.float64), ("held", np.float64), ("count", np.float64),
+        ("motor", LOWPASS), ("slow", LOWPASS),
+        *((name, np.float64, _RING) for name in ("time", "motor_position", "motor_torque", "velocity", "torsion")),
+    ]
+)  # fmt: skip
+"""What `measure` remembers: last torque [N·m] and Dahl state [rad], the torsion behind the dead zone [rad], samples so far,
+rotor and torsion through low-passes, and a ring of past samples for a link encoder that is late."""
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+class Measured(NamedTuple):
+    """What the compliance model says at a sample: torque Tf [N·m]; torsion Δθf [rad]; rotor, wave generator [rad, motor side] and
+    link angle [rad] as they are rather than as they are read; motor torque that stands for Tw [N·m, motor side]."""
+
+    torque: float
+    torsion: float
+    motor_position: float
+    wave_generator_position: float
+    link_position: float
+    motor_torque: float
+
+
+@kernel
+def measure(m, s, p):
+    """The compliance model's torque at a sample, `Measured`.
+
+    Args:
+        m: record of `TORSION`, moved on. s: record of `models.step.SAMPLE`. p: parameter record.
+    """
+    motor = dynamics.actual_motor_position(s.motor_position, p)
+    w = 0.0
+    beyond = laws.has_discrepancy(p)
+    if beyond:
+        lowpass(m.motor, motor, s.interval, _VELOCITY)
+        w = m.motor.rate
+    rough = s.link_position - p.link_zero
+    current = motor_current(s, motor, rough, w, m.torque, p)
+    still = State(motor, 0.0, motor, w, rough, w / p.N, 0.0, 0.0, current, s.time, temperature(s, p))
+    motor_torque = dynamics.rotor_torque(still, 0.0, m.torque, p)  # at no velocity: without its damping
+    if p.link_delay > 0.0:
+        torsion = _late_torsion(m, s, motor, motor_torque, w, p)
+        theta_w = motor - laws.wave_generator_torsion(motor_torque, p)
+        link = theta_w / p.N - laws.kinematic_error(theta_w, p) - torsion
+    else:
+        link = dynamics.actual_link_position(s.link_position, motor, w, s.time, p)
+        torsion, theta_w = dynamics.measured_torsion(motor, link, motor_torque, p)
+    if p.hysteresis_torque != 0.0:
+        _wind(m, torsion, s.interval, p)
+    torque = flexspline_spring(torsion, p)
+    if p.hysteresis_torque != 0.0:
+        torque += laws.hysteresis_torque(m.dahl, p)
+    if beyond:
+        state = State(motor, w, theta_w, w, link, w / p.N, 0.0, m.dahl, current, s.time, 0.0)
+        torque += dynamics.flexspline_discrepancy(state, torque, p)
+    m.torque = torque
+    return Measured(torque, torsion, motor, theta_w, link, motor_torque)
+
+
+@kernel
+def _late_torsion(m, s, motor, motor_torque, w, p):
+    """Torsion now [rad] where the link encoder's reading is `p.link_delay` old."""
+    n = int(m.count)
+    at = n % _RING
+    m.time[at], m.motor_position[at], m.motor_torque[at], m.velocity[at] = s.time, motor, motor_torque, w
+    m.count = n + 1.0
+    then = s.time - p.link_delay
+    oldest = max(n - _RING + 1, 0)
+    k = n
+    while k > oldest and m.time[k % _RING] > then:
+        k -= 1
+    a, b = k % _RING, min(k + 1, n) % _RING
+    span = m.time[b] - m.time[a]
+    share = min(max((then - m.time[a]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+    motor_then = m.motor_position[a] + share * (m.motor_position[b] - m.motor_position[a])
+    torque_then = m.motor_torque[a] + share * (m.motor_torque[b] - m.motor_torque[a])
+    link = dynamics.actual_link_position(s.link_position, motor_then, m.velocity[a], then, p)
+    torsion, _ = dynamics.measured_torsion(motor_then, link, torque_then, p)
+    m.torsion[at] = torsion
+    # The line through the last samples, at their mean time and slope.
+    window = max(_AHEAD * p.link_delay, (_FEWEST - 0.5) * s.interval)
+    count, mean_t, mean_x = 0, 0.0, 0.0
+    k = n
+    while k >= oldest and s.time - m.time[k % _RING] <= window:
+        count += 1
+        mean_t += s.time - m.time[k % _RING]
+        mean_x += m.torsion[k % _RING]
+        k -= 1
+    mean_t, mean_x = mean_t / count, mean_x / count
+    top, bottom = 0.0, 0.0
+    for j in range(k + 1, n + 1):
+        t = s.time - m.time[j % _RING] - mean_t
+        top -= t * (m.torsion[j % _RING] - mean_x)
+        bottom += t * t
+    slope = top / bottom if count >= _FEWEST else 0.0
+    return mean_x + slope * (mean_t + p.link_delay) if count >= _FEWEST else torsion
+
+
+@kernel
+def _wind(m, torsion, interval, p):
+    """Move the Dahl state on by what the torsion did, less its noise."""
+    lowpass(m.slow, torsion, interval, _HYSTERESIS)
+    if interval == 0.0:
+        m.held = torsion
+        return
+    x = m.slow.value
+    moved = x - m.held
+    if abs(moved) > _PLAY:
+        moved -= _PLAY if moved > 0.0 else -_PLAY
+        m.held += moved
+        m.dahl = laws.dahl_step(m.dahl, moved, 1.0, p)
+
+
+def torque_variance(joint: KnownJoint) -> float:
+    """Variance [(N·m)²] that a joint's sensors leave in `measure`; the current's noise stands for either current."""
+    p, noise = joint.p, joint.noise
+    return measurement_variance(
+        float(p["K2"]), noise.motor_resolution, noise.link_resolution, noise.link_noise, noise.motor_noise,
+        ratio=float(p["N"]), torque_noise=float(p["Kt"]) * noise.current_noise,
+        wave_generator_stiffness=float(p["Kw0"]),
+    )  # fmt: skip
+
+
+def measurement_variance(
+    stiffness: float,
+    motor_resolution: float,
+    link_resolution: float,
+    link_noise: float = 0.0,
+    motor_noise: float = 0.0,
+    *,
+    ratio: float,
+    torque_noise: float = 0.0,
+    wave_generator_stiffness: float = math.inf,
+) -> float:
+    """Return the variance V [(N·m)²] of the compliance model's torque that its sensors' noise leaves.
+
+    Linear propagation through Eqs. (6), (7): `V = K²·(σm²/N² + σl² + (σT/(N·Kw))²)`. Quantisation of step q is uniform:
+    variance q²/12.
+
+    Args:
+        stiffness: slope K of Eq. (7) [N·m/rad]; K2 is the middle one.
+        motor_resolution: one count of the motor encoder [rad, motor side].
+        link_resolution: one count of the link encoder [rad].
+        link_noise: its noise [rad rms].
+        motor_noise: noise of the motor encoder [rad rms, motor side].
+        ratio: gear ratio N.
+        torque_noise: noise of what Tw is approximated by [N·m rms, motor side]: zero for an exact command, Kt·(current
+            noise) for a measured current.
+        wave_generator_stiffness: Kw0 [N·m/rad, motor side]; at load, Eq. (3), it is higher and the noise smaller.
+
+    Raises:
+        InputError: a negative or non-finite argument, or a stiffness or ratio of zero.
+    """
+    arguments = {
+        "stiffness [N·m/rad]": stiffness, "motor_resolution [rad]": motor_resolution,
+        "link_resolution [rad]": link_resolution, "link_noise [rad]": link_noise,
+        "motor_noise [rad]": motor_noise, "ratio [1]": ratio, "torque_noise [N·m]": torque_noise,
+    }  # fmt: skip
+    for field, value in arguments.items():
+        positive = field.startswith(("stiffness", "ratio"))
+        if not (math.isfinite(value) and value >= 0.0) or (positive and value == 0.0):
+            wanted = "> 0" if positive else "≥ 0"
+            raise InputError(f"measurement_variance: {field}: expected a finite number {wanted}, got {value!r}")
+    if not wave_generator_stiffness > 0.0:
+        raise InputError(
+            f"measurement_variance: wave_generator_stiffness [N·m/rad]: expected a number > 0, "
+            f"got {wave_generator_stiffness!r}"
+        )
+    motor = (motor_resolution**2 / 12.0 + motor_noise**2) / ratio**2
+    link = link_resolution**2 / 12.0 + link_noise**2
+    wave_generator = (torque_noise / (ratio * wave_generator_stiffness)) ** 2
+    return stiffness**2 * (motor + link + wave_generator)
+
+
+@kernel
 def compliance_torque(motor_position, link_position, motor_torque, p):
     """Return Tf [N·m] of the compliance model, Eq. (7), from one reading of each sensor. Compiled.
 
@@ -31,7 +228,7 @@ def compliance_torque(motor_position, link_position, motor_torque, p):
     return flexspline_spring(torsions(motor_position, link_position, motor_torque, p)[3], p)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def torsions(motor_position, link_position, motor_torque, p):
     """Return Δθ of Eq. (1) [rad], Δθw of Eq. (5) [rad, motor side], θerr [rad], Δθf of Eq. (6) [rad]. Compiled.
 
@@ -92,7 +289,7 @@ def compliance(motor_position, link_position, motor_torque, calibration: np.ndar
     return Compliance(*(row.reshape(shape) for row in out))
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _compliance(motor_position, link_position, motor_torque, calibration, out):
     p = calibration[0]
     for i in range(motor_position.size):

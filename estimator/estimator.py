@@ -1,9 +1,9 @@
 """What an estimator is: signals and what is known of the joint in, a posterior of the joint torque out.
 
-An estimator is a frozen dataclass of its tuning parameters, with units. Every one works everywhere by its name (`registry`): over the
-signals of a run or a recording (`estimate`), and in the closed loop (`step`). One that looks ahead, a smoother, cannot be fed back and
-says so. It gives the *actual* joint torque Ts; what a torque sensor with its known gain, offset and drift would read of it is
-`KnownJoint.as_read`.
+An estimator is a frozen dataclass of its tuning parameters, with units. Every one works everywhere by its name
+(`registry`): over the signals of a run or a recording (`estimate`), and in the closed loop (`step`). One that looks ahead, a
+smoother, cannot be fed back and says so. It gives the *actual* joint torque Ts; what a torque sensor with its known gain,
+offset and drift would read of it is `KnownJoint.as_read`.
 """
 
 from __future__ import annotations
@@ -160,6 +160,14 @@ class Estimator(ABC):
           InputError: a channel that is missing. FilterDiverged: the next estimate would not be finite.
         """
 
+    def scaled(self, joint: KnownJoint, interval: float) -> Estimator:
+        """The same estimator for a joint whose samples are `interval` [s] apart.
+
+        Most need no scaling: their tuning parameters are relative to the joint's own numbers. One whose are absolute (the
+        paper's filters) says here what they are elsewhere.
+        """
+        return self
+
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
         """The estimator for the closed loop, whose samples are `interval` [s] apart.
 
@@ -172,29 +180,28 @@ class Estimator(ABC):
 class CausalEstimator(Estimator):
     """An estimator that is one compiled step, called in the loop and over signals alike.
 
-    A subclass gives `compiled` (a `models.step.Step`), `outputs`, the names of what the step writes, `memory` and `settings`.
-    Outputs with these names find their place in the posterior: `torque` (the first), `variance`, `innovation…` and
-    `innovation_variance…` (as many of one as of the other), `robust`, `external_torque`; the others are its columns.
+    A subclass gives `compiled` (a `models.step.Step`); `remembers`, the type of the record in which the step keeps what it
+    remembers, float64 fields and arrays of them; `outputs`, the names of what it writes; and `settings`.
+    Outputs with these names find their place in the posterior: `torque` (the first), `variance`, `innovation…` with its
+    `innovation_variance…`, `robust`, `external_torque`; the others are its columns.
     """
 
     compiled: ClassVar[Step]
+    remembers: ClassVar[np.dtype]
     outputs: ClassVar[tuple[str, ...]] = ("torque",)
 
     @abstractmethod
-    def memory(self, joint: KnownJoint) -> int:
-        """How many float64 the step remembers."""
-
-    @abstractmethod
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
-        """The step's settings, float64; `interval`: median time between samples [s]."""
+        """The step's settings, a record of float64 fields, shape (1,); `interval`: median time between samples [s]."""
 
     def reason(self, status: int, out: np.ndarray) -> str:
         """Why a step with this status gave no estimate, for people; `out`: the last good outputs."""
         return "the estimate is no longer a finite number"
 
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
+        settings = self.settings(joint, interval).view(np.float64).reshape(-1)
         return CompiledStep(
-            self.compiled.address, self.memory(joint), joint.record, self.settings(joint, interval), len(self.outputs)
+            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs)
         )
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
@@ -207,23 +214,24 @@ class CausalEstimator(Estimator):
 
     def posterior(self, time: np.ndarray, out: np.ndarray) -> Posterior:
         """Outputs, shape (n, len(outputs)), as a posterior."""
-        column = {name: out[:, i] for i, name in enumerate(self.outputs)}
-        innovations = [n for n in self.outputs if n.startswith("innovation") and not n.startswith("innovation_variance")]
+        column = {name: out[:, i].copy() for i, name in enumerate(self.outputs)}
         variances = [n for n in self.outputs if n.startswith("innovation_variance")]
+        innovations = [n.replace("innovation_variance", "innovation") for n in variances]
         e = np.column_stack([column[n] for n in innovations]) if innovations else None
         S = None
         if innovations:
             S = np.column_stack([column[n] for n in variances])[:, :, None] * np.eye(len(innovations))
         own = {"torque", "variance", "robust", "external_torque", *innovations, *variances}
         return Posterior(
-            self.name, time, column["torque"].copy(), column.get("variance"), e, S,
+            self.name, time, column["torque"], column.get("variance"), e, S,
             column["robust"] > 0 if "robust" in column else None,
             {n: v for n, v in column.items() if n not in own}, column.get("external_torque"),
         )  # fmt: skip
 
 
 def as_samples(signals: Signals, needs: tuple[str, ...]) -> np.ndarray:
-    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there.
+    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command counts from the next sample
+    on; before the first there was none, 0 A.
 
     Raises:
       InputError: a channel of `needs` that is missing.
@@ -239,8 +247,6 @@ def as_samples(signals: Signals, needs: tuple[str, ...]) -> np.ndarray:
     if "current_command" in signals:
         command = signals["current_command"]
         found["current_command"] = np.r_[0.0, command[:-1]]
-    elif "motor_current" in signals:
-        found["current_command"] = signals["motor_current"]
     return found
 
 
@@ -268,4 +274,3 @@ def _run(address, memory, samples, record, settings, history):
         if status != 0:
             return k, status
     return len(samples), 0
-

@@ -110,6 +110,12 @@ def _discrepancy(place, state, load, p):
 
 
 @kernel
+def flexspline_discrepancy(state, load, p):
+    """What a model discrepancy adds to the flexspline torque [N·m] at a state under a load."""
+    return _discrepancy(_FLEXSPLINE, state, load, p)
+
+
+@kernel
 def sliding_friction(state, load, p):
     """Stribeck curve g(w) at a state under a load [N·m]: `laws.stribeck_friction` [N·m, motor side]."""
     return laws.stribeck_friction(

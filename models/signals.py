@@ -93,8 +93,13 @@ class Signals(Mapping[str, np.ndarray]):
 
     def __getitem__(self, name: str) -> np.ndarray:
         if name not in self.columns:
-            raise InputError(f"signals: expected a channel {name!r}, got {sorted(self.columns)}{nearest(name, self.columns)}")
+            raise InputError(
+                f"signals: expected a channel {name!r}, got {sorted(self.columns)}{nearest(name, self.columns)}"
+            )
         return self.columns[name]
+
+    def __contains__(self, name: object) -> bool:
+        return name in self.columns
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.columns)

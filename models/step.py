@@ -2,9 +2,10 @@
 
     int64 step(memory, sample, record, settings, out)        five addresses
 
-reads one `SAMPLE`, moves the estimator's `memory` on and writes `out`, whose first number is the joint torque Ts [N·m]. The first
-sample, whose `interval` is zero, finds memory filled with zeros and starts the estimator. A status other than 0 says why there is no
-next estimate. Called by address, one compiled loop serves every estimator, also one that was written elsewhere.
+reads one `SAMPLE`, moves the estimator's `memory` on and writes `out`, whose first number is the joint torque Ts [N·m].
+The first sample, whose `interval` is zero, finds memory filled with zeros and starts the estimator. A status other than 0
+says why there is no next estimate. Called by address, one compiled loop serves every estimator, also one that was written
+elsewhere.
 """
 
 from __future__ import annotations
@@ -24,8 +25,8 @@ from .signals import READINGS
 
 SAMPLE = np.dtype([("time", np.float64), ("interval", np.float64), ("current_command", np.float64), *READINGS.descr])
 """What an estimator reads at one instant, as a record for compiled code: `time` since the recording's start and `interval` since
-the sample before [s] (0 at the first), the current command in force until now [A] (the reading where no command is known), and
-every reading; NaN where there is no such sensor."""
+the sample before [s] (0 at the first), the current command in force until now [A], and every reading; NaN where no command is
+known, or where there is no such sensor."""
 
 sample_at = pointer_to(SAMPLE)
 """Pointer to a `SAMPLE` at an integer address, for compiled steps."""

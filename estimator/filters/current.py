@@ -1,0 +1,94 @@
+"""Joint torque from the motor current: what reaches the output when friction and the rotor's inertia are taken off.
+
+    T = (Kt·i + cogging − bm·ωm − Fmesh(ωm) − (Jm + Jw)·ωm') / (1/N − θerr'(θm)) − bl·ωl
+
+the balance of rotor and wave generator as one body (`models.dynamics.transmitted_torque`), with the LuGre bristle driven by the
+measured velocity and friction under the last torque's load. Velocity and acceleration are the motor encoder's, through a causal
+second-order low-pass; what turns with the motor's angle (current, cogging, the transmission's ratio) passes the same one, so that
+both sides stay in step. It needs no second encoder; at rest, friction may be anything up to its level, and so may the error.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import carray
+
+from ...models import dynamics, laws
+from ...models.kernels import kernel
+from ...models.pointers import pointer_to, record_at
+from ...models.step import Step, sample_at
+from ..estimator import CausalEstimator, KnownJoint
+from ..sensing import LOWPASS, lowpass, motor_current, temperature
+from ..tuning_parameters import TuningParameter
+
+MEMORY = np.dtype(
+    [("torque", np.float64), ("bristle", np.float64), ("motor", LOWPASS), ("drive", LOWPASS), ("ratio", LOWPASS)]
+)
+SETTINGS = np.dtype([("cutoff", np.float64)])
+OUT = np.dtype([(n, np.float64) for n in ("torque", "motor_velocity", "motor_acceleration", "drive_torque", "bristle")])
+_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
+
+
+@kernel
+def torque_of_current(m, s, cutoff, p):
+    """Joint torque Ts [N·m] at a sample, a record of `models.step.SAMPLE`.
+
+    Args:
+        m: record of `MEMORY`, moved on. cutoff: of the low-pass [rad/s]. p: parameter record.
+    """
+    motor = dynamics.actual_motor_position(s.motor_position, p)
+    lowpass(m.motor, motor, s.interval, cutoff)
+    w, a = m.motor.rate, m.motor.acceleration
+    # Without a link encoder friction that depends on the link's angle takes the motor's.
+    link = motor / p.N
+    if not math.isnan(s.link_position):
+        link = dynamics.actual_link_position(s.link_position, motor, w, s.time, p)
+    current = motor_current(s, motor, link, w, m.torque, p)
+    state = dynamics.drive_state(motor, w, link, w / p.N, m.bristle, current, s.time, temperature(s, p))
+    lowpass(m.drive, dynamics.rotor_torque(state, 0.0, m.torque, p), s.interval, cutoff)
+    lowpass(m.ratio, 1.0 / p.N - laws.kinematic_error_slope(motor, p), s.interval, cutoff)
+    g = dynamics.sliding_friction(state, m.torque, p)
+    if s.interval > 0.0:
+        m.bristle = laws.bristle_step(m.bristle, w, g, s.interval, p)
+        state = dynamics.drive_state(motor, w, link, w / p.N, m.bristle, current, s.time, temperature(s, p))
+    friction = dynamics.mesh_torque(state, m.torque, g, p)
+    m.torque = (m.drive.value - friction - (p.Jm + p.Jw) * a) / m.ratio.value
+    return m.torque - p.bl * w / p.N
+
+
+@Step
+def _step(memory, sample, record, settings, out):
+    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
+    c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
+    o.torque = torque_of_current(m, s, c.cutoff, p)
+    o.motor_velocity, o.motor_acceleration = m.motor.rate, m.motor.acceleration
+    o.drive_torque, o.bristle = m.drive.value, m.bristle
+    return 0 if math.isfinite(o.torque) else 1
+
+
+@dataclass(frozen=True)
+class MotorCurrent(CausalEstimator):
+    """Joint torque from motor current.
+
+    Attributes:
+        cutoff: of the low-pass [Hz].
+    """
+
+    name: str = "current"
+    cutoff: float = 40.0
+    needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 300.0),)
+    description: ClassVar[str] = "motor current less friction and the drive's inertia; needs no second encoder"
+    compiled: ClassVar[Step] = _step
+    remembers: ClassVar[np.dtype] = MEMORY
+    outputs: ClassVar[tuple[str, ...]] = OUT.names
+
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        return np.array([(2 * math.pi * self.cutoff,)], SETTINGS)
+
+
+ESTIMATORS = (MotorCurrent(),)
