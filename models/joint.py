@@ -9,12 +9,13 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, model_validator
 
 from . import causes
 from .errors import InputError, nearest
 from .files import Strict, load, write_into_place
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PLACES, VARIABLES, neutral
+from .signals import CHANNELS, Channel
 
 # Symbol: unit, may it be zero? All are non-negative.
 SYMBOLS: dict[str, tuple[str, bool]] = {
@@ -155,7 +156,10 @@ class WrenchSpec(Strict):
 
 
 class Sensors(Strict):
-    """The joint's sensors."""
+    """The joint's sensors: those of every joint by name, and any other that a channel names (`signals.CHANNELS`)."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, AnalogSpec]
 
     motor_encoder: EncoderSpec
     link_encoder: EncoderSpec
@@ -164,6 +168,19 @@ class Sensors(Strict):
     joint_torque: AnalogSpec = AnalogSpec()
     temperature: AnalogSpec = AnalogSpec()
     wrench: WrenchSpec = WrenchSpec()
+
+    @model_validator(mode="after")
+    def _known(self) -> Sensors:
+        known = [*type(self).model_fields, *(c.sensor for c in CHANNELS.values() if c.sensor)]
+        for name in self.__pydantic_extra__:
+            if name not in known:
+                raise ValueError(f"{name}: unknown key{nearest(name, known)}")
+        return self
+
+    def of(self, channel: Channel) -> EncoderSpec | AnalogSpec | WrenchSpec:
+        """The sensor that reads a channel; one without noise where the description says nothing of it."""
+        spec = getattr(self, channel.sensor, None)
+        return AnalogSpec() if spec is None else spec
 
 
 class Estimate(Strict):

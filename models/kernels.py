@@ -90,7 +90,9 @@ def _users() -> Path:
 
 def _forget_old(top: Path, name: str) -> None:
     """Remove all but the latest caches of a module's earlier states."""
-    earlier = [f for f in top.glob(f"{name}-*") if f.is_dir() and re.fullmatch(re.escape(name) + r"-[0-9a-f]{16}", f.name)]
+    earlier = [
+        f for f in top.glob(f"{name}-*") if f.is_dir() and re.fullmatch(re.escape(name) + r"-[0-9a-f]{16}", f.name)
+    ]
     for folder in sorted(earlier, key=lambda f: f.stat().st_mtime)[: -_KEPT or None]:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -278,7 +278,9 @@ def check_channels(where: str, columns: Iterable[str]) -> None:
     for wanted, what in ((POSITIONS, "position"), (DRIVING, "torque")):
         if not columns.intersection(wanted):
             found = ", ".join(sorted(columns)) or "none"
-            raise InputError(f"{where}: expected a {what}, one of the columns {', '.join(wanted)} at least, got {found}")
+            raise InputError(
+                f"{where}: expected a {what}, one of the columns {', '.join(wanted)} at least, got {found}"
+            )
 
 
 def _check_header(path: Path, names: list[str]) -> None:
@@ -305,7 +307,9 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
             raise InputError(f"{path}: column {field.name!r}: expected numbers, got {kind}")
         unit = (field.metadata or {}).get(b"unit", CHANNELS[field.name].unit.encode()).decode()
         if unit != CHANNELS[field.name].unit:
-            raise InputError(f"{path}: column {field.name!r}: expected unit {CHANNELS[field.name].unit!r}, got {unit!r}")
+            raise InputError(
+                f"{path}: column {field.name!r}: expected unit {CHANNELS[field.name].unit!r}, got {unit!r}"
+            )
         column = table.column(field.name)
         if column.null_count:
             i = int(np.flatnonzero(column.is_null().to_numpy())[0])

@@ -9,10 +9,10 @@ import math
 from typing import Annotated
 
 import numpy as np
-from numba import njit
 from pydantic import Field
 
 from ..models.files import Strict
+from ..models.kernels import kernel
 
 CONTROLLER = np.dtype(
     [(name, np.float64) for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain")]
@@ -47,7 +47,7 @@ class Controller(Strict):
         return record
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def control(position, velocity, measured, torque, state, dt, c):
     """Current command [A].
 

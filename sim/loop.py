@@ -2,8 +2,8 @@
 
 One call runs a whole scenario and releases the interpreter's lock, so that threads run scenarios side by side. Only an
 estimator whose torque is fed back changes what happens, so only that one is in here; it is called by its address, as all
-estimators share one signature (`models.signals.SAMPLE` in, estimate out). Every other one runs over the signals afterwards, and says to
-the bit what it would have said in the loop.
+estimators share one signature (`models.step`). Every other one runs over the signals afterwards, and says to the bit what
+it would have said in the loop.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
 from .callbacks import LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
 from .drive import control
-from .sensors import distort, sample
+from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001
 """Period [s] of sensors, estimators and position controller."""
@@ -40,6 +40,7 @@ TRUTH = np.dtype(
 )  # fmt: skip
 """The true state at one instant, as a record."""
 
+_READINGS_AT = len(SAMPLE) - len(SENSED)  # place of the first reading in a `SAMPLE`
 _WRENCH_AT = SENSED.index(WRENCH[0])
 _JOINT_AXIS = SENSED.index("torque_y")
 
@@ -145,12 +146,27 @@ def simulate(
             temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
             readings, _as_floats(readings), command, failed,
         )  # fmt: skip
-    return Simulation(np.arange(n) * CONTROL_PERIOD, truth, readings, command, (int(failed[0]), int(failed[1])))
+    return Simulation(
+        np.arange(n) * (substeps * float(model.opt.timestep)),
+        truth,
+        readings,
+        command,
+        (int(failed[0]), int(failed[1])),
+    )
 
 
 def _as_floats(records: np.ndarray) -> np.ndarray:
     """Records of float64 fields as a matrix, shape (n, fields); a view."""
     return records.view(np.float64).reshape(len(records), -1)
+
+
+@kernel
+def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
+    """What sensor s gives at tick k of an ideal value; keeps what it needs for the next tick in `raw` and `seen`."""
+    distorted = distort(value, theta[ROTOR], theta[LINK], sensors[s])
+    seen[s, k] = low_pass(distorted, raw[s], seen[s, k - 1], sensors[s]) if k > 0 else distorted
+    raw[s] = distorted
+    return sample(seen[s], k, dt, noise_of[:, s], sensors[s])
 
 
 @kernel
@@ -170,11 +186,13 @@ def _loop(
 
     n, channels = position.size, len(sensors)
     dt = substeps * h
-    # What the sensors see before delay, noise and quantisation, as histories.
-    seen = np.zeros((channels, n))
+    # What the sensors see before delay, noise and quantisation, as histories; before their low-pass, a tick ago.
+    seen, raw = np.zeros((channels, n)), np.zeros(channels)
     ideal = np.zeros(1, READINGS)
     ideal_of = ideal.view(np.float64)
     given = np.zeros(1, SAMPLE)
+    given_of = given.view(np.float64)
+    given_of[:] = np.nan
     drive = np.zeros(3)
     drive[0] = c.gear * position[0]
     theta, before, omega = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -193,20 +211,25 @@ def _loop(
         dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
         for s in range(channels):
             if sensors[s].at_step == 0.0:
-                last = seen[s, max(k - 1, 0)]
-                seen[s, k] = distort(ideal_of[s], last, k == 0, theta[ROTOR], theta[LINK], sensors[s])
-                reading_of[k, s] = sample(seen[s], k, dt, noise_of[:, s], sensors[s])
+                reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
 
         # The estimator and the drive.
         if estimator == 1:
             estimate = readings[k - 1].joint_torque if k > 0 else 0.0
         elif estimator != 0:
-            given[0].time, given[0].interval, given[0].current_command = time, dt if k > 0 else 0.0, last_command
-            given[0].motor_position, given[0].link_position = readings[k].motor_position, readings[k].link_position
-            given[0].motor_current, given[0].motor_torque = readings[k].motor_current, readings[k].motor_torque
-            given[0].temperature = readings[k].temperature
+            # As differences of the ticks' times, which is what whoever reads the signals afterwards has.
+            given[0].time, given[0].interval = time, time - (k - 1) * dt if k > 0 else 0.0
+            given[0].current_command = last_command
+            for s in range(channels):
+                if sensors[s].at_step == 0.0:
+                    given_of[_READINGS_AT + s] = reading_of[k, s]
             status = call_estimator(
-                estimator, memory.ctypes.data, given.ctypes.data, known.ctypes.data, settings.ctypes.data, out.ctypes.data
+                estimator,
+                memory.ctypes.data,
+                given.ctypes.data,
+                known.ctypes.data,
+                settings.ctypes.data,
+                out.ctypes.data,
             )
             if status != 0:
                 failed[0], failed[1] = k, status
@@ -243,9 +266,7 @@ def _loop(
         ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
         for s in range(channels):
             if sensors[s].at_step != 0.0:
-                last = seen[s, max(k - 1, 0)]
-                seen[s, k] = distort(ideal_of[s], last, k == 0, theta[ROTOR], theta[LINK], sensors[s])
-                reading_of[k, s] = sample(seen[s], k, dt, noise_of[:, s], sensors[s])
+                reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
 
         ctrl[0] = p.Kt * current_command
         link_force[4] = -external[k]

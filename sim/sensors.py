@@ -19,23 +19,26 @@ SENSOR = np.dtype(
     [
         (name, np.float64)
         for name in (
-            "step", "delay", "period", "smoothing", "at_step", "ripple_order", "ripple_amplitude", "ripple_phase",
-            "crosstalk", "cyclic_error",
+            "step", "delay", "period", "pass_now", "pass_before", "at_step", "ripple_order", "ripple_amplitude",
+            "ripple_phase", "crosstalk", "cyclic_error",
         )
     ]
 )  # fmt: skip
-"""A sensor as one record for compiled code: step of quantisation, delay [s], sample period [s], share of a change that its
-low-pass passes within a control period [1] (1: no low-pass), whether it is read once the plant has stepped, ripple over the motor's
-angle, crosstalk (amplitude over the cosine of the link's angle), error within four counts [rad]."""
+"""A sensor as one record for compiled code: step of quantisation, delay [s], sample period [s], its low-pass (`low_pass`;
+1 and 0 where there is none), whether it is read once the plant has stepped, ripple over the motor's angle, crosstalk
+(amplitude over the cosine of the link's angle), error within four counts [rad]."""
 _CYCLE = 4  # counts of an incremental encoder in one line of its disc
 
 
 def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
-    """The joint's sensors as records, shape (channels,), in the order of `signals.SENSED`; `dt`: control period [s]."""
+    """The joint's sensors as records, shape (channels,), in the order of `signals.SENSED`; `dt`: control period [s].
+
+    `link_delay`: of the link encoder [s]; it is a number of the parameter record, as a cause may change it.
+    """
     records = np.zeros(len(SENSED), SENSOR)
     for i, name in enumerate(SENSED):
-        spec, r = getattr(joint.sensors, CHANNELS[name].sensor), records[i]
-        r["delay"], r["period"], r["smoothing"] = spec.delay, 1 / spec.rate, 1.0
+        spec, r = joint.sensors.of(CHANNELS[name]), records[i]
+        r["delay"], r["period"], r["pass_now"] = spec.delay, 1 / spec.rate, 1.0
         r["at_step"] = CHANNELS[name].at_step
         if isinstance(spec, EncoderSpec):
             r["step"] = spec.resolution
@@ -43,7 +46,7 @@ def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
         elif isinstance(spec, AnalogSpec):
             r["step"], r["crosstalk"] = spec.step, spec.crosstalk
             if spec.bandwidth is not None:
-                r["smoothing"] = -math.expm1(-2 * math.pi * spec.bandwidth * dt)
+                r["pass_now"], r["pass_before"] = _pass(2 * math.pi * spec.bandwidth * dt)
             if spec.ripple is not None:
                 r["ripple_order"], r["ripple_amplitude"] = spec.ripple.order, spec.ripple.amplitude
                 r["ripple_phase"] = spec.ripple.phase
@@ -51,11 +54,20 @@ def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
     return records
 
 
+def _pass(x: float) -> tuple[float, float]:
+    """What a first-order low-pass takes of its input now and before; `x`: cut-off frequency [rad/s] times interval [s].
+
+    Exact for an input that is straight between the instants (ramp invariance): y = e^−x y + … .
+    """
+    share = -math.expm1(-x)
+    return 1 - share / x, share / x - 1 + share
+
+
 def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
     """Noise of every channel in its unit, shape (samples,), records of `signals.READINGS`; `dt`: control period [s]."""
     found = np.zeros(samples, READINGS)
     for name in SENSED:
-        spec = getattr(joint.sensors, CHANNELS[name].sensor)
+        spec = joint.sensors.of(CHANNELS[name])
         white = _rms(spec, name)
         if white > 0.0:
             found[name] = white * stream(seed, name).standard_normal(samples)
@@ -104,18 +116,25 @@ def sample_tick(k, dt, sensor):
 
 
 @kernel
-def distort(value, before, first, motor_position, link_position, sensor):
-    """What a sensor's imperfections make of a value [its unit]: ripple, crosstalk, error within counts, low-pass.
-
-    `before`: what came out at the tick before; `first`: whether there was none.
-    """
+def distort(value, motor_position, link_position, sensor):
+    """What a sensor's imperfections make of a value [its unit] at once: ripple, crosstalk, error within counts."""
     if sensor.ripple_amplitude != 0.0:
         value += sensor.ripple_amplitude * math.sin(sensor.ripple_order * motor_position + sensor.ripple_phase)
     if sensor.crosstalk != 0.0:
         value += sensor.crosstalk * math.cos(link_position)
     if sensor.cyclic_error != 0.0:
         value += sensor.cyclic_error * math.sin(2.0 * math.pi * value / (_CYCLE * sensor.step))
-    return value if first else before + sensor.smoothing * (value - before)
+    return value
+
+
+@kernel
+def low_pass(value, value_before, passed_before, sensor):
+    """What a sensor's first-order low-pass gives: of its input now and a control period before, and its output before."""
+    if sensor.pass_now == 1.0:
+        return value
+    return (
+        passed_before + sensor.pass_now * (value - passed_before) + sensor.pass_before * (value_before - passed_before)
+    )
 
 
 @kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from flexspline.models.calibration import CUT, Calibration
 from flexspline.models.joint import known_joints, load_joint
 from flexspline.models.parameters import as_floats

@@ -6,6 +6,7 @@ import re
 
 import numpy as np
 import pytest
+
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
 from flexspline.models.parameters import as_floats

@@ -6,6 +6,7 @@ import os
 from contextlib import contextmanager
 
 import pytest
+
 from flexspline.models.errors import InputError
 from flexspline.models.files import folder_into_place, write_into_place
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+
 from flexspline.models.errors import InputError
-from flexspline.models.joint import SYMBOLS, Effect, Estimate, Term, as_joint, known_joints, load_joint
+from flexspline.models.joint import SYMBOLS, Discrepancy, Effect, Estimate, as_joint, known_joints, load_joint
 from flexspline.models.parameters import as_floats
 
 TEXT = known_joints()["test-joint"].read_text(encoding="utf-8")
@@ -131,18 +132,18 @@ def test_round_trip(tmp_path, name):
         )
 
 
-def test_round_trip_with_effects_and_terms(tmp_path):
+def test_round_trip_with_effects_and_discrepancies(tmp_path):
     effect = Effect(name="friction_asymmetry", parameters={"ratio": Estimate(value=0.3, std=0.01)})
-    term = Term(
+    discrepancy = Discrepancy(
         place="mesh", variable="motor_velocity", low=-100, high=100, unit="N·m", coefficients=[0.1, -0.2, 0.3, 0.4, 0.5]
     )
     plain = load_joint("test-joint")
-    joint = plain.model_copy(update={"effects": [effect], "terms": [term]})
+    joint = plain.model_copy(update={"effects": [effect], "discrepancies": [discrepancy]})
     joint.write(tmp_path / "extended.yaml")
     copy = load_joint(tmp_path / "extended.yaml")
     np.testing.assert_array_equal(as_floats(copy.record()), as_floats(joint.record()))
     assert copy.record()[0]["friction_asymmetry"] == 0.3
-    assert copy.record()[0]["term_coefficient"][0, 4] == 0.5
+    assert copy.record()[0]["discrepancy_coefficient"][0, 4] == 0.5
     np.testing.assert_array_equal(as_floats(copy.bare_record()), as_floats(plain.record()))
 
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.interpolate import BSpline
+
 from flexspline.models import laws
 from flexspline.models.joint import load_joint
 from flexspline.models.parameters import PLACES, VARIABLES
-from scipy.integrate import solve_ivp
-from scipy.interpolate import BSpline
 
 
 @pytest.fixture
@@ -74,7 +75,7 @@ def test_kinematic_error_slope(p, rng):
 @pytest.mark.parametrize("h", [2e-4, 1e-3])
 def test_bristle_step_is_exact(p, w, h):
     """At constant velocity, against SciPy: also where the rate is stiff, 5.5e4 1/s at 100 rad/s."""
-    g = laws.friction_level(w, 0.0, 0.0, 0.0, p)
+    g = laws.stribeck_friction(w, 0.0, 0.0, 0.0, 25.0, p)
     for z in (0.0, 1.2e-3, -2.0e-3):
         solved = solve_ivp(lambda _, y, g=g: w - p["s0"] * abs(w) / g * y, (0, h), [z], "Radau", rtol=1e-11, atol=1e-16)
         assert laws.bristle_step(z, w, g, h, p) == pytest.approx(solved.y[0, -1], rel=1e-8, abs=1e-14)
@@ -91,16 +92,16 @@ def test_dahl_step_is_exact(p, v):
 
 def test_steady_sliding_friction_is_the_stribeck_curve(p):
     for w in (0.5, 2.0, 50.0, -4.0):
-        g = laws.friction_level(w, 0.0, 0.0, 0.0, p)
+        g = laws.stribeck_friction(w, 0.0, 0.0, 0.0, 25.0, p)
         assert g == pytest.approx(0.018 + 0.004 * np.exp(-((w / 2) ** 2)))
         z = laws.bristle_step(0.0, w, g, 10.0, p)
         assert laws.mesh_friction(z, w, g, p) == pytest.approx(np.sign(w) * g, rel=1e-9)
 
 
-def test_friction_level_effects(p):
+def test_effects_on_the_stribeck_curve(p):
     """As recording.md's table states them, alone and never below zero."""
     w, load = 3.0, 20.0
-    plain = laws.friction_level(w, 0.4, load, 5.0, p)
+    plain = laws.stribeck_friction(w, 0.4, load, 5.0, 25.0, p)
     for changes, expected in (
         ({"friction_asymmetry": 0.3}, lambda s: plain * (1 + 0.3 * s)),
         ({"drift_amplitude": 1.2, "drift_time": 8.0}, lambda s: plain * (1 + 1.2 * np.exp(-5 / 8))),
@@ -118,63 +119,71 @@ def test_friction_level_effects(p):
             else:
                 q[name] = value
         for sign in (1.0, -1.0):
-            assert laws.friction_level(sign * w, 0.4, load, 5.0, q) == pytest.approx(expected(sign)), changes
+            assert laws.stribeck_friction(sign * w, 0.4, load, 5.0, 25.0, q) == pytest.approx(expected(sign)), changes
 
 
 def test_back_driven_friction_is_a_share_of_the_load_dependent_friction(p):
     p["friction_load"], p["back_driven_friction"] = 0.2, 0.25
     plain = 0.018 + 0.004 * np.exp(-((3.0 / 2) ** 2))
-    assert laws.friction_level(3.0, 0.0, 20.0, 0.0, p) == pytest.approx(plain + 0.04)
-    assert laws.friction_level(-3.0, 0.0, 20.0, 0.0, p) == pytest.approx(plain + 0.01)
+    assert laws.stribeck_friction(3.0, 0.0, 20.0, 0.0, 25.0, p) == pytest.approx(plain + 0.04)
+    assert laws.stribeck_friction(-3.0, 0.0, 20.0, 0.0, 25.0, p) == pytest.approx(plain + 0.01)
 
 
 def test_rotor_and_link_torques(p):
     p["cogging_amplitude"][:2], p["cogging_order"][:2], p["cogging_phase"][:2] = [5e-3, 2e-3], [6, 13], [0.1, 0.2]
-    assert laws.rotor_torque(0.7, p) == pytest.approx(5e-3 * np.sin(4.3) + 2e-3 * np.sin(9.3))
+    assert laws.cogging_torque(0.7, p) == pytest.approx(5e-3 * np.sin(4.3) + 2e-3 * np.sin(9.3))
     p["cable_stiffness"], p["cable_rest"], p["stop_stiffness"], p["stop_angle"] = 1.2, 0.3, 25.0, 0.8
     assert laws.link_torque(0.5, p) == pytest.approx(-1.2 * 0.2)
     assert laws.link_torque(1.0, p) == pytest.approx(-1.2 * 0.7 - 25 * 0.2)
 
 
 def test_readings(p):
-    p["link_zero"], p["eccentricity"], p["eccentricity_phase"] = 1e-3, 4e-4, 0.6
+    p["link_zero"] = 1e-3
+    p["link_error_order"][0], p["link_error_amplitude"][0], p["link_error_phase"][0] = 1.0, 4e-4, 0.6
     assert laws.link_reading(0.9, p) == pytest.approx(0.9 + 1e-3 + 4e-4 * (np.sin(1.5) - np.sin(0.6)))
     p["current_offset"], p["torque_gain"], p["torque_offset"], p["torque_rate"] = 0.1, 1.1, 0.3, -0.02
     assert laws.current_reading(2.0, p) == pytest.approx(2.1)
     assert laws.torque_reading(5.0, 10.0, p) == pytest.approx(5.5 + 0.3 - 0.2)
 
 
-def test_term_is_a_cubic_b_spline(p, rng):
+def test_discrepancy_is_a_cubic_b_spline(p, rng):
     """Uniform grid, clamped outside [low, high]; against SciPy's."""
     coefficients = rng.standard_normal(9)
     low, high = -3.0, 5.0
-    p["term_place"][1], p["term_variable"][1] = PLACES.index("mesh"), VARIABLES.index("motor_velocity")
-    p["term_low"][1], p["term_high"][1], p["term_count"][1] = low, high, 9
-    p["term_coefficient"][1, :9] = coefficients
-    assert laws.has_terms(p)
+    p["discrepancy_place"][1], p["discrepancy_variable"][1] = PLACES.index("mesh"), VARIABLES.index("motor_velocity")
+    p["discrepancy_low"][1], p["discrepancy_high"][1], p["discrepancy_count"][1] = low, high, 9
+    p["discrepancy_coefficient"][1, :9] = coefficients
+    assert laws.has_discrepancy(p)
     spacing = (high - low) / (9 - 3)
     spline = BSpline(low + spacing * np.arange(-3, 10), coefficients, 3)
     for x in np.concatenate([np.linspace(low, high - 1e-9, 101), [-10.0, 12.0]]):
-        got = laws.term(PLACES.index("mesh"), 0.0, 0.0, x, 0.0, 0.0, p)
+        got = laws.discrepancy(PLACES.index("mesh"), 0.0, 0.0, x, 0.0, 0.0, p)
         assert got == pytest.approx(float(spline(np.clip(x, low, high - 1e-12))), abs=1e-10), x
-    assert laws.term(PLACES.index("link"), 0.0, 0.0, 1.0, 0.0, 0.0, p) == 0.0
+    assert laws.discrepancy(PLACES.index("link"), 0.0, 0.0, 1.0, 0.0, 0.0, p) == 0.0
 
 
-def test_term_variables(p):
+def test_discrepancy_variables(p):
     """Each variable reaches the spline: a straight line through it gives it back."""
     place = PLACES.index("link")
     state = {"link_position": 0.4, "motor_position": 1.3, "motor_velocity": -0.6, "load": 0.7, "time": 0.2}
-    p["term_place"][0], p["term_low"][0], p["term_high"][0], p["term_count"][0] = place, -2.0, 2.0, 7
-    p["term_coefficient"][0, :7] = -2.0 + np.arange(-1, 6) * 1.0  # Greville abscissae: the spline is the identity
+    p["discrepancy_place"][0], p["discrepancy_low"][0], p["discrepancy_high"][0], p["discrepancy_count"][0] = (
+        place,
+        -2.0,
+        2.0,
+        7,
+    )
+    p["discrepancy_coefficient"][0, :7] = (
+        -2.0 + np.arange(-1, 6) * 1.0
+    )  # Greville abscissae: the spline is the identity
     arguments = (state["motor_position"], state["link_position"], state["motor_velocity"], state["load"], state["time"])
     for name, value in state.items():
-        p["term_variable"][0] = VARIABLES.index(name)
-        assert laws.term(place, *arguments, p) == pytest.approx(value), name
-    p["term_variable"][0] = VARIABLES.index("motor_position_two_turns")
+        p["discrepancy_variable"][0] = VARIABLES.index(name)
+        assert laws.discrepancy(place, *arguments, p) == pytest.approx(value), name
+    p["discrepancy_variable"][0] = VARIABLES.index("motor_position_two_turns")
     for turns in (-3, 0, 5):
-        assert laws.term(place, 1.3 + 4 * np.pi * turns, *arguments[1:], p) == pytest.approx(1.3)
-    p["term_variable"][0] = VARIABLES.index("direction_link_position")
-    assert laws.term(place, *arguments, p) == pytest.approx(0.4 * np.tanh(-0.6))
+        assert laws.discrepancy(place, 1.3 + 4 * np.pi * turns, *arguments[1:], p) == pytest.approx(1.3)
+    p["discrepancy_variable"][0] = VARIABLES.index("direction_link_position")
+    assert laws.discrepancy(place, *arguments, p) == pytest.approx(0.4 * np.tanh(-0.6))
 
 
 def test_stiffness_of_the_wave_generator_is_the_slope_of_its_spring(p):

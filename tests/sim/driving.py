@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+
 from flexspline.models.joint import load_joint
 from flexspline.sim import plant
-from flexspline.sim.callbacks import transmission
+from flexspline.sim.callbacks import transmission_at
 
 JOINT = load_joint("test-joint")
 PIECES = [(0.15, 0.06, 0.0), (0.15, -0.06, 3.0), (0.15, 0.03, -4.0), (0.05, 0.0, 0.0)]
@@ -50,7 +51,7 @@ def drive(record, pieces=PIECES, timestep=plant.TIMESTEP, period=1e-3, start=Non
             omega.append(0.5 * (before + data.qvel))
             wrench.append(data.sensordata[sensor : sensor + 3].copy())
             z = data.act[dahl] if dahl >= 0 else 0.0
-            torque.append(transmission(theta[-1], omega[-1], z, p)[1] - p["bl"] * omega[-1][2])
+            torque.append(transmission_at(theta[-1], omega[-1], z, p).flexspline_torque - p["bl"] * omega[-1][2])
             data.ctrl[0] = motor
             data.xfrc_applied[body, 4] = -external
             if substeps > 1:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+
 import mujoco
 import numpy as np
 import pytest
 from driving import JOINT, record_of
+
 from flexspline.models.joint import AnalogSpec, EncoderSpec
+from flexspline.models.signals import READINGS, SENSED
 from flexspline.sim import plant
 from flexspline.sim.drive import Controller, control
-from flexspline.sim.sensors import NAMES, SENSOR, WRENCH, noise, quantise, sample, sensor_records, stream
+from flexspline.sim.sensors import SENSOR, distort, flicker, low_pass, noise, quantise, sample, sensor_records, stream
 
 R, L, KT = 1.16, 0.33e-3, 0.0603
 
@@ -105,10 +109,19 @@ def test_torque_feedback_compensates_the_load():
 
 def one(**values):
     record = np.zeros(1, SENSOR)
-    record["period"] = 1e-3
+    record["period"], record["pass_now"] = 1e-3, 1.0
     for name, value in values.items():
         record[name] = value
     return record[0]
+
+
+def with_sensor(name, spec):
+    """The test joint with one of its sensors changed."""
+    return JOINT.model_copy(update={"sensors": JOINT.sensors.model_copy(update={name: spec})})
+
+
+def record_of_channel(channel, joint=JOINT, link_delay=0.0):
+    return sensor_records(joint, link_delay, 1e-3)[SENSED.index(channel)]
 
 
 def sampled(history, sensor, noise=None):
@@ -128,10 +141,10 @@ def test_quantisation_rounds_to_steps():
 def test_encoder_counts_and_bits():
     assert EncoderSpec(counts=4096).resolution == pytest.approx(2 * np.pi / 4096)
     assert EncoderSpec(bits=20).resolution == pytest.approx(2 * np.pi / 2**20)
-    records = sensor_records(JOINT, 0.004)
-    assert records["step"][0] == pytest.approx(2 * np.pi / 4096)
-    assert records["step"][1] == pytest.approx(2 * np.pi / 2**20)
-    assert records["delay"][1] == 0.004
+    assert record_of_channel("motor_position")["step"] == pytest.approx(2 * np.pi / 4096)
+    link = record_of_channel("link_position", link_delay=0.004)
+    assert link["step"] == pytest.approx(2 * np.pi / 2**20)
+    assert link["delay"] == 0.004
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.003, 0.0045])
@@ -153,29 +166,116 @@ def test_slower_sensors_hold(rate):
 
 
 def test_noise_level_and_held_noise():
-    normal = stream(3, "motor_current").standard_normal(50_000)
-    got = sampled(np.zeros(50_000), one(noise=0.01), normal)
+    current = noise(JOINT, 3, 50_000, 1e-3)["motor_current"]
+    got = sampled(np.zeros(50_000), one(), current)
     assert got.std() == pytest.approx(0.01, rel=0.02)
-    held = sampled(np.zeros(1000), one(noise=0.01, period=0.004), normal)
+    held = sampled(np.zeros(1000), one(period=0.004), current)
     assert (np.diff(held.reshape(-1, 4), axis=1) == 0).all()
 
 
-def test_streams_are_independent():
+def test_every_channel_has_its_own_noise_in_its_unit():
     """Named streams: another sensor, or more of them, changes nothing; other names and seeds share nothing."""
-    all_noise = noise(5, 4000)
-    assert all_noise.shape == (10, 4000)
-    for i, name in enumerate((*NAMES, *WRENCH)):
-        np.testing.assert_array_equal(all_noise[i], stream(5, name).standard_normal(4000))
-    np.testing.assert_array_equal(noise(5, 8000)[:, :4000], all_noise)
-    correlation = np.corrcoef(np.concatenate([all_noise, noise(6, 4000)]))
-    assert np.abs(correlation - np.eye(20)).max() < 0.08
+    found = noise(JOINT, 5, 4000, 1e-3)
+    assert found.dtype == READINGS and found.shape == (4000,)
+    rms = {"link_position": 1.5e-6, "motor_current": 0.01, "joint_torque": 0.03}
+    rms |= {f"force_{axis}": 0.1 for axis in "xyz"} | {f"torque_{axis}": 0.03 for axis in "xyz"}
+    for name in SENSED:
+        expected = rms.get(name, 0.0) * stream(5, name).standard_normal(4000)
+        np.testing.assert_array_equal(found[name], expected, err_msg=name)
+        np.testing.assert_array_equal(noise(JOINT, 5, 8000, 1e-3)[name][:4000], expected, err_msg=name)
+    louder = with_sensor("joint_torque", AnalogSpec(noise=1.0, flicker=0.2))
+    for name in SENSED:
+        same = np.array_equal(noise(louder, 5, 4000, 1e-3)[name], found[name])
+        assert same == (name != "joint_torque"), name
+    both = [record[name] / rms[name] for record in (found, noise(JOINT, 6, 4000, 1e-3)) for name in rms]
+    correlation = np.corrcoef(both)
+    assert np.abs(correlation - np.eye(len(both))).max() < 0.08
 
 
 def test_an_analog_sensor_has_steps_too():
-    joint = JOINT.model_copy(
-        update={
-            "sensors": JOINT.sensors.model_copy(update={"joint_torque": AnalogSpec(noise=0.02, step=0.1, rate=500)})
-        }
+    record = record_of_channel("joint_torque", with_sensor("joint_torque", AnalogSpec(noise=0.02, step=0.1, rate=500)))
+    assert record["step"] == 0.1 and record["period"] == pytest.approx(0.002)
+
+
+# --- what real sensors do beside noise ---------------------------------------------------------------------------
+
+
+def test_ripple_crosstalk_and_error_within_counts(rng):
+    current = record_of_channel(
+        "motor_current",
+        with_sensor("motor_current", AnalogSpec(ripple={"order": 18, "amplitude": 4e-3, "phase": 0.7})),
     )
-    record = sensor_records(joint, 0.0)[3]
-    assert record["noise"] == 0.02 and record["step"] == 0.1 and record["period"] == pytest.approx(0.002)
+    torque = record_of_channel("joint_torque", with_sensor("joint_torque", AnalogSpec(crosstalk=0.16)))
+    encoder = record_of_channel(
+        "motor_position", with_sensor("motor_encoder", EncoderSpec(counts=4096, cyclic_error=0.2))
+    )
+    count = 2 * np.pi / 4096
+    for motor, link, value in rng.uniform(-5, 5, (50, 3)):
+        assert distort(value, motor, link, current) == pytest.approx(value + 4e-3 * np.sin(18 * motor + 0.7), abs=1e-15)
+        assert distort(value, motor, link, torque) == pytest.approx(value + 0.16 * np.cos(link), abs=1e-15)
+        error = 0.2 * count * np.sin(2 * np.pi * value / (4 * count))
+        assert distort(value, motor, link, encoder) == pytest.approx(value + error, abs=1e-12)
+        assert distort(value, motor, link, one()) == value
+
+
+def test_error_within_counts_makes_them_uneven():
+    """The edges of a line's four counts: each lies where the angle with its error crosses half a count."""
+    sensor = record_of_channel(
+        "motor_position", with_sensor("motor_encoder", EncoderSpec(counts=4096, cyclic_error=0.3))
+    )
+    count = sensor["step"]
+    angle = np.linspace(0, 400 * count, 400_001)
+    counts = np.array([round(quantise(distort(x, 0.0, 0.0, sensor), count) / count) for x in angle])
+    edges = angle[1:][np.diff(counts) > 0] / count
+    for line in range(0, 400, 4):
+        for j, edge in enumerate(edges[line : line + 4]):
+            assert edge + 0.3 * np.sin(2 * np.pi * edge / 4) == pytest.approx(line + j + 0.5, abs=2e-3)
+    assert np.ptp(np.diff(edges)) > 0.2
+
+
+def filtered(values, bandwidth):
+    sensor = record_of_channel("motor_current", with_sensor("motor_current", AnalogSpec(bandwidth=bandwidth)))
+    got = [values[0]]
+    for before, now in itertools.pairwise(values):
+        got.append(low_pass(now, before, got[-1], sensor))
+    return np.array(got)
+
+
+@pytest.mark.parametrize("bandwidth", [150.0, 300.0])
+def test_low_pass_is_the_analog_one(bandwidth):
+    """A ramp comes through late by the time constant, exactly; sinusoids as 1/(1 + jf/fc) where sampling sees them."""
+    tau = 1 / (2 * np.pi * bandwidth)
+    time = np.arange(400) * 1e-3
+    expected = 3.0 * (time - tau * (1 - np.exp(-time / tau)))
+    np.testing.assert_allclose(filtered(3.0 * time, bandwidth), expected, atol=1e-12)
+    for f in (5.0, 20.0, 60.0):
+        time = np.arange(2000) * 1e-3
+        got = filtered(np.sin(2 * np.pi * f * time), bandwidth)[1000:]
+        response = 2 * np.mean(got * np.exp(-2j * np.pi * f * time[1000:])) * 1j
+        assert abs(response - 1 / (1 + 1j * f / bandwidth)) < 0.015, f
+    assert filtered(np.array([1.0, 5.0, -2.0]), 1e5) == pytest.approx([1.0, 5.0, -2.0], abs=0.02)
+
+
+def test_flicker_is_one_over_f(rng):
+    """Over ten octaves the power spectrum falls with the frequency: −1 in a double logarithm, and its rms is as stated."""
+    n = 1 << 15
+    power = np.mean([np.abs(np.fft.rfft(flicker(n, rng))) ** 2 for _ in range(60)], axis=0)[1:]
+    f = np.arange(1, len(power) + 1)
+    octaves = [(np.mean(f[a:b]), np.mean(power[a:b])) for a, b in ((2**k, 2 ** (k + 1)) for k in range(3, 13))]
+    x, y = np.log(np.array(octaves)).T
+    slope = np.polyfit(x, y, 1)[0]
+    print(f"slope {slope:.3f}")
+    assert slope == pytest.approx(-1.0, abs=0.05)
+    found = noise(with_sensor("joint_torque", AnalogSpec(flicker=0.02)), 4, 20_000, 1e-3)["joint_torque"]
+    assert found.std() == pytest.approx(0.02, rel=1e-9)
+    assert found.mean() == pytest.approx(0.0, abs=1e-12)
+
+
+def test_vibration_has_its_rms_and_frequency():
+    spec = AnalogSpec(vibration={"frequency": 40.0, "amplitude": 0.012})
+    found = noise(with_sensor("joint_torque", spec), 4, 20_000, 1e-3)["joint_torque"]
+    assert np.sqrt(np.mean(found**2)) == pytest.approx(0.012, rel=1e-6)
+    peak = np.abs(np.fft.rfft(found)).argmax() / 20.0
+    assert peak == 40.0
+    other = noise(with_sensor("joint_torque", spec), 5, 20_000, 1e-3)["joint_torque"]
+    assert abs(np.corrcoef(found, other)[0, 1]) < 0.999  # the phase is drawn

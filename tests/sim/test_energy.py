@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 from driving import JOINT, record_of
+from scipy.integrate import quad
+
 from flexspline.models import laws
 from flexspline.sim import plant
 from flexspline.sim.energy import energy, energy_of, flexspline_energy, wave_generator_energy
-from scipy.integrate import quad
 
 BELOW_THE_KNEE = np.array([0.02, 0.01, -2e-4])
 PAST_THE_KNEE = np.array([0.03, 0.02, -1e-3])
@@ -106,5 +107,5 @@ def test_forces_are_the_slopes_of_the_energy():
 
     for position in ([0.3, 0.2, 0.05], [0.4, 0.5, 0.5]):
         assert -slope("link", position, 2) == pytest.approx(laws.link_torque(position[2], p), rel=1e-6)
-        assert -slope("cogging", position, 0) == pytest.approx(laws.rotor_torque(position[0], p), rel=1e-6)
+        assert -slope("cogging", position, 0) == pytest.approx(laws.cogging_torque(position[0], p), rel=1e-6)
         assert -slope("gravity", position, 2) == pytest.approx(-9.0 * np.sin(position[2] + 0.2), rel=1e-6)

@@ -8,8 +8,9 @@ import mujoco
 import numpy as np
 import pytest
 from driving import JOINT, record_of
-from flexspline.sim import native, plant
 from mujoco import batch, rollout
+
+from flexspline.sim import native, plant
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from driving import JOINT, PIECES, drive, record_of, relative
+from independent import solve, torques
+
 from flexspline.models.joint import Mounting
 from flexspline.sim import plant
 from flexspline.sim.verify import LIMITS, closed_loop, locked_rotor, loop_width, verify
-from independent import solve, torques
 
 
 def torsion(positions):

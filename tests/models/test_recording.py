@@ -6,17 +6,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Mounting
-from flexspline.sim.recording import Recording, read_measurement, read_recording, write_recording
+from flexspline.models.recording import Recording, read_measurement, read_recording, write_recording
 
 SIDECAR = "format: 1\njoint: test-joint\nlink: {inertia: 0.35, gravity_moment: 9.0}\n"
 
 
 def recording(name="sweep", n=50, **changes) -> Recording:
     t = np.arange(n) * 1e-3
-    columns = dict(time=t, motor_position=np.sin(t), link_position=np.sin(t) / 100, motor_current=np.cos(t))
-    return Recording(name, **{**columns, **changes})
+    columns = dict(motor_position=np.sin(t), link_position=np.sin(t) / 100, motor_current=np.cos(t))
+    fields = {k: changes.pop(k) for k in ("joint", "description", "link", "external") if k in changes}
+    return Recording(name, changes.pop("time", t), {**columns, **changes}, **fields)
 
 
 def write_csv(folder, text, sidecar=SIDECAR, name="a"):
@@ -36,7 +38,7 @@ def test_what_is_written_is_read(tmp_path):
     path = write_recording(before, tmp_path)
     after = read_recording(path)
     for name, values in before.columns.items():
-        np.testing.assert_array_equal(getattr(after, name), values)
+        np.testing.assert_array_equal(after[name], values)
     assert (after.link, after.external, after.description, after.joint) == (link, "measured", "ä", "test-joint")
     assert pq.read_schema(path).field("joint_torque").metadata == {b"unit": "N·m".encode()}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["sweep.parquet", "sweep.yaml"]
@@ -45,15 +47,51 @@ def test_what_is_written_is_read(tmp_path):
 
 def test_csv_is_read_with_the_same_header(tmp_path):
     path = write_csv(tmp_path, HEADER + "0,1,2,3\n0.001,1,2,3\n")
-    np.testing.assert_array_equal(read_recording(path).motor_current, [3, 3])
+    np.testing.assert_array_equal(read_recording(path)["motor_current"], [3, 3])
 
 
-def test_gaps_split_into_stretches():
+@pytest.mark.parametrize("position", ["motor_position", "link_position"])
+@pytest.mark.parametrize("torque", ["motor_current", "motor_torque", "joint_torque"])
+def test_one_position_and_one_torque_are_a_recording(tmp_path, position, torque):
+    t = np.arange(20) * 1e-3
+    r = read_recording(write_recording(Recording("a", t, {position: np.sin(t), torque: np.cos(t)}), tmp_path))
+    assert sorted(r.columns) == sorted([position, torque])
+    assert position in r and "wrench" not in r
+    np.testing.assert_array_equal(r.signals[torque], np.cos(t))
+    with pytest.raises(InputError, match=r"column 'link_postion': missing"):
+        r["link_postion"]
+    with pytest.raises(InputError, match="expected a torque"):
+        r.without(torque)
+
+
+def test_what_a_recording_would_be_without_a_sensor():
+    pushed = recording(external_torque=np.ones(50), external="measured")
+    less = pushed.without("external_torque", "link_position")
+    assert (less.external, sorted(less.columns)) == ("unmeasured", ["motor_current", "motor_position"])
+
+
+def test_the_whole_wrench_and_the_temperature_are_kept(tmp_path):
+    names = [f"{kind}_{axis}" for kind in ("force", "torque") for axis in "xyz"] + ["temperature", "motor_torque"]
+    before = recording(**{name: np.full(50, float(i)) for i, name in enumerate(names)})
+    path = write_recording(before, tmp_path)
+    after = read_recording(path)
+    for name in names:
+        np.testing.assert_array_equal(after[name], before[name])
+    units = {name: pq.read_schema(path).field(name).metadata[b"unit"].decode() for name in names}
+    assert (units["force_x"], units["torque_z"], units["temperature"], units["motor_torque"]) == (
+        "N",
+        "N·m",
+        "°C",
+        "N·m",
+    )
+
+
+def test_gaps_split_into_segments():
     t = np.concatenate([np.arange(10) * 1e-3, 0.5 + np.arange(5) * 1e-3, 2.0 + np.arange(5) * 1e-3])
     r = recording(n=20, time=t)
-    assert r.stretches == (slice(0, 10), slice(10, 15), slice(15, 20))
+    assert r.segments == (slice(0, 10), slice(10, 15), slice(15, 20))
     assert r.gaps == ((t[9], t[10]), (t[14], t[15]))
-    assert recording().stretches == (slice(0, 50),) and recording().gaps == ()
+    assert recording().segments == (slice(0, 50),) and recording().gaps == ()
 
 
 def test_a_measurement_is_a_folder_of_tables_with_yaml(tmp_path):
@@ -91,7 +129,12 @@ def test_a_bad_row_is_named(tmp_path, rows, words):
 @pytest.mark.parametrize(
     "header, words",
     [
-        ("time,motor_position,link_position\n0,1,2\n1,1,2\n", ["'motor_current'", "missing"]),
+        (
+            "time,motor_position,link_position\n0,1,2\n1,1,2\n",
+            ["a torque", "motor_current, motor_torque, joint_torque"],
+        ),
+        ("time,motor_current\n0,1\n1,1\n", ["a position", "motor_position, link_position"]),
+        ("motor_position,motor_current\n0,1\n1,1\n", ["'time'", "missing"]),
         (
             "time,motor_position,link_position,motor_current,joint_torqe\n0,1,2,3,4\n1,1,2,3,4\n",
             ["'joint_torqe'", "unknown", "did you mean 'joint_torque'"],

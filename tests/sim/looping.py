@@ -1,0 +1,40 @@
+"""The closed loop on the test joint, with a short motion and two pushes."""
+
+from __future__ import annotations
+
+import numpy as np
+from driving import JOINT
+
+from flexspline.sim import plant
+from flexspline.sim.drive import Controller
+from flexspline.sim.loop import CONTROL_PERIOD, Simulation, simulate
+from flexspline.sim.sensors import noise, sensor_records
+
+
+def motion(seconds=2.0, distance=0.4):
+    """Commands there and back [rad], [rad/s] and torque on the link [N·m], shape (n,) each."""
+    time = np.arange(round(seconds / CONTROL_PERIOD)) * CONTROL_PERIOD
+    pulsation = 2 * np.pi / seconds
+    position = 0.5 * distance * (1 - np.cos(pulsation * time))
+    external = np.where((time > 0.6) & (time < 0.8), 4.0, 0.0) + np.where((time > 1.3) & (time < 1.6), -3.0, 0.0)
+    return position, 0.5 * distance * pulsation * np.sin(pulsation * time), external
+
+
+def run(joint=JOINT, mounting="link", record=None, feedback=None, temperature=None, seed=3, **motion_of) -> Simulation:
+    """Simulate a joint in the loop."""
+    mounted = joint.mount(mounting)
+    record = joint.record(mounted) if record is None else record
+    model = plant.build(joint, mounted, record=record)
+    position, velocity, external = motion(**motion_of)
+    return simulate(
+        model,
+        record,
+        position,
+        velocity,
+        external,
+        sensor_records(joint, float(record[0]["link_delay"]), CONTROL_PERIOD),
+        noise(joint, seed, len(position), CONTROL_PERIOD),
+        Controller().record(record[0], CONTROL_PERIOD, feedback is not None),
+        feedback,
+        temperature,
+    )
