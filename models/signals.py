@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -97,6 +98,10 @@ class Signals(Mapping[str, np.ndarray]):
                 f"signals: expected a channel {name!r}, got {sorted(self.columns)}{nearest(name, self.columns)}"
             )
         return self.columns[name]
+
+    def get(self, name: str, default: Any = None) -> Any:
+        """The channel, or the default where there is none."""
+        return self.columns.get(name, default)
 
     def __contains__(self, name: object) -> bool:
         return name in self.columns
