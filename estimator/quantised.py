@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from ..models.kernels import kernel
 
 _FINE = 0.05  # q/√S: below, the rounding is as good as white noise of variance q²/12
 _FAR = 6.0  # standard deviations: beyond, the tail's asymptotic moments
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def cell_moments(residual, S, q):
     """Return mean − ŷ and variance of N(ŷ, S) cut to the cell [y − q/2, y + q/2], with residual = y − ŷ."""
     s = math.sqrt(S)
@@ -48,13 +48,13 @@ def cell_moments(residual, S, q):
     return sign * mean * s, min(max(variance, 1e-9), 1.0) * S
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def update(x, P, active, H, residual, variance, q, PH):
     """Condition x, P on one scalar reading, in place.
 
     Args:
         x: Shape (≥ N,), states.
-        P: Shape (N, N), covariance of the states `active`, shape (N,) integer; the others stay as they are.
+        P: Shape (N, N), covariance of the states `active`, shape (N,), indices; the others stay as they are.
         H: Shape (N,), derivative of the reading by them.
         residual: reading less its prediction.
         variance: of the noise before rounding.
@@ -78,7 +78,7 @@ def update(x, P, active, H, residual, variance, q, PH):
         shift, left = cell_moments(residual, S, q)
     factor = (S - left) / (S * S)
     for i in range(n):
-        x[active[i]] += PH[i] * shift / S
+        x[int(active[i])] += PH[i] * shift / S
         for j in range(i + 1):
             P[i, j] -= factor * PH[i] * PH[j]
             P[j, i] = P[i, j]

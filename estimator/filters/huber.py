@@ -16,21 +16,26 @@ import math
 from dataclasses import dataclass
 from typing import ClassVar
 
-from numba import njit
+from numba import carray
 
-from ..knobs import Knob
-from .kalman import ACCELERATION, TorqueFilter, predict
+from ...models.kernels import kernel
+from ...models.pointers import record_at
+from ...models.step import Step, sample_at
+from ..compliance import measure
+from ..tuning_parameters import TuningParameter
+from .kalman import ACCELERATION, TorqueFilter, memory_at, out_at, predict, settings_at, start, tell
+
+_TOLERANCE, _MOST = 1e-9, 50
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def correct(x, P, y, V, k, tolerance, most):
-    """Update x, P with a measurement y of variance V, in place; returns the innovation's variance with the last weights."""
+@kernel
+def correct(f, e, V, k, tolerance, most):
+    """Update with the innovation `e` [N·m] of a measurement of variance V, in place; returns its variance with the last weights."""
     # A is lower triangular and the measurement sees the first state alone: the regression is one-dimensional in u0, the
     # whitened first state; u1, the second, follows the prediction and keeps its weight 1.
-    a00 = math.sqrt(P[0, 0])
-    a10 = P[1, 0] / a00
-    rest = P[1, 1] - a10 * a10
-    e = y - x[0]
+    a00 = math.sqrt(f.P00)
+    a10 = f.P01 / a00
+    rest = f.P11 - a10 * a10
     u, prior, weight = 0.0, 1.0, 1.0
     for _ in range(most):
         r = (e - a00 * u) / math.sqrt(V)
@@ -40,25 +45,28 @@ def correct(x, P, y, V, k, tolerance, most):
         u = weight * a00 * e / (weight * a00 * a00 + prior * V)
         if abs(u - before) < tolerance:
             break
-    x[0] += a00 * u
-    x[1] += a10 * u
+    f.torque += a00 * u
+    f.torque_rate += a10 * u
     left = V / (weight * a00 * a00 + prior * V)  # variance of u
-    P[0, 0] = a00 * a00 * left
-    P[0, 1] = P[1, 0] = a00 * a10 * left
-    P[1, 1] = a10 * a10 * left + rest
+    f.P00 = a00 * a00 * left
+    f.P01 = a00 * a10 * left
+    f.P11 = a10 * a10 * left + rest
     return a00 * a00 / prior + V / weight
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def run(time, y, q, V, k, x, P, states, variance, e, S):
-    """Filter y as `kalman.run`; k [1]."""
-    for t in range(len(y)):
-        if t > 0:
-            predict(x, P, time[t] - time[t - 1], q)
-            e[t] = y[t] - x[0]
-            S[t] = correct(x, P, y[t], V, k, 1e-9, 50)
-        states[t] = x
-        variance[t] = P[0, 0]
+@Step
+def _step(memory, sample, record, settings, out):
+    m, s, p = carray(memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
+    c, o = carray(settings_at(settings), 1)[0], carray(out_at(out), 1)[0]
+    y = measure(m.torsion, s, p).torque
+    f, e, S = m.filter, 0.0, 0.0
+    if s.interval == 0.0:
+        start(f, y, c)
+    else:
+        predict(f, s.interval, c.q)
+        e = y - f.torque
+        S = correct(f, e, c.V, c.first, _TOLERANCE, _MOST)
+    return tell(f, e, S, o)
 
 
 @dataclass(frozen=True)
@@ -71,10 +79,12 @@ class Huber(TorqueFilter):
 
     name: str = "huber"
     k: float = 1.345
-    knobs: ClassVar[tuple[Knob, ...]] = (ACCELERATION, Knob("k", 0.3, 10.0))
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION, TuningParameter("k", 0.3, 10.0))
+    description: ClassVar[str] = "Kalman filter with Huber's loss instead of the square (Karlgaard & Schaub 2007)"
+    compiled: ClassVar[Step] = _step
 
-    def _run(self, time, y, q, V, x, P, states, variance, e, S) -> None:
-        run(time, y, q, V, self.k, x, P, states, variance, e, S)
+    def _own(self, V: float) -> tuple[float, float]:
+        return self.k, 0.0
 
 
 ESTIMATORS = (Huber(),)

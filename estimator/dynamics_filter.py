@@ -1,0 +1,259 @@
+"""The Gaussian filter on the joint's state-space model (`joint_model`), extended or unscented: one loop, two ways to predict.
+
+Three things beyond the textbook:
+
+* **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts say nothing new.
+* **Contacts are rare**: τext walks quietly, and loudly only while the link encoder's innovations are larger than their
+  variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
+* **A link encoder that is late** is compared with where the model says the link was then: the present estimate less the way that it
+  has come since, by the model's own motion, which later corrections do not touch (after Larsen et al., "Incorporation of time
+  delayed measurements in a discrete-time Kalman filter", CDC 1998).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..models.kernels import kernel
+from . import joint_model as model
+from .joint_model import EXTERNAL, LINK, LINK_RATE, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS
+from .quantised import update
+from .sensing import motor_current, temperature
+
+_RING = 512
+"""Samples that a delay of the link encoder may be long."""
+POINTS = 2 * SIZE + 1
+
+FILTER = np.dtype(
+    [
+        ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("current", np.float64), ("time", np.float64),
+        ("motor_ratio", np.float64), ("link_ratio", np.float64),
+        ("predicted", np.float64, SIZE), ("predicted_P", np.float64, (SIZE, SIZE)), ("F", np.float64, (SIZE, SIZE)),
+        ("way", np.float64), ("count", np.float64), ("times", np.float64, _RING), ("ways", np.float64, _RING),
+        ("e", np.float64, 2), ("S", np.float64, 2),
+        ("points", np.float64, (POINTS, SIZE)), ("A", np.float64, (SIZE, SIZE)), ("work", np.float64, (3, SIZE)),
+        ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
+    ]
+)  # fmt: skip
+"""What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s]; mean NIS of both
+encoders; the prediction with its covariance and Jacobian, for a smoother; the link's way by the model's motion [rad] and a ring of its
+past; innovations [rad] and their variances [rad²]; the rest is scratch."""
+SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
+"""What is random, and κ, which spreads the sigma points."""
+OUT = np.dtype(
+    [(name, np.float64) for name in (
+        "torque", "variance", "innovation_motor_position", "innovation_link_position",
+        "innovation_variance_motor_position", "innovation_variance_link_position", *STATES,
+    )]
+)  # fmt: skip
+
+
+@kernel
+def filter_step(m, s, c, p, unscented):
+    """Move the filter on to a sample.
+
+    Args:
+        m: record of `FILTER`. s: record of `models.step.SAMPLE`. c: record of `SETTINGS`. p: parameter record.
+        unscented: whether to predict by sigma points instead of a Jacobian.
+
+    Returns:
+        The joint torque [N·m] and its variance [(N·m)²].
+    """
+    x, P, noise = m.x, m.P, c.noise
+    if s.interval == 0.0:
+        model.start(s.motor_position, s.link_position, s.time, p, x)
+        for i in range(int(noise.count)):
+            P[i, i] = noise.start[int(noise.active[i])]
+        m.motor_ratio, m.link_ratio = 1.0, 1.0
+        m.current = motor_current(s, x[MOTOR], x[LINK], 0.0, 0.0, p)
+        m.times[0], m.count = s.time, 1.0
+    else:
+        link = x[LINK]
+        command = motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p)
+        dt, heat = s.interval, temperature(s, p)
+        if unscented:
+            predict_unscented(m, command, dt, heat, noise, c.kappa, p)
+        else:
+            predict_extended(m, command, dt, heat, noise, p)
+        add_noise(m, dt, math.isnan(s.current_command), noise)
+        m.current = model.next_current(m.current, command, dt, p)
+        m.predicted[:] = x
+        m.predicted_P[:] = P
+        m.way += x[LINK] - link
+        measure(m, s, noise, p)
+    m.time = s.time
+    torque = model.joint_torque(x, s.time, p)
+    return torque, model.torque_variance(x, P, torque, s.time, p, noise, m.H)
+
+
+@kernel
+def tell(m, torque, variance, o):
+    """Write the outputs, shape (len(OUT.names),); the status."""
+    o[0], o[1], o[2], o[3], o[4], o[5] = torque, variance, m.e[0], m.e[1], m.S[0], m.S[1]
+    for i in range(SIZE):
+        o[6 + i] = m.x[i]
+    return 0 if math.isfinite(torque + variance) else 1
+
+
+@kernel
+def predict_extended(m, command, dt, heat, noise, p):
+    """Predict state and covariance over `dt` [s]; the Jacobian by forward differences through the compiled step itself, so that
+    friction's sticking and sliding, the knees of the stiffness and every known effect are in it."""
+    x, F, base, y = m.x, m.F, m.points[0], m.points[1]
+    n = int(noise.count)
+    steps = model.substeps(x, dt, p)
+    forget = math.exp(-dt / noise.mesh_time)
+    for j in range(-1, n):
+        y[:] = x
+        a = int(noise.active[j]) if j >= 0 else 0
+        if j >= 0:
+            y[a] += STEPS[a]
+        model.advance(y, m.current, command, m.time, dt, steps, forget, heat, p, m.work)
+        if j < 0:
+            base[:] = y
+            continue
+        for i in range(n):
+            b = int(noise.active[i])
+            F[i, j] = (y[b] - base[b]) / STEPS[a]
+    x[:] = base
+    propagate(F, m.P, m.A, n)
+
+
+@kernel
+def predict_unscented(m, command, dt, heat, noise, kappa, p):
+    """Predict state and covariance over `dt` [s] by sigma points x, x ± √((n + κ) P) columns, weights κ/(n + κ), 1/(2(n + κ))
+    (Julier & Uhlmann 1997). Each goes through the compiled step, sticking or sliding as it may."""
+    x, P, C, points = m.x, m.P, m.A, m.points
+    n = int(noise.count)
+    steps = model.substeps(x, dt, p)
+    forget = math.exp(-dt / noise.mesh_time)
+    cholesky(P, C, n)
+    spread, first, other = math.sqrt(n + kappa), kappa / (n + kappa), 0.5 / (n + kappa)
+    for j in range(2 * n + 1):
+        points[j] = x
+        if j > 0:
+            column, sign = (j - 1, spread) if j <= n else (j - 1 - n, -spread)
+            for i in range(column, n):
+                points[j, int(noise.active[i])] += sign * C[i, column]
+        model.advance(points[j], m.current, command, m.time, dt, steps, forget, heat, p, m.work)
+    # Means as differences from the first point: the angles are large, their spread is small.
+    x[:] = points[0]
+    for i in range(n):
+        a = int(noise.active[i])
+        total = 0.0
+        for j in range(1, 2 * n + 1):
+            total += points[j, a] - points[0, a]
+        x[a] += other * total
+    for i in range(n):
+        for l in range(i + 1):
+            a, b = int(noise.active[i]), int(noise.active[l])
+            total = first * (points[0, a] - x[a]) * (points[0, b] - x[b])
+            for j in range(1, 2 * n + 1):
+                total += other * (points[j, a] - x[a]) * (points[j, b] - x[b])
+            P[i, l] = total
+            P[l, i] = total
+
+
+@kernel
+def cholesky(P, C, n):
+    """Write the lower factor of P[:n, :n] into C; a direction without variance gets a column of zeros."""
+    for j in range(n):
+        for i in range(j, n):
+            total = P[i, j]
+            for l in range(j):
+                total -= C[i, l] * C[j, l]
+            if i == j:
+                C[j, j] = math.sqrt(total) if total > 1e-14 * P[j, j] else 0.0
+            else:
+                C[i, j] = total / C[j, j] if C[j, j] > 0.0 else 0.0
+                C[j, i] = 0.0
+
+
+@kernel
+def propagate(F, P, A, n):
+    """P ← F P Fᵀ in place, of the first n states, symmetric; A: scratch."""
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for l in range(n):
+                total += F[i, l] * P[l, j]
+            A[i, j] = total
+    for i in range(n):
+        for j in range(i + 1):
+            total = 0.0
+            for l in range(n):
+                total += A[i, l] * F[j, l]
+            P[i, j] = total
+            P[j, i] = total
+
+
+@kernel
+def add_noise(m, dt, by_reading, noise):
+    """Add the process noise of `dt` [s]: more of it where the encoders' mean NIS is high, or a current reading drives."""
+    P = m.P
+    for i in range(int(noise.count)):
+        s = int(noise.active[i])
+        P[i, i] += noise.walk[s] * dt
+        if s == MESH:
+            P[i, i] += noise.mesh_surge * dt * _share(m.motor_ratio, noise)
+        elif s == EXTERNAL:
+            P[i, i] += noise.external_surge * dt * _share(m.link_ratio, noise)
+        elif s == MOTOR_RATE and by_reading:
+            P[i, i] += noise.current_walk * dt
+
+
+@kernel
+def _share(ratio, noise):
+    return min(max((ratio - noise.low) / (noise.high - noise.low), 0.0), 1.0)
+
+
+@kernel
+def measure(m, s, noise, p):
+    """Update with both encoders, one after the other. The link's innovation is the one given the motor's: they are uncorrelated."""
+    x, H, n = m.x, m.H, int(noise.count)
+    P, active = m.P[:n, :n], noise.active
+    H[:] = 0.0
+    H[MOTOR] = (model.read_motor(x, p) - _moved(x, MOTOR, -1e-5, p)) / 1e-5
+    m.e[0] = s.motor_position - model.read_motor(x, p)
+    m.S[0] = update(x, P, active, H[:n], m.e[0], noise.motor_variance, noise.motor_step, m.PH)
+    m.S[0] += noise.motor_step**2 / 12.0
+    m.motor_ratio = noise.memory * m.motor_ratio + (1.0 - noise.memory) * m.e[0] ** 2 / m.S[0]
+
+    way = _way_within_delay(m, s, p)
+    predicted = model.read_link(x, way, s.time, p)
+    x[LINK] += 1e-5
+    slope = (model.read_link(x, way, s.time, p) - predicted) / 1e-5
+    x[LINK] -= 1e-5
+    H[MOTOR], H[LINK], H[LINK_RATE] = 0.0, slope, -p.link_delay * slope
+    m.e[1] = s.link_position - predicted
+    m.S[1] = update(x, P, active, H[:n], m.e[1], noise.link_variance, noise.link_step, m.PH)
+    m.S[1] += noise.link_step**2 / 12.0
+    m.link_ratio = noise.memory * m.link_ratio + (1.0 - noise.memory) * m.e[1] ** 2 / m.S[1]
+
+
+@kernel
+def _moved(x, state, step, p):
+    kept = x[state]
+    x[state] += step
+    found = model.read_motor(x, p)
+    x[state] = kept
+    return found
+
+
+@kernel
+def _way_within_delay(m, s, p):
+    """How far the link has come within the encoder's delay [rad], by the model's motion."""
+    if p.link_delay == 0.0:
+        return 0.0
+    n = int(m.count)
+    m.times[n % _RING], m.ways[n % _RING] = s.time, m.way
+    m.count = n + 1.0
+    then, k, oldest = s.time - p.link_delay, n, max(n - _RING + 1, 0)
+    while k > oldest and m.times[k % _RING] > then:
+        k -= 1
+    a, b = k % _RING, min(k + 1, n) % _RING
+    span = m.times[b] - m.times[a]
+    share = min(max((then - m.times[a]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+    return m.way - m.ways[a] - share * (m.ways[b] - m.ways[a])

@@ -1,0 +1,76 @@
+"""Low-pass filtered compliance: the compliance model through a Butterworth low-pass of first or second order.
+
+Zhang, Ahmad & Liu, "Torque Estimation Technique of Robotic Joint with Harmonic Drive Transmission", ICRA 2013, filter the
+torsion's torque so. Digital design by the bilinear transform; it starts settled at the first sample. Where
+samples are uneven their median interval counts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import carray
+
+from ...models.errors import InputError
+from ...models.pointers import pointer_to, record_at
+from ...models.step import Step, sample_at
+from ..compliance import TORSION, measure
+from ..estimator import CausalEstimator, KnownJoint
+from ..tuning_parameters import TuningParameter
+
+MEMORY = np.dtype([("torsion", TORSION), ("z1", np.float64), ("z2", np.float64)])
+SETTINGS = np.dtype([(name, np.float64) for name in ("b0", "b1", "b2", "a1", "a2")])
+_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(np.dtype([("torque", float)]))
+
+
+@Step
+def _step(memory, sample, record, settings, out):
+    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
+    c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
+    u = measure(m.torsion, s, p).torque
+    if s.interval == 0.0:  # settled: its gain at rest is 1
+        m.z2 = (c.b2 - c.a2) * u
+        m.z1 = (c.b1 - c.a1) * u + m.z2
+    y = c.b0 * u + m.z1  # direct form II, transposed
+    m.z1 = c.b1 * u - c.a1 * y + m.z2
+    m.z2 = c.b2 * u - c.a2 * y
+    o.torque = y
+    return 0 if math.isfinite(y) else 1
+
+
+@dataclass(frozen=True)
+class LowPass(CausalEstimator):
+    """Butterworth low-pass of the compliance model.
+
+    Attributes:
+        cutoff: −3 dB frequency [Hz].
+        order: 1 or 2.
+    """
+
+    name: str = "lowpass"
+    cutoff: float = 30.0
+    order: int = 2
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 400.0),)
+    description: ClassVar[str] = "compliance model through a Butterworth low-pass (Zhang, Ahmad & Liu 2013)"
+    compiled: ClassVar[Step] = _step
+    remembers: ClassVar[np.dtype] = MEMORY
+
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        nyquist = 0.5 / interval
+        if not 0.0 < self.cutoff < nyquist or self.order not in (1, 2):
+            raise InputError(
+                f"{self.name}: expected a cutoff between 0 and {nyquist:g} Hz and order 1 or 2, "
+                f"got {self.cutoff:g} Hz and {self.order}"
+            )
+        w = math.tan(math.pi * self.cutoff * interval)  # bilinear transform, prewarped
+        if self.order == 1:
+            return np.array([(w / (1 + w), w / (1 + w), 0.0, (w - 1) / (1 + w), 0.0)], SETTINGS)
+        bottom = 1 + math.sqrt(2.0) * w + w * w
+        b = w * w / bottom
+        return np.array([(b, 2 * b, b, 2 * (w * w - 1) / bottom, (1 - math.sqrt(2.0) * w + w * w) / bottom)], SETTINGS)
+
+
+ESTIMATORS = (LowPass(), LowPass("lowpass_first_order", 30.0, 1))

@@ -1,0 +1,176 @@
+"""Generalised-momentum observers (De Luca & Mattone, "Actuator failure detection and isolation using generalized momenta", ICRA
+2003; "Sensorless robot collision detection and hybrid force/motion control", ICRA 2005). For a momentum p with
+p' = known torques + unknown,
+
+    r = K (p − p(0) − ∫ (known + r) dt)        so that  r' = K (unknown − r)
+
+Two of them, one a body: the drive's, p_m = (Jm + Jw)·ωm, whose unknown is what the flexspline takes, −Tf·(1/N − θerr'); and the
+link's, p_l = Jl·ωl, whose unknown is Ts + τext.
+
+    known_m = Kt·i + cogging − bm·ωm − Fmesh           Ts = −r_m/(1/N − θerr') − bl·ωl
+    known_l = −Mg·sin θl + link torques                τext = r_l − Ts
+
+With one K for both, τext is De Luca's residual of the joint as one rigid body, momentum p_l + N·p_m (a test says so), and
+Ts is the joint torque through the same first-order lag, which the transmission's ratio passes too. Friction is the LuGre law's at
+the measured velocity.
+
+`momentum_torsion` combines it with the torsion, which knows nothing of friction: while the joint turns, friction is its
+model's and the observer is right in the mean; at rest, friction is anything up to its level and only the torsion tells
+of changes. Weight of the observer s = ωm²/(ωm² + ω₀²), through a low-pass; the torsion's offset follows the observer
+while it turns, and holds at rest:
+
+    T = s·T_observer + (1 − s)·(T_torsion + b)        b' = s·(T_observer − T_torsion − b)/time
+
+A combination of this kind is Graabæk & Sloth's (2025). Their text was not at hand: this is a reading of the name,
+not of the paper.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import carray
+
+from ...models import dynamics, laws
+from ...models.kernels import kernel
+from ...models.pointers import pointer_to, record_at
+from ...models.step import Step, sample_at
+from ..compliance import TORSION, measure
+from ..estimator import CausalEstimator, KnownJoint
+from ..sensing import motor_current, temperature
+from ..tuning_parameters import TuningParameter
+
+OBSERVER = np.dtype([(name, np.float64) for name in (
+    "motor_position", "link_position", "motor_velocity", "link_velocity", "bristle", "drive_sum", "link_sum", "drive_residual",
+    "link_residual", "ratio", "load", "joint_torque",
+)])  # fmt: skip
+"""What both observers remember; angles and velocities as they are, sums ∫ (known + r) dt, residuals r, joint torque Ts."""
+MEMORY = np.dtype([("torsion", TORSION), ("observer", OBSERVER), ("weight", np.float64), ("offset", np.float64)])
+SETTINGS = np.dtype([(name, np.float64) for name in ("gain", "cutoff", "turning", "smoothing", "follow")])
+OUT = np.dtype([(name, np.float64) for name in (
+    "torque", "external_torque", "joint_torque_observed", "motor_velocity", "link_velocity", "bristle",
+)])  # fmt: skip
+_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
+
+
+@kernel
+def observe(m, s, found, c, p):
+    """Move both observers on to a sample.
+
+    Args:
+        m: record of `OBSERVER`. s: record of `models.step.SAMPLE`. found: of `compliance.measure`.
+        c: record of `SETTINGS`: gain K [1/s], cutoff of the velocities' first-order low-pass [rad/s].
+    """
+    h, K = s.interval, c.gain
+    motor, link = found.motor_position, found.link_position
+    ratio = 1.0 / p.N - laws.kinematic_error_slope(motor, p)
+    if h == 0.0:
+        m.motor_position, m.link_position, m.ratio = motor, link, ratio
+        return
+    share = 1.0 - math.exp(-c.cutoff * h)
+    m.motor_velocity += share * ((motor - m.motor_position) / h - m.motor_velocity)
+    m.link_velocity += share * ((link - m.link_position) / h - m.link_velocity)
+    m.motor_position, m.link_position = motor, link
+    w, v = m.motor_velocity, m.link_velocity
+    current = motor_current(s, motor, link, w, m.load, p)
+    state = dynamics.drive_state(motor, w, link, v, m.bristle, current, s.time, temperature(s, p))
+    g = dynamics.sliding_friction(state, m.load, p)
+    m.bristle = laws.bristle_step(m.bristle, w, g, h, p)
+    state = dynamics.drive_state(motor, w, link, v, m.bristle, current, s.time, temperature(s, p))
+    m.drive_sum += h * (dynamics.rotor_torque(state, 0.0, m.load, p) - dynamics.mesh_torque(state, m.load, g, p))
+    m.drive_residual = K * ((p.Jm + p.Jw) * w - m.drive_sum) / (1.0 + K * h)  # implicit in r: stable at any K
+    m.drive_sum += h * m.drive_residual
+    m.ratio += K * h * (ratio - m.ratio) / (1.0 + K * h)
+    m.load = -m.drive_residual / m.ratio
+    m.joint_torque = m.load - p.bl * v
+    m.link_sum += h * dynamics.link_torque(state, m.load, p)
+    m.link_residual = K * (p.Jl * v - m.link_sum) / (1.0 + K * h)
+    m.link_sum += h * m.link_residual
+
+
+@kernel
+def tell(m, torque, o):
+    """Write the outputs of a record of `OBSERVER`; the status."""
+    o.torque, o.external_torque, o.joint_torque_observed = torque, m.link_residual - torque, m.joint_torque
+    o.motor_velocity, o.link_velocity, o.bristle = m.motor_velocity, m.link_velocity, m.bristle
+    return 0 if math.isfinite(torque + m.link_residual) else 1
+
+
+@Step
+def _observer_step(memory, sample, record, settings, out):
+    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
+    observe(m.observer, s, measure(m.torsion, s, p), carray(_settings_at(settings), 1)[0], p)
+    return tell(m.observer, m.observer.joint_torque, carray(_out_at(out), 1)[0])
+
+
+@Step
+def _combined_step(memory, sample, record, settings, out):
+    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
+    c, h = carray(_settings_at(settings), 1)[0], s.interval
+    found = measure(m.torsion, s, p)
+    observe(m.observer, s, found, c, p)
+    w, observed = m.observer.motor_velocity, m.observer.joint_torque
+    m.weight += (1.0 - math.exp(-h / c.smoothing)) * (w**2 / (w**2 + c.turning**2) - m.weight)
+    m.offset += (1.0 - math.exp(-h * m.weight / c.follow)) * (observed - found.torque - m.offset)
+    torque = m.weight * observed + (1.0 - m.weight) * (found.torque + m.offset)
+    return tell(m.observer, torque, carray(_out_at(out), 1)[0])
+
+
+@dataclass(frozen=True)
+class MomentumObserver(CausalEstimator):
+    """Momentum observers of drive and link.
+
+    Attributes:
+        bandwidth: K/2π [Hz].
+        cutoff: of the velocities' low-pass [Hz].
+    """
+
+    name: str = "momentum"
+    bandwidth: float = 20.0
+    cutoff: float = 40.0
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (
+        TuningParameter("bandwidth", 0.5, 200.0), TuningParameter("cutoff", 2.0, 400.0),
+    )  # fmt: skip
+    description: ClassVar[str] = "momentum observers of drive and link (De Luca & Mattone 2003, 2005)"
+    compiled: ClassVar[Step] = _observer_step
+    remembers: ClassVar[np.dtype] = MEMORY
+    outputs: ClassVar[tuple[str, ...]] = OUT.names
+
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        found = np.ones(1, SETTINGS)
+        found["gain"], found["cutoff"] = 2 * math.pi * self.bandwidth, 2 * math.pi * self.cutoff
+        return found
+
+
+@dataclass(frozen=True)
+class MomentumTorsion(MomentumObserver):
+    """Momentum observer while turning, torsion at rest.
+
+    Attributes:
+        turning: motor velocity ω₀ from which on the observer counts [vs, the Stribeck velocity].
+        smoothing: of the weight [s].
+        follow: time in which the torsion's offset follows the observer [s].
+    """
+
+    name: str = "momentum_torsion"
+    turning: float = 1.0
+    smoothing: float = 0.02
+    follow: float = 1.0
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (
+        *MomentumObserver.tuning, TuningParameter("turning", 0.05, 50.0), TuningParameter("smoothing", 1e-3, 1.0),
+        TuningParameter("follow", 0.02, 100.0),
+    )  # fmt: skip
+    description: ClassVar[str] = "momentum observer while turning, torsion at rest (after Graabæk & Sloth 2025)"
+    compiled: ClassVar[Step] = _combined_step
+
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        found = super().settings(joint, interval)
+        found["turning"] = self.turning * joint.p["vs"]
+        found["smoothing"], found["follow"] = self.smoothing, self.follow
+        return found
+
+
+ESTIMATORS = (MomentumObserver(), MomentumTorsion())

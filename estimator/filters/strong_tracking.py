@@ -1,0 +1,85 @@
+"""Strong tracking filter on the constant-rate torque model (Zhou & Frank, "Strong tracking filtering of nonlinear
+time-varying stochastic systems with coloured noise", Int. J. Control 65, 1996).
+
+A fading factor λ ≥ 1 on the propagated covariance keeps the innovations orthogonal when the torque jumps:
+
+    P⁻ = λ F P Fᵀ + W      λ = max(1, tr N / tr M)      M = H F P Fᵀ Hᵀ      N = V₀ − H W Hᵀ − β V
+    V₀ = (ρ V₀ + e eᵀ)/(1 + ρ), V₀ = e₁ e₁ᵀ at first
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from numba import carray
+
+from ...models.kernels import kernel
+from ...models.pointers import record_at
+from ...models.step import Step, sample_at
+from ..compliance import measure
+from ..tuning_parameters import TuningParameter
+from .kalman import ACCELERATION, TorqueFilter, correct, memory_at, out_at, settings_at, start, tell
+
+_NOTHING_YET = -1.0
+
+
+@kernel
+def predict(f, y, V0, h, c):
+    """Predict with the fading factor; returns the innovation [N·m] and V₀."""
+    f.torque += h * f.torque_rate
+    e = y - f.torque
+    rho, beta = c.first, c.second
+    V0 = e**2 if V0 == _NOTHING_YET else (rho * V0 + e**2) / (1.0 + rho)
+    f.P00 += h * (2.0 * f.P01 + h * f.P11)
+    f.P01 += h * f.P11
+    fade = max(1.0, (V0 - c.q * h**3 / 3.0 - beta * c.V) / f.P00)
+    f.P00 = fade * f.P00 + c.q * h**3 / 3.0
+    f.P01 = fade * f.P01 + c.q * h**2 / 2.0
+    f.P11 = fade * f.P11 + c.q * h
+    return e, V0
+
+
+@Step
+def _step(memory, sample, record, settings, out):
+    m, s, p = carray(memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
+    c, o = carray(settings_at(settings), 1)[0], carray(out_at(out), 1)[0]
+    y = measure(m.torsion, s, p).torque
+    f, e, S = m.filter, 0.0, 0.0
+    if s.interval == 0.0:
+        start(f, y, c)
+        m.expected = _NOTHING_YET
+    else:
+        e, m.expected = predict(f, y, m.expected, s.interval, c)
+        S = correct(f, e, c.V)
+    return tell(f, e, S, o)
+
+
+@dataclass(frozen=True)
+class StrongTracking(TorqueFilter):
+    """Strong tracking filter.
+
+    Attributes:
+        acceleration: as `TorqueFilter`, smaller: fading does what process noise need not.
+        forget: ρ [1]: 0.95 as in the source, a memory of two samples.
+        soften: β ≥ 1 [1]: how much larger than expected innovations must be. A memory of two samples scatters widely: less
+            would fade at noise.
+    """
+
+    name: str = "strong_tracking"
+    acceleration: float = 2.0
+    forget: float = 0.95
+    soften: float = 7.0
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (
+        ACCELERATION, TuningParameter("soften", 1.0, 100.0), TuningParameter("forget", 0.1, 50.0),
+    )  # fmt: skip
+    description: ClassVar[str] = (
+        "strong tracking filter: its covariance fades when the torque jumps (Zhou & Frank 1996)"
+    )
+    compiled: ClassVar[Step] = _step
+
+    def _own(self, V: float) -> tuple[float, float]:
+        return self.forget, self.soften
+
+
+ESTIMATORS = (StrongTracking(),)

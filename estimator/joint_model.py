@@ -1,0 +1,295 @@
+"""The joint as a stochastic state-space model, for the estimators that know its dynamics. Compiled.
+
+State x, shape (SIZE,):
+
+    θm, ωm    rotor                          [rad], [rad/s], motor side
+    θw, ωw    wave generator                 [rad], [rad/s], motor side
+    z         LuGre bristle                  [rad], motor side
+    θl, ωl    link                           [rad], [rad/s]
+    τext      external torque on the link    [N·m], random walk
+    d         what mesh friction does beyond the record [N·m, motor side], Ornstein-Uhlenbeck
+    κ, κt     relative deviations of stiffness and torque constant from the record [1], constant
+    x_h       Dahl state of the flexspline's hysteresis [rad]
+
+An estimator carries the covariance of the *active* ones of these: κ and κt where it is asked to calibrate itself, x_h where
+the record has hysteresis.
+
+The model is f (`advance`), h (`read_motor`, `read_link`, both angles; `joint_torque`), and what is random: a record of `NOISE`,
+made by `ProcessNoise`. The equations of motion are `models.dynamics.balance_with`. Between samples the current follows its command
+with the winding's time constant L/R. One step is Strang's splitting: the stiff bristle and the Dahl state by their exact
+solutions at constant velocity for half a substep, the mechanics by the classical Runge-Kutta method for a whole one, the
+bristle again. Substeps are chosen so that the fastest spring turns by no more than 0.8 rad in each.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..models import dynamics, laws
+from ..models.dynamics import State, Transmission
+from ..models.kernels import kernel
+from .estimator import KnownJoint
+from .tuning_parameters import TuningParameter
+
+STATES = (
+    "motor_position", "motor_velocity", "wave_generator_position", "wave_generator_velocity", "bristle",
+    "link_position", "link_velocity", "external_torque", "mesh_torque", "stiffness", "motor_constant", "hysteresis",
+)  # fmt: skip
+SIZE = len(STATES)
+MOTOR, MOTOR_RATE, WAVE, WAVE_RATE, BRISTLE, LINK, LINK_RATE, EXTERNAL, MESH, STIFFNESS, CONSTANT, DAHL = range(SIZE)
+STEPS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1e-6, 1e-7, 1e-4, 1e-3, 1e-5, 1e-4, 1e-4, 1e-7])
+"""Steps of the differences that stand for derivatives, per state: small against its uncertainty, large against rounding."""
+_LONGEST = 0.5e-3  # s: substep
+_TURN = 0.8  # rad of the fastest mode per substep
+_MOST = 10.0  # substeps per _LONGEST
+
+NOISE = np.dtype(
+    [
+        ("count", np.float64), ("active", np.float64, SIZE), ("start", np.float64, SIZE), ("walk", np.float64, SIZE),
+        ("current_walk", np.float64), ("mesh_surge", np.float64), ("external_surge", np.float64),
+        ("motor_variance", np.float64), ("link_variance", np.float64),
+        ("motor_step", np.float64), ("link_step", np.float64),
+        ("mesh_time", np.float64), ("memory", np.float64), ("low", np.float64), ("high", np.float64),
+    ]
+)  # fmt: skip
+"""What is random, as a record for compiled code: how many states are active, and which; diagonals of P(0) and of the noise per
+second; of the rotor's velocity where a current reading drives it, and of d and τext where the encoders contradict; variance of the
+encoders [rad²] and their steps [rad]; `mesh_time` [s], `memory`, and both ends of `threshold` of `ProcessNoise`."""
+
+
+@dataclass(frozen=True)
+class ProcessNoise:
+    """How far a joint departs from its equations. One setting for every scenario; scaled by the record, SI.
+
+    Attributes:
+        external: intensity of the random walk of τext [T2/√s]. Quiet: 0.001·12 N·m is 0.08 N·m in 40 s, the 1 % to
+            which a link's weight is known.
+        push: intensity while the link encoder contradicts the prediction [T2/√s]. Loud: 4·12 N·m is the rated torque in 0.1 s.
+        mesh: standard deviation of d [Fc]; what a friction model leaves when it is good.
+        mesh_push: intensity of d while the motor encoder contradicts the prediction [Fc/√s]: another level in 1 s.
+        mesh_time: correlation time of d [s].
+        torque: white noise of torque at the mesh [Fc·√s]: ripple, discretisation.
+        bristle: noise of z [Fc/s0 per √s].
+        stiffness, motor_constant: standard deviation of κ, κt [1]; 0 leaves them out.
+        memory: share of the mean NIS of an encoder that it keeps per sample; 0.8 is 5 samples.
+        threshold: mean NIS from which on the noise grows, and where it has grown in full. 1 is expected; at 5 samples
+            it scatters by 0.5.
+        floor: noise of the motor encoder that is assumed even where none is stated [counts].
+    """
+
+    external: float = 0.001
+    push: float = 4.0
+    mesh: float = 0.017
+    mesh_push: float = 1.1
+    mesh_time: float = 5.0
+    torque: float = 5.5e-4
+    bristle: float = 5.5e-3
+    stiffness: float = 0.0
+    motor_constant: float = 0.0
+    memory: float = 0.8
+    threshold: tuple[float, float] = (3.0, 6.0)
+    floor: float = 0.05
+
+    def record(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        """The noise of a joint whose samples are `interval` [s] apart, shape (1,), a record of `NOISE`."""
+        p, noise = joint.p, joint.noise
+        found = np.zeros(1, NOISE)
+        n = found[0]
+        start, walk = n["start"], n["walk"]
+        counts = noise.motor_resolution
+        start[[MOTOR, WAVE]] = counts**2 + noise.motor_noise**2, (0.1 / (p["Cw"] * p["Kw0"])) ** 2
+        start[[MOTOR_RATE, WAVE_RATE, LINK_RATE]] = 1.0, 1.0, p["N"] ** -2.0
+        start[LINK] = noise.link_resolution**2 + noise.link_noise**2
+        start[BRISTLE] = (p["Fs"] / p["s0"]) ** 2
+        start[EXTERNAL], start[MESH] = (0.2 * p["T2"]) ** 2, (self.mesh * p["Fc"]) ** 2
+        start[STIFFNESS], start[CONSTANT] = self.stiffness**2, self.motor_constant**2
+        start[DAHL] = p["hysteresis_extent"] ** 2
+        walk[WAVE_RATE] = (self.torque * p["Fc"] / p["Jw"]) ** 2
+        walk[BRISTLE] = (self.bristle * p["Fc"] / p["s0"]) ** 2
+        walk[EXTERNAL] = (self.external * p["T2"]) ** 2
+        walk[MESH] = 2.0 * (self.mesh * p["Fc"]) ** 2 / self.mesh_time
+        walk[STIFFNESS], walk[CONSTANT] = 1e-8 * (self.stiffness > 0), 1e-8 * (self.motor_constant > 0)
+        walk[DAHL] = (0.01 * p["hysteresis_extent"]) ** 2
+        # A reading's noise is a torque, held from sample to sample.
+        n["current_walk"] = (p["Kt"] * noise.current_noise / p["Jm"]) ** 2 * interval
+        n["mesh_surge"], n["external_surge"] = (self.mesh_push * p["Fc"]) ** 2, (self.push * p["T2"]) ** 2
+        n["motor_variance"] = noise.motor_noise**2 + (self.floor * counts) ** 2
+        n["link_variance"] = noise.link_noise**2
+        n["motor_step"], n["link_step"] = counts, noise.link_resolution
+        n["mesh_time"], n["memory"], (n["low"], n["high"]) = self.mesh_time, self.memory, self.threshold
+        active = [i for i in range(SIZE) if not (i in (STIFFNESS, CONSTANT) and start[i] == 0.0)]
+        if p["hysteresis_torque"] == 0.0:
+            active.remove(DAHL)
+        activate(n, active)
+        return found
+
+
+def activate(noise: np.void, active: list[int]) -> None:
+    """Let a record of `NOISE` carry the covariance of these states, by index; in place."""
+    noise["count"] = len(active)
+    noise["active"][: len(active)] = active
+
+
+TUNING = (
+    TuningParameter("process.push", 0.05, 100.0),
+    TuningParameter("process.external", 1e-5, 1.0),
+    TuningParameter("process.mesh", 1e-4, 0.5),
+    TuningParameter("process.mesh_push", 1e-2, 30.0),
+)
+"""What may be tuned of `ProcessNoise`, for estimators that have one as `process`."""
+
+
+@kernel
+def state_of(x, current, time, temperature):
+    """A state as `dynamics.State`; κt is a factor of the current."""
+    return State(
+        x[MOTOR], x[MOTOR_RATE], x[WAVE], x[WAVE_RATE], x[LINK], x[LINK_RATE], x[BRISTLE], x[DAHL],
+        (1.0 + x[CONSTANT]) * current, time, temperature,
+    )  # fmt: skip
+
+
+@kernel
+def transmission(x, state, p):
+    """`dynamics.transmission` with the stiffness' own deviation κ."""
+    t = dynamics.transmission(state, p)
+    if x[STIFFNESS] == 0.0:
+        return t
+    more = laws.flexspline_spring((1.0 + x[STIFFNESS]) * t.torsion, p) - laws.flexspline_spring(t.torsion, p)
+    return Transmission(
+        t.wave_generator_torque, t.flexspline_torque + more, t.load + more, t.torsion, t.torsion_rate, t.ratio
+    )
+
+
+@kernel
+def joint_torque(x, time, p):
+    """The joint torque Ts = Tf − bl·ωl [N·m] at a state."""
+    return transmission(x, state_of(x, 0.0, time, 0.0), p).flexspline_torque - p.bl * x[LINK_RATE]
+
+
+@kernel
+def read_motor(x, p):
+    """What the motor encoder reads [rad, motor side] at a state."""
+    return laws.motor_reading(x[MOTOR], p)
+
+
+@kernel
+def read_link(x, moved, time, p):
+    """What the link encoder reads [rad] at a state; `moved`: how far the link has come within the encoder's delay [rad]."""
+    then = State(
+        x[MOTOR] - p.N * moved, x[MOTOR_RATE], x[WAVE] - p.N * moved, x[WAVE_RATE], x[LINK] - moved, x[LINK_RATE],
+        x[BRISTLE], x[DAHL], 0.0, time - p.link_delay, 0.0,
+    )  # fmt: skip
+    return dynamics.read_link_position(then, 0.0, p)
+
+
+@kernel
+def rates(x, current, time, temperature, p, out):
+    """Write the rates of the six mechanical states into `out`, shape (SIZE,); the others' are zero here."""
+    state = state_of(x, current, time, temperature)
+    t = transmission(x, state, p)
+    b = dynamics.balance_with(state, t, dynamics.sliding_friction(state, t.load, p), p)
+    out[MOTOR], out[MOTOR_RATE] = x[MOTOR_RATE], b.on_rotor / p.Jm
+    out[WAVE], out[WAVE_RATE] = x[WAVE_RATE], (b.on_wave_generator + x[MESH]) / p.Jw
+    out[LINK], out[LINK_RATE] = x[LINK_RATE], (b.on_link + x[EXTERNAL]) / p.Jl
+
+
+@kernel
+def _relax(x, h, time, temperature, p):
+    """Bristle and Dahl state over `h` [s] at constant velocity: exact."""
+    state = state_of(x, 0.0, time, temperature)
+    load = 0.0
+    if p.friction_load != 0.0 or p.hysteresis_torque != 0.0:
+        t = transmission(x, state, p)
+        load = t.load
+        if p.hysteresis_torque != 0.0:
+            x[DAHL] = laws.dahl_step(x[DAHL], t.torsion_rate, h, p)
+    x[BRISTLE] = laws.bristle_step(x[BRISTLE], x[WAVE_RATE], dynamics.sliding_friction(state, load, p), h, p)
+
+
+@kernel
+def substeps(x, dt, p):
+    """How many substeps a time `dt` [s] takes: the fastest mode of the springs at their present stiffness."""
+    Tw = abs(laws.wave_generator_spring(x[MOTOR] - x[WAVE], p))
+    stiffness = p.Kw0 * math.exp(min(p.Cw * Tw, 12.0))  # dTw/dδ of Eq. (3)
+    fastest = max(stiffness * (1.0 / p.Jm + 1.0 / p.Jw), p.K3 * (1.0 / p.Jl + 1.0 / (p.N * p.N * p.Jw)))
+    wanted = dt * max(1.0 / _LONGEST, math.sqrt(fastest) / _TURN)
+    most = _MOST * max(1.0, dt / _LONGEST)
+    if not wanted < most:  # a state that has gone astray, or is no number any more
+        return int(most)
+    return max(1, math.ceil(wanted - 1e-9))
+
+
+@kernel
+def advance(x, current, command, time, dt, steps, forget, temperature, p, work):
+    """The model's f: advance a state by `dt` [s], in place.
+
+    Args:
+        x: Shape (SIZE,).
+        current, command: motor current at the start, and the command in force [A].
+        time: at the start [s].
+        steps: substeps.
+        forget: factor by which d decays in `dt`.
+        temperature: of the gear [°C].
+        work: Shape (3, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
+    """
+    h = dt / steps
+    decay = math.exp(-0.5 * h * p.R / p.L) if p.L > 0.0 else 0.0
+    y, total, slope = work[0], work[1], work[2]
+    for s in range(2 * steps):
+        t = time + (s + 1) // 2 * h
+        _relax(x, 0.5 * h, t, temperature, p)
+        if s % 2 == 1:
+            continue
+        # One loop over the four stages instead of four calls: the laws are inlined once.
+        i, step = current, 0.0
+        y[:] = x
+        total[:] = 0.0
+        for stage in range(4):
+            if stage == 1 or stage == 3:
+                i = command + (i - command) * decay
+            step = 0.0 if stage == 0 else (h if stage == 3 else 0.5 * h)
+            rates(y, i, t + step, temperature, p, slope)
+            ahead = h if stage == 2 else 0.5 * h
+            for j in range(EXTERNAL):
+                y[j] = x[j] + ahead * slope[j]
+                total[j] += slope[j] if stage == 0 or stage == 3 else 2.0 * slope[j]
+        for j in range(EXTERNAL):
+            x[j] += h / 6.0 * total[j]
+        current = i
+    x[MESH] *= forget
+
+
+@kernel
+def next_current(current, command, dt, p):
+    """The motor current [A] after `dt` [s] under a command."""
+    return command + (current - command) * (math.exp(-dt * p.R / p.L) if p.L > 0.0 else 0.0)
+
+
+@kernel
+def start(motor_position, link_position, time, p, x):
+    """Write the state at rest at the first encoder readings, under the link's weight, into `x`."""
+    x[:] = 0.0
+    x[MOTOR] = dynamics.actual_motor_position(motor_position, p)
+    x[LINK] = dynamics.actual_link_position(link_position, x[MOTOR], 0.0, time, p)
+    load = -dynamics.link_torque(state_of(x, 0.0, time, 0.0), 0.0, p)
+    x[WAVE] = x[MOTOR] - laws.wave_generator_torsion(load / p.N, p)
+
+
+@kernel
+def torque_variance(x, P, torque, time, p, noise, H):
+    """The variance of the joint torque [(N·m)²] that P means, the covariance of the active states; H: scratch, shape (SIZE,)."""
+    m = int(noise.count)
+    for i in range(m):
+        s = int(noise.active[i])
+        kept = x[s]
+        x[s] += STEPS[s]
+        H[i] = (joint_torque(x, time, p) - torque) / STEPS[s]
+        x[s] = kept
+    total = 0.0
+    for i in range(m):
+        for j in range(m):
+            total += H[i] * P[i, j] * H[j]
+    return total
