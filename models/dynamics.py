@@ -4,6 +4,9 @@
     wave generator  Jw θw'' = Tw − Fmesh − Tf (1/N − θerr'(θw))
     link            Jl θl'' = Ts − Mg sin(θl + gravity angle) + link torques + τext        with Ts = Tf − bl θl'
 
+A share s of Jl may hang on the link by a spring, J_s (φ'' + θl'') = −k φ − d φ' (`laws.flexible_torque`); what accelerates
+then is (1 − s) Jl, under k φ + d φ' besides. Its two states are not in a `State`: the plant has a body of its own for it.
+
 (Shi & Liu's joint; symbols in `models.laws`, numbers in `models.parameters`.) Where a model discrepancy acts at a place, it adds
 to the torque there. The MuJoCo plant, the replay of measured motion, the filters that know the dynamics, the observers and
 the planning of experiments all call the functions here, with the joint's parameter record p; everything is compiled and SI.
@@ -60,8 +63,9 @@ class Transmission(NamedTuple):
 
 class Torques(NamedTuple):
     """Torques at a state. `on_rotor`, `on_wave_generator` [N·m, motor side], `on_link` [N·m] are all that acts on each body but
-    external torque: inertia times acceleration. `sliding_friction` g(w) and `mesh_friction` with its viscous part [N·m,
-    motor side]; `joint_torque` Ts; `gravity` (part of `on_link`); the rest as in `Transmission`."""
+    external torque and a part that hangs by a spring: inertia times acceleration. `sliding_friction` g(w) and
+    `mesh_friction` with its viscous part [N·m, motor side]; `joint_torque` Ts; `gravity` (part of `on_link`); the rest as in
+    `Transmission`."""
 
     on_rotor: float
     on_wave_generator: float
@@ -208,8 +212,9 @@ def measured_torsion(motor_position, link_position, motor_torque, p):
 def steady_motion(link_position, link_velocity, link_acceleration, external_torque, time, temperature, p):
     """Rotor angle [rad], motor current [A] and joint torque Ts [N·m] that a motion of the link takes, friction sliding.
 
-    The inverse of `balance` where springs are in equilibrium: for planning, and for a start. Near rest friction changes its sign
-    smoothly over the Stribeck velocity.
+    The inverse of `balance` where springs are in equilibrium and the link is rigid: for planning, and for a start. Near rest
+    friction changes its sign smoothly over the Stribeck velocity; the drive turns N times as fast as the link, without the
+    kinematic error's part of its velocity.
     """
     w, a = p.N * link_velocity, p.N * link_acceleration
     blank = State(0.0, w, 0.0, w, link_position, link_velocity, 0.0, 0.0, 0.0, time, temperature)
@@ -217,13 +222,15 @@ def steady_motion(link_position, link_velocity, link_acceleration, external_torq
     Tf = Ts + p.bl * link_velocity
     wound = laws.flexspline_torsion(Tf, p)
     theta_w = p.N * (link_position + wound)
-    for _ in range(3):
-        theta_w = p.N * (link_position + wound + laws.kinematic_error(theta_w, p))
+    for _ in range(4):  # Newton's steps: θw/N − θerr(θw) = θl + Δθf
+        excess = theta_w / p.N - laws.kinematic_error(theta_w, p) - link_position - wound
+        theta_w -= excess / (1.0 / p.N - laws.kinematic_error_slope(theta_w, p))
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta_w, p)
     friction = sliding_friction(blank, Tf, p) * math.tanh(w / p.vs) + laws.viscous_friction(w, temperature, p)
     Tw = Tf * ratio + friction + p.Jw * a
-    current = (Tw + p.Jm * a + p.bm * w - laws.cogging_torque(theta_w, p)) / p.Kt
-    return theta_w + laws.wave_generator_torsion(Tw, p), current, Ts
+    theta_m = theta_w + laws.wave_generator_torsion(Tw, p)
+    current = (Tw + p.Jm * a + p.bm * w - laws.cogging_torque(theta_m, p)) / p.Kt
+    return theta_m, current, Ts
 
 
 @kernel

@@ -28,8 +28,8 @@ def flexspline_spring(torsion, p):
     knee1 = p.T1 / p.K1
     knee2 = knee1 + (p.T2 - p.T1) / p.K2
     if p.knee_width > 0.0:
-        torque = p.K1 * x + (p.K2 - p.K1) * _ramp(x - knee1, p.knee_width)
-        torque += (p.K3 - p.K2) * _ramp(x - knee2, p.knee_width)
+        width = min(p.knee_width, knee1)  # the law stays zero at rest
+        torque = p.K1 * x + (p.K2 - p.K1) * _ramp(x - knee1, width) + (p.K3 - p.K2) * _ramp(x - knee2, width)
     elif x <= knee1:
         torque = p.K1 * x
     elif x < knee2:
@@ -48,6 +48,22 @@ def _ramp(u, width):
 
 
 @kernel
+def flexspline_stiffness(torsion, p):
+    """Slope of `flexspline_spring` [N·m/rad]: K1, K2 or K3, none inside the dead zone; straight from one to the next over
+    `knee_width` to either side of a knee."""
+    x = abs(torsion) - 0.5 * p.backlash
+    if x < 0.0:
+        return 0.0
+    knee1 = p.T1 / p.K1
+    knee2 = knee1 + (p.T2 - p.T1) / p.K2
+    if p.knee_width <= 0.0:
+        return p.K1 if x <= knee1 else (p.K2 if x < knee2 else p.K3)
+    width = min(p.knee_width, knee1)
+    slope = p.K1 + (p.K2 - p.K1) * min(max(0.5 + 0.5 * (x - knee1) / width, 0.0), 1.0)
+    return slope + (p.K3 - p.K2) * min(max(0.5 + 0.5 * (x - knee2) / width, 0.0), 1.0)
+
+
+@kernel
 def flexspline_torsion(torque, p):
     """Torsion Δθf [rad] at a torque [N·m], Eq. (2) as an odd function; the middle of the dead zone at zero torque."""
     T = abs(torque)
@@ -57,11 +73,12 @@ def flexspline_torsion(torque, p):
         x = p.T1 / p.K1 + (T - p.T1) / p.K2
     else:
         x = p.T1 / p.K1 + (p.T2 - p.T1) / p.K2 + (T - p.T2) / p.K3
-    if p.knee_width > 0.0:  # the slope is never less than the least of three: a few fixed-point steps
-        for _ in range(8):
-            x += (T - flexspline_spring(x + 0.5 * p.backlash, p)) / max(p.K1, p.K2, p.K3)
+    half = 0.5 * p.backlash
+    if p.knee_width > 0.0:  # Newton's steps, on a law that is a parabola at most
+        for _ in range(6):
+            x -= (flexspline_spring(x + half, p) - T) / flexspline_stiffness(x + half, p)
     if T > 0.0:
-        x += 0.5 * p.backlash
+        x += half
     return x if torque >= 0.0 else -x
 
 
@@ -84,8 +101,12 @@ def wave_generator_stiffness(torsion, p):
 
 @kernel
 def wave_generator_torsion(torque, p):
-    """Torsion δ of the wave generator [rad, motor side] at a torque [N·m, motor side], Eq. (5)."""
-    x = (1.0 - math.exp(-p.Cw * abs(torque))) / (p.Cw * p.Kw0)
+    """Torsion δ of the wave generator [rad, motor side] at a torque [N·m, motor side], Eq. (5): the spring's inverse."""
+    exponent = p.Cw * abs(torque)
+    u = math.exp(-exponent)
+    if u < LOGARITHM_END:
+        u = LOGARITHM_END * (1.0 - exponent - math.log(LOGARITHM_END))
+    x = (1.0 - u) / (p.Cw * p.Kw0)
     return x if torque >= 0.0 else -x
 
 
@@ -221,6 +242,40 @@ def link_torque(theta_l, p):
     if theta_l > p.stop_angle:
         torque -= p.stop_stiffness * (theta_l - p.stop_angle)
     return torque
+
+
+@kernel
+def flexible_inertia(p):
+    """Inertia J_s [kg·m²] of the part of the link that hangs on it by a spring: `flexible_share` of Jl."""
+    return p.flexible_share * p.Jl
+
+
+@kernel
+def flexible_torque(angle, rate, p):
+    """Torque of that part on the rest of the link [N·m]: k φ + d φ' at its angle φ [rad] and rate against the link.
+
+    J_s (φ'' + θl'') = −k φ − d φ' with k = J_s ω², d = 2 ζ J_s ω: `flexible_frequency` ω/2π [Hz] and `flexible_damping` ζ are
+    those of the part with the link held.
+    """
+    w = 2.0 * math.pi * p.flexible_frequency
+    return flexible_inertia(p) * w * (w * angle + 2.0 * p.flexible_damping * rate)
+
+
+@kernel
+def flexible_step(angle, rate, before, after, h, p):
+    """Angle φ [rad] and rate of the part that hangs by a spring after a time `h` [s].
+
+    Exact where the link's acceleration [rad/s²] goes straight from `before` to `after` (damping below 1).
+    """
+    w, zeta = 2.0 * math.pi * p.flexible_frequency, p.flexible_damping
+    slope = (after - before) / h
+    # Less the particular solution −(a − 2ζ/ω a')/ω² of the straight line, what is left swings freely.
+    steady, steady_rate = -(before - 2.0 * zeta / w * slope) / (w * w), -slope / (w * w)
+    x, v = angle - steady, rate - steady_rate
+    wd = w * math.sqrt(1.0 - zeta * zeta)
+    c, s, decay = math.cos(wd * h), math.sin(wd * h) / wd, math.exp(-zeta * w * h)
+    x, v = decay * (x * (c + zeta * w * s) + v * s), decay * (v * (c - zeta * w * s) - w * w * x * s)
+    return x + steady + steady_rate * h, v + steady_rate
 
 
 @kernel

@@ -38,6 +38,45 @@ def test_flexspline_spring_as_printed(p):
     assert laws.flexspline_torsion(12.0, p) == pytest.approx(3.9 / 8400 + 8.1 / 9400)
 
 
+@pytest.mark.parametrize("backlash", [0.0, 4e-4])
+@pytest.mark.parametrize("width", [5e-5, 2e-4, 1e-3])
+def test_smooth_knees(p, width, backlash):
+    """Continuous with a continuous slope, odd, zero at rest, as printed away from the knees; the inverse is right."""
+    p["backlash"] = backlash
+    x = np.linspace(0.0, 4e-3, 40_001)
+    printed = np.array([laws.flexspline_spring(v, p) for v in x])
+    p["knee_width"] = width
+    smooth = np.array([laws.flexspline_spring(v, p) for v in x])
+    odd = np.array([laws.flexspline_spring(-v, p) for v in x[::100]])
+    np.testing.assert_array_equal(odd, -smooth[::100])
+    assert smooth[0] == 0.0 and np.all(np.diff(smooth[x > 0.5 * backlash + 1e-9]) > 0)
+    reach = min(width, 3.9 / 8400)  # no wider than the first knee is far: the law is zero at rest
+    knees = 0.5 * backlash + np.array([3.9 / 8400, 3.9 / 8400 + 8.1 / 9400])
+    away = np.all(np.abs(x[:, None] - knees) > reach + 1e-7, axis=1)
+    np.testing.assert_allclose(smooth[away], printed[away], atol=1e-9)
+    excess = (smooth - printed)[~away]
+    assert excess.min() > -1e-9
+    # At a knee a parabola is (K' − K)·width/4 above it.
+    for knee, K in zip(knees, ((8400, 9400), (9400, 13000)), strict=True):
+        if np.ptp(knees) > 2 * reach:
+            above = laws.flexspline_spring(knee, p) - np.interp(knee, x, printed)
+            assert above == pytest.approx((K[1] - K[0]) * reach / 4, rel=0.02)
+    step = 1e-9
+    for v in np.linspace(0.5 * backlash + 1e-6, 4e-3, 200):
+        slope = (laws.flexspline_spring(v + step, p) - laws.flexspline_spring(v - step, p)) / (2 * step)
+        assert laws.flexspline_stiffness(v, p) == pytest.approx(slope, rel=1e-4)
+        assert laws.flexspline_stiffness(-v, p) == laws.flexspline_stiffness(v, p)
+    for torque in np.linspace(-40, 40, 201):
+        assert laws.flexspline_spring(laws.flexspline_torsion(torque, p), p) == pytest.approx(torque, abs=1e-10)
+
+
+def test_flexspline_stiffness_of_the_printed_law(p):
+    p["backlash"] = 2e-4
+    for torque, slope in ((1.0, 8400), (8.0, 9400), (20.0, 13000), (-20.0, 13000)):
+        assert laws.flexspline_stiffness(laws.flexspline_torsion(torque, p), p) == slope
+    assert laws.flexspline_stiffness(0.9e-4, p) == 0.0
+
+
 def test_dead_zone(p):
     p["backlash"] = 4e-4
     assert laws.flexspline_spring(1.9e-4, p) == 0.0
@@ -46,7 +85,9 @@ def test_dead_zone(p):
 
 
 def test_wave_generator_inverts_equation_5(p):
-    for torque in np.linspace(-0.29, 0.29, 101):  # beyond lies the tangent
+    for torque in (-0.8, -0.3, 0.2905, 0.5, 1.2):  # on the tangent beyond the logarithm's end, and about it
+        assert laws.wave_generator_spring(laws.wave_generator_torsion(torque, p), p) == pytest.approx(torque, rel=1e-9)
+    for torque in np.linspace(-0.29, 0.29, 101):
         torsion = laws.wave_generator_torsion(torque, p)
         assert torsion == pytest.approx(np.sign(torque) * (1 - np.exp(-20 * abs(torque))) / (20 * 1.14), abs=1e-15)
         assert laws.wave_generator_spring(torsion, p) == pytest.approx(torque, rel=1e-8, abs=1e-13)
@@ -129,6 +170,42 @@ def test_back_driven_friction_is_a_share_of_the_load_dependent_friction(p):
     assert laws.stribeck_friction(-3.0, 0.0, 20.0, 0.0, 25.0, p) == pytest.approx(plain + 0.01)
 
 
+@pytest.mark.parametrize("exponent", [0.5, 0.7, 0.9])
+def test_viscous_friction_less_than_linear(p, exponent):
+    """bw w near rest, |w| to the stated power far above 20 Stribeck velocities; odd, rising, never more than linear."""
+    p["viscous_exponent"] = exponent
+    w = np.geomspace(1e-3, 1e5, 400)
+    got = np.array([laws.viscous_friction(v, 25.0, p) for v in w])
+    assert np.all(np.diff(got) > 0) and np.all(got <= 6e-5 * w * (1 + 1e-12))
+    np.testing.assert_allclose(got[w < 0.4], 6e-5 * w[w < 0.4], rtol=1e-4)
+    slope = np.gradient(np.log(got), np.log(w))
+    np.testing.assert_allclose(slope[w > 4e3], exponent, atol=1e-3)
+    assert laws.viscous_friction(-50.0, 25.0, p) == -laws.viscous_friction(50.0, 25.0, p)
+    at = 20 * 2.0
+    assert laws.viscous_friction(at, 25.0, p) == pytest.approx(6e-5 * at * 2 ** ((exponent - 1) / 2))
+
+
+def test_friction_falls_as_the_gear_warms(p):
+    """g(w) and bw × (1 + c (ϑ − ϑ0)), the load's part too; never below a tenth."""
+    p["friction_temperature"], p["reference_temperature"], p["friction_load"] = -0.015, 20.0, 0.2
+    cold = laws.stribeck_friction(3.0, 0.0, 8.0, 0.0, 20.0, p)
+    for temperature in (-10.0, 20.0, 35.0, 60.0):
+        factor = 1 - 0.015 * (temperature - 20.0)
+        assert laws.stribeck_friction(3.0, 0.0, 8.0, 0.0, temperature, p) == pytest.approx(factor * cold)
+        assert laws.viscous_friction(-9.0, temperature, p) == pytest.approx(-factor * 9 * 6e-5)
+    assert laws.stribeck_friction(3.0, 0.0, 8.0, 0.0, 500.0, p) == pytest.approx(0.1 * cold)
+
+
+def test_kinematic_error_of_any_order(p):
+    """Order 6 of the wave generator, and once per turn of the link, 1/N."""
+    p["amplitude"][2:4], p["order"][2:4], p["phase"][2:4] = [1.5e-5, 2e-5], [6, 0.01], [0.4, -0.9]
+    for link in np.linspace(-3, 3, 13):
+        w = 100 * link
+        expected = 1.2e-4 * np.sin(2 * w + 0.3) + 2e-5 * np.sin(4 * w + 1.1)
+        expected += 1.5e-5 * np.sin(6 * w + 0.4) + 2e-5 * np.sin(link - 0.9)
+        assert laws.kinematic_error(w, p) == pytest.approx(expected, abs=1e-15)
+
+
 def test_rotor_and_link_torques(p):
     p["cogging_amplitude"][:2], p["cogging_order"][:2], p["cogging_phase"][:2] = [5e-3, 2e-3], [6, 13], [0.1, 0.2]
     assert laws.cogging_torque(0.7, p) == pytest.approx(5e-3 * np.sin(4.3) + 2e-3 * np.sin(9.3))
@@ -141,6 +218,12 @@ def test_readings(p):
     p["link_zero"] = 1e-3
     p["link_error_order"][0], p["link_error_amplitude"][0], p["link_error_phase"][0] = 1.0, 4e-4, 0.6
     assert laws.link_reading(0.9, p) == pytest.approx(0.9 + 1e-3 + 4e-4 * (np.sin(1.5) - np.sin(0.6)))
+    p["link_error_order"][1], p["link_error_amplitude"][1], p["link_error_phase"][1] = 2.0, 1e-5, -0.3
+    more = 1e-5 * (np.sin(1.5) - np.sin(-0.3))
+    assert laws.link_reading(0.9, p) == pytest.approx(0.9 + 1e-3 + 4e-4 * (np.sin(1.5) - np.sin(0.6)) + more)
+    assert laws.motor_reading(0.9, p) == 0.9
+    p["motor_eccentricity"], p["motor_eccentricity_phase"] = 8e-4, 2.0
+    assert laws.motor_reading(0.9, p) == pytest.approx(0.9 + 8e-4 * (np.sin(2.9) - np.sin(2.0)))
     p["current_offset"], p["torque_gain"], p["torque_offset"], p["torque_rate"] = 0.1, 1.1, 0.3, -0.02
     assert laws.current_reading(2.0, p) == pytest.approx(2.1)
     assert laws.torque_reading(5.0, 10.0, p) == pytest.approx(5.5 + 0.3 - 0.2)

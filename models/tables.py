@@ -1,0 +1,55 @@
+"""Tables of float64 columns as Parquet files, with units and notes in the columns' metadata."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from .errors import InputError
+
+Notes = Mapping[str, Mapping[str, str]]
+
+
+def arrow_column(values: np.ndarray) -> pa.Array:
+    """Numbers, shape (n,), as an Arrow array of float64; without a copy where they are contiguous.
+
+    `pyarrow.array` would import pandas to see whether they are one of its types.
+    """
+    numbers = np.ascontiguousarray(values, dtype=np.float64)
+    return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
+
+
+def write_table(path: Path, columns: Mapping[str, np.ndarray], units: Mapping[str, str], notes: Notes | None = None):
+    """Write columns, shape (n,) each, as Parquet.
+
+    Args:
+      path: of the file.
+      columns: by name. units: of every column.
+      notes: what else a column's metadata says, by column.
+    """
+    fields = [
+        pa.field(name, pa.float64(), nullable=False, metadata={"unit": units[name], **(notes or {}).get(name, {})})
+        for name in columns
+    ]
+    table = pa.Table.from_arrays([arrow_column(values) for values in columns.values()], schema=pa.schema(fields))
+    # Measured numbers hardly repeat: a dictionary of them costs time and saves nothing.
+    pq.write_table(table, path, compression="zstd", use_dictionary=False)
+
+
+def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, str]]]:
+    """Columns of a Parquet file, shape (n,) each, and what their metadata say (`unit`, notes).
+
+    Raises:
+      InputError: not a Parquet file.
+    """
+    try:
+        table = pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: not a readable Parquet file: {(str(error).splitlines() or ['?'])[0]}") from error
+    columns = {name: table.column(name).to_numpy() for name in table.column_names}
+    notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}
+    return columns, notes
