@@ -13,13 +13,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
+
+from ...models.kernels import kernel
 
 CUTOFF = 120.0
 """Passband fc of the smoother [Hz]; at half of the Nyquist frequency where sampling is slower than that."""
 
 
-@njit(cache=True)
+@kernel
 def _transition(d, F, Q, q):
     F[:] = 0.0
     F[0, 0] = F[1, 1] = F[2, 2] = 1.0
@@ -33,7 +34,7 @@ def _transition(d, F, Q, q):
     Q[2, 2] = q * d
 
 
-@njit(cache=True)
+@kernel
 def _inverse(A, B):
     """Inverse of a symmetric 3×3 matrix into B."""
     a, b, c, d, e, f = A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]
@@ -46,7 +47,7 @@ def _inverse(A, B):
     B /= a * B[0, 0] + b * B[0, 1] + c * B[0, 2]
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _smooth(t, y, q):
     """Smooth channels y, shape (n, c), at times t, shape (n,); q is the jerk's intensity at unit measurement noise.
 
@@ -85,7 +86,7 @@ def _smooth(t, y, q):
     return state
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _interpolate(t, state, at):
     """Evaluate the quintic through (value, slope, curvature) at the knots t: shape (len(at), 3, c)."""
     c = state.shape[2]

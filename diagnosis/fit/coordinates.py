@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..models.causes import Cause, Parameter
+from ...models.causes import Cause, Parameter
 
 SPREAD = 1.2
 """Prior standard deviation of a magnitude, in ordinary sizes: small effects are as likely as ordinary ones."""

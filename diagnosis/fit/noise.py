@@ -1,94 +1,231 @@
-"""Noise of the residuals: coloured, and different where the joint rests; and the filter that makes it white.
+"""What a residual consists of when the model is right: sensor noise and model discrepancy; and the filter that makes it white.
 
-The residual of a channel is modelled as autoregressive noise (sensors, smoothing, differentiation) plus, where the
-rotor rests, a slow disturbance: the encoder's quantisation, which does not average out without motion, and friction
-whose bristle depends on it. Both are estimated from the residual itself, after everything that a candidate explains has
-been taken out of it. A Kalman filter of the slow disturbance turns residuals, and every column of a Jacobian alike,
-into innovations of unit variance; samples that do not count are skipped.
+The residual of a balance in a segment is the sum of
+
+* *sensor noise*: what the stated noise of encoders, current and torque sensor leaves after smoothing and replay, an autoregression
+  fitted to noise replicates (`data.segments`);
+* *model discrepancy*: what the description can never hold. Ornstein–Uhlenbeck processes of fixed correlation times, one a
+  frequency band, whose variances are learned for each balance beside the parameters. A real joint has some in every band; a
+  joint that follows the laws has next to none. What lies within it decides neither between causes nor about parameters;
+* at rest, a slow disturbance: the encoder's quantisation, which does not average out without motion, and friction whose bristle
+  depends on it.
+
+A Kalman filter of that sum turns residuals, and every column of a Jacobian alike, into innovations of unit variance (Kennedy &
+O'Hagan 2001 is the idea of a discrepancy that is learned; the state-space form makes it linear in the number of samples).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numba import njit
 
-from .replay import DECIMATION, STEP, Drive, parallel
+from ...models.kernels import kernel
+from ..data.segments import BALANCES, DECIMATION, STEP, Segment
+from .replay import parallel
 
-ORDER = 3
-"""Order of the autoregression."""
-MEMORY = 0.6
-"""Correlation time of the slow disturbance at rest [s]."""
-_ROBUST = 1.4826  # standard deviation of a normal distribution per median absolute deviation
-
-
-@njit(cache=True, nogil=True)
-def _whiten(x, usable, at_rest, ar, white, slow, keep, out):
-    """Innovations of x, shape (k, c), over their standard deviation; zero where unusable."""
-    k, c = x.shape
-    p = len(ar)
-    state = np.zeros(c)
-    P = 0.0
-    run = 0
-    for i in range(k):
-        s = slow[1] if at_rest[i] else slow[0]
-        state *= keep
-        P = keep * keep * P + (1.0 - keep * keep) * s * s
-        run = run + 1 if usable[i] else 0
-        if run <= p:
-            out[i] = 0.0
-            continue
-        S = P + white * white
-        gain = P / S
-        norm = 1.0 / np.sqrt(S)
-        for j in range(c):
-            y = x[i, j]
-            for m in range(p):
-                y -= ar[m] * x[i - 1 - m, j]
-            e = y - state[j]
-            out[i, j] = e * norm
-            state[j] += gain * e
-        P -= gain * P
+INTERVAL = STEP * DECIMATION
+"""Time between residuals [s]."""
 
 
 @dataclass(frozen=True)
-class ChannelNoise:
-    """Noise of one channel in one stretch.
+class NoiseSettings:
+    """How noise is modelled.
 
     Attributes:
-      ar: autoregressive coefficients, shape (ORDER,).
-      white: standard deviation of the innovation.
-      slow: standard deviation of the slow disturbance, in motion and at rest, after the autoregression.
+      order: of the autoregression of sensor noise.
+      bands: correlation times of the model discrepancy [s]: from one residual to a few seconds, a factor of five apart.
+      rest_time: correlation time of the slow disturbance at rest [s].
+      scales: lengths of the Haar wavelets by which variances are learned, in residuals (half a wavelet): 8 ms to 4 s.
+      floor: least standard deviation of sensor noise, in its own unit per unit of the balance's quantum.
     """
+
+    order: int = 3
+    bands: tuple[float, ...] = (0.02, 0.1, 0.5, 2.5)
+    rest_time: float = 0.6
+    scales: tuple[int, ...] = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+    floor: float = 1e-6
+
+
+SETTINGS = NoiseSettings()
+_ROBUST = 1.4826  # standard deviation of a normal distribution per median absolute deviation
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Sensor noise of one balance in one segment: autoregressive coefficients, shape (order,), and the standard deviation
+    of its innovation."""
 
     ar: np.ndarray
     white: float
-    slow: tuple[float, float]
 
 
-Noise = list[list[ChannelNoise]]
-"""Noise by stretch and channel."""
+@dataclass(frozen=True)
+class Noise:
+    """Noise of all residuals.
+
+    Attributes:
+      sensors: by segment and balance.
+      discrepancy: standard deviation of the model discrepancy by balance and band, shape (len(BALANCES), bands), in the
+        balance's unit.
+      rest: standard deviation of the slow disturbance at rest by segment and balance, shape (segments, len(BALANCES)).
+      settings: of the model.
+    """
+
+    sensors: tuple[tuple[SensorNoise, ...], ...]
+    discrepancy: np.ndarray
+    rest: np.ndarray
+    settings: NoiseSettings = field(default=SETTINGS, repr=False)
+
+    def inflated(self, factor: float) -> Noise:
+        """The same noise, `factor` times as large in all its parts."""
+        sensors = tuple(tuple(replace(s, white=factor * s.white) for s in one) for one in self.sensors)
+        return replace(self, sensors=sensors, discrepancy=factor * self.discrepancy, rest=factor * self.rest)
 
 
-def whiten(drives: list[Drive], noise: Noise, series: list[np.ndarray]) -> np.ndarray:
-    """Whitened stack of series, one of shape (k, 3, c) a stretch: shape (total, c), channel by channel."""
-    keep = np.exp(-STEP * DECIMATION / MEMORY)
+@kernel
+def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, log_s):
+    """Innovations of x, shape (k, c), over their standard deviation into out; zero where unusable. Returns Σ log S.
 
-    def one(task):
-        drive, channels, x = task
-        out = np.empty((3, len(drive.at), x.shape[2]))
-        for c in range(3):
-            n = channels[c]
-            usable = drive.usable[:, c]
-            _whiten(np.ascontiguousarray(x[:, c]), usable, drive.at_rest, n.ar, n.white, np.array(n.slow), keep, out[c])
-        return _blocks(out, np.any(out != 0, axis=2), drive.block).reshape(-1, x.shape[2])
+    State: the autoregression's last values, the bands, the disturbance at rest; the residual is the sum of the first and all others.
+    """
+    k, c = x.shape
+    p, m = len(ar), len(bands)
+    d = p + m + 1
+    state = np.zeros((d, c))
+    new = np.zeros(c)
+    P, work = np.zeros((d, d)), np.zeros((d, d))
+    gain = np.zeros(d)
+    # The stationary covariance of the autoregression: by letting it run; the bands' are their variances.
+    for _ in range(200):
+        _step_covariance(P, work, ar, white, bands, decay, 0.0, rest_decay, p, m)
+    for j in range(m):
+        P[p + j, p + j] = bands[j] ** 2
+    total = 0.0
+    for i in range(k):
+        if i > 0:
+            _step_covariance(P, work, ar, white, bands, decay, rest if at_rest[i] else 0.0, rest_decay, p, m)
+            for j in range(c):
+                value = 0.0
+                for l in range(p):
+                    value += ar[l] * state[l, j]
+                new[j] = value
+            for l in range(p - 1, 0, -1):
+                state[l] = state[l - 1]
+            state[0] = new
+            for l in range(m):
+                for j in range(c):
+                    state[p + l, j] *= decay[l]
+            for j in range(c):
+                state[p + m, j] *= rest_decay
+        elif at_rest[0]:
+            P[p + m, p + m] = rest * rest
+        if not usable[i]:
+            out[i] = 0.0
+            continue
+        S = 0.0
+        for a in range(d):
+            if a == 0 or a >= p:
+                gain[a] = 0.0
+        for a in range(d):
+            value = P[a, 0]
+            for b in range(p, d):
+                value += P[a, b]
+            gain[a] = value
+        S = gain[0]
+        for b in range(p, d):
+            S += gain[b]
+        norm = 1.0 / np.sqrt(S)
+        total += np.log(S)
+        for j in range(c):
+            e = x[i, j] - state[0, j]
+            for l in range(p, d):
+                e -= state[l, j]
+            out[i, j] = e * norm
+            new[j] = e / S
+        for a in range(d):
+            for j in range(c):
+                state[a, j] += gain[a] * new[j]
+        for a in range(d):
+            for b in range(d):
+                P[a, b] -= gain[a] * gain[b] / S
+    log_s[0] = total
 
-    return np.concatenate(parallel(one, list(zip(drives, noise, series, strict=True))))
+
+@kernel
+def _step_covariance(P, work, ar, white, bands, decay, rest, rest_decay, p, m):
+    """P ← A P Aᵀ + Q of the state's transition, in place."""
+    d = p + m + 1
+    # Rows: A P.
+    for b in range(d):
+        value = 0.0
+        for l in range(p):
+            value += ar[l] * P[l, b]
+        for l in range(p - 1, 0, -1):
+            work[l, b] = P[l - 1, b]
+        work[0, b] = value
+        for l in range(m):
+            work[p + l, b] = decay[l] * P[p + l, b]
+        work[p + m, b] = rest_decay * P[p + m, b]
+    # Columns: (A P) Aᵀ.
+    for a in range(d):
+        value = 0.0
+        for l in range(p):
+            value += ar[l] * work[a, l]
+        for l in range(p - 1, 0, -1):
+            P[a, l] = work[a, l - 1]
+        P[a, 0] = value
+        for l in range(m):
+            P[a, p + l] = decay[l] * work[a, p + l]
+        P[a, p + m] = rest_decay * work[a, p + m]
+    P[0, 0] += white * white
+    for l in range(m):
+        P[p + l, p + l] += (1.0 - decay[l] ** 2) * bands[l] ** 2
+    P[p + m, p + m] += (1.0 - rest_decay**2) * rest * rest
+
+
+@dataclass(frozen=True)
+class White:
+    """Whitened series.
+
+    Attributes:
+      rows: shape (total, c): segment by segment, balance by balance; zero where a residual does not count.
+      log_determinant: Σ log S of all innovations that count: of the noise's covariance.
+    """
+
+    rows: np.ndarray
+    log_determinant: float
+
+
+def whiten(segments: Sequence[Segment], noise: Noise, series: Sequence[np.ndarray]) -> White:
+    """Whiten series, one of shape (k, len(BALANCES), c) a segment, alike."""
+    s = noise.settings
+    decay = np.exp(-INTERVAL / np.array(s.bands))
+    rest_decay = float(np.exp(-INTERVAL / s.rest_time))
+
+    def one(index: int) -> tuple[np.ndarray, float]:
+        segment, x = segments[index], series[index]
+        out = np.zeros((len(BALANCES), len(segment.at), x.shape[2]))
+        total, log_s = 0.0, np.zeros(1)
+        for b in range(len(BALANCES)):
+            if not segment.usable[:, b].any():
+                continue
+            sensor = noise.sensors[index][b]
+            _filter(
+                segment.usable[:, b], segment.at_rest, sensor.ar, sensor.white, noise.discrepancy[b], decay,
+                float(noise.rest[index, b]), rest_decay, np.ascontiguousarray(x[:, b]), out[b], log_s,
+            )  # fmt: skip
+            total += float(log_s[0])
+        counts = segment.usable.T
+        return _blocks(out, counts, segment.block).reshape(-1, x.shape[2]), total / segment.block
+
+    parts = parallel(one, list(range(len(segments))))
+    return White(np.concatenate([rows for rows, _ in parts]), float(sum(total for _, total in parts)))
 
 
 def _blocks(white: np.ndarray, counts: np.ndarray, block: int) -> np.ndarray:
-    """Sums of `block` innovations each, shape (3, k, c), over the root of how many count: of unit variance again."""
+    """Sums of `block` innovations each, shape (balances, k, c), over the root of how many count: of unit variance again."""
     if block == 1:
         return white
     starts = np.arange(0, white.shape[1], block)
@@ -96,91 +233,175 @@ def _blocks(white: np.ndarray, counts: np.ndarray, block: int) -> np.ndarray:
     return np.add.reduceat(white, starts, axis=1) / np.sqrt(np.maximum(number, 1.0))[..., None]
 
 
-def first_guess(drives: list[Drive], residuals: list[np.ndarray], quantum: np.ndarray) -> Noise:
-    """Noise before anything is fitted: white noise from the differences of what counts as one, rest from one count.
+def rows_of(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Segment, balance and time [s] of every row of `whiten`, shape (total,) each."""
+    segment, balance, at = [], [], []
+    for i, one in enumerate(segments):
+        times = one.at[:: one.block]
+        for b in range(len(BALANCES)):
+            segment.append(np.full(len(times), i))
+            balance.append(np.full(len(times), b))
+            at.append(times)
+    return np.concatenate(segment), np.concatenate(balance), np.concatenate(at)
 
-    Args:
-      residuals: shape (k, 3) a stretch.
-      quantum: what the rotor encoder's quantisation rms leaves in each channel, shape (3,).
+
+# --- learning the noise ----------------------------------------------------------------------------------------------
+
+
+def haar(x: np.ndarray, use: np.ndarray, scales: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean squares of the Haar wavelets of series x, shape (k, c), over samples that all count; and their numbers.
+
+    A wavelet of scale L: mean of L samples less the mean of the L before. Returns shape (scales, c) and (scales,).
     """
+    k = len(x)
+    total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(np.where(use[:, None], x, 0.0), axis=0)])
+    count = np.concatenate([[0], np.cumsum(use)])
+    energy, number = np.zeros((len(scales), x.shape[1])), np.zeros(len(scales))
+    for i, scale in enumerate(scales):
+        begin = np.arange(0, k - 2 * scale + 1, max(scale, 1))
+        if not len(begin):
+            continue
+        middle, end = begin + scale, begin + 2 * scale
+        whole = count[end] - count[begin] == 2 * scale
+        if not whole.any():
+            continue
+        begin, middle, end = begin[whole], middle[whole], end[whole]
+        d = (total[end] - 2 * total[middle] + total[begin]) / scale
+        energy[i] = np.mean(d * d, axis=0)
+        number[i] = 0.5 * len(begin)  # neighbours overlap by half
+    return energy, number
+
+
+def haar_of_band(time: float, scales: Sequence[int]) -> np.ndarray:
+    """Mean squares of the Haar wavelets of an Ornstein–Uhlenbeck process of unit variance, shape (scales,)."""
+    rho = np.exp(-INTERVAL / time)
     found = []
-    for drive, r in zip(drives, residuals, strict=True):
-        channels = []
-        for c in range(3):
-            use = drive.usable[:, c] & ~drive.at_rest
-            x = r[use, c]
-            x = x[: len(x) // drive.block * drive.block].reshape(-1, drive.block).sum(axis=1) / np.sqrt(drive.block)
-            difference = np.diff(x, 2) if len(x) > 10 else np.ones(1)
-            white = _ROBUST * np.median(np.abs(difference)) / np.sqrt(6.0)
-            channels.append(ChannelNoise(np.zeros(ORDER), max(float(white), 1e-6), (0.0, float(quantum[c]))))
-        found.append(channels)
-    return found
+    for scale in scales:
+        lag = np.arange(-2 * scale + 1, 2 * scale)
+        # Autocorrelation of the wavelet: a triangle of height 2 at zero, −1 at ±L, over L.
+        weight = 2 * np.maximum(scale - np.abs(lag), 0) - np.maximum(scale - np.abs(np.abs(lag) - scale), 0)
+        found.append(float(np.sum(weight * rho ** np.abs(lag))) / scale**2)
+    return np.array(found)
 
 
-def louder(noise: Noise, factor: float) -> Noise:
-    """The same noise, `factor` times as large."""
-    return [
-        [ChannelNoise(c.ar, factor * c.white, (factor * c.slow[0], factor * c.slow[1])) for c in channels]
-        for channels in noise
-    ]
-
-
-def estimate(
-    drives: list[Drive],
-    residuals: list[np.ndarray],
-    quantum: np.ndarray,
-    sensors: list[np.ndarray] | None = None,
-    raw: list[np.ndarray] | None = None,
-) -> Noise:
-    """Noise from residuals, shape (k, 3) a stretch, that nothing systematic is left in.
-
-    Args:
-      sensors: what the sensors' stated noise alone leaves, likewise. No residual can be quieter than that: where it
-        looks so, columns that carry the same noise (torsion, where no sensor reads the torque) have explained it away.
-      raw: the residuals before that. At rest friction's bristle creeps by what the encoder does not see: a slow
-        disturbance with which the derivatives of everything that acts at rest have much in common.
-    """
+def sensor_noise(segments: Sequence[Segment], replicates: Sequence[np.ndarray], settings: NoiseSettings = SETTINGS):
+    """Sensor noise by segment and balance, from what replicates add to the residuals, shape (k, len(BALANCES)) each."""
     found = []
-    raw = residuals if raw is None else raw
-    for stretch, (drive, cleaned) in enumerate(zip(drives, residuals, strict=True)):
-        channels = []
-        for c in range(3):
-            r = cleaned
-            if sensors is not None:
-                where = drive.usable[:, c] & ~drive.at_rest
-                if where.any() and _spread(sensors[stretch][where, c]) > _spread(cleaned[where, c]):
-                    r = sensors[stretch]
-            moving = drive.usable[:, c] & ~drive.at_rest
-            resting = drive.usable[:, c] & drive.at_rest
-            if moving.sum() < 50:
-                moving = drive.usable[:, c]
-            if moving.sum() < 50:
-                channels.append(ChannelNoise(np.zeros(ORDER), 1.0, (0.0, 0.0)))
+    for segment, n in zip(segments, replicates, strict=True):
+        balances = []
+        for b in range(len(BALANCES)):
+            moving = segment.balances[b] & ~segment.at_rest
+            counted = np.flatnonzero((segment.usable[:, b] | segment.held_out[:, b]) & moving)
+            use = np.zeros(len(n), bool)
+            use[counted] = True
+            if use.sum() < 50:
+                use = segment.usable[:, b] | segment.held_out[:, b]
+            if use.sum() < 20:
+                balances.append(SensorNoise(np.zeros(settings.order), 1.0))
                 continue
-            ar, white = _autoregression(r[:, c], moving)
-            dc = abs(1.0 - ar.sum())
-            slow = float(quantum[c])
-            if resting.sum() > 50:
-                loudest = max(np.mean(x[resting, c] ** 2) for x in (r, cleaned, raw[stretch]))
-                slow = max(slow, np.sqrt(max(loudest - np.var(r[moving, c]), 0.0)))
-            channels.append(ChannelNoise(ar, white, (0.0, slow * dc)))
-        found.append(channels)
-    return found
+            balances.append(_autoregression(n[:, b], use, settings))
+        found.append(tuple(balances))
+    return tuple(found)
 
 
-def _spread(x: np.ndarray) -> float:
-    return float(np.median(np.abs(x)))
+def _autoregression(x: np.ndarray, use: np.ndarray, settings: NoiseSettings) -> SensorNoise:
+    """Yule–Walker from the samples that count; clipped, so that no outlier decides."""
+    from scipy.linalg import solve_toeplitz
 
-
-def _autoregression(x: np.ndarray, use: np.ndarray) -> tuple[np.ndarray, float]:
-    """Coefficients and innovation standard deviation from the usable samples; clipped, so that no outlier decides."""
-    limit = 4 * _ROBUST * np.median(np.abs(x[use]))
+    limit = 4 * _ROBUST * float(np.median(np.abs(x[use])))
     y = np.where(use, np.clip(x, -limit, limit), 0.0)
-    gamma = np.empty(ORDER + 1)
-    for lag in range(ORDER + 1):
+    gamma = np.empty(settings.order + 1)
+    for lag in range(settings.order + 1):
         both = use[lag:] & use[: len(use) - lag]
         gamma[lag] = np.sum(y[lag:] * y[: len(y) - lag] * both) / max(both.sum(), 1)
-    R = gamma[np.abs(np.subtract.outer(np.arange(ORDER), np.arange(ORDER)))] + 1e-9 * gamma[0] * np.eye(ORDER)
-    ar = np.linalg.solve(R, gamma[1:])
+    gamma[0] = max(gamma[0] * (1 + 1e-9), settings.floor**2)
+    ar = solve_toeplitz(gamma[:-1], gamma[1:])
     variance = gamma[0] - ar @ gamma[1:]
-    return ar, float(np.sqrt(max(variance, 1e-3 * gamma[0])))
+    return SensorNoise(ar, float(np.sqrt(max(variance, 1e-3 * gamma[0]))))
+
+
+def learn(
+    segments: Sequence[Segment],
+    residuals: Sequence[np.ndarray],
+    replicates: Sequence[np.ndarray],
+    quantum: np.ndarray,
+    spread: Sequence[np.ndarray] | None = None,
+    settings: NoiseSettings = SETTINGS,
+) -> Noise:
+    """Learn noise and model discrepancy from what a model leaves: expectation–maximisation, its last step.
+
+    Args:
+      residuals: shape (k, len(BALANCES)) a segment.
+      replicates: what another draw of the sensors' noise adds to them, likewise.
+      quantum: what the rotor encoder's quantisation rms leaves in each balance at rest, shape (len(BALANCES),).
+      spread: columns of what the residual may still be off as the parameters are uncertain, shape (k, len(BALANCES), m):
+        Jacobian times a root of the posterior covariance. Without it what the fit has taken away is not counted.
+    """
+    sensors = sensor_noise(segments, replicates, settings)
+    scales = settings.scales
+    shapes = np.stack([haar_of_band(t, scales) for t in settings.bands], axis=1)
+    discrepancy = np.zeros((len(BALANCES), len(settings.bands)))
+    rest = np.zeros((len(segments), len(BALANCES)))
+    for b in range(len(BALANCES)):
+        energy, known, number = np.zeros(len(scales)), np.zeros(len(scales)), np.zeros(len(scales))
+        for i, segment in enumerate(segments):
+            counted = segment.usable[:, b] | segment.held_out[:, b]
+            use = counted & ~segment.at_rest
+            if use.sum() < 8:
+                use = counted
+            r = _clipped(residuals[i][:, b], use)
+            e, n = haar(np.column_stack([r, replicates[i][:, b]]), use, scales)
+            energy += n * e[:, 0]
+            known += n * e[:, 1]
+            number += n
+            if spread is not None:
+                more, _ = haar(spread[i][:, b], use, scales)
+                energy += n * more.sum(axis=1)
+        good = number > 0
+        if good.any():
+            variance = _variances(energy[good] / number[good], known[good] / number[good], number[good], shapes[good])
+            discrepancy[b] = np.sqrt(variance)
+        for i, segment in enumerate(segments):
+            resting = segment.usable[:, b] & segment.at_rest
+            slow = float(quantum[b])
+            if resting.sum() > 50:
+                moving = segment.usable[:, b] & ~segment.at_rest
+                base = float(np.var(residuals[i][moving, b])) if moving.sum() > 50 else 0.0
+                slow = max(slow, float(np.sqrt(max(np.mean(residuals[i][resting, b] ** 2) - base, 0.0))))
+            rest[i, b] = slow
+    return Noise(sensors, discrepancy, rest, settings)
+
+
+def _clipped(x: np.ndarray, use: np.ndarray) -> np.ndarray:
+    """A series without its outliers: beyond five deviations they count as five."""
+    if not use.any():
+        return x
+    limit = 5 * _ROBUST * float(np.median(np.abs(x[use])))
+    return np.clip(x, -limit, limit) if limit > 0 else x
+
+
+def _variances(energy: np.ndarray, known: np.ndarray, number: np.ndarray, shapes: np.ndarray) -> np.ndarray:
+    """Variances v ≥ 0, shape (bands,), that make mean squares `energy` most likely: known + shapes·v, χ² of `number`.
+
+    Multiplicative steps of the Gamma likelihood (Itakura–Saito): they stay positive and never make it less likely.
+    """
+    known = np.maximum(known, 1e-18)
+    v = np.full(shapes.shape[1], max(float(np.mean(np.maximum(energy - known, 0.0))), 1e-18))
+    for _ in range(200):
+        model = known + shapes @ v
+        up = shapes.T @ (number * energy / model**2)
+        down = shapes.T @ (number / model)
+        before = v
+        v = v * np.sqrt(up / down)
+        if np.all(np.abs(v - before) < 1e-4 * (v + 1e-18)):
+            break
+    return v
+
+
+def normalised_rms(segments: Sequence[Segment], noise: Noise, residuals: Sequence[np.ndarray]) -> float:
+    """Root mean square of whitened residuals, outliers clipped: one when the noise is right."""
+    r = whiten(segments, noise, [x[..., None] for x in residuals]).rows[:, 0]
+    r = r[r != 0]
+    if not len(r):
+        return 1.0
+    return float(np.sqrt(np.mean(np.minimum(r * r, 1e4 * np.median(r * r)))))

@@ -1,153 +1,61 @@
-"""The joint and its hidden effects fitted to a measurement: maximum a posteriori, by Gauss–Newton.
+"""The joint and effects fitted to a measurement: maximum a posteriori by Gauss–Newton, with noise that is learned on the way.
 
-Unknowns are the joint's calibration variables (`models.calibration`, standard normal by construction), the times by
-which the current and torque samples may be off, and the coordinates of the effects under test (`coordinates`).
-The data are the whitened residuals of the replay; outliers beyond `HUBER` standard deviations count linearly.
+The data are the whitened residuals of the replay; outliers beyond `SolverSettings.huber` standard deviations count linearly.
+
+*Annealing.* Encoders are so precise that a wrong model is wrong by hundreds of standard deviations, where nothing is linear. The
+noise is therefore learned anew after every step (`noise.learn`): what the model cannot hold yet counts as discrepancy, balance by
+balance and band by band, and becomes quieter as the model improves.
+
+*Errors in variables.* Parameters scale the noise that the measured motion brings into the residuals (a stiffer spring makes more
+torque of an encoder's count), and least squares would choose those that make it small. Noise replicates tell the noise's share of
+objective, gradient and curvature; taking it out leaves what the signal says (corrected least squares).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..models.calibration import Calibration
-from ..models.joint import Joint
-from .coordinates import Hypothesis
-from .noise import Noise, whiten
-from .replay import Drive, residuals
-
-HUBER = 3.0
-TIMING = (0.5e-3, 0.3e-3)
-"""Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
-REACH = 2.6
-"""Standard deviations within which every calibration variable stays: joints are drawn within 2.5, and two variables that
-move the same number (its own tolerance and a shared one) reach little further together than the number's own limit
-(`models.calibration.WITHIN`)."""
-_STEP_X, _STEP_U = 0.05, 0.03
+from .noise import Noise, White, learn, whiten
+from .residual import Model, Problem
 
 
-_LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
-
-
-class Problem:
-    """A measurement, a joint, and what may move.
+@dataclass(frozen=True)
+class SolverSettings:
+    """How a fit goes.
 
     Attributes:
-      drives: the stretches of the measurement.
-      calibration: the joint's variables.
-      linear: unknowns whose derivatives do not depend on where they are taken.
-      size: number of variables that every model has: calibration and two sample times.
+      huber: standard deviations beyond which a residual counts linearly.
+      tolerance: a fit ends when the objective (in units of χ²) changes by less.
+      good: share of the expected change of the objective below which derivatives are computed anew.
+      noisy: share of the noise in the whitened energy from which on it is taken out (errors in variables).
+      chance: standard deviations of the difference of two sums of squares below zero that still count as nothing.
+      cluster: residuals within so many seconds may have to do with each other in ways that the noise model does not know.
     """
 
-    def __init__(self, drives: list[Drive], twins: list[Drive], joint: Joint):
-        self.drives = drives
-        self.twins = twins
-        self.joint = joint
-        self.calibration = Calibration(joint)
-        self.mountings = [d.mounting for d in drives]
-        self.size = self.calibration.size + 2
-        linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
-        self.linear = np.array(
-            [i for i, name in enumerate(self.calibration.names) if name in linear]
-            + [self.calibration.size, self.calibration.size + 1]
-        )
-        self.has_torque = any(len(d.torque) for d in drives)
+    huber: float = 3.0
+    tolerance: float = 0.5
+    good: float = 0.7
+    noisy: float = 0.15
+    chance: float = 6.0
+    cluster: float = 1.0
 
-    def match_twins(self, factors: list[float]) -> None:
-        """Make the noise of the twins' motion `factors` times as large, one a stretch."""
-        self.twins = [
-            twin
-            if f == 1.0
-            else replace(
-                twin, rotor=drive.rotor + f * (twin.rotor - drive.rotor), link=drive.link + f * (twin.link - drive.link)
-            )
-            for drive, twin, f in zip(self.drives, self.twins, factors, strict=True)
-        ]
 
-    def split(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> list[np.ndarray]:
-        """Coordinates of each hypothesis in the vector of unknowns."""
-        parts, at = [], self.size
-        for h in model:
-            parts.append(theta[at : at + h.size])
-            at += h.size
-        return parts
+SETTINGS = SolverSettings()
 
-    def records(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> list[np.ndarray]:
-        """Parameter records of the joint at `theta`, one a stretch."""
-        parts = self.split(theta, model)
-        made: dict[tuple[float, ...], np.ndarray] = {}
-        found = []
-        for mounting in self.mountings:
-            key = (mounting.inertia, mounting.gravity_moment, mounting.gravity_angle)
-            if key not in made:
-                record = self.calibration.record(theta[: self.calibration.size], mounting)
-                for h, u in zip(model, parts, strict=True):
-                    h.cause.apply(record[0], h.values(u))
-                made[key] = record
-            found.append(made[key])
-        return found
+Columns = list[np.ndarray]
+"""Residuals or derivatives by segment: shape (k, len(BALANCES)) or (k, len(BALANCES), n)."""
 
-    def residuals(
-        self, thetas: list[np.ndarray], models: list[tuple[Hypothesis, ...]], twin: bool = False
-    ) -> list[list[np.ndarray]]:
-        """Residuals, shape (k, 3) a stretch, at each of several points (of several models), in parallel."""
-        stretches = self.twins if twin else self.drives
-        tasks = [
-            (drive, record, theta)
-            for theta, model in zip(thetas, models, strict=True)
-            for drive, record in zip(stretches, self.records(theta, model), strict=True)
-        ]
-        done = iter(self.replayed(tasks))
-        return [[next(done) for _ in stretches] for _ in thetas]
 
-    def replayed(self, tasks: list[tuple[Drive, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-        """Residuals, shape (k, 3), of stretches under records, at the sample times of unknowns theta; in parallel."""
-        found = residuals([(drive, record) for drive, record, _ in tasks])
-        for (drive, _, theta), r in zip(tasks, found, strict=True):
-            r[:, :2] -= drive.measured_rate * theta[self.calibration.size : self.size] * TIMING
-        return found
+@dataclass(frozen=True)
+class Point:
+    """Residuals at a point: of the measurement, and what the noise replicates add to them; shape (k, len(BALANCES)) a
+    segment."""
 
-    def jacobian(
-        self,
-        theta: np.ndarray,
-        model: tuple[Hypothesis, ...],
-        base: list[np.ndarray],
-        columns: np.ndarray | None = None,
-        twin: bool = False,
-    ) -> list[np.ndarray]:
-        """Derivatives of the residuals, shape (k, 3, len(columns)) a stretch, by differences."""
-        n = len(theta)
-        columns = np.arange(n) if columns is None else columns
-        step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
-        replayed = [j for j in columns if not self.calibration.size <= j < self.size]
-        moved = [theta + step[j] * np.eye(n)[j] for j in replayed]
-        done = dict(zip(replayed, self.residuals(moved, [model] * len(moved), twin), strict=True))
-        found = []
-        for s, drive in enumerate(self.twins if twin else self.drives):
-            J = np.zeros((*base[s].shape, len(columns)))
-            for i, j in enumerate(columns):
-                if j in done:
-                    J[..., i] = (done[j][s] - base[s]) / step[j]
-                else:  # a sample time: the reading's own rate
-                    c = j - self.calibration.size
-                    J[:, c, i] = -drive.measured_rate[:, c] * TIMING[c]
-            found.append(J)
-        return found
-
-    def is_calibration(self, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> bool:
-        """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause."""
-        records = self.records(theta, model)
-        before = self.records(theta[: len(theta) - model[-1].size], model[:-1])
-        return all(self.calibration.expresses(*trio) for trio in zip(records, before, self.mountings, strict=True))
-
-    def spread(self, model: tuple[Hypothesis, ...]) -> np.ndarray:
-        """Prior standard deviation of every unknown."""
-        return np.concatenate([np.ones(self.size), *(h.spread for h in model)])
-
-    def start(self, x: np.ndarray | None, model: tuple[Hypothesis, ...]) -> np.ndarray:
-        """A vector of unknowns: the common ones at x, the effects absent."""
-        return np.concatenate([np.zeros(self.size) if x is None else x, np.zeros(sum(h.size for h in model))])
+    residual: Columns
+    noise: Columns
 
 
 @dataclass(frozen=True)
@@ -157,49 +65,70 @@ class Fit:
     Attributes:
       model: the hypotheses in it.
       theta: the unknowns.
-      state: residuals, and the noise's share of them (None without echo); shape (k, 3) a stretch.
-      jacobian, twin_jacobian: derivatives of both, shape (k, 3, n) a stretch.
+      point: residuals there.
+      jacobian: derivatives of the residuals, shape (k, len(BALANCES), n) a segment.
+      noise_jacobian: what the noise replicates add to them; None where noise does not matter.
+      noise: learned at this fit.
       covariance: of the unknowns (Laplace).
       log_evidence: Laplace approximation of the log of the marginal likelihood, up to a constant of the measurement.
-      chi2: robust sum of squares of the whitened residual.
+      loss: robust sum of squares of the whitened residual, less the noise's share.
       history: objective after every iteration.
     """
 
-    model: tuple[Hypothesis, ...]
+    model: Model
     theta: np.ndarray
-    state: tuple[list[np.ndarray], list[np.ndarray] | None]
-    jacobian: list[np.ndarray]
-    twin_jacobian: list[np.ndarray] | None
-    covariance: np.ndarray
+    point: Point
+    jacobian: Columns = field(repr=False)
+    noise_jacobian: Columns | None = field(repr=False)
+    noise: Noise
+    covariance: np.ndarray = field(repr=False)
     log_evidence: float
-    chi2: float
+    loss: float
     history: tuple[float, ...]
 
 
-def robust_loss(r: np.ndarray, limit: float = HUBER) -> tuple[float, np.ndarray]:
-    """Twice the Huber loss, summed, and the weights that make least squares of it."""
+def evaluate_point(problem: Problem, theta: np.ndarray, model: Model) -> Point:
+    """Residuals of the measurement and its noise replicates at a point."""
+    r = problem.residuals([theta], [model])[0]
+    other = problem.residuals([theta], [model], replicate=True)[0]
+    return Point(r, [b - a for a, b in zip(r, other, strict=True)])
+
+
+def huber_loss(r: np.ndarray, limit: float) -> np.ndarray:
+    """Twice the Huber loss of every residual."""
     a = np.abs(r)
-    return float(np.sum(_huber(r, limit))), np.where(a > limit, limit / np.maximum(a, limit), 1.0)
+    return np.where(a > limit, limit * (2 * a - limit), r * r)
 
 
-def _limit(r: np.ndarray) -> float:
-    """Where the loss becomes linear: `HUBER`, or more where the bulk of the residual is far from white noise yet."""
-    inside = np.abs(r[r != 0])
-    return HUBER * max(1.0, 1.4826 * float(np.median(inside))) if len(inside) else HUBER
+def huber_weight(r: np.ndarray, limit: float) -> np.ndarray:
+    """Weights that make least squares of the Huber loss."""
+    a = np.abs(r)
+    return np.where(a > limit, limit / np.maximum(a, limit), 1.0)
 
 
-def prior_cost(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...]) -> float:
+def prior_cost(problem: Problem, theta: np.ndarray, model: Model) -> float:
     """Minus twice the log prior, without its constants."""
     z = theta / problem.spread(model)
     return float(z @ z)
 
 
-def bounds(problem: Problem, model: tuple[Hypothesis, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Smallest and largest value of every unknown."""
-    common = np.full(problem.size, REACH)
-    limits = [h.limits for h in model]
-    low = np.concatenate([-common, *(l for l, _ in limits)])
-    return low, np.concatenate([common, *(u for _, u in limits)])
+def corrected_loss(problem: Problem, r: np.ndarray, share: np.ndarray | None, settings: SolverSettings = SETTINGS) -> float:
+    """Robust loss of a whitened residual less that of the noise's share of it.
+
+    What is left of a segment's balance is about zero at best; what is below that by more than chance counts as if it were
+    above. Where the replicate is a little louder than the data, parameters that make all noise louder would win otherwise.
+    """
+    whole = huber_loss(r, settings.huber)
+    if share is None:
+        return float(np.sum(whole))
+    from ..data.segments import BALANCES
+
+    lengths = np.repeat([-(-len(s.at) // s.block) for s in problem.segments], len(BALANCES))
+    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
+    total, part = (np.add.reduceat(x, starts) for x in (whole, huber_loss(share, settings.huber)))
+    floor = -settings.chance * np.sqrt(np.maximum(np.minimum(total, part), 1.0))
+    left = total - part
+    return float(np.sum(np.where(left > floor, left, 2 * floor - left)))
 
 
 def bounded_step(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -224,197 +153,56 @@ def bounded_step(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray
 
 
 @dataclass(frozen=True)
-class Echo:
-    """What the noise of the measured motion does to the derivatives in the common unknowns, shape (k, 3, n) a stretch.
+class Normal:
+    """Normal equations at a point: Hessian and gradient (of half the objective), objective without the prior, the noise's share of
+    the information, and the whitened residual with its log determinant."""
 
-    Parameters scale the noise that the motion brings into the residuals (a stiffer spring makes more torque of an
-    encoder's count). Least squares would choose parameters that make the noise small; taking the twin's share out of
-    objective, gradient and curvature leaves what the signal says (corrected least squares).
-    """
+    hessian: np.ndarray
+    gradient: np.ndarray
+    loss: float
+    share: np.ndarray
+    white: White
 
-    jacobian: list[np.ndarray]
+
+def stacked(first: Columns, *others: Columns) -> Columns:
+    """A residual and derivatives side by side, shape (k, len(BALANCES), 1 + n) a segment."""
+    return [np.concatenate([r[..., None], *(o[s] for o in others)], axis=-1) for s, r in enumerate(first)]
 
 
-def fit(
+def products(rows: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted JᵀJ and Jᵀr of whitened rows [r, J]; one symmetric product, without empty rows."""
+    weight = huber_weight(rows[:, 0], limit)
+    counted = np.flatnonzero(np.any(rows, axis=1))
+    part = rows[counted] * np.sqrt(weight[counted, None])
+    G = part.T @ part
+    return G[1:, 1:], G[1:, 0]
+
+
+def normal_equations(
     problem: Problem,
     noise: Noise,
-    model: tuple[Hypothesis, ...],
+    model: Model,
     theta: np.ndarray,
-    iterations: int = 8,
-    tolerance: float = 0.3,
-    common: list[np.ndarray] | None = None,
-    echo: Echo | None = None,
-    refresh: bool = True,
-) -> Fit:
-    """Fit a model by damped Gauss–Newton from `theta`.
-
-    Args:
-      tolerance: stop when the objective (in units of χ²) changes by less.
-      common: derivatives in the common unknowns from a fit nearby, used as long as they serve.
-      echo: of a fit nearby; without it the noise of the motion is left in.
-      refresh: whether derivatives in the common unknowns may be computed anew.
-    """
-    drives = problem.drives
-    effects = np.arange(problem.size, len(theta))
-    low, high = bounds(problem, model)
-    history: list[float] = []
-
-    def evaluate_at(t):
-        rs = problem.residuals([t], [model])[0]
-        ns = None
-        if echo is not None:
-            twin = problem.residuals([t], [model], twin=True)[0]
-            ns = [b - a for a, b in zip(rs, twin, strict=True)]
-        return rs, ns
-
-    def objective(state, t, limit):
-        r = whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0]
-        share = None
-        if state[1] is not None:
-            share = whiten(drives, noise, [x[..., None] for x in state[1]])[:, 0]
-        total = _loss(problem, r, share, limit) + prior_cost(problem, t, model)
-        return total if np.isfinite(total) else np.inf
-
-    state = evaluate_at(theta)
-    damping = 0.0
-    fresh = False
-    jacobian = twin_jacobian = None
-    update = common is None
-    for _ in range(iterations):
-        if update:
-            known = common if jacobian is None else jacobian
-            nonlinear = np.setdiff1d(np.arange(len(theta)), problem.linear if known is not None else [])
-            part = problem.jacobian(theta, model, state[0], nonlinear)
-            jacobian = []
-            for s, columns in enumerate(part):
-                J = np.empty((*columns.shape[:2], len(theta)))
-                J[..., nonlinear] = columns
-                if known is not None:
-                    J[..., problem.linear] = known[s][..., problem.linear]
-                jacobian.append(J)
-            fresh = True
-            if echo is not None and known is not None:
-                echo = _echo_again(problem, theta, model, state, jacobian, echo)
-        else:
-            part = problem.jacobian(theta, model, state[0], effects)
-            kept = [a[..., : problem.size] for a in (common if jacobian is None else jacobian)]
-            jacobian = [np.concatenate([a, b], axis=-1) for a, b in zip(kept, part, strict=True)]
-            fresh = False
-        if echo is not None:
-            twin_jacobian = _twin_jacobian(problem, theta, model, state, jacobian, echo)
-        limit = _limit(whiten(drives, noise, [x[..., None] for x in state[0]])[:, 0])
-        cost = objective(state, theta, limit)
-        history.append(cost)
-        H, g, *_ = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian, limit)
-        accepted = False
-        for _ in range(6):
-            A = H + damping * np.diag(np.abs(np.diag(H)))
-            new = theta + bounded_step(A, g, low - theta, high - theta)
-            trial = evaluate_at(new)
-            c = objective(trial, new, limit)
-            if c < cost:
-                accepted = True
-                break
-            damping = max(5 * damping, 1e-2)
-        if not accepted:
-            if fresh or not refresh:
-                break
-            update = True
-            continue
-        moved = new - theta
-        expected = -(2 * g @ moved + moved @ H @ moved)
-        gain = cost - c
-        theta, state = new, trial
-        damping *= 0.2
-        if gain < tolerance:
-            break
-        update = refresh and gain < 0.75 * expected
-    return evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian, tuple(history))
-
-
-def _echo_again(problem, theta, model, state, jacobian, echo):
-    """The echo where the fit is now; derivatives that do not depend on where they are taken are kept."""
-    moving = np.setdiff1d(np.arange(problem.size), problem.linear)
-    twin = [a + b for a, b in zip(*state, strict=True)]
-    part = problem.jacobian(theta, model, twin, moving, twin=True)
-    found = []
-    for kept, new, own in zip(echo.jacobian, part, jacobian, strict=True):
-        again = kept.copy()
-        again[..., moving] = new - own[..., moving]
-        found.append(again)
-    return Echo(found)
-
-
-def _twin_jacobian(problem, theta, model, state, jacobian, echo):
-    """The noise's share of the derivatives: in the common unknowns from the echo, in the effects' computed here."""
-    effects = np.arange(problem.size, len(theta))
-    twin = [a + b for a, b in zip(*state, strict=True)]
-    part = problem.jacobian(theta, model, twin, effects, twin=True)
-    return [
-        np.concatenate([a, b - j[..., problem.size :]], axis=-1)
-        for a, b, j in zip(echo.jacobian, part, jacobian, strict=True)
-    ]
-
-
-def echo(problem: Problem, theta: np.ndarray, model: tuple[Hypothesis, ...], jacobian: list[np.ndarray]) -> Echo:
-    """The noise's share of the derivatives in the common unknowns at a fit's maximum."""
-    base = problem.residuals([theta], [model], twin=True)[0]
-    twin = problem.jacobian(theta, model, base, np.arange(problem.size), twin=True)
-    return Echo([b - a[..., : problem.size] for a, b in zip(jacobian, twin, strict=True)])
-
-
-def normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian=None, limit=HUBER):
-    """Hessian and gradient (of half the objective) of the posterior, robust loss, and the noise's share of the information."""
-
-    def products(r, j, limit):
-        """Whitened residual, and weighted products JᵀJ and Jᵀr; one symmetric product, without empty rows."""
-        columns = [np.concatenate([a[..., None], b], -1) for a, b in zip(r, j, strict=True)]
-        stack = whiten(problem.drives, noise, columns)
-        weight = robust_loss(stack[:, 0], limit)[1]
-        counted = np.flatnonzero(np.any(stack, axis=1))
-        rows = stack[counted] * np.sqrt(weight[counted, None])
-        G = rows.T @ rows
-        return stack[:, 0], G[1:, 1:], G[1:, 0]
-
+    point: Point,
+    jacobian: Columns,
+    noise_jacobian: Columns | None,
+    settings: SolverSettings = SETTINGS,
+) -> Normal:
+    """Normal equations of the posterior, the noise's share taken out where its derivatives are given."""
     curvature = 1 / problem.spread(model) ** 2
-    r, information, g = products(state[0], jacobian, limit)
+    white = whiten(problem.segments, noise, stacked(point.residual, jacobian))
+    information, g = products(white.rows, settings.huber)
     g = g + curvature * theta
-    noise_r, share = None, np.zeros_like(information)
-    if twin_jacobian is not None:
-        noise_r, share, noise_gradient = products(state[1], twin_jacobian, limit)
+    share, noise_rows = np.zeros_like(information), None
+    if noise_jacobian is not None:
+        noise_rows = whiten(problem.segments, noise, stacked(point.noise, noise_jacobian)).rows
+        share, noise_gradient = products(noise_rows, settings.huber)
         g = g - noise_gradient
-        information = information - share
-    return (
-        _positive(information, problem.spread(model)) + np.diag(curvature),
-        g,
-        _loss(problem, r, noise_r, limit),
-        share,
-    )
-
-
-_CHANCE = 6.0
-"""Three standard deviations of the difference of two sums of squares, over the root of either."""
-
-
-def _loss(problem: Problem, r: np.ndarray, share: np.ndarray | None, limit: float) -> float:
-    """Robust loss of a whitened residual less that of the noise's share of it.
-
-    What is left of a stretch's channel is about zero at best; what is below that by more than chance counts as if it were
-    above. Where the twin is a little louder than the data, parameters that make all noise louder would win otherwise.
-    """
-    if share is None:
-        return robust_loss(r, limit)[0]
-    lengths = np.repeat([-(-len(d.at) // d.block) for d in problem.drives], 3)
-    starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-    whole, part = (np.add.reduceat(_huber(x, limit), starts) for x in (r, share))
-    floor = -_CHANCE * np.sqrt(np.maximum(np.minimum(whole, part), 1.0))
-    left = whole - part
-    return float(np.sum(np.where(left > floor, left, 2 * floor - left)))
-
-
-def _huber(r: np.ndarray, limit: float) -> np.ndarray:
-    a = np.abs(r)
-    return np.where(a > limit, limit * (2 * a - limit), r * r)
+        information = _positive(information - share, problem.spread(model))
+    loss = corrected_loss(problem, white.rows[:, 0], None if noise_rows is None else noise_rows[:, 0], settings)
+    return Normal(
+        information + np.diag(curvature), g, loss, share, White(white.rows[:, :1], white.log_determinant)
+    )  # fmt: skip
 
 
 def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
@@ -423,22 +211,194 @@ def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
     return (vectors * np.maximum(values, 0.0)) @ vectors.T / spread[:, None] / spread
 
 
-def evaluate(problem, noise, model, theta, state, jacobian, twin_jacobian=None, history=()) -> Fit:
-    """The Laplace approximation of a model at its maximum."""
-    H, _, loss, share = normal_equations(problem, noise, model, theta, state, jacobian, twin_jacobian)
-    spread = problem.spread(model)
-    _, logdet = np.linalg.slogdet(H * spread[:, None] * spread)
-    log_evidence = -0.5 * (loss + prior_cost(problem, theta, model) + logdet)
-    log_evidence -= sum(np.log(h.alternatives) for h in model)
-    # The corrected gradient is noisier than the curvature says: the columns' noise counts once with the residual, once
-    # as the twin's share taken out (Godambe's information in place of Fisher's).
-    prior = np.diag(1 / spread**2)
-    S = H - prior
-    V = S + 2 * _positive(share, spread)
-    covariance = np.linalg.inv(_godambe(S, V, prior, 1e-12) + prior)
-    degrees = max(sum(drive.usable.sum() / drive.block for drive in problem.drives) - len(theta), 1.0)
-    covariance *= max(loss / degrees, 1.0)
-    return Fit(model, theta, state, jacobian, twin_jacobian, covariance, float(log_evidence), loss, tuple(history))
+def noise_share(problem: Problem, noise: Noise, point: Point) -> float:
+    """Share of the sensors' noise in the whitened energy of a residual."""
+    white = whiten(problem.segments, noise, [np.stack([a, b], -1) for a, b in zip(point.residual, point.noise, strict=True)])
+    energy = np.sum(np.minimum(white.rows**2, SETTINGS.huber**2), axis=0)
+    return float(energy[1] / max(energy[0], 1e-300))
+
+
+def noise_jacobian(problem: Problem, theta: np.ndarray, model: Model, point: Point, jacobian: Columns) -> Columns:
+    """What the noise replicates add to the derivatives in all unknowns, computed anew."""
+    other = [a + b for a, b in zip(point.residual, point.noise, strict=True)]
+    again = problem.jacobian(theta, model, other, replicate=True)
+    return [b - a for a, b in zip(jacobian, again, strict=True)]
+
+
+class Fitter:
+    """Fits models of one problem, and keeps what neighbouring fits have in common.
+
+    Derivatives in the common unknowns cost as many replays as there are of them: they are computed where a fit has moved far, and
+    taken over from the fit that it began at otherwise (the chord method). The derivatives in a model's effects are always its
+    own.
+    """
+
+    def __init__(self, problem: Problem, settings: SolverSettings = SETTINGS):
+        self.problem, self.settings = problem, settings
+        self.replays = 0
+
+    def fit(
+        self,
+        model: Model,
+        theta: np.ndarray,
+        noise: Noise | None = None,
+        near: Fit | None = None,
+        iterations: int = 8,
+        anneal: bool = True,
+        refresh: bool = True,
+        sensors: Sequence[np.ndarray] | None = None,
+    ) -> Fit:
+        """Fit a model by damped Gauss–Newton from `theta`.
+
+        Args:
+          noise: to begin with; learned from the first residual by default.
+          near: a fit whose derivatives in the common unknowns serve until they no longer do.
+          anneal: whether the noise is learned anew after every step; else it stays.
+          refresh: whether derivatives in the common unknowns may be computed anew.
+          sensors: what the noise replicates add to the residuals of the fit that others are compared with: sensor noise is then
+            the same for all of them.
+        """
+        problem, settings = self.problem, self.settings
+        low, high = problem.bounds(model)
+        theta = np.clip(theta, low, high)
+        point = evaluate_point(problem, theta, model)
+        history: list[float] = []
+        jacobian: Columns | None = None
+        extra: Columns | None = None
+        fresh, update, damping = False, near is None, 0.0
+        covariance: np.ndarray | None = None
+        if noise is None:
+            noise = self._learn(point, sensors, None, None)
+        for _ in range(iterations):
+            if update or jacobian is None:
+                jacobian, extra, fresh = self._derivatives(model, theta, point, noise, near, update)
+            if anneal and covariance is not None:
+                noise = self._learn(point, sensors, jacobian, covariance)
+            normal = normal_equations(problem, noise, model, theta, point, jacobian, extra, settings)
+            covariance = _inverse(normal.hessian)
+            cost = normal.loss + prior_cost(problem, theta, model)
+            history.append(cost)
+            moved = None
+            for _ in range(5):
+                A = normal.hessian + damping * np.diag(np.abs(np.diag(normal.hessian)))
+                step = bounded_step(A, normal.gradient, low - theta, high - theta)
+                trial = evaluate_point(problem, theta + step, model)
+                after = self._cost(noise, trial, theta + step, model, extra is not None)
+                if after < cost:
+                    moved = step
+                    break
+                damping = max(5 * damping, 1e-2)
+            if moved is None:
+                if fresh or not refresh:
+                    break
+                update = True
+                continue
+            expected = -(2 * normal.gradient @ moved + moved @ normal.hessian @ moved)
+            theta, point = theta + moved, trial
+            damping *= 0.2
+            if cost - after < settings.tolerance:
+                break
+            update = refresh and cost - after < settings.good * expected
+            if not update:  # the effects' own derivatives are of where the fit is
+                near, jacobian = (near if jacobian is None else self._as_near(near, jacobian, extra)), None
+        if jacobian is None:
+            jacobian, extra, fresh = self._derivatives(model, theta, point, noise, near, False)
+        if anneal:
+            noise = self._learn(point, sensors, jacobian, covariance)
+        return self.finish(model, theta, point, jacobian, extra, noise, tuple(history))
+
+    def _as_near(self, near, jacobian, extra):
+        """What `_derivatives` takes common columns from."""
+        return _Near(jacobian, extra)
+
+    def _cost(self, noise: Noise, point: Point, theta: np.ndarray, model: Model, corrected: bool) -> float:
+        pairs = [np.stack([a, b], -1) for a, b in zip(point.residual, point.noise, strict=True)]
+        rows = whiten(self.problem.segments, noise, pairs).rows
+        loss = corrected_loss(self.problem, rows[:, 0], rows[:, 1] if corrected else None, self.settings)
+        total = loss + prior_cost(self.problem, theta, model)
+        return total if np.isfinite(total) else np.inf
+
+    def _learn(self, point: Point, sensors, jacobian: Columns | None, covariance: np.ndarray | None) -> Noise:
+        spread = None
+        if jacobian is not None and covariance is not None:
+            root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
+            spread = [j @ root for j in jacobian]
+        replicates = point.noise if sensors is None else sensors
+        return learn(self.problem.segments, point.residual, replicates, self.problem.quantum(), spread)
+
+    def _derivatives(self, model, theta, point, noise, near, update) -> tuple[Columns, Columns | None, bool]:
+        """Derivatives of the residuals and of the noise's share in them; whether those in the common unknowns are new."""
+        problem = self.problem
+        common, effects = np.arange(problem.size), np.arange(problem.size, len(theta))
+        correct = noise_share(problem, noise, point) > self.settings.noisy
+        other = [a + b for a, b in zip(point.residual, point.noise, strict=True)]
+        if near is not None and not update:
+            known = [j[..., : problem.size] for j in near.jacobian]
+            extra = near.noise_jacobian
+        else:
+            columns = common if near is None else np.setdiff1d(common, problem.linear)
+            part = problem.jacobian(theta, model, point.residual, columns)
+            known = _put(near.jacobian if near is not None else None, part, columns, problem.size)
+            extra = None
+        own = problem.jacobian(theta, model, point.residual, effects) if len(effects) else None
+        jacobian = known if own is None else [np.concatenate([a, b], -1) for a, b in zip(known, own, strict=True)]
+        if not correct:
+            return jacobian, None, update or near is None
+        if extra is None:
+            columns = np.setdiff1d(common, problem.linear) if near is not None and near.noise_jacobian is not None else common
+            part = problem.jacobian(theta, model, other, columns, replicate=True)
+            part = [b - a[..., columns] for a, b in zip(known, part, strict=True)]
+            before = near.noise_jacobian if near is not None else None
+            extra = _put(before, part, columns, problem.size)
+        extra = [e[..., : problem.size] for e in extra]
+        if own is not None:
+            more = problem.jacobian(theta, model, other, effects, replicate=True)
+            extra = [np.concatenate([e, b - a], -1) for e, a, b in zip(extra, own, more, strict=True)]
+        return jacobian, extra, update or near is None
+
+    def finish(self, model, theta, point, jacobian, extra, noise, history=()) -> Fit:
+        """The Laplace approximation of a model at its maximum, under a noise."""
+        problem = self.problem
+        normal = normal_equations(problem, noise, model, theta, point, jacobian, extra, self.settings)
+        spread = problem.spread(model)
+        _, logdet = np.linalg.slogdet(normal.hessian * spread[:, None] * spread)
+        cost = normal.loss + normal.white.log_determinant + prior_cost(problem, theta, model)
+        evidence = -0.5 * (cost + logdet) - sum(np.log(h.alternatives) for h in model)
+        # The corrected gradient is noisier than the curvature says: the columns' noise counts once with the residual, once
+        # as the replicate's share taken out (Godambe's information in place of Fisher's).
+        prior = np.diag(1 / spread**2)
+        S = normal.hessian - prior
+        V = S + 2 * _positive(normal.share, spread)
+        covariance = _inverse(_godambe(S, V, prior, 1e-12) + prior)
+        return Fit(model, theta, point, jacobian, extra, noise, covariance, float(evidence), normal.loss, tuple(history))
+
+    def under(self, f: Fit, noise: Noise) -> Fit:
+        """The same fit judged under another noise."""
+        return self.finish(f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, noise, f.history)
+
+
+@dataclass(frozen=True)
+class _Near:
+    """Derivatives that a fit begins with."""
+
+    jacobian: Columns
+    noise_jacobian: Columns | None
+
+
+def _put(before: Columns | None, part: Columns, columns: np.ndarray, size: int) -> Columns:
+    """Columns put into what was known before, shape (k, len(BALANCES), size) a segment."""
+    found = []
+    for s, new in enumerate(part):
+        whole = np.zeros((*new.shape[:2], size)) if before is None else before[s][..., :size].copy()
+        whole[..., columns] = new
+        found.append(whole)
+    return found
+
+
+def _inverse(A: np.ndarray) -> np.ndarray:
+    """Inverse of a positive matrix, scaled to unit diagonal first."""
+    d = 1 / np.sqrt(np.diag(A))
+    return d[:, None] * np.linalg.inv(A * d[:, None] * d) * d
 
 
 def _godambe(S: np.ndarray, V: np.ndarray, prior: np.ndarray, rcond: float) -> np.ndarray:
@@ -448,39 +408,33 @@ def _godambe(S: np.ndarray, V: np.ndarray, prior: np.ndarray, rcond: float) -> n
     return 0.5 * (known + known.T)
 
 
-CLUSTER = 1.0
-"""Residuals within so many seconds may have to do with each other in ways that the noise model does not know."""
-
-
-def with_dispersion(problem: Problem, noise: Noise, f: Fit) -> Fit:
+def with_dispersion(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -> Fit:
     """The fit with a covariance that no noise model has to be right for, where that is the larger one.
 
-    The score's own scatter between stretches of `CLUSTER` seconds takes the place of its expected variance (the
+    The score's own scatter between pieces of `cluster` seconds takes the place of its expected variance (the
     sandwich of Huber and White, clustered): what the laws leave over, in time together, then counts as what it is.
     """
-    jacobian = [np.concatenate([r[..., None], j], -1) for r, j in zip(f.state[0], f.jacobian, strict=True)]
-    score = _scores(whiten(problem.drives, noise, jacobian), HUBER)
-    if f.twin_jacobian is not None:
-        share = [np.concatenate([r[..., None], j], -1) for r, j in zip(f.state[1], f.twin_jacobian, strict=True)]
-        score -= _scores(whiten(problem.drives, noise, share), HUBER)
-    cluster, count = [], 0
-    for drive in problem.drives:
-        index = count + ((drive.at[:: drive.block] - drive.at[0]) / CLUSTER).astype(int)
-        cluster.append(np.tile(index, 3))
-        count = int(index.max()) + 1
-    total = np.zeros((count, score.shape[1]))
-    np.add.at(total, np.concatenate(cluster), score)
+    from .noise import rows_of
+
+    score = _scores(whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows, settings.huber)
+    if f.noise_jacobian is not None:
+        rows = whiten(problem.segments, f.noise, stacked(f.point.noise, f.noise_jacobian)).rows
+        score -= _scores(rows, settings.huber)
+    segment, _, at = rows_of(problem.segments)
+    _, cluster = np.unique(np.stack([segment, np.floor(at / settings.cluster)]), axis=1, return_inverse=True)
+    total = np.zeros((int(cluster.max()) + 1, score.shape[1]))
+    np.add.at(total, cluster.reshape(-1), score)
     total = total[np.any(total, axis=1)]
-    H = normal_equations(problem, noise, f.model, f.theta, f.state, f.jacobian, f.twin_jacobian)[0]
+    normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, settings)
     prior = np.diag(1 / problem.spread(f.model) ** 2)
-    S, V = H - prior, total.T @ total
+    S, V = normal.hessian - prior, total.T @ total
     unbiased = max(len(total) - len(V) - 1, 0.25 * len(total)) / len(total)  # of an inverse Wishart matrix
-    covariance = np.linalg.inv(unbiased * _godambe(S, V, prior, 1e-9) + prior)
+    covariance = _inverse(unbiased * _godambe(S, V, prior, 1e-9) + prior)
     larger = np.sqrt(np.maximum(np.diag(covariance) / np.diag(f.covariance), 1.0))
     return replace(f, covariance=f.covariance * larger[:, None] * larger)
 
 
-def _scores(stack: np.ndarray, limit: float) -> np.ndarray:
-    """Gradient of half the robust loss, row by row, of a whitened stack of residual and columns."""
-    r, X = stack[:, 0], stack[:, 1:]
-    return (robust_loss(r, limit)[1] * r)[:, None] * X
+def _scores(rows: np.ndarray, limit: float) -> np.ndarray:
+    """Gradient of half the robust loss, row by row, of whitened rows [r, J]."""
+    r, X = rows[:, 0], rows[:, 1:]
+    return (huber_weight(r, limit) * r)[:, None] * X

@@ -1,0 +1,354 @@
+"""Recordings as the replay takes them: segments of smooth motion on an even grid, with the readings that it must explain.
+
+Every channel of a segment goes through the same linear smoother (`motion`), so that where the joint is linear no smoothing error
+enters the comparison of torques computed from motion with torques that were measured. Each segment has *noise replicates*: the same
+motion and readings with the sensors' stated noise added a second time, drawn anew. The difference between the two tells what the
+noise of the motion does to a residual, at any parameters.
+
+With one encoder the other end's motion is not known. The rotor's motion then follows from the encoder that there is and the joint's
+description, and the link moves as the replay simulates it (`Segment.link_measured`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
+
+from ...models import dynamics, laws
+from ...models.joint import EncoderSpec, Joint, Mounting
+from ...models.kernels import kernel
+from ...models.parameters import REFERENCE_TEMPERATURE
+from ...models.recording import Recording
+from .motion import passband, smooth
+from .sampling import between, fresh, timing_error
+
+STEP = 1e-3
+"""Step of the replay [s]."""
+DECIMATION = 8
+"""Replay steps per residual: one residual every 8 ms, the mean over a Hann window of 16 ms."""
+BALANCES = ("motor_current", "joint_torque", "link_balance")
+"""The torque balances of a joint, by what their residual is told in: current [A], transmission [N·m], link [N·m]."""
+CURRENT, TORQUE, LINK = range(len(BALANCES))
+UNITS = {"motor_current": "A", "joint_torque": "N·m", "link_balance": "N·m"}
+
+
+@dataclass(frozen=True)
+class SegmentSettings:
+    """How recordings become segments.
+
+    Attributes:
+      held_out_block, held_out_every: every so-manieth block of so many seconds is kept from the fit.
+      settle_time: at both ends of a segment, in which the smoother and the transmission are still settling [s].
+      settle_travel: of the rotor, after which the unknown initial state of the friction is forgotten [rad].
+      rest_travel: of the rotor within ±40 ms, below which neither its encoder's counts nor presliding friction average out
+        [rad].
+      shortest: segments of fewer samples or seconds are left out.
+      block: most residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
+      above_noise: power of the measured acceleration over its noise's, from which on it is motion.
+    """
+
+    held_out_block: float = 0.5
+    held_out_every: int = 6
+    settle_time: float = 0.06
+    settle_travel: float = 0.6
+    rest_travel: float = 0.06
+    shortest: tuple[int, float] = (50, 0.5)
+    block: int = 8
+    above_noise: float = 10.0
+
+
+SETTINGS = SegmentSettings()
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A part of a recording without gaps, smoothed; n replay steps, k residuals.
+
+    Attributes:
+      recording: index of its recording in the measurement.
+      name: of that recording.
+      time: of each replay step since the recording's start [s], shape (n,).
+      rotor: motor encoder's reading and its two derivatives [rad], shape (n, 3).
+      link: link encoder's reading and its two derivatives [rad], shape (n, 3); where it is not measured, as described.
+      link_measured: whether the link's motion was measured; else it is simulated.
+      torque: joint torque reading [N·m], shape (n,); empty without a sensor.
+      external: known torque on the link [N·m], shape (n,).
+      temperature: [°C], shape (n,).
+      mounting: of the link.
+      stiffness: sum of the described joint's K1 to K3 [N·m/rad].
+      at: time of each residual [s], shape (k,).
+      measured: decimated readings of current and joint torque (zero where there is none), shape (k, 2).
+      measured_rate: their rates [1/s], shape (k, 2).
+      state: decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors.
+      load: what the joint gives the link [N·m]: the torque sensor's reading or, without one, what the link as it is
+        described and a known push ask for; shape (k,).
+      balances: which balances can be formed at all, shape (len(BALANCES),), bool.
+      usable: which residuals count, shape (k, len(BALANCES)).
+      held_out: residuals kept from every fit, to measure what was gained, likewise.
+      at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
+      passband: of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s].
+      block: residuals that count as one (`SegmentSettings.block`).
+    """
+
+    recording: int
+    name: str
+    time: np.ndarray
+    rotor: np.ndarray
+    link: np.ndarray
+    link_measured: bool
+    torque: np.ndarray
+    external: np.ndarray
+    temperature: np.ndarray
+    mounting: Mounting
+    stiffness: float
+    at: np.ndarray
+    measured: np.ndarray
+    measured_rate: np.ndarray
+    state: np.ndarray
+    load: np.ndarray
+    balances: np.ndarray
+    usable: np.ndarray
+    held_out: np.ndarray
+    at_rest: np.ndarray
+    passband: float
+    block: int = 1
+
+    @property
+    def motor_position(self) -> np.ndarray:
+        """θm at the residuals [rad], shape (k,)."""
+        return self.state[:, 0]
+
+    @property
+    def link_position(self) -> np.ndarray:
+        """θl at the residuals [rad], shape (k,)."""
+        return self.state[:, 1]
+
+    @property
+    def motor_velocity(self) -> np.ndarray:
+        """θm' at the residuals [rad/s], shape (k,)."""
+        return self.state[:, 2]
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether there was a joint torque sensor."""
+        return len(self.torque) > 0
+
+
+WINDOW = 0.5 * (1 + np.cos(np.pi * np.arange(DECIMATION) / DECIMATION))
+"""Half of the Hann window of a residual."""
+
+
+def decimate(x: np.ndarray) -> np.ndarray:
+    """Hann-weighted means around every `DECIMATION`-th sample, shape (k, …), as the replay takes them."""
+    k = (len(x) - 1) // DECIMATION + 1
+    out = np.zeros((k, *x.shape[1:]))
+    total = np.zeros(k)
+    for j in range(-DECIMATION + 1, DECIMATION):
+        weight = WINDOW[abs(j)]
+        i = np.arange(k) * DECIMATION + j
+        inside = (i >= 0) & (i < len(x))
+        out[inside] += weight * x[i[inside]]
+        total[inside] += weight
+    return out / total.reshape(-1, *[1] * (x.ndim - 1))
+
+
+def segments(
+    recordings: list[Recording], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
+) -> tuple[list[Segment], list[Segment]]:
+    """Smooth every segment of every recording; returns the segments and their noise replicates."""
+    rng = np.random.default_rng(seed)
+    found, replicates = [], []
+    for index, recording in enumerate(recordings):
+        for part in recording.segments:
+            time = recording.time[part]
+            if len(time) < settings.shortest[0] or time[-1] - time[0] < settings.shortest[1]:
+                continue
+            one, replicate = _segment(recording, index, part, joint, rng, settings)
+            found.append(one)
+            replicates.append(replicate)
+    return found, replicates
+
+
+def _segment(recording, index: int, part: slice, joint: Joint, rng, settings: SegmentSettings) -> tuple[Segment, Segment]:
+    p = joint.record(recording.link)[0]
+    channels, noise, time = _channels(recording, part, joint, p, rng)
+    names = list(channels)
+    values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
+    s = smooth(time, values, STEP)
+    place = {name: i for i, name in enumerate(names)}
+
+    def of(name: str, what: np.ndarray, noisy: bool = False) -> np.ndarray:
+        return what[:, place[name] + (len(names) if noisy else 0)]
+
+    def motion(name: str, noisy: bool) -> np.ndarray:
+        return np.column_stack([of(name, what, noisy) for what in (s.value, s.rate, s.acceleration)])
+
+    n = len(s.time)
+    link_measured = "link_position" in recording and "motor_position" in recording
+    rotor, rotor_noise = motion("motor_position", False), motion("motor_position", True)
+    link, link_noise = motion("link_position", False), motion("link_position", True)
+    has = {b: b in names for b in ("motor_current", "joint_torque")}
+    zero = np.zeros(n)
+    read, read_noise, read_rate, noise_rate = (
+        np.column_stack([of(b, what, noisy) if has[b] else zero for b in ("motor_current", "joint_torque")])
+        for what, noisy in ((s.value, False), (s.value, True), (s.rate, False), (s.rate, True))
+    )
+    since = s.time - recording.time[0]
+    external = np.ascontiguousarray(of("external_torque", s.value)) if "external_torque" in place else zero
+    temperature = np.full(n, REFERENCE_TEMPERATURE)
+    if "temperature" in recording:
+        temperature = np.interp(s.time, recording.time[part], recording["temperature"][part])
+    at = decimate(since)
+    state = decimate(np.column_stack([rotor[:, 0], link[:, 0], rotor[:, 1], link[:, 1], link[:, 2]]))
+    measured = decimate(read)
+    at_rest = _at_rest(state[:, 0], settings.rest_travel)
+    balances = np.array([has["motor_current"], has["joint_torque"] and link_measured, link_measured])
+    if not link_measured and has["joint_torque"]:
+        balances = np.array([has["motor_current"], True, False])  # the link's own motion against the sensor
+    usable, held_out = _usable(recording, index, at, state[:, 0], balances, has["joint_torque"], settings)
+    load = measured[:, TORQUE] if has["joint_torque"] else _own_torque(p, state) - decimate(external)
+    one = Segment(
+        recording=index, name=recording.name, time=since, rotor=np.ascontiguousarray(rotor),
+        link=np.ascontiguousarray(link), link_measured=link_measured,
+        torque=np.ascontiguousarray(read[:, TORQUE]) if has["joint_torque"] else np.empty(0),
+        external=external, temperature=temperature, mounting=recording.link,
+        stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
+        state=state, load=load, balances=balances, usable=usable, held_out=held_out, at_rest=at_rest,
+        passband=1 / (2 * np.pi * passband(time)),
+    )  # fmt: skip
+    # Wrong stamps are louder in the accelerations than all that the replicate has of noise.
+    mistimed = link_measured and timing_error(time, channels["motor_position"], channels["link_position"]) > 0.0
+    block = settings.block if mistimed else _block((rotor, link), (rotor_noise, link_noise), settings)
+    one = replace(one, block=block)
+    replicate = replace(
+        one,
+        rotor=rotor + rotor_noise,
+        link=link + link_noise,
+        torque=one.torque + read_noise[:, TORQUE] if has["joint_torque"] else one.torque,
+        measured=measured + decimate(read_noise),
+        measured_rate=one.measured_rate + decimate(noise_rate),
+    )
+    return one, replicate
+
+
+def _channels(recording: Recording, part: slice, joint: Joint, p: np.void, rng: np.random.Generator):
+    """Channels of a segment by name, another draw of their noise, and the times of what is news; shape (n,) each."""
+    s = joint.sensors
+    time = recording.time[part]
+    columns = {name: values[part] for name, values in recording.columns.items()}
+    if "motor_current" not in columns and "motor_torque" in columns:
+        columns["motor_current"] = columns["motor_torque"] / p["Kt_drive"]
+    encoders = {"motor_position": s.motor_encoder, "link_position": s.link_encoder}
+    present = [name for name in encoders if name in columns]
+    slow = min(present, key=lambda name: encoders[name].rate)
+    news = fresh(time, columns[slow], encoders[slow].rate)
+    time, columns = time[news], {name: values[news] for name, values in columns.items()}
+    noise = {name: _encoder_noise(time, columns[name], encoders[name], rng) for name in present}
+    if len(present) == 1:
+        _complete(columns, noise, time - recording.time[0], p)
+    kept = {name: columns[name] for name in encoders}
+    for name, spec in (("motor_current", s.motor_current), ("joint_torque", s.joint_torque)):
+        if name in columns:
+            rms = float(np.hypot(spec.noise, spec.step / np.sqrt(12)))
+            at = fresh(time, columns[name], spec.rate)
+            kept[name] = between(time, time[at], columns[name][at])
+            noise[name] = between(time, time[at], rms * rng.standard_normal(int(at.sum())))
+    if recording.external == "measured":
+        at = fresh(time, columns["external_torque"], s.wrench.rate)
+        kept["external_torque"] = between(time, time[at], columns["external_torque"][at])
+        noise["external_torque"] = np.zeros(len(time))
+    return kept, noise, time
+
+
+def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None:
+    """The motion of the encoder that is not there, from the other and the joint's description; in place.
+
+    The transmission's wind-up under the link's own weight and inertia, and its kinematic error: what the replay then simulates differs
+    from it by what the description does not know.
+    """
+    known = "motor_position" if "motor_position" in columns else "link_position"
+    missing = "link_position" if known == "motor_position" else "motor_position"
+    ratio = p["N"] if known == "link_position" else 1 / p["N"]
+    rough = columns["link_position"] if known == "link_position" else columns["motor_position"] / p["N"]
+    motion = smooth(since, rough[:, None], float(np.median(np.diff(since))), 8.0)
+    v, a = (np.interp(since, motion.time, x[:, 0]) for x in (motion.rate, motion.acceleration))
+    other = np.empty(len(since))
+    _other_end(columns[known], known == "link_position", v, a, since, p, other)
+    columns[missing] = other
+    noise[missing] = ratio * noise[known]
+
+
+@kernel
+def _other_end(known, is_link, v, a, since, p, out):
+    """Rotor angle of a link's, or link angle of a rotor's [rad], springs in equilibrium under the link's own load."""
+    for i in range(len(known)):
+        link = known[i] if is_link else known[i] / p.N
+        for _ in range(1 if is_link else 3):
+            motor, _, _ = dynamics.steady_motion(link, v[i], a[i], 0.0, since[i], p.reference_temperature, p)
+            if not is_link:
+                link += (known[i] - motor) / p.N
+        out[i] = laws.motor_reading(motor, p) if is_link else laws.link_reading(link, p)
+
+
+def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, settings: SegmentSettings):
+    """Which residuals count in a fit, and which are held out, shape (k, len(BALANCES)) each."""
+    travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(theta_m)))])
+    settled = (at > at[0] + settings.settle_time) & (at < at[-1] - settings.settle_time)
+    begun = settled & (travel > settings.settle_travel)
+    block = np.floor(at / settings.held_out_block).astype(int) + index
+    held_out = block % settings.held_out_every == settings.held_out_every - 1
+    usable = np.empty((len(at), len(BALANCES)), bool)
+    usable[:, CURRENT] = begun
+    usable[:, TORQUE] = begun
+    usable[:, LINK] = (settled if has_torque else begun) & (recording.external != "unmeasured")
+    usable &= balances
+    return usable & ~held_out[:, None], usable & held_out[:, None]
+
+
+def _own_torque(p: np.void, state: np.ndarray) -> np.ndarray:
+    """Torque [N·m] that gravity and inertia of the link ask for, shape (k,)."""
+    return p["Mg"] * np.sin(state[:, 1] + p["gravity_angle"]) + p["Jl"] * state[:, 4]
+
+
+def _at_rest(theta_m: np.ndarray, travel: float) -> np.ndarray:
+    """Where the rotor travels less than `travel` within ±40 ms, and 24 ms around that."""
+    low = minimum_filter1d(theta_m, 11)
+    high = maximum_filter1d(theta_m, 11)
+    return maximum_filter1d((high - low < travel).astype(np.int8), 7).astype(bool)
+
+
+def _block(motions, noises, settings: SegmentSettings) -> int:
+    """How many residuals count as one: as many as leave the frequencies in which the joint moves.
+
+    The replay turns the noise of the acceleration into noise of its derivatives in the inertias and dampings. Where the
+    joint does not move, they are nothing else: least squares would fit the noise with itself (errors in variables).
+    """
+    from scipy.signal import welch
+
+    highest, rate = 0.0, 1.0 / (STEP * DECIMATION)
+    for motion, noise in zip(motions, noises, strict=True):
+        x, y = decimate(motion[:, 2]), decimate(noise[:, 2])
+        if len(x) < 64:
+            return 1
+        f, power = welch(np.column_stack([x, y]), rate, nperseg=min(256, len(x)), axis=0)
+        power = uniform_filter1d(power, 5, axis=0, mode="nearest")
+        above = f[power[:, 0] > settings.above_noise * power[:, 1]]
+        highest = max(highest, float(above.max()) if len(above) else 0.0)
+    return int(np.clip(0.5 * rate / max(highest, 1e-3), 1, settings.block))
+
+
+_SHIFT = 1 / 3
+"""Zero of the other draw, in counts: nearer to the reading's own, its smoothed angle falls on the same counts again."""
+
+
+def _encoder_noise(time: np.ndarray, reading: np.ndarray, encoder: EncoderSpec, rng: np.random.Generator) -> np.ndarray:
+    """Another draw of an encoder's error [rad]: noise, and the counts as they fall with another zero.
+
+    At rest the error of the counts is a constant, and so it is here.
+    """
+    motion = smooth(time, reading[:, None], float(np.median(np.diff(time))))
+    angle = np.interp(time, motion.time, motion.value[:, 0]) + _SHIFT * encoder.resolution
+    noisy = angle + encoder.noise * rng.standard_normal(len(time))
+    return np.round(noisy / encoder.resolution) * encoder.resolution - angle

@@ -1,0 +1,183 @@
+"""A measurement, a joint and what may move: residuals and their derivatives at any parameters.
+
+Unknowns are the joint's calibration variables (`models.calibration`, standard normal by construction), the times by
+which the current and torque samples may be off, and the coordinates of the effects under test (`coordinates`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...models.calibration import Calibration
+from ...models.joint import Joint, Mounting
+from ..data.segments import BALANCES, CURRENT, TORQUE, Segment
+from .coordinates import Hypothesis
+from .replay import residuals
+
+TIMING = np.array([0.5e-3, 0.3e-3])
+"""Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
+REACH = 2.6
+"""Standard deviations within which every calibration variable stays: joints are drawn within 2.5, and two variables that
+move the same number (its own tolerance and a shared one) reach little further together than the number's own limit
+(`models.calibration.WITHIN`)."""
+_STEP_X, _STEP_U = 0.05, 0.03  # of the differences that stand for derivatives
+_LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
+_TIMED = (CURRENT, TORQUE)
+
+Model = tuple[Hypothesis, ...]
+
+
+class Problem:
+    """A measurement, a joint, and what may move.
+
+    Attributes:
+      segments, replicates: of the measurement (`data.segments`).
+      joint: its description.
+      calibration: the joint's variables.
+      mountings: of the link, one a segment.
+      size: number of unknowns that every model has: calibration and two sample times.
+      linear: of these, the ones whose derivatives do not depend on where they are taken, shape (m,).
+    """
+
+    def __init__(self, segments: Sequence[Segment], replicates: Sequence[Segment], joint: Joint):
+        self.segments, self.replicates = list(segments), list(replicates)
+        self.joint = joint
+        self.calibration = Calibration(joint)
+        self.mountings = [s.mounting for s in self.segments]
+        self.size = self.calibration.size + len(_TIMED)
+        linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
+        at = [i for i, name in enumerate(self.calibration.names) if name in linear]
+        self.linear = np.array([*at, *range(self.calibration.size, self.size)])
+
+    @property
+    def has_torque(self) -> bool:
+        """Whether a joint torque sensor was read."""
+        return any(s.has_torque for s in self.segments)
+
+    @property
+    def link_measured(self) -> bool:
+        """Whether both encoders were read."""
+        return any(s.link_measured for s in self.segments)
+
+    def with_joint(self, joint: Joint) -> Problem:
+        """The same measurement of another description of the joint (with a model discrepancy in it)."""
+        return Problem(self.segments, self.replicates, joint)
+
+    def match_replicates(self, factors: Sequence[float]) -> None:
+        """Make the noise of the replicates' motion `factors` times as large, one a segment."""
+        self.replicates = [
+            other
+            if f == 1.0
+            else replace(
+                other, rotor=one.rotor + f * (other.rotor - one.rotor), link=one.link + f * (other.link - one.link)
+            )
+            for one, other, f in zip(self.segments, self.replicates, factors, strict=True)
+        ]
+
+    def split(self, theta: np.ndarray, model: Model) -> list[np.ndarray]:
+        """Coordinates of each hypothesis in the vector of unknowns."""
+        parts, at = [], self.size
+        for h in model:
+            parts.append(theta[at : at + h.size])
+            at += h.size
+        return parts
+
+    def place(self, model: Model, index: int) -> slice:
+        """Where the coordinates of a hypothesis stand in the vector of unknowns."""
+        start = self.size + sum(h.size for h in model[:index])
+        return slice(start, start + model[index].size)
+
+    def records(self, theta: np.ndarray, model: Model) -> list[np.ndarray]:
+        """Parameter records of the joint at `theta`, one a segment."""
+        parts = self.split(theta, model)
+        made: dict[Mounting, np.ndarray] = {}
+        found = []
+        for mounting in self.mountings:
+            if mounting not in made:
+                record = self.calibration.record(theta[: self.calibration.size], mounting)
+                for h, u in zip(model, parts, strict=True):
+                    h.cause.apply(record[0], h.values(u))
+                made[mounting] = record
+            found.append(made[mounting])
+        return found
+
+    def residuals(
+        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False
+    ) -> list[list[np.ndarray]]:
+        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel."""
+        chosen = self.replicates if replicate else self.segments
+        tasks = [
+            (segment, record, theta)
+            for theta, model in zip(thetas, models, strict=True)
+            for segment, record in zip(chosen, self.records(theta, model), strict=True)
+        ]
+        done = iter(self.replayed(tasks))
+        return [[next(done) for _ in chosen] for _ in thetas]
+
+    def replayed(self, tasks: Sequence[tuple[Segment, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+        """Residuals, shape (k, len(BALANCES)), of segments under records, at the sample times of unknowns; in parallel."""
+        found = residuals([(segment, record) for segment, record, _ in tasks])
+        for (segment, _, theta), r in zip(tasks, found, strict=True):
+            times = theta[self.calibration.size : self.size] * TIMING
+            for balance, seconds in zip(_TIMED, times, strict=True):
+                r[:, balance] -= segment.measured_rate[:, balance] * seconds
+        return found
+
+    def jacobian(
+        self,
+        theta: np.ndarray,
+        model: Model,
+        base: Sequence[np.ndarray],
+        columns: np.ndarray | None = None,
+        replicate: bool = False,
+    ) -> list[np.ndarray]:
+        """Derivatives of the residuals, shape (k, len(BALANCES), len(columns)) a segment, by differences."""
+        n = len(theta)
+        columns = np.arange(n) if columns is None else columns
+        step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
+        replayed = [j for j in columns if not self.calibration.size <= j < self.size]
+        moved = [theta + step[j] * np.eye(n)[j] for j in replayed]
+        done = dict(zip(replayed, self.residuals(moved, [model] * len(moved), replicate), strict=True))
+        found = []
+        for s, segment in enumerate(self.replicates if replicate else self.segments):
+            J = np.zeros((*base[s].shape, len(columns)))
+            for i, j in enumerate(columns):
+                if j in done:
+                    J[..., i] = (done[j][s] - base[s]) / step[j]
+                else:  # a sample time: the reading's own rate
+                    which = j - self.calibration.size
+                    J[:, _TIMED[which], i] = -segment.measured_rate[:, _TIMED[which]] * TIMING[which]
+            found.append(J)
+        return found
+
+    def is_calibration(self, theta: np.ndarray, model: Model) -> bool:
+        """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause."""
+        records = self.records(theta, model)
+        before = self.records(theta[: len(theta) - model[-1].size], model[:-1])
+        return all(self.calibration.expresses(*trio) for trio in zip(records, before, self.mountings, strict=True))
+
+    def spread(self, model: Model) -> np.ndarray:
+        """Prior standard deviation of every unknown."""
+        return np.concatenate([np.ones(self.size), *(h.spread for h in model)])
+
+    def start(self, x: np.ndarray | None, model: Model) -> np.ndarray:
+        """A vector of unknowns: the common ones at x, the effects absent."""
+        return np.concatenate([np.zeros(self.size) if x is None else x, np.zeros(sum(h.size for h in model))])
+
+    def bounds(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """Smallest and largest value of every unknown."""
+        common = np.full(self.size, REACH)
+        limits = [h.limits for h in model]
+        low = np.concatenate([-common, *(l for l, _ in limits)])
+        return low, np.concatenate([common, *(u for _, u in limits)])
+
+    def quantum(self) -> np.ndarray:
+        """What the rotor encoder's quantisation (rms) leaves in each balance where it does not average out."""
+        rms = self.joint.sensors.motor_encoder.resolution / np.sqrt(12)
+        value = {name: number.value for name, number in self.joint.numbers.items()}
+        found = np.zeros(len(BALANCES))
+        found[CURRENT], found[TORQUE] = value["Kw0"] * rms / value["Kt"], value["K1"] * rms / value["N"]
+        return found
