@@ -63,6 +63,10 @@ class Cause(ABC):
     parameters: ClassVar[tuple[Parameter, ...]]
     needs: ClassVar[tuple[str, ...]] = ()
     """Columns of a recording without which the cause cannot show."""
+    adds: ClassVar[bool] = False
+    """Whether a second one adds to the first (another order), instead of replacing it."""
+    scales: ClassVar[tuple[str, ...]] = ()
+    """Fields of the parameter record that its one parameter multiplies."""
 
     @abstractmethod
     def apply(self, p: np.void, values: dict[str, float]) -> None:

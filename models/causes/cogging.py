@@ -13,6 +13,7 @@ class Cogging(Cause):
     name = "cogging"
     component = "motor"
     description = "a torque periodic in the rotor angle, A sin(n θm + φ), acts on the rotor"
+    adds = True
     parameters = (
         Parameter("order", "1", (1, 64), ((2, 13),), integer=True),
         Parameter("amplitude", "N·m", (0.0, 0.1), ((4e-3, 10e-3),), magnitude=True),

@@ -13,6 +13,7 @@ class KinematicError(Cause):
     name = "kinematic_error"
     component = "transmission"
     description = "an order of the kinematic error differs from calibration"
+    adds = True
     parameters = (
         Parameter("order", "1", (0.01, 64), ((1, 4),), integer=True),
         Parameter("amplitude", "rad", (0.0, 0.05), ((0.8e-4, 2e-4),), magnitude=True),

@@ -13,6 +13,7 @@ class LinkEncoderEccentricity(Cause):
     name = "link_encoder_eccentricity"
     component = "sensor"
     description = "the link encoder is mounted off centre: reading + A (sin(θl + φ) − sin φ)"
+    adds = True
     parameters = (
         Parameter("amplitude", "rad", (0.0, 0.05), ((0.2e-3, 0.6e-3),), magnitude=True),
         PHASE,

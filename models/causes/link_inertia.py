@@ -13,6 +13,8 @@ class LinkInertia(Cause):
     name = "link_inertia"
     component = "link"
     description = "the link's inertia differs"
+    adds = True
+    scales = ("Jl",)
     parameters = (Parameter("scale", "1", (0.05, 20.0), ((1.5, 2.2),), neutral=1.0, magnitude=True),)
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:

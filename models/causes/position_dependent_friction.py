@@ -13,6 +13,7 @@ class PositionDependentFriction(Cause):
     name = "position_dependent_friction"
     component = "transmission"
     description = "mesh friction is periodic in the link angle: g(w) + A sin(n θl + φ)"
+    adds = True
     parameters = (
         Parameter("order", "1", (1, 32), ((1, 3),), integer=True),
         Parameter("amplitude", "N·m", (0.0, 0.1), ((6e-3, 12e-3),), magnitude=True),

@@ -13,6 +13,8 @@ class Stiffness(Cause):
     name = "stiffness"
     component = "transmission"
     description = "the flexspline's stiffness (K1, K2, K3) is scaled"
+    adds = True
+    scales = ("K1", "K2", "K3")
     parameters = (Parameter("scale", "1", (0.2, 5.0), ((0.65, 0.85), (1.2, 1.5)), neutral=1.0, magnitude=True),)
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
