@@ -22,15 +22,15 @@ from . import native
 
 MAGIC = 1.8446744073e19  # marks the numeric field of a joint's model
 HEADER = 9
-"""Words before the record: magic; timestep; activations of the bristle, of the three velocities' memory and (or −1) of
-the Dahl state; whether the bristle is MuJoCo's own; actuators that hold the memory (the first) and the Dahl state;
-temperature [°C]."""
+"""Words before the record: magic; timestep; activations of the bristle, of the velocities' memory and (or −1) of the Dahl
+state; whether the bristle is MuJoCo's own; actuators that hold the memory (the first) and the Dahl state; temperature
+[°C]."""
 TEMPERATURE = HEADER - 1
 """Place of the temperature [°C] in the header: whoever steps the model may change it."""
 NUMERIC_SIZE = HEADER + SIZE
 
-ROTOR, WAVE_GENERATOR, LINK = 0, 1, 2
-"""Indices of the joint's three coordinates."""
+ROTOR, WAVE_GENERATOR, LINK, FLEXIBLE = 0, 1, 2, 3
+"""Indices of the joint's coordinates; the fourth, against the link, where part of the link hangs by a spring."""
 
 
 def numeric(record: np.ndarray, timestep: float, header: tuple[float, ...]) -> np.ndarray:
@@ -54,8 +54,8 @@ def transmission_at(theta, velocity, dahl, p):
 
 @kernel
 def reduced_inertia(p):
-    """Inertia [kg·m², output side] that wave generator and link oppose to the flexspline."""
-    return 1.0 / (1.0 / p.Jl + 1.0 / (p.N * p.N * p.Jw))
+    """Inertia [kg·m², output side] that wave generator and (what is rigid of) the link oppose to the flexspline."""
+    return 1.0 / (1.0 / (p.Jl - laws.flexible_inertia(p)) + 1.0 / (p.N * p.N * p.Jw))
 
 
 @kernel
@@ -170,6 +170,9 @@ def _passive(m, d):
     force[ROTOR] += on_rotor
     force[WAVE_GENERATOR] += on_wave_generator
     force[LINK] += on_link
+    if p.flexible_share > 0.0:  # the spring and half of the damping are MuJoCo's own; this is the explicit half
+        flexible = floats_at(word_at(d + 8 * _QVEL))[FLEXIBLE]
+        floats_at(word_at(d + 8 * _PASSIVE))[FLEXIBLE] -= 0.5 * laws.flexible_torque(0.0, flexible, p)
 
 
 def _act_dyn(m, d, actuator):
@@ -179,15 +182,16 @@ def _act_dyn(m, d, actuator):
     numeric = word_at(m + 8 * _NUMERIC)
     header = floats_at(numeric)
     p = carray(record_at(numeric + 8 * HEADER), 1)[0]
-    theta, velocity = carray(floats_at(word_at(d + 8 * _QPOS)), 3), carray(floats_at(word_at(d + 8 * _QVEL)), 3)
+    speed = floats_at(word_at(d + 8 * _QVEL))
+    theta, velocity = carray(floats_at(word_at(d + 8 * _QPOS)), 3), carray(speed, 3)
     act = floats_at(word_at(d + 8 * _ACT))
     time, h = floats_at(d + 8 * _TIME)[0], header[1]
     z = act[int(header[2])]
     dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
     memory = int(header[3])
     remembered = actuator - int(header[6])
-    if 0 <= remembered < 3:
-        return (velocity[remembered] - act[memory + remembered]) / h
+    if 0 <= remembered < (4 if p.flexible_share > 0.0 else 3):
+        return (speed[remembered] - act[memory + remembered]) / h
     previous = carray(floats_at(word_at(d + 8 * _ACT) + 8 * memory), 3)
     state, _, _ = at_positions(theta, velocity, previous, z, dahl, time, h, header[TEMPERATURE], p)
     if actuator == int(header[7]):

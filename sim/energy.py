@@ -14,7 +14,7 @@ import numpy as np
 from ..models import laws
 from ..models.laws import LOGARITHM_END
 from . import plant
-from .callbacks import LINK, ROTOR, WAVE_GENERATOR
+from .callbacks import FLEXIBLE, LINK, ROTOR, WAVE_GENERATOR
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,8 @@ class Energy:
     cogging: float
     friction: float
     """Stored in the bristles of mesh friction and hysteresis."""
+    flexible: float
+    """Motion and spring of the part of the link that hangs on it by a spring."""
 
     @property
     def total(self) -> float:
@@ -42,6 +44,7 @@ class Energy:
             self.link,
             self.cogging,
             self.friction,
+            self.flexible,
         )
         return float(sum(parts))
 
@@ -57,8 +60,8 @@ def energy(model: mujoco.MjModel, data: mujoco.MjData, record: np.ndarray) -> En
     has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
     return energy_of(
         record,
-        data.qpos[:3] - model.opt.timestep * data.qvel[:3],
-        0.5 * (data.act[memory : memory + 3] + data.qvel[:3]),
+        data.qpos - model.opt.timestep * data.qvel,
+        0.5 * (data.act[memory : memory + model.nv] + data.qvel),
         float(data.act[plant.activation(model, "mesh_friction")]),
         float(data.act[plant.activation(model, "hysteresis")]) if has_dahl else 0.0,
     )
@@ -71,12 +74,15 @@ def energy_of(
 
     Args:
       record: parameters, shape (1,).
-      position, velocity: rotor, wave generator, link; shape (3,), rad and rad/s.
+      position, velocity: rotor, wave generator, link, rad and rad/s; shape (3,), or (4,) with the angle against the link of
+        what hangs on it by a spring.
       bristle: deflection of the mesh friction's bristle [rad]; dahl: Dahl state of the flexspline's hysteresis [rad].
     """
     p = record[0]
     theta_m, theta_w, theta_l = position[ROTOR], position[WAVE_GENERATOR], position[LINK]
-    inertia = np.array([p["Jm"], p["Jw"], p["Jl"]])
+    hanging = float(laws.flexible_inertia(p))
+    angle, rate = (position[FLEXIBLE], velocity[FLEXIBLE]) if len(position) > FLEXIBLE else (0.0, 0.0)
+    inertia = np.array([p["Jm"], p["Jw"], p["Jl"] - hanging])
     torsion = theta_w / p["N"] - theta_l - laws.kinematic_error(theta_w, p)
     link = 0.5 * p["cable_stiffness"] * (theta_l - p["cable_rest"]) ** 2
     link += 0.5 * p["stop_stiffness"] * max(theta_l - p["stop_angle"], 0.0) ** 2
@@ -85,25 +91,35 @@ def energy_of(
     friction = 0.5 * p["s0"] * bristle**2
     friction += 0.5 * p["hysteresis_torque"] / p["hysteresis_extent"] * dahl**2
     return Energy(
-        kinetic=float(0.5 * np.sum(inertia * np.asarray(velocity) ** 2)),
+        kinetic=float(0.5 * np.sum(inertia * np.asarray(velocity)[:3] ** 2)),
         flexspline=flexspline_energy(float(torsion), p),
         wave_generator=wave_generator_energy(float(theta_m - theta_w), p),
         gravity=float(p["Mg"] * (1.0 - np.cos(theta_l + p["gravity_angle"]))),
         link=float(link),
         cogging=float(np.sum(amplitude / order * np.cos(order * theta_m + phase))),
         friction=float(friction),
+        flexible=float(
+            0.5 * hanging * (velocity[LINK] + rate) ** 2 + 0.5 * laws.flexible_torque(angle, 0.0, p) * angle
+        ),
     )
 
 
 def flexspline_energy(torsion: float, p: np.void) -> float:
-    """Energy of the flexspline's spring [J]: the integral of `laws.flexspline_spring`, quadratic between the knees."""
-    rest = max(abs(torsion) - 0.5 * p["backlash"], 0.0)
-    lengths = (p["T1"] / p["K1"], (p["T2"] - p["T1"]) / p["K2"], np.inf)
-    total = 0.0
-    for length, begin, slope in zip(lengths, (0.0, p["T1"], p["T2"]), (p["K1"], p["K2"], p["K3"]), strict=True):
-        x = min(rest, length)
-        total += (begin + 0.5 * slope * x) * x
-        rest -= x
+    """Energy of the flexspline's spring [J]: the integral of `laws.flexspline_spring`, quadratic between the knees.
+
+    Each change of slope adds the integral of its ramp: (u + w)³/12w inside ±w of its knee, u²/2 + w²/6 beyond.
+    """
+    x = max(abs(torsion) - 0.5 * p["backlash"], 0.0)
+    knee1 = p["T1"] / p["K1"]
+    knee2 = knee1 + (p["T2"] - p["T1"]) / p["K2"]
+    width = min(p["knee_width"], knee1)
+    total = 0.5 * p["K1"] * x**2
+    for knee, change in ((knee1, p["K2"] - p["K1"]), (knee2, p["K3"] - p["K2"])):
+        u = x - knee
+        if u >= width:
+            total += change * (0.5 * u**2 + width**2 / 6)
+        elif u > -width:
+            total += change * (u + width) ** 3 / (12 * width)
     return float(total)
 
 

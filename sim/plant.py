@@ -5,6 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from ..models import laws
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from ..models.parameters import PARAMETERS, REFERENCE_TEMPERATURE
@@ -57,16 +58,16 @@ def build(
         _set_numbers(spec, p, timestep, ideal_current)
         native_friction = _set_friction(spec, p)
         has_dahl = p["hysteresis_torque"] != 0
-        for name in _JOINTS:
-            _add_state(spec, f"{name}_velocity")
-        if has_dahl:
-            _add_state(spec, "hysteresis")
-        if locked_rotor:
-            spec.joint("rotor").armature = _LOCKED
         joints = _JOINTS
         if p["flexible_share"] > 0:
             _hang_flexibly(spec, p)
             joints = (*_JOINTS, "flexible")
+        for name in joints:
+            _add_state(spec, f"{name}_velocity", joint=name)
+        if has_dahl:
+            _add_state(spec, "hysteresis")
+        if locked_rotor:
+            spec.joint("rotor").armature = _LOCKED
         spec.add_numeric(name="joint", size=callbacks.NUMERIC_SIZE, data=[0.0])
         model = spec.compile()
     except (ValueError, KeyError, AttributeError) as error:
@@ -122,7 +123,7 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
     data.act[:] = 0.0
     mujoco.mj_forward(model, data)
     memory = activation(model, "rotor_velocity")
-    data.act[memory : memory + 3] = -1.5 * h * data.qacc[:3]
+    data.act[memory : memory + model.nv] = -1.5 * h * data.qacc
     data.qvel[:] = -0.5 * h * data.qacc
     data.act[activation(model, "mesh_friction")] = -h * data.qvel[callbacks.WAVE_GENERATOR]
     p = model.numeric_data[callbacks.HEADER :].copy().view(PARAMETERS)[0]
@@ -175,7 +176,7 @@ def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     """A mass with the gravity moment, off the link's axis by the gravity angle, and the rest of the inertia as its shape."""
     body = spec.body("link")
-    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"]) * (1.0 - float(p["flexible_share"]))
+    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"] - laws.flexible_inertia(p))
     # The mass sits close enough for its own m r² to leave 40 % of the inertia to its shape.
     lever = min(_LEVER, 0.6 * inertia / moment) if moment > 0 else _LEVER
     mass = moment / lever if moment > 0 else 0.1
@@ -190,15 +191,14 @@ def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
 
 
 def _hang_flexibly(spec: mujoco.MjSpec, p: np.void) -> None:
-    """Hang a share of the link's inertia on a spring: J_s (φ'' + θl'') = −k φ − d φ', resonance at the stated frequency."""
-    inertia = float(p["flexible_share"] * p["Jl"])
-    pulsation = 2 * np.pi * float(p["flexible_frequency"])
+    """Hang a share of the link's inertia on a spring, `laws.flexible_torque`; half of its damping, as everywhere."""
+    inertia = float(laws.flexible_inertia(p))
     body = spec.body("link").add_body(name="flexible")
     body.explicitinertial = True
     body.mass, body.inertia = 1e-6, [inertia] * 3
     joint = body.add_joint(name="flexible", type=mujoco.mjtJoint.mjJNT_HINGE, axis=spec.joint("link").axis)
-    joint.stiffness = [inertia * pulsation**2, 0, 0]
-    joint.damping = [2 * float(p["flexible_damping"]) * inertia * pulsation, 0, 0]
+    joint.stiffness = [laws.flexible_torque(1.0, 0.0, p), 0, 0]
+    joint.damping = [0.5 * laws.flexible_torque(0.0, 1.0, p), 0, 0]
 
 
 def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:

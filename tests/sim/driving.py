@@ -25,8 +25,8 @@ def record_of(mounting="link", **changes) -> np.ndarray:
     return record
 
 
-def drive(record, pieces=PIECES, timestep=plant.TIMESTEP, period=1e-3, start=None, mounting="link"):
-    """Run the plant with ideal current.
+def drive(record, pieces=PIECES, timestep=plant.TIMESTEP, period=1e-3, start=None, mounting="link", temperature=None):
+    """Run the plant with ideal current; `temperature` [°C]: a function of time, held over each period.
 
     Returns:
       Positions, velocities (n, 3) and joint torque Ts (n,) at the ticks, and what the wrench's torque sensor gave (n, 3).
@@ -43,6 +43,8 @@ def drive(record, pieces=PIECES, timestep=plant.TIMESTEP, period=1e-3, start=Non
     last = (0.0, 0.0)
     for duration, motor, external in pieces:
         for _ in range(round(duration / period)):
+            if temperature is not None:
+                plant.set_temperature(model, temperature(len(theta) * period))
             theta.append(data.qpos.copy())
             before = data.qvel.copy()
             data.ctrl[0] = 0.5 * (motor + last[0])
@@ -51,7 +53,9 @@ def drive(record, pieces=PIECES, timestep=plant.TIMESTEP, period=1e-3, start=Non
             omega.append(0.5 * (before + data.qvel))
             wrench.append(data.sensordata[sensor : sensor + 3].copy())
             z = data.act[dahl] if dahl >= 0 else 0.0
-            torque.append(transmission_at(theta[-1], omega[-1], z, p).flexspline_torque - p["bl"] * omega[-1][2])
+            torque.append(
+                transmission_at(theta[-1][:3], omega[-1][:3], z, p).flexspline_torque - p["bl"] * omega[-1][2]
+            )
             data.ctrl[0] = motor
             data.xfrc_applied[body, 4] = -external
             if substeps > 1:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from driving import JOINT, PIECES, drive, record_of, relative
@@ -96,11 +98,16 @@ EFFECTS = {
     "load_dependent_friction": {"friction_load": 0.25},
     "position_dependent_friction": {"friction_amplitude": 0.01, "friction_order": 3, "friction_phase": 0.5},
     "friction_drift": {"drift_amplitude": 1.2, "drift_time": 0.2},
+    "friction_temperature": {"friction_temperature": -0.02, "reference_temperature": 5.0},
+    "back_driving": {"friction_load": 0.2, "back_driven_friction": 2.0},
+    "viscous_exponent": {"viscous_exponent": 0.5, "bw": 3e-4},
+    "link_flexibility": {"flexible_share": 0.3, "flexible_frequency": 18.0, "flexible_damping": 0.03},
     "gravity_moment": {"Mg": 10.5},
     "gravity_direction": {"gravity_angle": 0.15},
     "link_inertia": {"Jl": 0.6},
     "cable_spring": {"cable_stiffness": 1.2, "cable_rest": 0.4},
     "hard_stop": {"stop_angle": 0.02, "stop_stiffness": 30.0},
+    "smooth_knees": {"knee_width": 1.2e-4, "T1": 1.2, "T2": 4.0, "K2": 6000.0, "K3": 12000.0},
 }
 """Effects that act in the plant (the others in its sensors), as changes of the record."""
 
@@ -139,6 +146,110 @@ def test_effect_is_that_of_the_specification(effect, nominal):
         assert got[channel] < limit, channel
     if effect != "none":
         assert change > 10 * max(got.values())
+
+
+def test_kinematic_error_of_order_six_and_once_per_turn_of_the_link(nominal):
+    record = record_of()
+    p = record[0]
+    p["amplitude"][2:4], p["order"][2:4], p["phase"][2:4] = [2e-5, 2e-4], [6, 0.01], [0.4, 1.2]
+    states, rates = solve(record, PIECES)
+    theta, _, torque, _ = drive(record)
+    got = relative(torsion(theta), torsion(states))
+    assert got < 0.005 and relative(torque, torques(record, states, rates, PIECES)) < 0.006
+    assert relative(torsion(states), torsion(nominal[0])) > 10 * got
+
+
+def test_friction_follows_the_temperature():
+    """A gear that warms by 40 K within the half second of the motion, held over each tick as the loop does."""
+
+    def temperature(t):
+        return 25.0 + 80.0 * np.floor(t / 1e-3 + 1e-9) * 1e-3
+
+    record = record_of(friction_temperature=-0.02)
+    pieces = [(1e-3, motor, external) for d, motor, external in PIECES for _ in range(round(d / 1e-3))]
+    states, rates = solve(record, pieces, temperature=temperature)
+    expected = torques(record, states, rates, pieces)
+    theta, _, torque, _ = drive(record, temperature=temperature)
+    constant = drive(record)
+    got = relative(theta[:, 2], states[:, 2])
+    print(
+        f"link {got:.2e}, torque {relative(torque, expected):.2e}, warming itself {relative(constant[0][:, 2], states[:, 2]):.2e}"
+    )
+    assert got < 0.005 and relative(torque, expected) < 0.006
+    assert relative(constant[0][:, 2], states[:, 2]) > 10 * got
+
+
+@pytest.mark.parametrize("share, frequency, damping", [(0.15, 25.0, 0.01), (0.3, 14.0, 0.03), (0.4, 10.0, 0.05)])
+def test_a_link_that_is_not_rigid_rings_at_its_own_frequency(share, frequency, damping):
+    """The rotor held, the springs nearly rigid, the link let go: what hangs on it by a spring rings as with the link held.
+
+    Frequency ω √(1 − ζ²) and logarithmic decrement 2πζ/√(1 − ζ²) of the free oscillation.
+    """
+    import mujoco
+
+    record = record_of(
+        "no_load", flexible_share=share, flexible_frequency=frequency, flexible_damping=damping, Jl=0.35, amplitude=0.0,
+    )  # fmt: skip
+    p = record[0]
+    p["amplitude"] = 0.0
+    p["K1"] = p["K2"] = p["K3"] = 4e5
+    p["Kw0"], p["Cw"], p["df"] = 100.0, 1e-3, 400.0
+    model = plant.build(
+        JOINT, Mounting(inertia=0.35, gravity_moment=0.0), record=record, ideal_current=True, locked_rotor=True
+    )
+    data = mujoco.MjData(model)
+    data.qpos[3] = 0.0
+    plant.start(model, data)
+    data.qpos[3] = 1e-4
+    angle = []
+    for _ in range(round(1.0 / model.opt.timestep)):
+        angle.append(data.qpos[3])
+        mujoco.mj_step(model, data)
+    angle = np.array(angle)
+    ups = np.flatnonzero((angle[:-1] < 0) & (angle[1:] >= 0))
+    crossings = (ups - angle[ups] / (angle[ups + 1] - angle[ups])) * model.opt.timestep
+    rung = 1 / np.diff(crossings).mean()
+    peaks = [np.abs(angle[a:b]).max() for a, b in pairwise(ups)]
+    decrement = -np.polyfit(np.arange(len(peaks)), np.log(peaks), 1)[0]
+    root = np.sqrt(1 - damping**2)
+    print(f"{rung:.3f} Hz of {frequency * root:.3f} Hz, decrement {decrement:.4f} of {2 * np.pi * damping / root:.4f}")
+    assert rung == pytest.approx(frequency * root, rel=0.01)
+    assert decrement == pytest.approx(2 * np.pi * damping / root, rel=0.05)
+
+
+def test_second_resonance_of_a_free_joint():
+    """Link and hanging part against the flexspline: the plant's frequencies are the eigenvalues of its linear equations."""
+    import mujoco
+
+    record = record_of("no_load", flexible_share=0.3, flexible_frequency=18.0, flexible_damping=0.0, Jl=0.35, bl=0.0)
+    p = record[0]
+    p["amplitude"], p["df"], p["dw"], p["s1"], p["bw"], p["bm"] = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    p["K1"] = p["K2"] = p["K3"] = 9000.0
+    p["Cw"], p["s0"] = 1e-9, 0.0
+    model = plant.build(
+        JOINT, Mounting(inertia=0.35, gravity_moment=0.0), record=record, ideal_current=True, locked_rotor=True
+    )
+    data = mujoco.MjData(model)
+    plant.start(model, data)
+    data.qpos[2] = 1e-4
+    link = []
+    for _ in range(round(8.0 / model.opt.timestep)):
+        link.append(data.qpos[2])
+        mujoco.mj_step(model, data)
+    spectrum = np.abs(np.fft.rfft(np.array(link) * np.hanning(len(link)), 1 << 19))
+    f = np.fft.rfftfreq(1 << 19, model.opt.timestep)
+    w = 2 * np.pi * 18.0
+    part = 0.3 * 0.35
+    inertia = np.array(
+        [[8.1e-6 * 100**2, 0, 0], [0, 0.35, part], [0, part, part]]
+    )  # wave generator/N, link, hanging part
+    stiffness = np.array([[9000 + 1.14 * 100**2, -9000, 0], [-9000, 9000, 0], [0, 0, part * w**2]])
+    expected = np.sqrt(np.sort(np.linalg.eigvals(np.linalg.solve(inertia, stiffness)).real)) / (2 * np.pi)
+    for mode in expected[:2]:
+        near = np.abs(f - mode) < 0.2 * mode
+        got = f[near][spectrum[near].argmax()]
+        print(f"{got:.3f} Hz of {mode:.3f} Hz")
+        assert got == pytest.approx(mode, rel=0.005)
 
 
 def test_no_load_mounting_agrees_too():
