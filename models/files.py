@@ -71,6 +71,14 @@ def read_yaml(path: Path, what: str) -> Any:
         raise InputError(f"{path}{where}: not YAML: {getattr(error, 'problem', None) or error}") from error
 
 
+def yaml_value(text: str) -> Any:
+    """A value as a YAML file would hold it; text that is not YAML is text."""
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except yaml.YAMLError:
+        return text
+
+
 def parse(data: Any, model: type[M], where: str) -> M:
     """Check `data` against a pydantic model; the first thing wrong raises `InputError` in one line."""
     if not isinstance(data, dict):

@@ -28,6 +28,8 @@ VARIABLES = (
     "motor_position_two_turns",
 )  # fmt: skip
 
+GRAVITY = 9.80665
+"""Standard gravity [m/s²]."""
 REFERENCE_TEMPERATURE = 25.0
 """Temperature [°C] at which a joint has the friction that its description states, where it says nothing else."""
 

@@ -134,6 +134,11 @@ class Recording:
             external = "unmeasured"
         return replace(self, columns=kept, external=external)
 
+    def at(self, samples: slice | np.ndarray, time: np.ndarray | None = None) -> Recording:
+        """The same recording at some of its samples; with other time stamps [s] of these, where given."""
+        columns = {name: values[samples] for name, values in self.columns.items()}
+        return replace(self, time=self.time[samples] if time is None else time, columns=columns)
+
     @cached_property
     def segments(self) -> tuple[slice, ...]:
         """The parts between gaps, as slices of samples."""

@@ -8,12 +8,11 @@ import numpy as np
 from ..models import laws
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
-from ..models.parameters import PARAMETERS, REFERENCE_TEMPERATURE
+from ..models.parameters import GRAVITY, PARAMETERS, REFERENCE_TEMPERATURE
 from . import callbacks
 
 TIMESTEP = 0.0002
 """Default timestep [s], chosen by the convergence study in docs/convergence.md."""
-GRAVITY = 9.80665
 _JOINTS = ("rotor", "wave_generator", "link")
 _LOCKED = 1e6  # kg·m²: a rotor that no torque turns
 _LEVER = 0.25  # m: largest distance of the link's centre of mass from the axis

@@ -5,8 +5,12 @@ from __future__ import annotations
 import importlib
 import pkgutil
 from functools import cache
+from typing import TYPE_CHECKING
 
-from .base import COMPONENTS, Cause, Parameter
+from .base import COMPONENTS, Cause, CauseParameter, Requirements
+
+if TYPE_CHECKING:
+    from ..joint import Joint
 
 
 @cache
@@ -26,7 +30,7 @@ def names() -> list[str]:
     return sorted(_library(), key=lambda name: (COMPONENTS.index(_library()[name].component), name))
 
 
-def of(joint: object) -> list[str]:
+def of(joint: Joint) -> list[str]:
     """Names of the causes that a joint description leaves room for."""
     return [name for name in names() if get(name).concerns(joint)]
 
@@ -36,4 +40,4 @@ def get(name: str) -> Cause:
     return _library()[name]
 
 
-__all__ = ["COMPONENTS", "Cause", "Parameter", "get", "names", "of"]
+__all__ = ["COMPONENTS", "Cause", "CauseParameter", "Requirements", "get", "names", "of"]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class Backlash(Cause):
@@ -13,7 +11,7 @@ class Backlash(Cause):
     name = "backlash"
     component = "transmission"
     description = "the flexspline's spring has a dead zone"
-    parameters = (Parameter("width", "rad", (0.0, 0.01), ((0.2e-3, 0.6e-3),), magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["backlash"] = values["width"]
+    parameters = (CauseParameter("width", "rad", (0.0, 0.01), ((0.2e-3, 0.6e-3),), magnitude=True),)
+    sets = {"width": "backlash"}
+    requires = Requirements(sliding=0.5, reversal=True)
+    torsion = True

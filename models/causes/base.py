@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABC
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
+
+from ..errors import InputError
+
+if TYPE_CHECKING:
+    from ..joint import Joint
 
 COMPONENTS = ("motor", "transmission", "link", "sensor")
 
 
 @dataclass(frozen=True)
-class Parameter:
+class CauseParameter:
     """A parameter of a cause, of the *extended* model.
 
     Attributes:
       name: as in recordings' diagnosis output.
-      unit: SI unit, empty for a pure number.
+      unit: SI unit, `1` for a pure number.
       bounds: smallest and largest value that makes sense.
       ordinary: intervals of ordinary size, from which hidden effects are drawn and priors are made; in units of the
         nominal value where `relative` is set (0.92 is 8 % less).
@@ -40,45 +46,102 @@ class Parameter:
 
 
 TURN = 2 * np.pi
-PHASE = Parameter("phase", "rad", (-TURN, TURN), ((0.0, TURN),), period=TURN)
+PHASE = CauseParameter("phase", "rad", (-TURN, TURN), ((0.0, TURN),), period=TURN)
 """The phase of a periodic effect."""
 
 
+@dataclass(frozen=True)
+class Requirements:
+    """What there must be in a measurement for a cause of ordinary size to show at all; by default nothing.
+
+    Attributes:
+      sliding: time in which the mesh slides, over all recordings [s].
+      reversal: whether the motion must change its direction.
+      motor_turn: way of the rotor [turns]; link_travel: range of the link's angle [rad].
+      link_beyond: angle that the link must pass [rad].
+      load_span: range of the joint torque, as a share of the rated torque.
+      speed: of the motor, in Stribeck velocities vs.
+      duration: of one recording [s].
+      temperature_span: range of the temperature [K].
+      known_push: whether there must be a recording without unmeasured pushes on the link.
+      gravity: whether such a one must have a gravity moment.
+    """
+
+    sliding: float = 0.0
+    reversal: bool = False
+    motor_turn: float = 0.0
+    link_travel: float = 0.0
+    link_beyond: float = -np.inf
+    load_span: float = 0.0
+    speed: float = 0.0
+    duration: float = 0.0
+    temperature_span: float = 0.0
+    known_push: bool = False
+    gravity: bool = False
+
+
 def put_order(p: np.void, field: str, values: dict[str, float]) -> None:
-    """Put order, amplitude and phase into the first free place of `{field}_order`, `_amplitude`, `_phase`."""
-    slot = int(np.flatnonzero(p[f"{field}_amplitude"] == 0)[0])
-    for name in ("order", "amplitude", "phase"):
-        p[f"{field}_{name}"][slot] = values[name]
+    """Add an order, amplitude and phase to `{field}_order`, `_amplitude`, `_phase`: as a vector to the same order where
+    it is there, else in the first free place.
+
+    Raises:
+      InputError: no place is free.
+    """
+    orders, amplitudes, phases = (p[f"{field}_{name}"] for name in ("order", "amplitude", "phase"))
+    there = np.flatnonzero((amplitudes != 0) & (orders == values["order"]))
+    free = np.flatnonzero(amplitudes == 0)
+    if there.size:
+        slot = int(there[0])
+        whole = sum(
+            a * np.exp(1j * f) for a, f in ((amplitudes[slot], phases[slot]), (values["amplitude"], values["phase"]))
+        )
+        amplitudes[slot], phases[slot] = abs(whole), np.angle(whole)
+    elif free.size:
+        slot = int(free[0])
+        orders[slot], amplitudes[slot], phases[slot] = values["order"], values["amplitude"], values["phase"]
+    else:
+        raise InputError(f"expected at most {len(orders)} orders of {field.replace('_', ' ')}, got one more")
 
 
 class Cause(ABC):
-    """A cause: what it does to the parameter record, where it sits, and how large it ordinarily is.
+    """A cause: what it does to the parameter record, where it sits, how large it ordinarily is, what it takes to be seen.
 
     What it leaves in the residuals is not written down: it follows from the laws, evaluated with and without it.
+    A simple cause is data alone (`sets`); others say themselves what they do (`apply`, and `present` with it).
     """
 
     name: ClassVar[str]
     component: ClassVar[str]
     description: ClassVar[str]
-    parameters: ClassVar[tuple[Parameter, ...]]
-    needs: ClassVar[tuple[str, ...]] = ()
-    """Columns of a recording without which the cause cannot show."""
-    adds: ClassVar[bool] = False
-    """Whether a second one adds to the first (another order), instead of replacing it."""
+    parameters: ClassVar[tuple[CauseParameter, ...]]
+    sets: ClassVar[Mapping[str, str]] = {}
+    """Parameters that are fields of the parameter record: the cause replaces their values."""
     scales: ClassVar[tuple[str, ...]] = ()
     """Fields of the parameter record that its one parameter multiplies."""
+    adds: ClassVar[bool] = False
+    """Whether a second one adds to the first (another order, a further factor), instead of replacing it."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Columns of a recording without which the cause cannot show."""
+    requires: ClassVar[Requirements] = Requirements()
+    """Motion and load without which it cannot show at ordinary size."""
+    torsion: ClassVar[bool] = False
+    """Whether it lives in the torsion alone, so that one encoder cannot show it."""
 
-    @abstractmethod
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         """Put the effect into a parameter record, in place."""
+        for name, field in self.sets.items():
+            p[field] = values[name]
+        for field in self.scales:
+            p[field] *= values[self.parameters[0].name]
 
-    def concerns(self, joint: object) -> bool:
-        """Whether a joint description (`models.joint.Joint`) leaves room for the cause; most do."""
+    def concerns(self, joint: Joint) -> bool:
+        """Whether a joint description leaves room for the cause; most do."""
         return True
 
     def present(self, p: np.void) -> dict[str, float]:
         """Values of the parameters at which this record would not change: the absence of the effect."""
-        return {q.name: (q.neutral * float(p[q.relative]) if q.relative else q.neutral) for q in self.parameters}
+        neutral = {q.name: q.neutral * float(p[q.relative]) if q.relative else q.neutral for q in self.parameters}
+        return neutral | {name: float(p[field]) for name, field in self.sets.items()}
 
     def centre(self, p: np.void, fixed: dict[str, float]) -> dict[str, float]:
         """Values at which this record would not change, given the parameters in `fixed` (an order)."""

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class CableSpring(Cause):
@@ -14,10 +12,8 @@ class CableSpring(Cause):
     component = "link"
     description = "a cable pulls at the link like a spring: −k (θl − θ0)"
     parameters = (
-        Parameter("stiffness", "N·m/rad", (0.0, 1e3), ((0.5, 1.5),), magnitude=True),
-        Parameter("rest_angle", "rad", (-7.0, 7.0), ((-0.6, 0.6),)),
+        CauseParameter("stiffness", "N·m/rad", (0.0, 1e3), ((0.5, 1.5),), magnitude=True),
+        CauseParameter("rest_angle", "rad", (-7.0, 7.0), ((-0.6, 0.6),)),
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["cable_stiffness"] = values["stiffness"]
-        p["cable_rest"] = values["rest_angle"]
+    sets = {"stiffness": "cable_stiffness", "rest_angle": "cable_rest"}
+    requires = Requirements(link_travel=0.5, known_push=True)

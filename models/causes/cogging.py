@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import PHASE, Cause, Parameter, put_order
+from .base import PHASE, Cause, CauseParameter, Requirements, put_order
 
 
 class Cogging(Cause):
@@ -14,9 +14,10 @@ class Cogging(Cause):
     component = "motor"
     description = "a torque periodic in the rotor angle, A sin(n θm + φ), acts on the rotor"
     adds = True
+    requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
-        Parameter("order", "1", (1, 64), ((2, 13),), integer=True),
-        Parameter("amplitude", "N·m", (0.0, 0.1), ((4e-3, 10e-3),), magnitude=True),
+        CauseParameter("order", "1", (1, 64), ((2, 13),), integer=True),
+        CauseParameter("amplitude", "N·m", (0.0, 0.1), ((4e-3, 10e-3),), magnitude=True),
         PHASE,
     )
 

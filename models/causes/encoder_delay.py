@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class EncoderDelay(Cause):
@@ -13,7 +11,7 @@ class EncoderDelay(Cause):
     name = "encoder_delay"
     component = "sensor"
     description = "the link encoder's reading comes late"
-    parameters = (Parameter("seconds", "s", (0.0, 0.09), ((4e-3, 11e-3),), magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["link_delay"] = values["seconds"]
+    parameters = (CauseParameter("seconds", "s", (0.0, 0.09), ((4e-3, 11e-3),), magnitude=True),)
+    sets = {"seconds": "link_delay"}
+    requires = Requirements(speed=10.0)
+    torsion = True

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class FrictionAsymmetry(Cause):
@@ -13,7 +11,6 @@ class FrictionAsymmetry(Cause):
     name = "friction_asymmetry"
     component = "transmission"
     description = "mesh friction is g(w)·(1 + a) forward and g(w)·(1 − a) backward"
-    parameters = (Parameter("ratio", "1", (-0.95, 0.95), ((-0.45, -0.2), (0.2, 0.45)), magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["friction_asymmetry"] = values["ratio"]
+    parameters = (CauseParameter("ratio", "1", (-0.95, 0.95), ((-0.45, -0.2), (0.2, 0.45)), magnitude=True),)
+    sets = {"ratio": "friction_asymmetry"}
+    requires = Requirements(sliding=0.5, reversal=True)

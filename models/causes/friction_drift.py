@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class FrictionDrift(Cause):
@@ -14,10 +12,8 @@ class FrictionDrift(Cause):
     component = "transmission"
     description = "mesh friction warms up: g(w)·(1 + A exp(−t/T)) from the recording's start"
     parameters = (
-        Parameter("amplitude", "1", (-0.9, 10.0), ((0.8, 1.6),), magnitude=True),
-        Parameter("time_constant", "s", (0.5, 300.0), ((6.0, 15.0),)),
+        CauseParameter("amplitude", "1", (-0.9, 10.0), ((0.8, 1.6),), magnitude=True),
+        CauseParameter("time_constant", "s", (0.5, 300.0), ((6.0, 15.0),)),
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["drift_amplitude"] = values["amplitude"]
-        p["drift_time"] = values["time_constant"]
+    sets = {"amplitude": "drift_amplitude", "time_constant": "drift_time"}
+    requires = Requirements(sliding=0.5, duration=5.0)

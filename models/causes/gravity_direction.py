@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
+
+if TYPE_CHECKING:
+    from ..joint import Joint
 
 
 class GravityDirection(Cause):
@@ -13,11 +18,13 @@ class GravityDirection(Cause):
     name = "gravity_direction"
     component = "link"
     description = "the link hangs at another angle than described: −Mg sin(θl + angle)"
-    parameters = (Parameter("angle", "rad", (-1.6, 1.6), ((-0.2, -0.08), (0.08, 0.2)), magnitude=True),)
+    adds = True
+    requires = Requirements(link_travel=0.5, known_push=True, gravity=True)
+    parameters = (CauseParameter("angle", "rad", (-1.6, 1.6), ((-0.2, -0.08), (0.08, 0.2)), magnitude=True),)
 
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         p["gravity_angle"] += values["angle"]
 
-    def concerns(self, joint: object) -> bool:
+    def concerns(self, joint: Joint) -> bool:
         """Only a joint that states the direction of gravity may have it wrong: for others zero is where it hangs."""
         return joint.gravity_angle is not None

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class GravityMoment(Cause):
@@ -13,9 +11,9 @@ class GravityMoment(Cause):
     name = "gravity_moment"
     component = "link"
     description = "the link's gravity moment differs"
-    adds = True
+    parameters = (
+        CauseParameter("scale", "1", (0.05, 10.0), ((0.80, 0.92), (1.08, 1.20)), neutral=1.0, magnitude=True),
+    )
     scales = ("Mg",)
-    parameters = (Parameter("scale", "1", (0.05, 10.0), ((0.80, 0.92), (1.08, 1.20)), neutral=1.0, magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["Mg"] *= values["scale"]
+    adds = True
+    requires = Requirements(link_travel=0.5, known_push=True, gravity=True)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class HardStop(Cause):
@@ -14,10 +12,8 @@ class HardStop(Cause):
     component = "link"
     description = "the link runs into a stop: −k (θl − θs) beyond the angle θs"
     parameters = (
-        Parameter("angle", "rad", (-7.0, 7.0), ((0.6, 1.0),)),
-        Parameter("stiffness", "N·m/rad", (0.0, 1e5), ((15.0, 40.0),), magnitude=True),
+        CauseParameter("angle", "rad", (-7.0, 7.0), ((0.6, 1.0),)),
+        CauseParameter("stiffness", "N·m/rad", (0.0, 1e5), ((15.0, 40.0),), magnitude=True),
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["stop_angle"] = values["angle"]
-        p["stop_stiffness"] = values["stiffness"]
+    sets = {"angle": "stop_angle", "stiffness": "stop_stiffness"}
+    requires = Requirements(link_beyond=0.6, known_push=True)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class Hysteresis(Cause):
@@ -14,10 +12,9 @@ class Hysteresis(Cause):
     component = "transmission"
     description = "Dahl friction acts across the flexspline: Tf + F z/x, z' = v − |v| z/x with v = Δθf'"
     parameters = (
-        Parameter("torque", "N·m", (0.0, 20.0), ((0.6, 1.5),), magnitude=True),
-        Parameter("extent", "rad", (5e-6, 2e-3), ((50e-6, 120e-6),)),
+        CauseParameter("torque", "N·m", (0.0, 20.0), ((0.6, 1.5),), magnitude=True),
+        CauseParameter("extent", "rad", (5e-6, 2e-3), ((50e-6, 120e-6),)),
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["hysteresis_torque"] = values["torque"]
-        p["hysteresis_extent"] = values["extent"]
+    sets = {"torque": "hysteresis_torque", "extent": "hysteresis_extent"}
+    requires = Requirements(sliding=0.5, reversal=True)
+    torsion = True

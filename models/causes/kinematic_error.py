@@ -4,19 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import PHASE, Cause, Parameter
+from ..errors import InputError
+from .base import PHASE, Cause, CauseParameter, Requirements
 
 
 class KinematicError(Cause):
-    """An order of the kinematic error differs from calibration."""
+    """An order of the kinematic error differs from calibration; a second one with another order adds to the first."""
 
     name = "kinematic_error"
     component = "transmission"
     description = "an order of the kinematic error differs from calibration"
     adds = True
+    requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
-        Parameter("order", "1", (0.01, 64), ((1, 4),), integer=True),
-        Parameter("amplitude", "rad", (0.0, 0.05), ((0.8e-4, 2e-4),), magnitude=True),
+        CauseParameter("order", "1", (1e-3, 64), ((1, 4),), integer=True),
+        CauseParameter("amplitude", "rad", (0.0, 0.05), ((0.8e-4, 2e-4),), magnitude=True),
         PHASE,
     )
 
@@ -30,7 +32,10 @@ class KinematicError(Cause):
     def _slot(p: np.void, order: float) -> int:
         """Where the order stands, or the first free place."""
         same = np.flatnonzero((p["order"] == order) & (p["amplitude"] != 0))
-        return int(same[0]) if same.size else int(np.flatnonzero(p["amplitude"] == 0)[0])
+        free = np.flatnonzero(p["amplitude"] == 0)
+        if not (same.size or free.size):
+            raise InputError(f"expected at most {len(p['order'])} orders of the kinematic error, got one more")
+        return int(same[0] if same.size else free[0])
 
     def centre(self, p: np.void, fixed: dict[str, float]) -> dict[str, float]:
         """What the order has already: amplitude and phase."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import PHASE, Cause, Parameter, put_order
+from .base import PHASE, Cause, CauseParameter, Requirements, put_order
 
 
 class LinkEncoderEccentricity(Cause):
@@ -14,8 +14,10 @@ class LinkEncoderEccentricity(Cause):
     component = "sensor"
     description = "the link encoder is mounted off centre: reading + A (sin(θl + φ) − sin φ)"
     adds = True
+    requires = Requirements(link_travel=0.5)
+    torsion = True
     parameters = (
-        Parameter("amplitude", "rad", (0.0, 0.05), ((0.2e-3, 0.6e-3),), magnitude=True),
+        CauseParameter("amplitude", "rad", (0.0, 0.05), ((0.2e-3, 0.6e-3),), magnitude=True),
         PHASE,
     )
 

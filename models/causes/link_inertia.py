@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class LinkInertia(Cause):
@@ -13,9 +11,7 @@ class LinkInertia(Cause):
     name = "link_inertia"
     component = "link"
     description = "the link's inertia differs"
-    adds = True
+    parameters = (CauseParameter("scale", "1", (0.05, 20.0), ((1.5, 2.2),), neutral=1.0, magnitude=True),)
     scales = ("Jl",)
-    parameters = (Parameter("scale", "1", (0.05, 20.0), ((1.5, 2.2),), neutral=1.0, magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["Jl"] *= values["scale"]
+    adds = True
+    requires = Requirements(known_push=True)

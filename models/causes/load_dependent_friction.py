@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class LoadDependentFriction(Cause):
@@ -13,7 +11,6 @@ class LoadDependentFriction(Cause):
     name = "load_dependent_friction"
     component = "transmission"
     description = "mesh friction grows with the load: g(w) + μ|Tf|/N"
-    parameters = (Parameter("coefficient", "1", (0.0, 2.0), ((0.12, 0.3),), magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["friction_load"] = values["coefficient"]
+    parameters = (CauseParameter("coefficient", "1", (0.0, 2.0), ((0.12, 0.3),), magnitude=True),)
+    sets = {"coefficient": "friction_load"}
+    requires = Requirements(sliding=0.5, load_span=0.2)

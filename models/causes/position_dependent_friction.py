@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from .base import PHASE, Cause, Parameter, put_order
+from .base import PHASE, Cause, CauseParameter, Requirements, put_order
 
 
 class PositionDependentFriction(Cause):
@@ -14,9 +14,10 @@ class PositionDependentFriction(Cause):
     component = "transmission"
     description = "mesh friction is periodic in the link angle: g(w) + A sin(n θl + φ)"
     adds = True
+    requires = Requirements(sliding=0.5, link_travel=0.5)
     parameters = (
-        Parameter("order", "1", (1, 32), ((1, 3),), integer=True),
-        Parameter("amplitude", "N·m", (0.0, 0.1), ((6e-3, 12e-3),), magnitude=True),
+        CauseParameter("order", "1", (1, 32), ((1, 3),), integer=True),
+        CauseParameter("amplitude", "N·m", (0.0, 0.1), ((6e-3, 12e-3),), magnitude=True),
         PHASE,
     )
 

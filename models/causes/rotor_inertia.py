@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class RotorInertia(Cause):
@@ -13,7 +11,8 @@ class RotorInertia(Cause):
     name = "rotor_inertia"
     component = "motor"
     description = "the rotor's inertia differs"
-    parameters = (Parameter("value", "kg·m²", (1e-9, 1.0), ((2.0, 3.5),), relative="Jm", neutral=1.0, magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["Jm"] = values["value"]
+    parameters = (
+        CauseParameter("value", "kg·m²", (1e-9, 1.0), ((2.0, 3.5),), relative="Jm", neutral=1.0, magnitude=True),
+    )
+    sets = {"value": "Jm"}
+    requires = Requirements(sliding=0.5, speed=10.0)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class Stiffness(Cause):
@@ -13,10 +11,8 @@ class Stiffness(Cause):
     name = "stiffness"
     component = "transmission"
     description = "the flexspline's stiffness (K1, K2, K3) is scaled"
-    adds = True
+    parameters = (CauseParameter("scale", "1", (0.2, 5.0), ((0.65, 0.85), (1.2, 1.5)), neutral=1.0, magnitude=True),)
     scales = ("K1", "K2", "K3")
-    parameters = (Parameter("scale", "1", (0.2, 5.0), ((0.65, 0.85), (1.2, 1.5)), neutral=1.0, magnitude=True),)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        for symbol in ("K1", "K2", "K3"):
-            p[symbol] *= values["scale"]
+    adds = True
+    requires = Requirements(sliding=0.5, load_span=0.2)
+    torsion = True

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class TorqueConstant(Cause):
@@ -14,16 +12,9 @@ class TorqueConstant(Cause):
     component = "motor"
     description = "the torque constant, or the current sensor's gain, differs"
     parameters = (
-        Parameter(
-            "value",
-            "N·m/A",
-            (1e-4, 10.0),
-            ((0.80, 0.92), (1.08, 1.20)),
-            relative="Kt",
-            neutral=1.0,
-            magnitude=True,
+        CauseParameter(
+            "value", "N·m/A", (1e-4, 10.0), ((0.80, 0.92), (1.08, 1.20)), relative="Kt", neutral=1.0, magnitude=True
         ),
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["Kt"] = values["value"]
+    sets = {"value": "Kt"}
+    requires = Requirements(sliding=0.5)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class TorqueSensorDrift(Cause):
@@ -13,8 +11,7 @@ class TorqueSensorDrift(Cause):
     name = "torque_sensor_drift"
     component = "sensor"
     description = "the torque sensor's reading drifts with time"
-    parameters = (Parameter("rate", "N·m/s", (-10.0, 10.0), ((-0.05, -0.02), (0.02, 0.05)), magnitude=True),)
+    parameters = (CauseParameter("rate", "N·m/s", (-10.0, 10.0), ((-0.05, -0.02), (0.02, 0.05)), magnitude=True),)
+    sets = {"rate": "torque_rate"}
     needs = ("joint_torque",)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["torque_rate"] = values["rate"]
+    requires = Requirements(duration=5.0)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter
 
 
 class TorqueSensorOffset(Cause):
@@ -13,12 +11,6 @@ class TorqueSensorOffset(Cause):
     name = "torque_sensor_offset"
     component = "sensor"
     description = "a constant is added to the torque sensor's reading"
-    parameters = (Parameter("value", "N·m", (-100.0, 100.0), ((-0.6, -0.2), (0.2, 0.6)), magnitude=True),)
+    parameters = (CauseParameter("value", "N·m", (-100.0, 100.0), ((-0.6, -0.2), (0.2, 0.6)), magnitude=True),)
+    sets = {"value": "torque_offset"}
     needs = ("joint_torque",)
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["torque_offset"] = values["value"]
-
-    def present(self, p: np.void) -> dict[str, float]:
-        """The record's own value, which the cause replaces."""
-        return {"value": float(p["torque_offset"])}

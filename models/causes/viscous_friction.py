@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from .base import Cause, Parameter
+from .base import Cause, CauseParameter, Requirements
 
 
 class ViscousFriction(Cause):
@@ -14,8 +12,9 @@ class ViscousFriction(Cause):
     component = "transmission"
     description = "the mesh's viscous friction bw differs"
     parameters = (
-        Parameter("coefficient", "N·m·s/rad", (0.0, 0.1), ((3.0, 7.0),), relative="bw", neutral=1.0, magnitude=True),
+        CauseParameter(
+            "coefficient", "N·m·s/rad", (0.0, 0.1), ((3.0, 7.0),), relative="bw", neutral=1.0, magnitude=True
+        ),
     )
-
-    def apply(self, p: np.void, values: dict[str, float]) -> None:
-        p["bw"] = values["coefficient"]
+    sets = {"coefficient": "bw"}
+    requires = Requirements(sliding=0.5, speed=10.0)
