@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import itertools
+import math
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
-from pydantic import Field, model_validator
+from pydantic import Field, model_serializer, model_validator
 
-from ..estimator import FilterSettings
+from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
-from ..models.files import Strict, find, parse, read_yaml
+from ..models.files import Strict, find, parse, read_yaml, yaml_value
 from ..models.joint import SYMBOLS, Joint, Sensors, load_joint
+from ..models.parameters import REFERENCE_TEMPERATURE
+from ..models.recording import check_channels
+from ..models.signals import SENSED
 from ..sim.drive import Controller
+from ..sim.loop import CONTROL_PERIOD
 from ..sim.plant import TIMESTEP
 from ..sim.sensors import stream
-from .loop import CONTROL_PERIOD
+from .filters import PAPER, FilterEntry, paper_entries
 
 
 class Waypoint(Strict):
@@ -66,33 +70,33 @@ def _walk(inside: np.ndarray, seed: int, start: float) -> np.ndarray:
     return np.cumsum(steps) / np.sqrt(max(np.count_nonzero(inside), 1))
 
 
-class FilterChoice(Strict):
-    """A filter by name and gain rule; what is not given keeps the default of `estimator.FilterSettings`."""
+class Temperature(Strict):
+    """Temperature of the gear [°C]: one number, or `end + (start − end)·exp(−t/time_constant)`."""
 
-    name: Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-    rule: Literal["ekf", "robust", "arekf", "rarekf"]
-    gamma: Annotated[float, Field(gt=0, description="N·m")] | None = None
-    k: Annotated[float, Field(ge=0, description="1/(N·m)²")] | None = None
-    rho: Annotated[float, Field(ge=0)] | None = None
-    W: Annotated[float, Field(ge=0, description="(N·m)² per step")] | None = None
-    V: Annotated[float, Field(gt=0, description="(N·m)²")] | None = None
-    P0: Annotated[float, Field(ge=0, description="(N·m)²")] | None = None
-    L: Annotated[float, Field(ge=0)] | None = None
-    alpha: Literal["max", "printed"] = "max"
-    memory: Literal["source", "printed"] = "source"
-    covariance: Literal["unadjusted", "adjusted"] = "unadjusted"
+    start: Annotated[float, Field(ge=-273.15, le=1000, description="°C")]
+    end: Annotated[float, Field(ge=-273.15, le=1000, description="°C")]
+    time_constant: Annotated[float, Field(gt=0, description="s")] = math.inf
 
-    def settings(self) -> FilterSettings:
-        """The filter's full settings."""
-        return FilterSettings(**self.model_dump(exclude_none=True))
+    @model_validator(mode="before")
+    @classmethod
+    def _constant(cls, given: Any) -> Any:
+        return {"start": given, "end": given} if not isinstance(given, dict) else given
 
+    @model_validator(mode="after")
+    def _complete(self) -> Temperature:
+        if self.start != self.end and math.isinf(self.time_constant):
+            raise ValueError("time_constant: missing")
+        return self
 
-PAPER_FILTERS = [
-    FilterChoice(name="EKF", rule="ekf"),
-    FilterChoice(name="AREKF", rule="arekf"),
-    FilterChoice(name="RAREKF", rule="rarekf"),
-    FilterChoice(name="REKF", rule="robust"),
-]
+    @model_serializer
+    def _written(self) -> float | dict[str, float]:
+        if self.start == self.end:
+            return self.start
+        return {"start": self.start, "end": self.end, "time_constant": self.time_constant}
+
+    def signal(self, time: np.ndarray) -> np.ndarray:
+        """Temperature [°C] at times [s], shape (n,)."""
+        return self.end + (self.start - self.end) * np.exp(-time / self.time_constant)
 
 
 class Scenario(Strict):
@@ -117,7 +121,13 @@ class Scenario(Strict):
     sensors: Annotated[dict[str, Any], Field(description="changes to the joint's sensors")] = {}
     controller: Controller = Controller()
     feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
-    filters: Annotated[list[FilterChoice], Field(min_length=1)] = PAPER_FILTERS
+    temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
+        start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE
+    )
+    filters: Annotated[list[FilterEntry], Field(min_length=1, default_factory=paper_entries)]
+    record: Annotated[
+        list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
+    ] = []
     transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
 
     @model_validator(mode="after")
@@ -135,11 +145,22 @@ class Scenario(Strict):
                 raise ValueError(f"trajectory.{i + 1}.time: expected a time after {a:g} s, got {b:g} s")
         names = [f.name for f in self.filters]
         for i, name in enumerate(names):
-            if name in names[:i] or name in ("none", "sensor", "model"):
+            if name in names[:i] or name in ("none", "sensor"):
                 raise ValueError(f"filters.{i}.name: expected a name of its own, got {name!r}")
         if self.feedback not in ("none", "sensor", *names):
             hint = nearest(self.feedback, names)
             raise ValueError(f"feedback: expected none, sensor or one of {names}, got {self.feedback!r}{hint}")
+        if self.feedback in names and not self.filters[names.index(self.feedback)].build().causal:
+            raise ValueError(
+                f"feedback: expected a filter that can run in the loop, got {self.feedback!r}, which looks ahead"
+            )
+        for i, channel in enumerate(self.record):
+            if channel not in SENSED or channel in self.record[:i]:
+                raise ValueError(
+                    f"record.{i}: expected one of {list(SENSED)}, each once, got {channel!r}{nearest(channel, SENSED)}"
+                )
+        if self.record:
+            check_channels("record", self.record)
         for symbol in self.plant:
             if symbol not in SYMBOLS:
                 raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
@@ -180,6 +201,10 @@ class Scenario(Strict):
         """Torque on the link [N·m], shape (n,): the sum of the disturbances."""
         time = self.time
         return sum((d.signal(time, self.seed) for d in self.disturbances), np.zeros_like(time))
+
+    def estimators(self) -> dict[str, Estimator]:
+        """Its filters by name."""
+        return {entry.name: entry.build() for entry in self.filters}
 
     def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
         """The plant's joint and the one that the estimators know, with the scenario's sensors."""
@@ -262,24 +287,21 @@ def _override(data: dict[str, Any], change: str) -> None:
     key, sign, text = change.partition("=")
     if not sign or not key:
         raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
-    try:
-        value = yaml.safe_load(text)
-        if isinstance(value, str):
-            value = float(value)  # 1e-6 is text to YAML 1.1
-    except (yaml.YAMLError, ValueError):
-        value = text
-    put(data, key, value, f"--set {change}")
+    put(data, key, yaml_value(text), f"--set {change}")
 
 
 def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:
     """Set a dotted key inside a scenario's data, in place (`filters.2.k`, `sensors.link_encoder.noise`)."""
     *path, last = key.split(".")
     if path[:1] == ["filters"] and "filters" not in data:
-        data["filters"] = [f.model_dump(exclude_none=True) for f in PAPER_FILTERS]
+        data["filters"] = list(PAPER)
     place: Any = data
     for part in path:
         if isinstance(place, list):
-            place = _item(place, part, where)
+            item = _item(place, part, where)
+            if isinstance(item, str):  # a filter that stands there by its name alone
+                item = place[int(part)] = {"name": item, "estimator": item}
+            place = item
         else:
             place = place.setdefault(part, {})
         if not isinstance(place, (dict, list)):

@@ -102,7 +102,8 @@ def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
     chosen = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
     if "fig9_zoom" in chosen and not zoomed(run):
         del chosen["fig9_zoom"]
-    return chosen | {"overview": overview, "filters": filters, "error": error}
+    thoughts = {"filters": filters} if _innovating(run) else {}
+    return chosen | {"overview": overview, **thoughts, "error": error}
 
 
 def styled(make: Callable[[Run], Figure]) -> Callable[[Run], Figure]:
@@ -198,14 +199,16 @@ def link_sweep(run: Run) -> Figure:
     """Fig. 7: torque with link, difference between estimate and sensor, working mode."""
     name, _ = _main(run)
     quarters = np.array_split(np.flatnonzero(_settled(run)), 4)
-    robust = [100 * np.mean(run.robust(name)[part]) for part in quarters]
+    robust = [_robust_share(run, name, part) for part in quarters]
     caption = (
         "Paper: RAREKF is in optimal mode at first and goes gradually to robust mode as the load grows; the difference "
         "is relatively high while it switches, acceptable overall; no numbers. "
         f"Ours: {name} {_against(run, name)}; in robust mode {', '.join(f'{r:.0f}' for r in robust)} % of the time in "
-        f"the four quarters of the run, while the torque goes to {run.truth('joint_torque')[-1]:.1f} N·m and α to "
-        f"{run.alpha(name)[-1]:.1f}: a larger α tolerates more before it switches."
+        f"the four quarters of the run, while the torque goes to {run.truth('joint_torque')[-1]:.1f} N·m"
     )
+    alpha = run.estimates[name].columns.get("alpha")
+    more = "" if alpha is None else f" and α to {alpha[-1]:.1f}: a larger α tolerates more before it switches"
+    caption = f"{caption}{more}."
     return _sweep(run, "Fig. 7  Link from vertical to horizontal", caption)
 
 
@@ -224,7 +227,7 @@ def external_push(run: Run) -> Figure:
 @styled
 def push_zoom(run: Run) -> Figure:
     """Fig. 9: one push in each direction from near, with every filter."""
-    names = [s.name for s in run.settings]
+    names = list(run.estimates)
     colors = filter_colors(names)
     pushes = zoomed(run)
     errors = {
@@ -252,7 +255,7 @@ def push_zoom(run: Run) -> Figure:
             estimate = run.estimate(name)[inside]
             top.plot(time, estimate, color=colors[name], label=name)
             middle.plot(time, estimate - run.truth("joint_torque")[inside], color=colors[name], lw=1.0)
-            robust = run.robust(name)[inside]
+            robust = _modes(run, name)[inside]
             bottom.fill_between(time, row - 0.35, row + 0.35, where=robust, step="post", color=colors[name], lw=0)
         middle.axhline(0, color=TRUTH, lw=0.8)
         bottom.set(ylim=(len(names) - 0.5, -0.5), yticks=range(len(names)), yticklabels=names, xlabel="time [s]")
@@ -310,10 +313,10 @@ def overview(run: Run) -> Figure:
 @styled
 def filters(run: Run) -> Figure:
     """What the filters thought: innovation with ±√P_Y, normalised innovation squared, working mode."""
-    names = [s.name for s in run.settings]
-    colors = filter_colors(names)
+    names = _innovating(run)
+    colors = filter_colors(run.estimates)
     settled = _settled(run)
-    mean = ", ".join(f"{name} {np.mean(run.nis(name)[settled]):.2f}" for name in names)
+    mean = ", ".join(f"{name} {np.mean(run.estimates[name].nis[settled]):.2f}" for name in names)
     caption = (
         "Innovation of each filter with ±√P_Y (line), P_Y of Eq. (14), the highest peaks cut off; "
         "NIS = innovation² / P_Y, moving mean over "
@@ -321,17 +324,17 @@ def filters(run: Run) -> Figure:
     )
     heights = [1.5] * len(names) + [1.8, 1.6]
     figure, axes = _figure(run, "Filters", caption, heights=heights, height=1.5 * len(names) + 4.0)
-    limit = 1.2 * max(np.quantile(np.abs(run.innovation(name)[settled]), 0.99) for name in names)
+    limit = 1.2 * max(np.quantile(np.abs(run.estimates[name].innovation[:, 0][settled]), 0.99) for name in names)
     nis, mode = axes[-2:]
     window = round(SHARE_WINDOW / _period(run))
     for panel, name in zip(axes, names, strict=False):
-        deviation = np.sqrt(run.innovation_variance(name))
-        _line(panel, run.time, run.innovation(name), colors[name], f"{name} innovation", lw=0.6)
+        deviation = np.sqrt(run.estimates[name].innovation_covariance[:, 0, 0])
+        _line(panel, run.time, run.estimates[name].innovation[:, 0], colors[name], f"{name} innovation", lw=0.6)
         for sign in (1, -1):
             _line(panel, run.time, sign * deviation, "#30353B", "±√P_Y" if sign > 0 else None, lw=0.7)
         panel.set(ylabel="[N·m]", ylim=(-limit, limit))
         _legend(panel)
-        smooth = np.maximum(share(run.nis(name), window), 1e-3)
+        smooth = np.maximum(share(run.estimates[name].nis, window), 1e-3)
         _line(nis, run.time, smooth, colors[name], name)
     nis.axhline(1, color="#30353B", lw=0.8, ls="--")
     nis.set(yscale="log", ylabel="NIS")
@@ -343,11 +346,11 @@ def filters(run: Run) -> Figure:
 @styled
 def error(run: Run) -> Figure:
     """Error of every filter against the truth, and how it is distributed."""
-    names = [s.name for s in run.settings]
+    names = list(run.estimates)
     colors = filter_colors(names)
     truth, settled = run.truth("joint_torque"), _settled(run)
     errors = {name: run.estimate(name) - truth for name in names}
-    model = run.signals.model_torque - truth
+    model = run.model_torque - truth
     caption = (
         f"Estimate − truth after {run.scenario.transient:g} s, RMS (largest) in N·m: raw model "
         f"{_rms(model[settled]):.3f} ({_peak(model[settled]):.3f}); "
@@ -402,13 +405,15 @@ def _sweep(run: Run, title: str, caption: str) -> Figure:
     _legend(bottom)
     _mode(run, mode, [*(n for n in _switching(run) if n != name), name], fill=name)
     load = mode.twinx()
-    _line(load, run.time, run.alpha(name), COMMAND, f"α of {name} (right)", ls="--")
+    if "alpha" in run.estimates[name].columns:
+        _line(load, run.time, run.estimates[name].columns["alpha"], COMMAND, f"α of {name} (right)", ls="--")
     load.set(ylabel="α", ylim=(0, None))
     load.margins(x=0.01)
     load.grid(visible=False)
     load.spines["right"].set_visible(True)
     handles = [*mode.get_legend_handles_labels()[0], *load.get_legend_handles_labels()[0]]
-    mode.get_legend().remove()
+    if mode.get_legend() is not None:
+        mode.get_legend().remove()
     mode.legend(handles=handles, ncols=len(handles), loc="lower right", bbox_to_anchor=(1, 0.98), borderaxespad=0)
     near = zoomed(run)
     for d in run.scenario.happening:
@@ -428,7 +433,7 @@ def _sweep(run: Run, title: str, caption: str) -> Figure:
 
 def _torques(run: Run, axes: Axes, names: Sequence[str], truth_on_top: bool = False) -> None:
     """Sensor, truth and estimates: the truth as a broad band below them, or, where noise would cover it, on top."""
-    colors = filter_colors(s.name for s in run.settings)
+    colors = filter_colors(run.estimates)
     _line(axes, run.time, run.reading("joint_torque"), SENSOR, "torque sensor", lw=0.7)
     style = {"lw": 1.0, "zorder": 4} if truth_on_top else {"lw": 2.4, "alpha": 0.75}
     _line(axes, run.time, run.truth("joint_torque"), TRUTH, "truth", **style)
@@ -440,15 +445,25 @@ def _torques(run: Run, axes: Axes, names: Sequence[str], truth_on_top: bool = Fa
 
 def _switching(run: Run) -> list[str]:
     """The filters that switch between optimal and robust mode; the others are always in one of them."""
-    return [s.name for s in run.settings if s.rule in ("arekf", "rarekf")]
+    return [
+        name
+        for name, found in run.estimates.items()
+        if found.robust is not None and 0 < np.mean(found.robust[_settled(run)]) < 1
+    ]
+
+
+def _innovating(run: Run) -> list[str]:
+    """The filters of one measurement that state an innovation and its variance."""
+    found = run.estimates.items()
+    return [name for name, one in found if one.innovation is not None and one.innovation.shape[1] == 1]
 
 
 def _mode(run: Run, axes: Axes, names: Sequence[str], fill: str = "") -> None:
     """Share of the time in robust mode."""
-    colors = filter_colors(s.name for s in run.settings)
+    colors = filter_colors(run.estimates)
     window = round(SHARE_WINDOW / _period(run))
     for name in names:
-        values = 100 * share(run.robust(name), window)
+        values = 100 * share(_modes(run, name), window)
         i = thin(values, POINTS // 4)
         if name == fill:
             axes.fill_between(run.time[i], values[i], color=colors[name], alpha=0.35, lw=0)
@@ -496,8 +511,9 @@ def _figure(
 
 
 def _main(run: Run) -> tuple[str, dict[str, str]]:
-    names = [s.name for s in run.settings]
-    return main_filter(names), filter_colors(names)
+    names = list(run.estimates)
+    moding = [name for name in names if run.estimates[name].robust is not None]
+    return main_filter(moding or names), filter_colors(names)
 
 
 def _settled(run: Run) -> np.ndarray:
@@ -522,9 +538,15 @@ def _peak(values: np.ndarray) -> float:
     return float(np.abs(values).max())
 
 
-def _robust_share(run: Run, name: str) -> float:
-    """Share of the time after the transient [%]."""
-    return 100 * float(np.mean(run.robust(name)[_settled(run)]))
+def _modes(run: Run, name: str) -> np.ndarray:
+    """Whether a filter is in robust mode, shape (n,); never, where it has no modes."""
+    robust = run.estimates[name].robust
+    return np.zeros(len(run.time), dtype=bool) if robust is None else robust
+
+
+def _robust_share(run: Run, name: str, part: np.ndarray | None = None) -> float:
+    """Share of the time in robust mode [%], after the transient or in a part of the samples."""
+    return 100 * float(np.mean(_modes(run, name)[_settled(run) if part is None else part]))
 
 
 def _against(run: Run, name: str) -> str:

@@ -15,13 +15,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..models.files import write_into_place
-from ..scenarios.limits import Assessment, Limits
-from ..scenarios.tuning import Front
+from ..scenarios.evaluation.limits import Assessment, Limits
+from ..scenarios.evaluation.tuning import Front
 from .figures import STYLE, WIDTH
 from .style import COMMAND, FILTERS, TRUTH
 
 BASELINES = {
-    "compliance_model": "#C8B68E", "motor_current": "#9AA3AD", "lowpass": "#17BECF", "lowpass_first_order": "#0E7C8A",
+    "model": "#C8B68E", "current": "#9AA3AD", "lowpass": "#17BECF", "lowpass_first_order": "#0E7C8A",
     "kalman": "#2CA02C", "h_infinity": "#8C9A2B", "strong_tracking": "#E377C2", "huber": "#8C6D4F",
     "momentum": "#B5BCC4", "momentum_torsion": "#6B7BB8", "dynamics_ekf": "#111418", "dynamics_ekf_calibrating": "#5B6670",
     "dynamics_ukf": "#7A3E9D", "rts_smoother": "#C0392B",
@@ -87,9 +87,9 @@ def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
 def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str = "Noise against delay") -> Figure:
     """Noise in steady state against delay to a push: a curve per filter, its defaults and tuned settings marked."""
     caption = (
-        f"{scenario}, {seeds} test seeds. Along a curve a filter's knobs change; only settings are drawn of which no other of "
-        "that filter has both less noise and less delay. Circle: default settings; star: tuned for the RMS error. Delay: the "
-        "shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the error's part "
+        f"{scenario}, {seeds} test seeds. Along a curve a filter's tuning parameters change; only settings are drawn of which no "
+        "other of that filter has both less noise and less delay. Circle: default settings; star: tuned for the RMS error. "
+        "Delay: the shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the error's part "
         "faster than 0.2 s, in steady state. Below and to the left is better."
     )
     with matplotlib.rc_context(STYLE):

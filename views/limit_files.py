@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..models.files import write_into_place
-from ..scenarios.limits import Limits
+from ..scenarios.evaluation.limits import Limits
 
 SUMMARY = (
     "scenario", "estimator", "causal", "seeds", "rms", "rms_std", "bound", "ratio", "bound_paper_model", "intensity",

@@ -10,12 +10,12 @@ from rich.table import Table
 from rich.text import Text
 
 from ..estimator.consistency import Mean
-from ..scenarios.limits import Limits
-from ..scenarios.tuning import Tuned, score
+from ..scenarios.evaluation.limits import Limits
+from ..scenarios.evaluation.tuning import Tuned, score
 
 LIMIT_HEADS = ("estimator", "RMS [N·m]", "/ bound", "NIS", "95 %", "NEES", "95 %", "inside [%]", "ρ outside [%]")
 """Columns of `limit_rows`."""
-TUNED_HEADS = ("filter", "train", "tuned", "test", "tuned", "difference, 95 %", "knobs")
+TUNED_HEADS = ("filter", "train", "tuned", "test", "tuned", "difference, 95 %", "tuning parameters")
 """Columns of `tuned_rows`."""
 
 
@@ -53,13 +53,13 @@ def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
     """A row of text per filter, `TUNED_HEADS`; the smallest tuned error first."""
     rows = []
     for one in sorted(found, key=lambda one: score(one.test_tuned)):
-        gain = one.gain
-        interval = f" [{gain.low:+.4f}, {gain.high:+.4f}]" if math.isfinite(gain.low) else ""
-        knobs = ", ".join(
+        change = one.difference
+        interval = f" [{change.low:+.4f}, {change.high:+.4f}]" if math.isfinite(change.low) else ""
+        values = ", ".join(
             f"{k.split('.')[-1]} {v:.3g}" + ("!" if k in one.at_bound else "") for k, v in one.values.items()
         )
         errors = (*one.train, score(one.test_default), score(one.test_tuned))
-        rows.append((one.name, *(number(e, 4) for e in errors), f"{gain.mean:+.4f}{interval}", knobs or "–"))
+        rows.append((one.name, *(number(e, 4) for e in errors), f"{change.mean:+.4f}{interval}", values or "–"))
     return rows
 
 

@@ -286,7 +286,7 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
       run: the run.
       reach: of the link [m], for the camera.
     """
-    names = [s.name for s in run.settings]
+    names = list(run.estimates)
     main = main_filter(names)
     joint = rrb.Spatial3DView(
         name="Joint: torque true (green), estimated, external (pink)",
@@ -303,10 +303,11 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
     innovations = [
         series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
         for name in (main, *(name for name in names if name != main))
+        if name in _innovating(run)
     ]
     pushed = bool(np.any(run.external_torque))
     behind = [
-        rrb.Tabs(contents=innovations, name="Innovation"),
+        *([rrb.Tabs(contents=innovations, name="Innovation")] if innovations else []),
         series_view("Torsion and its parts [mrad]", "torsion"),
         *([series_view("External torque [N·m]", "external_torque", legend=False)] if pushed else []),
         rrb.Tabs(
@@ -326,7 +327,9 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
         rrb.Horizontal(
             rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
             rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
-            rrb.Vertical(contents=behind, row_shares=[2, 2.2, *([1.2] if pushed else []), 1.6]),
+            rrb.Vertical(
+                contents=behind, row_shares=[*([2] if innovations else []), 2.2, *([1.2] if pushed else []), 1.6]
+            ),
             column_shares=[1.05, 1.4, 1.25],
         ),
         float(run.time[-1]),
@@ -342,7 +345,15 @@ def _error_limits(run: Run, name: str) -> tuple[float, float]:
 
 def _switching(run: Run) -> list[str]:
     """Filters that switch between optimal and robust mode; the others are always in one of them."""
-    return [s.name for s in run.settings if s.rule in ("arekf", "rarekf")]
+    return [
+        name for name, found in run.estimates.items() if found.robust is not None and 0 < np.mean(found.robust[1:]) < 1
+    ]
+
+
+def _innovating(run: Run) -> list[str]:
+    """Filters of one measurement that state an innovation and its variance."""
+    found = run.estimates.items()
+    return [name for name, one in found if one.innovation is not None and one.innovation.shape[1] == 1]
 
 
 def _interesting(run: Run) -> np.ndarray:
@@ -358,16 +369,16 @@ def _interesting(run: Run) -> np.ndarray:
 
 def _send_torques(stream: rr.RecordingStream, run: Run) -> None:
     near, truth = _interesting(run), run.truth("joint_torque")
-    colors = filter_colors(s.name for s in run.settings)
+    colors = filter_colors(run.estimates)
 
     def send(path: str, values: np.ndarray, name: str, color: str, width: float = 1.5, visible: bool = True) -> None:
         send_series(stream, path, run.time, values, name, color, width, near, visible=visible)
 
     send("torque/sensor", run.reading("joint_torque"), "torque sensor", SENSOR, 1.0)
-    send("torque/model", run.signals.model_torque, "raw model", MODEL, visible=False)
-    for settings in run.settings:
-        # Series are drawn in the order of their paths: the fixed-γ filter would cover the paper's three.
-        name, shown = settings.name, settings.rule != "robust"
+    send("torque/model", run.model_torque, "raw model", MODEL, visible=False)
+    for name, found in run.estimates.items():
+        # Series are drawn in the order of their paths: a filter that is always robust would cover the paper's three.
+        shown = found.robust is None or not found.robust[1:].all()
         send(f"torque/{name}", run.estimate(name), name, colors[name], 2.5, shown)
         send(f"error/{name}", run.estimate(name) - truth, name, colors[name], 1.5, shown)
     send("torque/truth", truth, "truth", TRUTH, 1.0)
@@ -377,15 +388,17 @@ def _send_torques(stream: rr.RecordingStream, run: Run) -> None:
 def _send_filters(stream: rr.RecordingStream, run: Run) -> None:
     near = _interesting(run)
     period = float(run.time[1] - run.time[0])
-    for name, color in filter_colors(s.name for s in run.settings).items():
-        place = f"innovation/{name}"
-        deviation = np.sqrt(run.innovation_variance(name))
-        send_series(stream, f"{place}/innovation", run.time, run.innovation(name), "innovation", color, 1.0, near)
-        for sign, label in ((1, "+√P_Y"), (-1, "−√P_Y")):
-            part = "upper" if sign > 0 else "lower"
-            send_series(stream, f"{place}/{part}", run.time, sign * deviation, label, SENSOR, 1.5, near)
+    for name, color in filter_colors(run.estimates).items():
+        found, place = run.estimates[name], f"innovation/{name}"
+        if name in _innovating(run):
+            deviation = np.sqrt(found.innovation_covariance[:, 0, 0])
+            innovation = found.innovation[:, 0]
+            send_series(stream, f"{place}/innovation", run.time, innovation, "innovation", color, 1.0, near)
+            for sign, label in ((1, "+√P_Y"), (-1, "−√P_Y")):
+                part = "upper" if sign > 0 else "lower"
+                send_series(stream, f"{place}/{part}", run.time, sign * deviation, label, SENSOR, 1.5, near)
         if name in _switching(run):
-            robust = run.robust(name)
+            robust = found.robust
             percent = 100 * share(robust, round(SHARE_WINDOW / period))
             send_series(stream, f"robust_share/{name}", run.time, percent, name, color, points=POINTS // 4)
             _send_mode(stream, f"mode/{name}", run.time, robust, round(MODE_WINDOW / period), color)
@@ -485,7 +498,7 @@ def send_scene(stream: rr.RecordingStream, run: Run, model: mujoco.MjModel) -> N
         _send_geoms(stream, model, body, f"scene/{name}", pointer)
         columns = rr.Transform3D.columns(translation=positions[:, body], quaternion=rotations[:, body])
         stream.send_columns(f"scene/{name}", time, columns, strict=True)
-    names = [s.name for s in run.settings]
+    names = list(run.estimates)
     main = main_filter(names)
     axis = model.jnt_axis[model.joint("link").id]
     radius = 2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1

@@ -23,7 +23,7 @@ from .style import filter_colors
 from .sweep_tables import metric_column
 
 if TYPE_CHECKING:
-    from ..scenarios.studies.statistics import Interval, Summary
+    from ..scenarios.studies.statistics import Aggregate, Interval
     from ..scenarios.studies.study import Study, Value
 
 _COLUMNS = 4
@@ -33,12 +33,12 @@ _CHARACTERS = 80  # of ticks that stand side by side in a row of panels
 _SPREAD = 0.32  # of the distance between two points, over which the filters stand side by side
 
 
-def save_sweep_figures(summaries: Sequence[Summary], study: Study, folder: Path) -> list[Path]:
+def save_sweep_figures(aggregates: Sequence[Aggregate], study: Study, folder: Path) -> list[Path]:
     """Write all figures of a study as PNG; their paths."""
     paths = []
     with matplotlib.rc_context(STYLE):
-        for scenario in dict.fromkeys(s.scenario for s in summaries):
-            here = [s for s in summaries if s.scenario == scenario]
+        for scenario in dict.fromkeys(s.scenario for s in aggregates):
+            here = [s for s in aggregates if s.scenario == scenario]
             for metric, differences in itertools.product(study.metrics, (False, True)):
                 figure = sweep_figure(here, study, metric, differences)
                 if figure is None:
@@ -50,39 +50,41 @@ def save_sweep_figures(summaries: Sequence[Summary], study: Study, folder: Path)
     return paths
 
 
-def sweep_figure(summaries: Sequence[Summary], study: Study, metric: str, differences: bool = False) -> Figure | None:
+def sweep_figure(
+    aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool = False
+) -> Figure | None:
     """One metric of one scenario; None where it has no value anywhere.
 
     Args:
-      summaries: of one scenario.
+      aggregates: of one scenario.
       study: whose axes give the panels.
       metric: which.
       differences: to the reference, paired, instead of means.
     """
     with matplotlib.rc_context(STYLE):
-        return _figure(summaries, study, metric, differences)
+        return _figure(aggregates, study, metric, differences)
 
 
-def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences: bool) -> Figure | None:
+def _figure(aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool) -> Figure | None:
     column = metric_column(metric)
-    across, panels = layout(summaries)
+    across, panels = layout(aggregates)
     names = [n for n in study.names if not (differences and n == study.compared_to)]
 
-    def found(s: Summary) -> Interval | None:
+    def found(s: Aggregate) -> Interval | None:
         one = (s.differences if differences else s.values).get(metric)
         return one if one is not None and math.isfinite(one.mean) else None
 
-    shown = [one for s in summaries if (one := found(s)) is not None]
+    shown = [one for s in aggregates if (one := found(s)) is not None]
     if not shown or not names:
         return None
     titles = {axis.name: axis.title for axis in study.axes}
-    places = [v for v in dict.fromkeys(s.columns.get(across) for s in summaries) if v is not None] or [None]
+    places = [v for v in dict.fromkeys(s.columns.get(across) for s in aggregates) if v is not None] or [None]
     rows = math.ceil(len(panels) / _COLUMNS)
     columns = math.ceil(len(panels) / rows)
     what = f"difference to {study.compared_to}, paired over seeds" if differences else column.meaning
-    runs = sorted({s.runs for s in summaries})
+    runs = sorted({s.runs for s in aggregates})
     caption = textwrap.fill(
-        f"{study.name}, {summaries[0].scenario}. {column.heading}: {what}; means over "
+        f"{study.name}, {aggregates[0].scenario}. {column.heading}: {what}; means over "
         f"{'–'.join(map(str, dict.fromkeys((runs[0], runs[-1]))))} seeds with 95 % intervals (Student's t).",
         118,
     )
@@ -93,7 +95,9 @@ def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences
     for axes, panel in zip(grid, panels, strict=False):
         for i, name in enumerate(names):
             line = [
-                (k, found(s)) for k, v in enumerate(places) if (s := _at(summaries, name, across, v, panel)) is not None
+                (k, found(s))
+                for k, v in enumerate(places)
+                if (s := _at(aggregates, name, across, v, panel)) is not None
             ]
             line = [(k, one) for k, one in line if one is not None]
             if not line:
@@ -142,32 +146,32 @@ def _figure(summaries: Sequence[Summary], study: Study, metric: str, differences
     return figure
 
 
-def layout(summaries: Sequence[Summary]) -> tuple[str, list[dict[str, Value]]]:
+def layout(aggregates: Sequence[Aggregate]) -> tuple[str, list[dict[str, Value]]]:
     """Which axis runs across, and the values of the others, a panel each. Sizes run across, causes have panels.
 
     The point without any cause stands at the beginning of every cause's line.
     """
-    axes = list(summaries[0].columns)
+    axes = list(aggregates[0].columns)
     if not axes:
         return "", [{}]
-    across = axes[axes.index("cause") + 1] if "cause" in axes else _first(summaries, axes)
+    across = axes[axes.index("cause") + 1] if "cause" in axes else _first(aggregates, axes)
     others = [a for a in axes if a != across]
-    values = {a: [v for v in dict.fromkeys(s.columns[a] for s in summaries) if v is not None] for a in others}
+    values = {a: [v for v in dict.fromkeys(s.columns[a] for s in aggregates) if v is not None] for a in others}
     if len(values.get("cause", [])) > 1:
         values["cause"] = [v for v in values["cause"] if v != "none"]
     return across, [dict(zip(others, at, strict=True)) for at in itertools.product(*values.values())]
 
 
-def _first(summaries: Sequence[Summary], axes: Sequence[str]) -> str:
+def _first(aggregates: Sequence[Aggregate], axes: Sequence[str]) -> str:
     """An axis of filters, where there is one: its filters are lines; or else the first."""
-    return next((a for a in axes if any(s.columns[a] is None for s in summaries)), axes[0])
+    return next((a for a in axes if any(s.columns[a] is None for s in aggregates)), axes[0])
 
 
 def _at(
-    summaries: Sequence[Summary], name: str, across: str, value: Value | None, panel: dict[str, Value]
-) -> Summary | None:
+    aggregates: Sequence[Aggregate], name: str, across: str, value: Value | None, panel: dict[str, Value]
+) -> Aggregate | None:
     """A filter's summary at a place of a panel; one that an axis does not vary is the same everywhere on it."""
-    for s in summaries:
+    for s in aggregates:
         if s.filter != name or s.columns.get(across) not in (value, None):
             continue
         none = s.columns.get("cause") == "none"

@@ -1,4 +1,4 @@
-"""A study's summaries as tables: every mean with its confidence interval, and what is better or worse than the reference."""
+"""A study's aggregates as tables: every mean with its confidence interval, and what is better or worse than the reference."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .style import filter_colors
 from .tables import COLUMNS, Column
 
 if TYPE_CHECKING:
-    from ..scenarios.studies.statistics import Interval, Summary
+    from ..scenarios.studies.statistics import Aggregate, Interval
     from ..scenarios.studies.study import Study
 
 BETTER, WORSE = "▾", "▴"
@@ -44,9 +44,9 @@ def with_interval(value: Interval, scale: float = 1.0) -> str:
     return f"{mean:.{decimals}f} ± {half:.{decimals}f}"
 
 
-def sweep_rows(summaries: Sequence[Summary]) -> Iterator[tuple[str, dict, dict[str, Summary]]]:
+def sweep_rows(aggregates: Sequence[Aggregate]) -> Iterator[tuple[str, dict, dict[str, Aggregate]]]:
     """Rows of a table: scenario, point of the axes, filter → summary. A filter that an axis does not vary is in all its rows."""
-    whole = [s for s in summaries if None not in s.columns.values()] or list(summaries)
+    whole = [s for s in aggregates if None not in s.columns.values()] or list(aggregates)
     seen = set()
     for s in whole:
         key = (s.scenario, *s.columns.values())
@@ -55,13 +55,13 @@ def sweep_rows(summaries: Sequence[Summary]) -> Iterator[tuple[str, dict, dict[s
         seen.add(key)
         at = [
             o
-            for o in summaries
+            for o in aggregates
             if o.scenario == s.scenario and all(v is None or v == s.columns[k] for k, v in o.columns.items())
         ]
         yield s.scenario, s.columns, {o.filter: o for o in at}
 
 
-def sweep_table(summaries: Sequence[Summary], study: Study, metric: str) -> Table:
+def sweep_table(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
     """One metric for the terminal: a row per scenario and point, a column per filter."""
     column = metric_column(metric)
     against = study.compared_to
@@ -70,14 +70,14 @@ def sweep_table(summaries: Sequence[Summary], study: Study, metric: str) -> Tabl
         caption=f"mean ± 95 % interval over seeds (Student's t), no ± where it is below the digits shown; {BETTER} below, "
         f"{WORSE} above {against}: paired over seeds, 95 %",
     )
-    axes = list(summaries[0].columns)
+    axes = list(aggregates[0].columns)
     colors = filter_colors(study.names)
     for heading in ("scenario", *axes):
         table.add_column(heading, justify="left" if heading in ("scenario", "cause") else "right", no_wrap=True)
     for name in study.names:
         table.add_column(Text(name, style=colors[name]), justify="right", overflow="fold")
     before = None
-    for scenario, columns, of in sweep_rows(summaries):
+    for scenario, columns, of in sweep_rows(aggregates):
         if before not in (None, scenario):
             table.add_section()
         cells = [Text(_cell(of.get(name), metric, column), style=_style(of.get(name), metric)) for name in study.names]
@@ -86,10 +86,10 @@ def sweep_table(summaries: Sequence[Summary], study: Study, metric: str) -> Tabl
     return table
 
 
-def sweep_markdown(summaries: Sequence[Summary], study: Study) -> str:
+def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
     """All metrics in Markdown, a table each."""
-    axes = list(summaries[0].columns)
-    runs = sorted({s.runs for s in summaries})
+    axes = list(aggregates[0].columns)
+    runs = sorted({s.runs for s in aggregates})
     lines = [
         f"# {study.name}",
         "",
@@ -101,7 +101,7 @@ def sweep_markdown(summaries: Sequence[Summary], study: Study) -> str:
         "leaves out zero. `summary.csv` has the differences.",
         "",
     ]
-    failed = [s for s in summaries if s.failed]
+    failed = [s for s in aggregates if s.failed]
     for s in failed:
         at = ", ".join(f"{k} {_value(v)}" for k, v in s.columns.items() if v is not None)
         lines += [
@@ -113,14 +113,14 @@ def sweep_markdown(summaries: Sequence[Summary], study: Study) -> str:
         lines += [f"## {column.title}", "", f"{column.meaning[0].upper()}{column.meaning[1:]}.", ""]
         lines.append("| " + " | ".join(("scenario", *axes, *study.names)) + " |")
         lines.append("|---|" + "---:|" * (len(axes) + len(study.names)))
-        for scenario, columns, of in sweep_rows(summaries):
+        for scenario, columns, of in sweep_rows(aggregates):
             cells = [_cell(of.get(name), metric, column) for name in study.names]
             lines.append("| " + " | ".join((scenario, *(_value(columns[a]) for a in axes), *cells)) + " |")
         lines.append("")
     return "\n".join(lines)
 
 
-def _cell(summary: Summary | None, metric: str, column: Column) -> str:
+def _cell(summary: Aggregate | None, metric: str, column: Column) -> str:
     if summary is None:
         return "–"
     text = with_interval(summary.values[metric], column.scale)
@@ -128,7 +128,7 @@ def _cell(summary: Summary | None, metric: str, column: Column) -> str:
     return f"{text} {' ' if sign == 0 else BETTER if sign < 0 else WORSE}".rstrip()
 
 
-def _style(summary: Summary | None, metric: str) -> str:
+def _style(summary: Aggregate | None, metric: str) -> str:
     sign = summary.differences[metric].sign if summary is not None and metric in summary.differences else 0
     return "" if sign == 0 else "green" if sign < 0 else "red"
 

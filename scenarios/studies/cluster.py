@@ -12,14 +12,14 @@ from itertools import islice
 from ...models.errors import InputError
 from . import sweep
 from .dataset import Chunk
-from .grid import Plan
+from .design import Design
 
 _ATTEMPTS = 20
 """Workers that a chunk may take down, or be on when they go, before it is thought to be its fault."""
 _PATIENCE = 20  # s
 
 
-def on_cluster(plan: Plan, chunks: Iterator[Chunk], address: str) -> sweep.Done:
+def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> sweep.Done:
     """Chunks with their rows as they finish. Few are under way at a time, however many there are.
 
     Raises:
@@ -40,9 +40,9 @@ def on_cluster(plan: Plan, chunks: Iterator[Chunk], address: str) -> sweep.Done:
 
         def submit(chunk: Chunk) -> None:
             attempts[chunk] = attempts.get(chunk, 0) + 1
-            key = f"sweep-{plan.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
+            key = f"sweep-{design.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
             # Lost with its worker, a task begins again elsewhere; the scheduler does that itself.
-            future = client.submit(sweep.compute, plan, chunk, key=key, pure=False)
+            future = client.submit(sweep.compute, design, chunk, key=key, pure=False)
             pending[future.key] = chunk
             finished.add(future)
 

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 
 from ...models.errors import InputError
 from ...models.files import write_into_place
-from .grid import Plan
+from .design import Design
 
 try:
     import fcntl
@@ -44,25 +44,25 @@ class Chunk:
 class Dataset:
     """Rows of a study in a folder; `open` makes or checks it."""
 
-    def __init__(self, folder: Path, plan: Plan):
-        self.folder, self.plan = folder, plan
+    def __init__(self, folder: Path, design: Design):
+        self.folder, self.design = folder, design
 
     @classmethod
-    def open(cls, folder: Path, plan: Plan, versions: dict[str, str]) -> Dataset:
+    def open(cls, folder: Path, design: Design, versions: dict[str, str]) -> Dataset:
         """Make the folder, or go on with one of the same study; more seeds than before are welcome.
 
         Raises:
           InputError: a folder with something else in it, of another study, or begun with other versions.
         """
         note = folder / "study.json"
-        study = plan.study.model_dump(mode="json")
-        seeds = list(plan.study.seed_list)
+        study = design.study.model_dump(mode="json")
+        seeds = list(design.study.seed_list)
         if not note.is_file():
             if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
                 raise InputError(f"{folder}: expected an empty or new folder, or one of a sweep, got something else")
         else:
             before = _read(note)
-            if before["digest"] != plan.digest:
+            if before["digest"] != design.digest:
                 raise InputError(
                     f"{folder}: expected a sweep of this very study, found one of {before['study']['name']} that differs in "
                     f"{_difference(before['study'], study)}; choose another --out"
@@ -79,11 +79,11 @@ class Dataset:
                     f"{folder}: expected the seeds of the sweep there, or more, got others; choose another --out"
                 )
             if len(seeds) <= len(before["seeds"]):
-                return cls(folder, plan)
+                return cls(folder, design)
         with write_into_place(note) as temporary:
-            text = {"format": 1, "digest": plan.digest, "versions": versions, "seeds": seeds, "study": study}
+            text = {"format": 1, "digest": design.digest, "versions": versions, "seeds": seeds, "study": study}
             temporary.write_text(json.dumps(text, indent=1, ensure_ascii=False), encoding="utf-8")
-        return cls(folder, plan)
+        return cls(folder, design)
 
     @contextmanager
     def alone(self) -> Iterator[None]:
@@ -102,7 +102,7 @@ class Dataset:
 
     def home(self, cell: int) -> Path:
         """Folder of a cell's rows."""
-        return self.folder / "rows" / f"scenario={self.plan.cells[cell].scenario}" / f"cell={cell:04d}"
+        return self.folder / "rows" / f"scenario={self.design.cells[cell].scenario}" / f"cell={cell:04d}"
 
     def write(self, chunk: Chunk, table: pa.Table) -> None:
         """Add the rows of a chunk."""
@@ -121,7 +121,7 @@ class Dataset:
 
     def gaps(self, cell: int) -> list[tuple[int, int]]:
         """Runs that a cell lacks, as intervals. A file that cannot be read (a disk that filled up) is taken away."""
-        found, at, total = [], 0, len(self.plan.study.seed_list)
+        found, at, total = [], 0, len(self.design.study.seed_list)
         for begin, end, path in self.parts(cell):
             try:
                 pq.read_metadata(path)
@@ -137,8 +137,8 @@ class Dataset:
 
     def missing(self, size: int) -> Iterator[Chunk]:
         """What is to be done, in chunks of `size` runs: the first runs of all cells come first."""
-        gaps = {cell.index: self.gaps(cell.index) for cell in self.plan.cells}
-        for begin in range(0, len(self.plan.study.seed_list), size):
+        gaps = {cell.index: self.gaps(cell.index) for cell in self.design.cells}
+        for begin in range(0, len(self.design.study.seed_list), size):
             for cell, open_runs in gaps.items():
                 for a, b in open_runs:
                     a, b = max(a, begin), min(b, begin + size)
@@ -147,7 +147,7 @@ class Dataset:
 
     def done(self) -> int:
         """Number of runs that are there."""
-        return self.plan.runs - sum(b - a for cell in self.plan.cells for a, b in self.gaps(cell.index))
+        return self.design.runs - sum(b - a for cell in self.design.cells for a, b in self.gaps(cell.index))
 
     def read(self, cell: int, columns: list[str] | None = None) -> pa.Table:
         """Rows of a cell so far, by run and then as the study lists its filters."""

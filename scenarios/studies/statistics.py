@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 
 from ...models.files import write_into_place
-from ..intervals import Interval, interval, paired
+from ..evaluation.intervals import Interval, interval, paired
 from .dataset import Dataset
-from .grid import Plan
+from .design import Design
 from .study import Value
 
 
 @dataclass(frozen=True)
-class Summary:
+class Aggregate:
     """What a filter is worth at a point of a study.
 
     Attributes:
@@ -43,24 +43,24 @@ class Summary:
     differences: dict[str, Interval]
 
 
-def summarise(dataset: Dataset) -> Iterator[Summary]:
+def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
     """Summaries of all cells that have rows, one cell in memory at a time."""
-    plan = dataset.plan
-    for cell in plan.cells:
+    design = dataset.design
+    for cell in design.cells:
         table = dataset.read(cell.index)
         if not table.num_rows:
             continue
-        width = len(plan.variants)
+        width = len(design.variants)
         failed = np.array([bool(f) for f in table["failure"].to_pylist()]).reshape(-1, width)
         values = {}
-        for name in plan.study.metrics:
+        for name in design.study.metrics:
             column = table[name].to_numpy(zero_copy_only=False).astype(np.float64)
             values[name] = column.reshape(-1, width)  # (runs, variants): rows come run by run
-        for i, variant in enumerate(plan.variants):
-            other = reference_of(plan, i)
-            yield Summary(
+        for i, variant in enumerate(design.variants):
+            other = reference_of(design, i)
+            yield Aggregate(
                 cell.scenario,
-                cell.columns | {a.name: variant.columns.get(a.name) for a in plan.study.filter_axes},
+                cell.columns | {a.name: variant.columns.get(a.name) for a in design.study.filter_axes},
                 variant.name,
                 len(failed),
                 int(failed[:, i].sum()),
@@ -69,18 +69,20 @@ def summarise(dataset: Dataset) -> Iterator[Summary]:
             )
 
 
-def reference_of(plan: Plan, i: int) -> int:
+def reference_of(design: Design, i: int) -> int:
     """Which variant the i-th is compared to: the reference with the same settings of the axes, or else its first."""
-    name, columns = plan.study.compared_to, plan.variants[i].columns
-    same = [j for j, v in enumerate(plan.variants) if v.name == name]
-    fitting = [j for j in same if all(columns.get(k, value) == value for k, value in plan.variants[j].columns.items())]
+    name, columns = design.study.compared_to, design.variants[i].columns
+    same = [j for j, v in enumerate(design.variants) if v.name == name]
+    fitting = [
+        j for j in same if all(columns.get(k, value) == value for k, value in design.variants[j].columns.items())
+    ]
     return (fitting or same)[0]
 
 
-def write_csv(summaries: list[Summary], plan: Plan, path: Path) -> None:
-    """All summaries as CSV: for each metric mean, lower and upper end, and the same of the paired difference."""
-    axes = list(summaries[0].columns) if summaries else []
-    metrics = plan.study.metrics
+def write_csv(aggregates: list[Aggregate], design: Design, path: Path) -> None:
+    """All aggregates as CSV: for each metric mean, lower and upper end, and the same of the paired difference."""
+    axes = list(aggregates[0].columns) if aggregates else []
+    metrics = design.study.metrics
     ends = ("mean", "low", "high")
     head = ["scenario", *axes, "filter", "runs", "failed"]
     head += [f"{m}_{e}" for m in metrics for e in ends] + [f"{m}_difference_{e}" for m in metrics for e in ends]
@@ -91,6 +93,6 @@ def write_csv(summaries: list[Summary], plan: Plan, path: Path) -> None:
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(head)
-        for s in summaries:
+        for s in aggregates:
             at = ["" if s.columns[a] is None else s.columns[a] for a in axes]
             writer.writerow([s.scenario, *at, s.filter, s.runs, s.failed, *cells(s.values), *cells(s.differences)])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 from importlib import resources
 from pathlib import Path
@@ -10,11 +9,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from ...estimator import baselines
 from ...models import causes
 from ...models.errors import InputError, nearest
 from ...models.files import Strict, find, load
-from ..scenario import PAPER_FILTERS, FilterChoice
+from ..filters import FilterEntry, paper_entries, parameters_of
 
 METRICS = (
     "rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms", "robust_share", "mean_nis",
@@ -23,7 +21,6 @@ METRICS = (
 COLUMNS = ("scenario", "cell", "run", "seed", "key", "cause", "filter", "failure")
 """Columns of the dataset that no axis may be called."""
 _NAME = r"^[A-Za-z][A-Za-z0-9_]*$"
-_KNOBS = tuple(name for name in FilterChoice.model_fields if name not in ("name", "rule"))
 
 Value = float | str
 
@@ -43,8 +40,8 @@ class Axis(Strict):
 class SettingAxis(Axis):
     """A dotted key of the scenario: `sensors.link_encoder.noise`, `plant.K2`, `mounting`, `controller.kp`.
 
-    `filters.NAME.FIELD`, `filters.*.FIELD` and `estimators.NAME.KNOB` vary a filter; all its variants then watch the same
-    simulation.
+    `filters.NAME.FIELD` varies a filter's tuning parameter, `filters.*.FIELD` that of every filter that has it; all variants
+    then watch the same simulation.
     """
 
     kind: Literal["set"]
@@ -54,7 +51,17 @@ class SettingAxis(Axis):
     @property
     def of_filters(self) -> bool:
         """Whether it varies filters and not the plant."""
-        return self.key.startswith(("filters.", "estimators."))
+        return self.key.startswith("filters.")
+
+    @property
+    def filter(self) -> str:
+        """Name of the filter that it varies, `*` for all."""
+        return self.key.split(".")[1]
+
+    @property
+    def parameter(self) -> str:
+        """The parameter of filters that it varies; dotted where it lies inside."""
+        return ".".join(self.key.split(".")[2:])
 
 
 class ScaleAxis(Axis):
@@ -128,20 +135,13 @@ class Study(Strict):
     scenarios: Annotated[list[ScenarioChoice], Field(min_length=1)]
     set: Annotated[dict[str, Value | bool], Field(description="changes to dotted keys of every scenario")] = {}
     axes: Annotated[list[AnyAxis], Field(max_length=6)] = []
-    filters: Annotated[list[FilterChoice], Field(min_length=1)] = PAPER_FILTERS
-    estimators: Annotated[list[str], Field(description="names of estimator.baselines")] = []
+    filters: Annotated[list[FilterEntry], Field(min_length=1, default_factory=paper_entries)]
     metrics: Annotated[list[Literal[METRICS]], Field(min_length=1)] = list(METRICS)  # type: ignore[valid-type]
-    reference: Annotated[str, Field(description="filter or estimator that the others are compared to")] = ""
+    reference: Annotated[str, Field(description="filter that the others are compared to")] = ""
 
     @model_validator(mode="after")
     def _consistent(self) -> Study:
         names = self.names
-        for i, name in enumerate(self.estimators):
-            if name not in baselines.names():
-                raise ValueError(
-                    f"estimators.{i}: expected one of {list(baselines.names())}, got {name!r}"
-                    f"{nearest(name, baselines.names())}"
-                )
         for name in names:
             if names.count(name) > 1:
                 raise ValueError(f"filters: expected names of their own, got {name!r} twice")
@@ -158,7 +158,7 @@ class Study(Strict):
             if len({str(v) for v in values}) < len(values) or len({isinstance(v, str) for v in values}) > 1:
                 raise ValueError(f"axes.{i}: expected values of one kind, each once, got {values}")
             if isinstance(axis, SettingAxis) and axis.of_filters:
-                self._check_knob(i, axis)
+                self._check_parameter(i, axis)
         if sum(isinstance(axis, CauseAxis) for axis in self.axes) > 1:
             raise ValueError("axes: expected at most one of kind cause, got more")
         if len(set(self.seed_list)) < len(self.seed_list):
@@ -169,36 +169,29 @@ class Study(Strict):
                 raise ValueError(f"scenarios: expected names of their own, got {name!r} twice")
         return self
 
-    def _check_knob(self, i: int, axis: SettingAxis) -> None:
-        parts = axis.key.split(".")
-        if len(parts) != 3:
-            raise ValueError(f"axes.{i}.key: expected {parts[0]}.NAME.FIELD, got {axis.key!r}")
-        room, name, knob = parts
-        if room == "filters":
-            known, knobs = ["*", *(f.name for f in self.filters)], _KNOBS
-        else:
-            known = self.estimators
-            knobs = [f.name for f in dataclasses.fields(baselines.get(name))] if name in known else []
-        if name not in known:
-            raise ValueError(f"axes.{i}.key: expected one of {known}, got {name!r}{nearest(name, known)}")
-        if knob not in knobs or knob == "name":
-            raise ValueError(f"axes.{i}.key: {name} has no {knob!r}{nearest(knob, knobs)}")
+    def _check_parameter(self, i: int, axis: SettingAxis) -> None:
+        if not axis.parameter:
+            raise ValueError(f"axes.{i}.key: expected filters.NAME.FIELD, got {axis.key!r}")
+        known = ["*", *self.names]
+        if axis.filter not in known:
+            raise ValueError(f"axes.{i}.key: expected one of {known}, got {axis.filter!r}{nearest(axis.filter, known)}")
+        varying = [entry for entry in self.filters if varies(axis, entry)]
+        if not varying:
+            fields = {f for e in self.filters if axis.filter in ("*", e.name) for f in parameters_of(e.build())}
+            raise ValueError(f"axes.{i}.key: {axis.filter} has no {axis.parameter!r}{nearest(axis.parameter, fields)}")
         for value in axis.values:
-            if room == "filters":
-                for choice in self.filters:
-                    if name in ("*", choice.name):
-                        varied(choice, knob, value)
+            for entry in varying:
+                entry.varied(axis.parameter, value)
 
     @property
     def names(self) -> list[str]:
-        """Names of filters and estimators, in order."""
-        return [f.name for f in self.filters] + self.estimators
+        """Names of the filters, in order."""
+        return [f.name for f in self.filters]
 
     @property
     def compared_to(self) -> str:
         """The reference; RAREKF, or else the last filter, where none is named."""
-        filters = [f.name for f in self.filters]
-        return self.reference or ("RAREKF" if "RAREKF" in filters else filters[-1])
+        return self.reference or ("RAREKF" if "RAREKF" in self.names else self.names[-1])
 
     @property
     def seed_list(self) -> range | list[int]:
@@ -225,11 +218,9 @@ class Study(Strict):
         return self.model_copy(update={"seeds": self.seeds[:count]})
 
 
-def varied(choice: FilterChoice, knob: str, value: Value) -> FilterChoice:
-    """A filter with another value of a field; `InputError` or `ValueError` where it does not take it."""
-    other = FilterChoice.model_validate(choice.model_dump(exclude_none=True) | {knob: value})
-    other.settings()
-    return other
+def varies(axis: SettingAxis, entry: FilterEntry) -> bool:
+    """Whether an axis varies a filter."""
+    return axis.filter in ("*", entry.name) and axis.parameter in parameters_of(entry.build())
 
 
 def points(axis: Axis) -> list[dict[str, Value]]:

@@ -8,16 +8,21 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+
 from flexspline.models.errors import InputError
-from flexspline.scenarios.run import load_run, run_scenario, save_run
+from flexspline.models.recording import read_recording
+from flexspline.models.signals import SENSED
+from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.run_folder import load_run, save_run
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.sim.recording import read_recording
 
 
 @pytest.fixture(scope="module")
 def run():
-    chosen, folder = load_scenario("external_push", ["duration=10", "plant.K1=9000"], seed=3)
-    return run_scenario(chosen, folder)
+    """The paper's filters, one that has two measurements and states, and one that believes nothing of itself."""
+    filters = "filters=[EKF, AREKF, RAREKF, REKF, dynamics_ekf, {name: slow, estimator: lowpass, cutoff: 5}]"
+    chosen, folder = load_scenario("external_push", ["duration=10", "plant.K1=9000", filters], seed=3)
+    return run_scenario(chosen, folder, threads=2)
 
 
 @pytest.fixture(scope="module")
@@ -52,31 +57,73 @@ def test_every_column_has_its_unit(folder):
     assert {name: units[name] for name in expected} == expected
 
 
+def assert_same(ours, theirs):
+    """Two posteriors to the bit, all that they say."""
+    for name in ("time", "mean", "variance", "innovation", "innovation_covariance", "robust", "external", "nis"):
+        a, b = getattr(ours, name), getattr(theirs, name)
+        assert (a is None) == (b is None), (ours.estimator, name)
+        if a is not None:
+            np.testing.assert_array_equal(a, b, err_msg=f"{ours.estimator}: {name}")
+    assert list(ours.columns) == list(theirs.columns)
+    for name, values in ours.columns.items():
+        np.testing.assert_array_equal(values, theirs.columns[name], err_msg=f"{ours.estimator}: {name}")
+
+
 def test_round_trip(run, folder):
     copy = load_run(folder)
-    for name in ("time", "truth", "readings", "command", "model_torque", "filters"):
-        np.testing.assert_array_equal(getattr(copy.signals, name), getattr(run.signals, name), err_msg=name)
-    assert copy.filters == run.filters and copy.settings == run.settings
+    for name in ("time", "truth", "readings", "command"):
+        np.testing.assert_array_equal(getattr(copy.simulation, name), getattr(run.simulation, name), err_msg=name)
+    np.testing.assert_array_equal(copy.model_torque, run.model_torque)
+    assert list(copy.estimates) == list(run.estimates) == ["EKF", "AREKF", "RAREKF", "REKF", "dynamics_ekf", "slow"]
+    for name, found in run.estimates.items():
+        assert copy.estimates[name].estimator == name
+        assert_same(copy.estimates[name], found)
+    assert copy.scenario.estimators() == run.scenario.estimators()
     assert json.dumps(copy.metrics) == json.dumps(run.metrics)
-    assert copy.joint.numbers["K1"].value == 9000 and copy.known.numbers["K1"].value == 8400
+    assert copy.joint.numbers["K1"].value == 9000 and copy.known_joint.numbers["K1"].value == 8400
     np.testing.assert_array_equal(copy.external_torque, run.external_torque)
 
 
 def test_the_resolved_scenario_runs_again_to_the_same_bits(run, folder):
     chosen, where = load_scenario(folder / "scenario.yaml")
     again = run_scenario(chosen, where)
-    assert again.signals.truth.tobytes() == run.signals.truth.tobytes()
-    assert again.signals.readings.tobytes() == run.signals.readings.tobytes()
-    assert again.signals.filters.tobytes() == run.signals.filters.tobytes()
+    assert again.simulation.truth.tobytes() == run.simulation.truth.tobytes()
+    assert again.simulation.readings.tobytes() == run.simulation.readings.tobytes()
+    for name, found in run.estimates.items():
+        assert_same(again.estimates[name], found)
 
 
 def test_it_is_a_recording(run, folder):
     recordings = [path for path in folder.glob("*.yaml") if path.with_suffix(".parquet").is_file()]
     assert len(recordings) == 1
     recording = read_recording(recordings[0].with_suffix(".parquet"))
-    np.testing.assert_array_equal(recording.joint_torque, run.reading("joint_torque"))
-    np.testing.assert_array_equal(recording.link_position, run.reading("link_position"))
+    np.testing.assert_array_equal(recording["joint_torque"], run.reading("joint_torque"))
+    np.testing.assert_array_equal(recording["link_position"], run.reading("link_position"))
     assert recording.external == "measured"
+    assert list(recording.columns) == [
+        "motor_position", "link_position", "motor_current", "joint_torque", "position_command", "external_torque"
+    ]  # fmt: skip
+
+
+def test_a_recording_holds_the_sensors_that_are_asked_for():
+    """Every channel that a joint may sense, by the scenario's list; what the joint states by itself; the rest not."""
+    short = ["duration=1.5", "transient=0.5", "disturbances=[]", "filters=[model]"]
+
+    def recorded(*changes: str):
+        chosen, folder = load_scenario("external_push", [*short, *changes])
+        run = run_scenario(chosen, folder)
+        return run, run.as_recording()
+
+    run, recording = recorded(f"record=[{', '.join(SENSED)}]", "temperature={start: 20, end: 40, time_constant: 1}")
+    assert set(recording.columns) == {*SENSED, "position_command"}
+    for name in SENSED:
+        np.testing.assert_array_equal(recording[name], run.reading(name))
+    np.testing.assert_allclose(recording["temperature"], 40 - 20 * np.exp(-recording.time), atol=1e-9)
+    assert recording["force_z"].std() > 0 and np.abs(recording["motor_torque"]).max() > 0
+    _, recording = recorded("sensors.motor_torque.noise=0.001", "sensors.temperature.noise=0.1")
+    assert {"motor_torque", "temperature"} <= set(recording.columns) and "force_x" not in recording
+    _, recording = recorded("record=[motor_position, motor_current]")
+    assert set(recording.columns) == {"motor_position", "motor_current", "position_command"}
 
 
 def test_metrics_are_those_of_the_signals(run):
@@ -86,10 +133,11 @@ def test_metrics_are_those_of_the_signals(run):
     assert run.metrics["filters"]["EKF"]["robust_share"] == 0
     assert run.metrics["filters"]["REKF"]["robust_share"] == pytest.approx(1, abs=0.01)
     assert 0 < run.metrics["filters"]["AREKF"]["robust_share"] < 1
-    nis = run.nis("EKF")[kept]
+    ekf = run.estimates["EKF"]
+    nis = ekf.nis[kept]
     assert run.metrics["filters"]["EKF"]["mean_nis"] == pytest.approx(nis.mean())
     np.testing.assert_allclose(
-        nis, (run.innovation("EKF") ** 2 / run.innovation_variance("EKF"))[kept], rtol=1e-9, atol=1e-12
+        nis, (ekf.innovation[:, 0] ** 2 / ekf.innovation_covariance[:, 0, 0])[kept], rtol=1e-9, atol=1e-12
     )
 
 

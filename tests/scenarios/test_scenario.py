@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from flexspline.models.errors import InputError
+from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Disturbance, Scenario, load_scenario, shipped_scenarios
 
 PAPER = ("no_load", "link_sweep", "external_push", "hysteresis_loop")
@@ -66,11 +68,12 @@ def test_overrides_reach_everything():
         "external_push",
         [
             "duration=2.5", "controller.kp=6", "filters.2.k=0.1", "plant.K1=9000", "sensors.joint_torque.noise=5e-2",
-            "trajectory.1.position=1.0", "disturbances.0.torque=1e-1", "feedback=none", "description=another one",
+            "trajectory.1.position=1.0", "disturbances.0.torque=1e-1", "feedback=none",
+            "description=another one", "temperature=40",
         ],
         seed=9,
     )  # fmt: skip
-    assert chosen.duration == 2.5 and chosen.controller.kp == 6 and chosen.filters[2].k == 0.1
+    assert chosen.duration == 2.5 and chosen.controller.kp == 6 and chosen.estimators()["RAREKF"].k == 0.1
     assert chosen.trajectory[1].position == 1.0 and chosen.disturbances[0].torque == 0.1 and chosen.seed == 9
     assert chosen.description == "another one"
     joint, known = chosen.load_joint()
@@ -94,7 +97,14 @@ BAD = {
     ("timestep=2e-3",): "timestep: expected less than or equal to 0.001",
     ("durations=3",): "durations: unknown key; did you mean 'duration'?",
     ("controller.kpp=3",): "controller.kpp: unknown key; did you mean 'kp'?",
-    ("filters.0.rule=kalman",): "filters.0.rule: expected 'ekf'",
+    ("filters.0.estimator=kalmann",): "filters.0: estimator: expected one of",
+    ("filters.0.kk=1",): "filters.0: kk: unknown key; did you mean 'k'?",
+    ("filters.0.V=0",): "filters.0: filter 'EKF': V [(N·m)²]: expected a finite number > 0, got 0",
+    ("temperature=warm",): "temperature.start: expected a valid number",
+    ("temperature={start: 20, end: 40}",): "temperature: time_constant: missing",
+    ("temperature={start: 20, end: 40, time_constant: 0}",): "temperature.time_constant: expected greater than 0",
+    ("record=[motor_position, motor_curent]",): "record.1: expected one of",
+    ("record=[motor_position]",): "record: expected a torque, one of the columns motor_current",
     ("filters.7.k=1",): "expected a number from 0 to 3, got '7'",
     ("filters.0.name=AREKF",): "filters.1.name: expected a name of its own, got 'AREKF'",
     ("feedback=RAREK",): "feedback: expected none, sensor or one of",
@@ -142,3 +152,33 @@ def test_joint_beside_the_scenario(tmp_path):
     )
     chosen, folder = load_scenario(tmp_path / "s.yaml")
     assert chosen.load_joint(folder)[0].name == "test-joint"
+
+
+def test_temperature():
+    constant, warming = (
+        load_scenario("no_load", [f"temperature={t}"])[0].temperature
+        for t in ("31.5", "{start: 20, end: 45, time_constant: 600}")
+    )
+    t = np.array([0.0, 600.0, 1e9])
+    np.testing.assert_array_equal(constant.signal(t), 31.5)
+    np.testing.assert_allclose(warming.signal(t), [20, 45 - 25 / np.e, 45])
+    assert (
+        Scenario.model_validate(load_scenario("no_load", ["temperature=31.5"])[0].model_dump()).temperature == constant
+    )
+
+
+def test_temperature_reaches_the_plant_of_a_run_again():
+    """Friction that falls with temperature: what the joint needs to turn falls as it warms; a second run begins as the first."""
+    current = {}
+    for temperature in ("25", "65", "{start: 25, end: 65, time_constant: 0.01}"):
+        chosen, folder = load_scenario("no_load", [f"temperature={temperature}", "duration=12"])
+        experiment = Experiment.of(chosen, folder)
+        record = experiment.record.copy()
+        record[0]["friction_temperature"] = -0.01
+        model = experiment.build(record)
+        first, second = (experiment.simulate(record=record, model=model) for _ in range(2))
+        assert first.truth.tobytes() == second.truth.tobytes()
+        current[temperature] = np.mean(first.truth["motor_current"][8000:])
+    cold, warm, warmed = current.values()
+    assert warm == pytest.approx(0.6 * cold, rel=0.1)  # 40 K less 1 % each; the rest turns without friction
+    assert warmed == pytest.approx(warm, rel=1e-3)

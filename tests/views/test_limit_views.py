@@ -5,10 +5,10 @@ from __future__ import annotations
 import matplotlib.image
 import numpy as np
 import pytest
+from flexspline.estimator import registry
 from flexspline.estimator.consistency import Mean
-from flexspline.scenarios.limits import Assessment, Limits
-from flexspline.scenarios.offline import contenders
-from flexspline.scenarios.tuning import Front, Tuned
+from flexspline.scenarios.evaluation.limits import Assessment, Limits
+from flexspline.scenarios.evaluation.tuning import Front, Tuned, with_parameters
 from flexspline.views import limit_figures, limit_tables
 
 
@@ -36,10 +36,11 @@ def test_rows(limits):
 
 
 def test_tuned_rows():
-    (ekf,) = contenders(["EKF"])
+    ekf = registry.get("EKF")
     one = Tuned(
+        "EKF",
         ekf,
-        ekf.turned({"W": 1e-8}),
+        with_parameters(ekf, {"W": 1e-8}),
         {"W": 1e-8},
         (0.1, 0.05),
         9,
@@ -66,8 +67,8 @@ def test_limits_figure(limits, tmp_path):
 
 def test_pareto_figure():
     front = Front("RAREKF", np.array([[-0.4, 0.05], [0.5, 0.03], [8.0, 0.01]]), ({}, {}, {}), (2.0, 0.03), (1.0, 0.02))
-    alone = Front("compliance_model", np.array([[0.3, 0.04]]), ({},), (0.3, 0.04))
+    alone = Front("model", np.array([[0.3, 0.04]]), ({},), (0.3, 0.04))
     figure = limit_figures.pareto_figure([front, alone], "external_push", 5)
     curve = figure.axes[0].lines[0]
     assert list(curve.get_xdata()) == [0.1, 0.5, 8.0]  # what is early is drawn at the axis' end
-    assert {line.get_label() for line in figure.axes[0].lines} >= {"RAREKF", "compliance_model"}
+    assert {line.get_label() for line in figure.axes[0].lines} >= {"RAREKF", "model"}

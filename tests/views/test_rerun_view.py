@@ -42,7 +42,7 @@ def test_a_run_has_its_entities_and_a_layout(recording, pushed):
     }
     expected |= {f"/torsion/{part}" for part in ("total", "flexspline", "wave_generator", "kinematic_error")}
     expected |= {f"/scene/{body}" for body in ("rotor", "wave_generator", "flange", "link")}
-    for name in pushed.filters:
+    for name in pushed.estimates:
         expected |= {f"/torque/{name}", f"/error/{name}", f"/innovation/{name}/upper"}
     expected |= {"/mode/RAREKF", "/robust_share/RAREKF"}
     assert expected <= paths

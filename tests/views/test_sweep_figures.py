@@ -1,4 +1,4 @@
-"""A study's figures: what runs across, what has panels, and that the points are the summaries' means and intervals."""
+"""A study's figures: what runs across, what has panels, and that the points are the aggregates' means and intervals."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from flexspline.scenarios.studies.statistics import Interval, Summary
+from flexspline.scenarios.studies.statistics import Interval, Aggregate
 from flexspline.scenarios.studies.study import Study
 from flexspline.views.sweep_figures import layout, sweep_figure
 from flexspline.views.sweep_tables import sweep_rows
@@ -21,10 +21,10 @@ def study(axes) -> Study:
     )  # fmt: skip
 
 
-def summary(filter: str, mean: float, **columns) -> Summary:
+def summary(filter: str, mean: float, **columns) -> Aggregate:
     one, none = Interval(mean, mean - 0.1, mean + 0.1, 9), Interval(np.nan, np.nan, np.nan, 0)
     differences = {} if filter == "RAREKF" else {"rms": Interval(0.5, 0.4, 0.6, 9), "delay_ms": none}
-    return Summary("link_sweep", columns, filter, 9, 0, {"rms": one, "delay_ms": none}, differences)
+    return Aggregate("link_sweep", columns, filter, 9, 0, {"rms": one, "delay_ms": none}, differences)
 
 
 CAUSES = study([{"kind": "cause", "causes": ["stiffness", "hysteresis"], "sizes": [0, 1, 2]}])
@@ -60,7 +60,7 @@ def test_no_figure_of_what_has_no_value():
 
 
 @pytest.fixture
-def of_k() -> list[Summary]:
+def of_k() -> list[Aggregate]:
     """EKF is varied by the load alone, RAREKF by k too."""
     found = []
     for load in (3.0, 9.0):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pyarrow as pa
+
 from flexspline.scenarios.studies.dataset import Dataset
-from flexspline.scenarios.studies.grid import Plan
+from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.study import Study
 from flexspline.scenarios.studies.sweep import sweep, versions
 
@@ -21,17 +22,16 @@ def study(**changes) -> Study:
         "scenarios": ["link_sweep", "no_load"],
         "set": {"duration": SECONDS, "transient": 0.5},
         "axes": [{"kind": "scale", "name": "level", "keys": {"sensors.link_encoder.noise": 1e-6}, "values": [1, 8]}],
-        "filters": [{"name": "EKF", "rule": "ekf"}, {"name": "RAREKF", "rule": "rarekf"}],
-        "estimators": ["motor_current"],
+        "filters": ["EKF", "RAREKF", "current"],
     } | changes
     return Study.model_validate(data)
 
 
 def run(folder: Path, asked: Study | None = None, home: Path = Path(), **how) -> Dataset:
     """Sweep a study into a folder."""
-    plan = Plan.of(asked or study(), home)
-    dataset = Dataset.open(folder, plan, versions())
-    sweep(plan, dataset, **how)
+    design = Design.of(asked or study(), home)
+    dataset = Dataset.open(folder, design, versions())
+    sweep(design, dataset, **how)
     return dataset
 
 
@@ -39,7 +39,7 @@ def rows(dataset: Dataset) -> pa.Table:
     """All rows in order of the grid, without the files' notes."""
     tables = [
         dataset.read(cell.index).append_column("cell", pa.array([cell.index] * dataset.read(cell.index).num_rows))
-        for cell in dataset.plan.cells
+        for cell in dataset.design.cells
     ]
     return pa.concat_tables(t for t in tables if t.num_rows).combine_chunks().replace_schema_metadata(None)
 

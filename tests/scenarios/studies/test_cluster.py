@@ -13,11 +13,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from small import rows, run, same, study
+
 from flexspline.models.errors import InputError
 from flexspline.scenarios.studies.dataset import Dataset
-from flexspline.scenarios.studies.grid import Plan
+from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.sweep import sweep, versions
-from small import rows, run, same, study
 
 WORKERS = 2
 PATIENCE = 90  # s
@@ -65,9 +66,9 @@ def test_a_killed_worker_costs_nothing_but_time(cluster, tmp_path):
     watcher.wait_for_workers(WORKERS, timeout=PATIENCE)
     places = {pid: place for place, pid in watcher.run(os.getpid).items()}
     watcher.run(importlib.import_module, sweep.__module__)
-    asked = study(seeds={"count": 8}, estimators=["motor_current"])
-    plan = Plan.of(asked)
-    dataset = Dataset.open(tmp_path / "cluster", plan, versions())
+    asked = study(seeds={"count": 8})
+    design = Design.of(asked)
+    dataset = Dataset.open(tmp_path / "cluster", design, versions())
     written, lost = [], []
 
     def kill(runs: int) -> None:
@@ -78,12 +79,12 @@ def test_a_killed_worker_costs_nothing_but_time(cluster, tmp_path):
                 workers[0].send_signal(signal.SIGKILL)
                 workers[0].wait()
 
-    sweep(plan, dataset, chunk=1, scheduler=address, progress=kill)
+    sweep(design, dataset, chunk=1, scheduler=address, progress=kill)
     watcher.close()
     print(f"killed after {len(written)} chunks with {lost} under way")
     assert workers[0].returncode == -signal.SIGKILL and workers[1].poll() is None
-    assert len(written) == plan.runs, "a chunk came twice, or not at all"
-    assert rows(dataset).num_rows == plan.runs * 3
+    assert len(written) == design.runs, "a chunk came twice, or not at all"
+    assert rows(dataset).num_rows == design.runs * 3
     assert same(dataset, run(tmp_path / "threads", asked, jobs=2))
 
 
@@ -92,10 +93,10 @@ def test_no_scheduler_there_is_one_line(tmp_path, monkeypatch):
     from flexspline.scenarios.studies import cluster
 
     monkeypatch.setattr(cluster, "_PATIENCE", 1)
-    plan = Plan.of(study())
+    design = Design.of(study())
     for address in ("tcp://127.0.0.1:9", "nowhere"):
         with pytest.raises(InputError) as caught:
-            sweep(plan, Dataset.open(tmp_path / "a", plan, versions()), scheduler=address)
+            sweep(design, Dataset.open(tmp_path / "a", design, versions()), scheduler=address)
         message = str(caught.value)
         print(message)
         assert "\n" not in message and address in message and "scheduler" in message
@@ -103,6 +104,6 @@ def test_no_scheduler_there_is_one_line(tmp_path, monkeypatch):
 
 def test_without_dask_it_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "distributed", None)
-    plan = Plan.of(study())
+    design = Design.of(study())
     with pytest.raises(InputError, match=r"flexspline\[cluster\]"):
-        sweep(plan, Dataset.open(Path(tmp_path / "a"), plan, versions()), scheduler="tcp://127.0.0.1:8786")
+        sweep(design, Dataset.open(Path(tmp_path / "a"), design, versions()), scheduler="tcp://127.0.0.1:8786")

@@ -7,9 +7,10 @@ import math
 
 import numpy as np
 import pytest
-from flexspline.scenarios.studies.statistics import interval, paired, summarise, write_csv
 from scipy import stats
 from small import column, run, study
+
+from flexspline.scenarios.studies.statistics import aggregate, interval, paired, write_csv
 
 
 def test_an_interval_is_the_one_of_the_t_test(rng):
@@ -56,19 +57,19 @@ def test_a_summary_is_of_its_rows(tmp_path):
         {"kind": "load", "values": [3.0, 9.0]},
     ]
     dataset = run(tmp_path / "a", study(scenarios=["link_sweep"], axes=axes, reference="RAREKF"), jobs=1)
-    found = list(summarise(dataset))
+    found = list(aggregate(dataset))
     assert [(s.filter, s.columns["load"], s.columns["k"]) for s in found[:4]] == [
         ("EKF", 3.0, None),
         ("RAREKF", 3.0, 0.0),
         ("RAREKF", 3.0, 2.0),
-        ("motor_current", 3.0, None),
+        ("current", 3.0, None),
     ]
     ekf = np.array(column(dataset, 0, "EKF", "rms"))
     assert found[0].values["rms"] == interval(ekf)
     first = np.array([r["rms"] for r in dataset.read(0).to_pylist() if r["k"] == 0.0])
     assert found[0].differences["rms"] == paired(ekf, first)
     assert not found[1].differences
-    write_csv(found, dataset.plan, tmp_path / "summary.csv")
+    write_csv(found, dataset.design, tmp_path / "summary.csv")
     with (tmp_path / "summary.csv").open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == len(found)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from flexspline.models.errors import InputError
-from flexspline.scenarios.studies.grid import Plan
-from flexspline.scenarios.studies.study import Study, load_study, shipped_studies
 from small import study
+
+from flexspline.models.errors import InputError
+from flexspline.scenarios.studies.design import Design
+from flexspline.scenarios.studies.study import Study, load_study, shipped_studies
 
 HEAD = "name: mine\nseeds: {count: 2}\nscenarios: [link_sweep]\n"
 
@@ -19,7 +20,12 @@ HEAD = "name: mine\nseeds: {count: 2}\nscenarios: [link_sweep]\n"
         (HEAD + "seed: -1\n", ["seed", "-1"]),
         ("name: mine\nseeds: [3, 3]\nscenarios: [link_sweep]\n", ["seeds", "twice"]),
         (HEAD + "metrics: [rmse]\n", ["metrics.0", "rms", "rmse"]),
-        (HEAD + "estimators: [motor_curent]\n", ["estimators.0", "motor_curent", "did you mean 'motor_current'"]),
+        (HEAD + "filters: [EKF, curent]\n", ["filters.1", "curent", "did you mean 'current'"]),
+        (
+            HEAD + "filters: [{name: a, estimator: lowpass, cutof: 3}]\n",
+            ["filters.0", "cutof", "did you mean 'cutoff'"],
+        ),
+        (HEAD + "estimators: [current]\n", ["estimators", "unknown key"]),
         (HEAD + "reference: RARKF\n", ["reference", "RARKF", "did you mean 'RAREKF'"]),
         (HEAD + "axes: [{kind: cause, causes: [stifness], sizes: [1]}]\n", ["stifness", "did you mean 'stiffness'"]),
         (HEAD + "axes: [{kind: set, name: k, key: filters.RAREKF.kk, values: [1]}]\n", ["axes.0.key", "RAREKF", "kk"]),
@@ -56,7 +62,7 @@ def test_a_wrong_study_is_one_line(tmp_path, text, words):
             {
                 "axes": [{"kind": "set", "name": "k", "key": "filters.*.k", "values": [0.0]}],
                 "scenarios": ["torque_feedback"],
-                "filters": [{"name": "RAREKF", "rule": "rarekf"}],
+                "filters": ["RAREKF"],
             },
             ["feedback", "RAREKF"],
         ),
@@ -64,7 +70,7 @@ def test_a_wrong_study_is_one_line(tmp_path, text, words):
 )
 def test_what_cannot_run_is_said_before_anything_runs(changes, words):
     with pytest.raises(InputError) as caught:
-        Plan.of(study(**({"set": {}} | changes)))
+        Design.of(study(**({"set": {}} | changes)))
     message = str(caught.value)
     print(message)
     assert "\n" not in message
@@ -78,51 +84,56 @@ def test_an_unknown_study_names_those_that_there_are():
 
 
 def test_the_grid_is_the_product_of_its_axes():
-    plan = Plan.of(
+    design = Design.of(
         study(
             axes=[
                 {"kind": "cause", "causes": ["stiffness", "encoder_delay"], "sizes": [0, 0.5, 1]},
                 {"kind": "set", "name": "kp", "key": "controller.kp", "values": [6, 8]},
                 {"kind": "set", "name": "k", "key": "filters.RAREKF.k", "values": [0, 0.1]},
-                {"kind": "set", "name": "cutoff", "key": "estimators.motor_current.cutoff", "values": [20, 40]},
+                {"kind": "set", "name": "cutoff", "key": "filters.current.cutoff", "values": [20, 40]},
             ],
             scenarios=["link_sweep"],
         )
     )
-    points = [(c.columns["cause"], c.columns["size"], c.columns["kp"]) for c in plan.cells]
+    points = [(c.columns["cause"], c.columns["size"], c.columns["kp"]) for c in design.cells]
     assert points[:4] == [("none", 0.0, 6.0), ("none", 0.0, 8.0), ("stiffness", 0.5, 6.0), ("stiffness", 0.5, 8.0)]
     assert len(points) == len(set(points)) == (1 + 2 * 2) * 2
-    assert plan.runs == 10 * 3
-    assert [(v.name, v.columns) for v in plan.variants] == [
+    assert design.runs == 10 * 3
+    assert [(v.name, v.columns) for v in design.variants] == [
         ("EKF", {}),
         ("RAREKF", {"k": 0.0}),
         ("RAREKF", {"k": 0.1}),
-        ("motor_current", {"cutoff": 20.0}),
-        ("motor_current", {"cutoff": 40.0}),
+        ("current", {"cutoff": 20.0}),
+        ("current", {"cutoff": 40.0}),
     ]
-    assert [v.settings.k for v in plan.variants[1:3]] == [0.0, 0.1]
-    assert plan.variants[3].settings.cutoff == 20.0
-    keys = {plan.key(cell, seed) for cell in plan.cells for seed in plan.study.seed_list}
-    assert len(keys) == plan.runs
+    assert [v.estimator.k for v in design.variants[1:3]] == [0.0, 0.1]
+    assert design.variants[3].estimator.cutoff == 20.0
+    keys = {design.key(cell, seed) for cell in design.cells for seed in design.study.seed_list}
+    assert len(keys) == design.runs
 
 
 def test_the_digest_changes_with_what_changes_rows_and_with_nothing_else(tmp_path):
-    one = Plan.of(study()).digest
-    assert Plan.of(study(description="other words", reference="EKF", seeds=[1, 2])).digest == one
-    for change in ({"seed": 2}, {"metrics": ["rms"]}, {"set": {"duration": 1.6, "transient": 0.5}}, {"estimators": []}):
-        assert Plan.of(study(**change)).digest != one, change
+    one = Design.of(study()).digest
+    assert Design.of(study(description="other words", reference="EKF", seeds=[1, 2])).digest == one
+    for change in (
+        {"seed": 2},
+        {"metrics": ["rms"]},
+        {"set": {"duration": 1.6, "transient": 0.5}},
+        {"filters": ["EKF", "RAREKF"]},
+    ):
+        assert Design.of(study(**change)).digest != one, change
 
 
 @pytest.mark.parametrize("name", sorted(shipped_studies()))
 def test_shipped_studies_can_run(name):
     asked, folder = load_study(name)
     assert isinstance(asked, Study) and asked.name == name
-    plan = Plan.of(asked, folder)
-    assert plan.runs == len(plan.cells) * len(asked.seed_list)
+    design = Design.of(asked, folder)
+    assert design.runs == len(design.cells) * len(asked.seed_list)
 
 
 def test_the_shipped_studies_are_the_full_ones():
     assert len(load_study("noise_and_load")[0].seed_list) == 500
     model_error, _ = load_study("model_error")
-    assert {"motor_current", "momentum", "dynamics_ekf"} <= set(model_error.estimators)
+    assert {"current", "momentum", "dynamics_ekf"} <= set(model_error.names)
     assert len(model_error.axes[0].causes) == 19

@@ -6,15 +6,16 @@ import numpy as np
 import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
-from flexspline.estimator import baselines
+from small import SECONDS, column, rows, run, same, study
+
+from flexspline.estimator import registry
 from flexspline.models import causes
 from flexspline.models.errors import InputError
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.scenarios.studies.dataset import Dataset
-from flexspline.scenarios.studies.grid import Plan
+from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.sweep import sweep, versions
-from small import SECONDS, column, rows, run, same, study
 
 
 @pytest.fixture(scope="module")
@@ -30,21 +31,21 @@ def test_threads_and_chunks_change_no_bit(done, tmp_path, jobs, chunk):
 
 def test_rows_are_what_a_run_of_the_scenario_measures(done):
     """A row against `run_scenario` with the same seed: the same metrics to the bit."""
-    plan = done.plan
-    cell = plan.cells[1]  # link_sweep, eight times the noise
+    design = done.design
+    cell = design.cells[1]  # link_sweep, eight times the noise
     changes = [f"duration={SECONDS}", "transient=0.5", "sensors.link_encoder.noise=8e-6"]
-    scenario, folder = load_scenario("link_sweep", changes, seed=plan.noise_seed(cell, 5))
+    scenario, folder = load_scenario("link_sweep", changes, seed=design.noise_seed(cell, 5))
     metrics = run_scenario(scenario, folder).metrics
     for name in ("EKF", "RAREKF"):
         row = next(r for r in done.read(1).to_pylist() if r["seed"] == 5 and r["filter"] == name)
-        assert {m: row[m] for m in plan.study.metrics} == {
-            m: metrics["filters"][name].get(m) for m in plan.study.metrics
+        assert {m: row[m] for m in design.study.metrics} == {
+            m: metrics["filters"][name].get(m) for m in design.study.metrics
         }
 
 
 def test_any_parquet_reader_takes_the_rows(done):
     table = pyarrow.dataset.dataset(done.folder / "rows", partitioning="hive").to_table()
-    assert table.num_rows == done.plan.runs * 3
+    assert table.num_rows == done.design.runs * 3
     assert set(table["scenario"].to_pylist()) == {"link_sweep", "no_load"}
     assert table["failure"].to_pylist() == [""] * table.num_rows
 
@@ -54,7 +55,7 @@ class Stop(Exception):
 
 
 def test_interrupted_and_resumed_is_the_same_to_the_bit(done, tmp_path):
-    plan, left = Plan.of(study()), [3]
+    design, left = Design.of(study()), [3]
 
     def interrupt(runs: int) -> None:
         left[0] -= runs
@@ -62,17 +63,17 @@ def test_interrupted_and_resumed_is_the_same_to_the_bit(done, tmp_path):
             raise Stop
 
     with pytest.raises(Stop):
-        sweep(plan, Dataset.open(tmp_path / "a", plan, versions()), 2, 1, progress=interrupt)
-    begun = Dataset.open(tmp_path / "a", plan, versions())
+        sweep(design, Dataset.open(tmp_path / "a", design, versions()), 2, 1, progress=interrupt)
+    begun = Dataset.open(tmp_path / "a", design, versions())
     assert begun.done() == 3
-    before = {path: path.read_bytes() for cell in plan.cells for _, _, path in begun.parts(cell.index)}
+    before = {path: path.read_bytes() for cell in design.cells for _, _, path in begun.parts(cell.index)}
     computed = []
-    sweep(plan, begun, jobs=1, chunk=2, progress=computed.append)
-    assert sum(computed) == plan.runs - 3
+    sweep(design, begun, jobs=1, chunk=2, progress=computed.append)
+    assert sum(computed) == design.runs - 3
     assert same(begun, done)
     assert all(path.read_bytes() == data for path, data in before.items()), "what was there was written again"
     computed.clear()
-    sweep(plan, begun, jobs=1, progress=computed.append)
+    sweep(design, begun, jobs=1, progress=computed.append)
     assert not computed
     assert not list((tmp_path / "a").rglob(".*")), "temporary files were left"
 
@@ -81,7 +82,7 @@ def test_a_broken_file_is_computed_again(done, tmp_path):
     again = run(tmp_path / "a", jobs=1)
     path = again.parts(2)[0][2]
     path.write_bytes(path.read_bytes()[:100])
-    sweep(again.plan, again, jobs=1)
+    sweep(again.design, again, jobs=1)
     assert same(again, done)
 
 
@@ -89,7 +90,7 @@ def test_more_seeds_go_on_where_it_ended(done, tmp_path):
     run(tmp_path / "a", study(seeds={"first": 4, "count": 1}), jobs=1)
     computed = []
     more = run(tmp_path / "a", jobs=1, progress=computed.append)
-    assert sum(computed) == 2 * len(more.plan.cells)
+    assert sum(computed) == 2 * len(more.design.cells)
     assert same(more, done)
 
 
@@ -102,9 +103,9 @@ def test_more_seeds_go_on_where_it_ended(done, tmp_path):
     ],
 )
 def test_a_changed_study_is_refused_in_one_line(done, change, words):
-    plan = Plan.of(study(**change))
+    design = Design.of(study(**change))
     with pytest.raises(InputError) as caught:
-        Dataset.open(done.folder, plan, versions())
+        Dataset.open(done.folder, design, versions())
     message = str(caught.value)
     print(message)
     assert "\n" not in message and str(done.folder) in message and words in message
@@ -112,23 +113,23 @@ def test_a_changed_study_is_refused_in_one_line(done, change, words):
 
 def test_another_version_and_another_folder_are_refused(done, tmp_path):
     with pytest.raises(InputError, match=r"mujoco 4.*here is 9"):
-        Dataset.open(done.folder, done.plan, versions() | {"mujoco": "9"})
+        Dataset.open(done.folder, done.design, versions() | {"mujoco": "9"})
     (tmp_path / "letter.txt").write_text("not a sweep")
     with pytest.raises(InputError, match="something else"):
-        Dataset.open(tmp_path, done.plan, versions())
+        Dataset.open(tmp_path, done.design, versions())
 
 
 def test_two_sweeps_into_one_folder_at_once_are_refused(done):
     with done.alone(), pytest.raises(InputError, match="no other sweep"):
-        sweep(done.plan, Dataset.open(done.folder, done.plan, versions()))
-    sweep(done.plan, done)
+        sweep(done.design, Dataset.open(done.folder, done.design, versions()))
+    sweep(done.design, done)
 
 
 def test_points_of_an_axis_see_the_same_noise(tmp_path):
     """An axis that reaches no estimator (the wrench's noise): the same measures to the bit at all its points."""
     axis = {"kind": "set", "name": "force_noise", "key": "sensors.wrench.force_noise", "values": [0.1, 5.0]}
     found = run(tmp_path / "a", study(axes=[axis], scenarios=["link_sweep"]), jobs=1)
-    for name in found.plan.study.names:
+    for name in found.design.study.names:
         assert column(found, 0, name, "rms") == column(found, 1, name, "rms")
     assert len(set(column(found, 0, "EKF", "rms"))) == 3, "seeds differ"
 
@@ -136,31 +137,33 @@ def test_points_of_an_axis_see_the_same_noise(tmp_path):
 def test_variants_of_a_filter_share_a_simulation_and_are_what_they_would_be_alone(tmp_path):
     axes = [
         {"kind": "set", "name": "k", "key": "filters.RAREKF.k", "values": [0.0, 2.0]},
-        {"kind": "set", "name": "cutoff", "key": "estimators.motor_current.cutoff", "values": [10.0, 40.0]},
+        {"kind": "set", "name": "cutoff", "key": "filters.current.cutoff", "values": [10.0, 40.0]},
     ]
     together = run(tmp_path / "a", study(axes=axes, scenarios=["link_sweep"]), jobs=1)
-    assert together.plan.runs == 3
-    alone = study(axes=[], scenarios=["link_sweep"], filters=[{"name": "RAREKF", "rule": "rarekf", "k": 2.0}])
+    assert together.design.runs == 3
+    alone = study(
+        axes=[], scenarios=["link_sweep"], filters=[{"name": "RAREKF", "rule": "rarekf", "k": 2.0}, "current"]
+    )
     alone = run(tmp_path / "b", alone, jobs=1)
     table = together.read(0).to_pylist()
     assert [r["rms"] for r in table if r["k"] == 2.0] == column(alone, 0, "RAREKF", "rms")
-    assert [r["rms"] for r in table if r["cutoff"] == 40.0] == column(alone, 0, "motor_current", "rms")
-    assert baselines.get("motor_current").cutoff == 40.0
+    assert [r["rms"] for r in table if r["cutoff"] == 40.0] == column(alone, 0, "current", "rms")
+    assert registry.get("current").cutoff == 40.0
     assert [r["k"] for r in table if r["filter"] == "EKF"] == [None] * 3
 
 
 def test_causes_are_drawn_per_seed_and_grow_with_size():
-    plan = Plan.of(
+    design = Design.of(
         study(
             scenarios=["link_sweep"],
             axes=[{"kind": "cause", "causes": ["stiffness"], "sizes": [0, 0.5, 1]}],
-            estimators=[],
+            filters=["EKF"],
         )
     )
-    record = plan.experiment(plan.cells[0]).record
-    assert plan.hidden(plan.cells[0], 4, record) is None
+    record = design.experiment(design.cells[0]).record
+    assert design.hidden(design.cells[0], 4, record) is None
     half, whole = (
-        [plan.hidden(cell, s, record)[0]["K2"] / record[0]["K2"] - 1 for s in range(6)] for cell in plan.cells[1:]
+        [design.hidden(cell, s, record)[0]["K2"] / record[0]["K2"] - 1 for s in range(6)] for cell in design.cells[1:]
     )
     np.testing.assert_allclose(2 * np.array(half), whole, rtol=1e-12)
     assert len(set(whole)) == 6
@@ -173,29 +176,30 @@ def test_what_is_hidden_costs_and_the_estimators_do_not_know_it(tmp_path):
     asked = study(scenarios=["link_sweep"], axes=axes, set={"duration": 3.0, "trajectory.0.position": 1.2})
     asked = asked.model_copy(update={"set": asked.set | {"trajectory.1.position": 1.3}})
     found = run(tmp_path / "a", asked, jobs=2)
-    plan = found.plan
-    assert plan.experiment(plan.cells[1]).calibration.tobytes() == plan.experiment(plan.cells[0]).calibration.tobytes()
+    design = found.design
+    exact, hidden = (design.experiment(cell).known.record.tobytes() for cell in design.cells)
+    assert exact == hidden
     right, wrong = (np.array(column(found, c, "EKF", "rms")) for c in (0, 1))
     assert np.all(wrong > 5 * right)
 
 
 def test_load_is_known_to_the_estimators():
-    plan = Plan.of(study(scenarios=["link_sweep"], axes=[{"kind": "load", "values": [4.5, 9.0]}]))
-    light, nominal = (plan.experiment(cell) for cell in plan.cells)
-    for record in (light.record, light.calibration):
+    design = Design.of(study(scenarios=["link_sweep"], axes=[{"kind": "load", "values": [4.5, 9.0]}]))
+    light, nominal = (design.experiment(cell) for cell in design.cells)
+    for record in (light.record, light.known.record):
         assert record[0]["Mg"] == 4.5
         assert record[0]["Jl"] == pytest.approx(0.5 * nominal.record[0]["Jl"], rel=1e-12)
 
 
 def test_a_filter_that_diverges_leaves_the_others_as_they_are(done, tmp_path):
     """γ below √P: Eq. (18) has no solution. The other filters' rows are those of a study without it."""
-    filters = [f.model_dump(exclude_none=True) for f in study().filters]
+    filters = [f.model_dump() for f in study().filters]
     filters.insert(1, {"name": "tight", "rule": "robust", "gamma": 0.01})
     found = run(tmp_path / "a", study(filters=filters), jobs=1)
     table = found.read(0).to_pylist()
     bad = [r for r in table if r["filter"] == "tight"]
     assert len(bad) == 3 and all(r["rms"] is None and "tight" in r["failure"] for r in bad)
-    for name in ("EKF", "RAREKF", "motor_current"):
+    for name in ("EKF", "RAREKF", "current"):
         assert column(found, 0, name, "rms") == column(done, 0, name, "rms")
 
 
@@ -212,13 +216,13 @@ def test_a_load_that_the_joint_cannot_bear_is_a_row_that_says_so(tmp_path):
 
 def test_a_fed_back_filter_that_the_study_does_not_list_still_feeds_back(tmp_path):
     """`torque_feedback` feeds back its RAREKF; a study of the EKF alone has the same plant."""
-    one = {"scenarios": ["torque_feedback"], "axes": [], "estimators": [], "set": {"duration": 1.5}}
+    one = {"scenarios": ["torque_feedback"], "axes": [], "set": {"duration": 1.5}}
     both = run(tmp_path / "a", study(**one), jobs=1)
-    ekf = run(tmp_path / "b", study(**one, filters=[{"name": "EKF", "rule": "ekf"}]), jobs=1)
+    ekf = run(tmp_path / "b", study(**one, filters=["EKF"]), jobs=1)
     assert column(both, 0, "EKF", "rms") == column(ekf, 0, "EKF", "rms")
     assert "RAREKF" not in {r["filter"] for r in ekf.read(0).to_pylist()}
 
 
 def test_files_say_which_versions_made_them(done):
     assert b"mujoco" in pq.read_schema(done.parts(0)[0][2]).metadata[b"versions"]
-    assert rows(done).num_rows == done.plan.runs * 3
+    assert rows(done).num_rows == done.design.runs * 3

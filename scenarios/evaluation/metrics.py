@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
-from scipy.signal import find_peaks
+
+from ...estimator.estimator import Posterior
+from ...models.kernels import kernel
 
 _WINDOW = 0.2  # s: slower than this is signal, faster is noise
 _STEADY_RATE = 0.5  # N·m/s: slower than this is steady
@@ -76,7 +77,7 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
     return None
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _shift_costs(estimate, truth, indices, earliest, cost):
     """Mean square of estimate[i] − truth[i − s] over `indices`, for shifts s = −earliest …; into cost, shape (shifts,).
 
@@ -112,13 +113,24 @@ def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: li
         change = truth[begin:end] - truth[begin]
         if len(change) < 3 or np.max(np.abs(change)) < 0.2:
             continue
-        peaks, _ = find_peaks(np.abs(change), height=0.5 * np.max(np.abs(change)))
-        extremum = int(peaks[0]) if len(peaks) else int(np.argmax(np.abs(change)))
+        extremum = _first_peak(np.abs(change), 0.5 * float(np.max(np.abs(change))))
         goal = _RESPONSE * change[extremum]
         made = (estimate[begin:end] - truth[begin]) * np.sign(goal) >= abs(goal)
         if np.any(made):
             times.append(int(np.argmax(made)) * dt)
     return float(np.mean(times)) if times else None
+
+
+def _first_peak(x: np.ndarray, height: float) -> int:
+    """Index of the first local maximum of x, shape (n,), that is as high as `height`; the middle of a flat one.
+
+    The ends are no maxima; where there is none, the index of the largest value.
+    """
+    begins = np.r_[0, np.flatnonzero(np.diff(x)) + 1]  # of runs of equal values
+    values = x[begins]
+    ends = np.r_[begins[1:], len(x)] - 1
+    inner = np.flatnonzero((values[1:-1] > values[:-2]) & (values[1:-1] > values[2:]) & (values[1:-1] >= height)) + 1
+    return int((begins[inner[0]] + ends[inner[0]]) // 2) if len(inner) else int(np.argmax(x))
 
 
 @dataclass(frozen=True)
@@ -169,31 +181,31 @@ class Reference:
             during[a : min(b + round(_WINDOW / self.dt), len(self.truth))] = True
         return during
 
+    def response_ms(self, estimate: np.ndarray) -> float | None:
+        """Mean 90 % response to a push [ms] of an estimate, shape (n,) [N·m] (`response_time`)."""
+        response = response_time(estimate, self.truth, self.dt, self.events)
+        return None if response is None else 1e3 * response
+
     def evaluate(self, estimate: np.ndarray) -> dict[str, float | None]:
         """All measures of one estimate, shape (n,) [N·m]."""
         lag = delay(estimate, self.truth, self.dt, self.during)
-        response = response_time(estimate, self.truth, self.dt, self.events)
         own_noise = noise(estimate, self.truth, self.dt, self.calm)
         return {
             **errors(estimate, self.truth, self.reading, self.kept),
             "noise": _finite(own_noise),
             "noise_ratio": _finite(own_noise / self.raw_noise) if self.raw_noise > 0 else None,
             "delay_ms": None if lag is None else 1e3 * lag,
-            "response_ms": None if response is None else 1e3 * response,
+            "response_ms": self.response_ms(estimate),
         }
 
-
-def evaluate(
-    estimate: np.ndarray,
-    truth: np.ndarray,
-    reading: np.ndarray,
-    raw: np.ndarray,
-    external_torque: np.ndarray,
-    dt: float,
-    transient: float,
-) -> dict[str, float | None]:
-    """All measures of one estimate of the joint torque; arguments as of `Reference`."""
-    return Reference(truth, reading, raw, external_torque, dt, transient).evaluate(estimate)
+    def evaluate_posterior(self, found: Posterior) -> dict[str, float | None]:
+        """All measures of what an estimator says: of its estimate, and of what it believes of itself where it states that."""
+        nis = found.nis
+        return {
+            **self.evaluate(found.mean),
+            "robust_share": None if found.robust is None else float(np.mean(found.robust[self.kept])),
+            "mean_nis": None if nis is None else float(np.mean(nis[self.kept])),
+        }
 
 
 def _finite(value: float) -> float | None:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
+from flexspline.estimator.joint_model import STATES
 from flexspline.models.errors import InputError
-from flexspline.scenarios import limits
-from flexspline.scenarios.offline import contenders
+from flexspline.scenarios.evaluation import limits
+from flexspline.scenarios.filters import estimators
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 
-NAMES = ("EKF", "RAREKF", "compliance_model", "dynamics_ekf", "rts_smoother")
+NAMES = ("EKF", "RAREKF", "model", "dynamics_ekf", "rts_smoother")
 
 
 def scenario(*changes: str):
@@ -21,7 +23,7 @@ def scenario(*changes: str):
 def drawn():
     """Draws of the bound's own external torque: one limit for all that is causal."""
     chosen, folder = scenario()
-    return limits.assess(limits.matched(chosen, 1.0), folder, range(1, 5), contenders(NAMES), 1.0)
+    return limits.assess(limits.matched(chosen, 1.0), folder, range(1, 5), estimators(NAMES), 1.0)
 
 
 def test_no_filter_is_below_the_bound_on_its_own_model(drawn):
@@ -30,7 +32,7 @@ def test_no_filter_is_below_the_bound_on_its_own_model(drawn):
         if one.causal:
             assert drawn.ratio(one.name) > 1.0
     assert drawn.ratio("dynamics_ekf") < 3.0  # and it is no idle bound
-    assert drawn.bound_rms < drawn.torsion_bound_rms < drawn.ratio("compliance_model") * drawn.bound_rms
+    assert drawn.bound_rms < drawn.torsion_bound_rms < drawn.ratio("model") * drawn.bound_rms
 
 
 def test_what_is_reported(drawn):
@@ -41,7 +43,7 @@ def test_what_is_reported(drawn):
         assert one.rms.shape == (4,) and one.error.shape == (bins,)
         after = drawn.time > drawn.transient
         assert np.sqrt(np.mean(one.error[after] ** 2)) == pytest.approx(one.mean_rms, rel=1e-9)
-    assert by_name["compliance_model"].nis is None and by_name["compliance_model"].nees is not None
+    assert by_name["model"].nis is None and by_name["model"].nees is not None
     assert by_name["rts_smoother"].nis is None and not by_name["rts_smoother"].causal
     assert by_name["EKF"].autocorrelation.shape == (limits.LAGS,)
     assert by_name["EKF"].nis.samples == 4 * 4000
@@ -50,7 +52,7 @@ def test_what_is_reported(drawn):
 def test_measures_are_those_of_the_runs():
     """One seed: RMS error and mean NIS as the run itself reports them."""
     chosen, folder = scenario("duration=3")
-    found = limits.assess(chosen, folder, [7], contenders(["EKF", "RAREKF"]))
+    found = limits.assess(chosen, folder, [7], estimators(["EKF", "RAREKF"]))
     run = run_scenario(chosen.model_copy(update={"seed": 7}), folder)
     for one in found.estimators:
         assert one.rms[0] == pytest.approx(run.metrics["filters"][one.name]["rms"], rel=1e-12)
@@ -62,7 +64,7 @@ def test_intensity_is_fitted_and_never_silent():
     expected = np.sqrt(2 * 2.0**2 / 2.999)
     assert limits.fitted_intensity(chosen) == pytest.approx(expected)
     quiet, _ = scenario("duration=3", "disturbances=[]")
-    found = limits.assess(quiet, folder, [1], [])
+    found = limits.assess(quiet, folder, [1], {})
     assert found.fitted == 0.0 and found.intensity == pytest.approx(0.012)
 
 
@@ -79,6 +81,16 @@ def test_bad_input():
     chosen, folder = scenario()
     fed_back = chosen.model_copy(update={"feedback": "EKF"})
     with pytest.raises(InputError, match="feedback: expected none or sensor"):
-        limits.assess(fed_back, folder, [1], [])
+        limits.assess(fed_back, folder, [1], {})
     with pytest.raises(InputError, match="at least one seed"):
-        limits.assess(chosen, folder, [], [])
+        limits.assess(chosen, folder, [], {})
+
+
+def test_true_states_are_the_truth_by_name():
+    chosen, folder = scenario("duration=2")
+    run = run_scenario(chosen, folder)
+    column = dict(zip(STATES, limits.true_states(run).T, strict=True))
+    for name in ("motor_position", "wave_generator_velocity", "link_velocity", "bristle"):
+        assert np.array_equal(column[name], run.truth(name)), name
+    assert np.array_equal(column["external_torque"], run.external_torque)
+    assert not column["hysteresis"].any()

@@ -2,16 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import ClassVar
 
 import numpy as np
 import pytest
 import yaml
+
+from flexspline.estimator import registry
+from flexspline.estimator.arrays import run as filtered
+from flexspline.estimator.estimator import Estimator, Posterior
+from flexspline.estimator.filters.paper import PaperFilter
+from flexspline.estimator.tuning_parameters import TuningParameter
 from flexspline.models.errors import InputError
-from flexspline.scenarios import tuning
-from flexspline.scenarios.intervals import interval
-from flexspline.scenarios.offline import contenders
+from flexspline.models.signals import Signals
+from flexspline.scenarios.evaluation import tuning
+from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.scenarios.scenario import Scenario, load_scenario
+
+
+@dataclass(frozen=True)
+class OnMeasurement(Estimator):
+    """The paper's EKF on a measurement that is given, instead of on encoders."""
+
+    name: str = "given"
+    W: float = 1e-4
+    V: float = 1e-2
+    tuning: ClassVar[tuple[TuningParameter, ...]] = registry.get("EKF").tuning
+
+    def estimate(self, signals: Signals, joint) -> Posterior:
+        found = filtered(PaperFilter("given", "ekf", W=self.W, V=self.V), signals["measurement"], time=signals.time)
+        return Posterior(self.name, signals.time, found.torque)
 
 
 class Walk:
@@ -20,8 +42,8 @@ class Walk:
     def __init__(self, rng, W: float, V: float, n: int = 20000):
         self.time = np.arange(n) * 1e-3
         self.walk = np.cumsum(np.sqrt(W) * rng.standard_normal(n))
-        self.model_torque = self.walk + np.sqrt(V) * rng.standard_normal(n)
-        self.scenario = SimpleNamespace(transient=1.0)
+        self.signals = Signals(self.time, {"measurement": self.walk + np.sqrt(V) * rng.standard_normal(n)})
+        self.scenario, self.known = SimpleNamespace(transient=1.0), None
 
     def truth(self, _: str) -> np.ndarray:
         return self.walk
@@ -37,9 +59,8 @@ def test_recovers_the_ratio_of_a_random_walk(rng):
     """The best W/V of a Kalman filter on a random walk is the walk's own."""
     W, V = 4e-5, 1e-2
     train = [[Walk(rng, W, V) for _ in range(6)]]
-    (ekf,) = contenders(["EKF"])
-    found = tuning.tune(ekf, train, train)
-    ratio = found.values["W"] / found.tuned.settings.V
+    found = tuning.tune(OnMeasurement(), train, train)
+    ratio = found.values["W"] / found.tuned.V
     print(f"W/V {ratio:.3e}, {W / V:.3e} is right; {found.evaluations} evaluations")
     # The error is flat about the optimum: log10 of the ratio scatters by some 0.05 over draws of this length.
     assert abs(np.log10(ratio / (W / V))) < 0.2
@@ -50,20 +71,21 @@ def test_recovers_the_ratio_of_a_random_walk(rng):
 
 def test_never_worse_on_training_and_paired_on_test(runs):
     train, test = runs
-    for contender in contenders(["EKF", "RAREKF", "lowpass", "strong_tracking", "compliance_model"]):
-        found = tuning.tune(contender, train, test, evaluations=40)
+    for name in ("EKF", "RAREKF", "lowpass", "strong_tracking", "model"):
+        estimator = registry.get(name)
+        found = tuning.tune(estimator, train, test, evaluations=40)
         assert found.train[1] <= found.train[0]
-        assert found.train[0] == pytest.approx(tuning.score(tuning.errors(contender, train)))
+        assert found.train[0] == pytest.approx(tuning.score(tuning.errors(estimator, train)))
         assert found.train[1] == pytest.approx(tuning.score(tuning.errors(found.tuned, train)))
-        assert found.gain.mean == pytest.approx(np.mean(found.test_tuned - found.test_default))
-        assert (contender.name == "compliance_model") == (found.values == {})
-    ekf = tuning.tune(contenders(["EKF"])[0], train, test, evaluations=40)
-    assert ekf.gain.high < 0  # a slow default gains under pushes, on seeds it has not seen
+        assert found.difference.mean == pytest.approx(np.mean(found.test_tuned - found.test_default))
+        assert (name == "model") == (found.values == {})
+    ekf = tuning.tune(registry.get("EKF"), train, test, evaluations=40)
+    assert ekf.difference.high < 0  # a slow default gains under pushes, on seeds it has not seen
 
 
 def test_deterministic_on_any_number_of_threads(runs):
     train, test = runs
-    (rarekf,) = contenders(["RAREKF"])
+    rarekf = registry.get("RAREKF")
     once, again = (tuning.tune(rarekf, train, test, 25, threads) for threads in (1, 2))
     assert once.values == again.values and once.train == again.train
     assert np.array_equal(once.test_tuned, again.test_tuned)
@@ -71,8 +93,7 @@ def test_deterministic_on_any_number_of_threads(runs):
 
 def test_settings_without_a_solution_cost_but_do_not_stop(runs):
     train, _ = runs
-    (h,) = contenders(["REKF"])
-    impossible = h.turned({"W": 1.0})
+    impossible = tuning.with_parameters(registry.get("REKF"), {"W": 1.0})
     assert (tuning.errors(impossible, train) > 1e5).all()
     assert tuning.tune(impossible, train, train, 30).train[1] < 1.0
 
@@ -82,8 +103,8 @@ def test_the_joints_dynamics_halve_the_error_of_a_tuned_rarekf():
     """Against one tuning for the three experiments, on a seed that it has not seen."""
     scenarios = [load_scenario(name) for name in ("no_load", "link_sweep", "external_push")]
     train, test = tuning.simulated(scenarios, [1]), tuning.simulated(scenarios, [101])
-    rarekf = tuning.tune(contenders(["RAREKF"])[0], train, test, 150)
-    found = [tuning.errors(c, test, threads=2)[:, 0] for c in contenders(["dynamics_ekf", "dynamics_ukf"])]
+    rarekf = tuning.tune(registry.get("RAREKF"), train, test, 150)
+    found = [tuning.errors(registry.get(n), test, threads=2)[:, 0] for n in ("dynamics_ekf", "dynamics_ukf")]
     ratios = np.min(found, axis=0) / rarekf.test_tuned[:, 0]
     print(f"best of EKF and UKF on the joint's dynamics / tuned RAREKF: {ratios}; {rarekf.values}")
     assert (ratios <= 0.5).all()
@@ -91,13 +112,13 @@ def test_the_joints_dynamics_halve_the_error_of_a_tuned_rarekf():
 
 def test_front_of_noise_against_delay(runs):
     _, test = runs
-    (ekf,) = contenders(["EKF"])
+    ekf = registry.get("EKF")
     front = tuning.pareto(ekf, test[0], count=12)
     delay, noise = front.points.T
     assert len(delay) > 6 and (np.diff(delay) > 0).all() and (np.diff(noise) < 0).all()
     # Each point is what its settings give; the default is on the curve of a filter with one knob, or between its points.
     middle = len(delay) // 2
-    again = tuning.noise_and_delay(ekf.turned(front.settings[middle]), test[0])
+    again = tuning.noise_and_delay(tuning.with_parameters(ekf, front.settings[middle]), test[0])
     assert again == pytest.approx(front.points[middle])
     assert np.interp(front.default[0], delay, noise) == pytest.approx(front.default[1], rel=0.05)
 
@@ -116,18 +137,38 @@ def test_interval():
 
 
 def test_the_file_is_a_scenarios_filters(runs, tmp_path):
+    """Every tuned estimator is an entry that a scenario takes, and is then what was tuned, to six digits."""
     train, test = runs
-    found = [tuning.tune(c, train, test, 20) for c in contenders(["EKF", "RAREKF", "lowpass"])]
+    found = [tuning.tune(registry.get(n), train, test, 20) for n in ("EKF", "RAREKF", "lowpass", "model")]
     tuning.write_tuned(found, ["external_push"], [1, 2], [101, 102], tmp_path / "tuned.yaml")
     data = yaml.safe_load((tmp_path / "tuned.yaml").read_text())
     base, _ = load_scenario("external_push")
-    used = Scenario.model_validate({**base.model_dump(), "filters": data["filters"]})
-    for one, choice in zip(found[:2], used.filters, strict=True):
-        ours, theirs = one.tuned.settings, choice.settings()
-        for field in ("W", "V", "P0", "rho", "k"):
-            assert getattr(theirs, field) == pytest.approx(getattr(ours, field), rel=1e-5)
-    assert data["baselines"]["lowpass"]["cutoff"] == pytest.approx(found[2].values["cutoff"], rel=1e-5)
+    used = Scenario.model_validate({**base.model_dump(), "filters": data["filters"]}).estimators()
+    for one in found:
+        for field in one.values:
+            ours, theirs = getattr(one.tuned, field), getattr(used[one.name], field)
+            assert theirs == pytest.approx(ours, rel=1e-5), (one.name, field)
+    assert used["RAREKF"].P0 == used["RAREKF"].V
     assert data["rms"]["EKF"]["train"][1] <= data["rms"]["EKF"]["train"][0]
+
+
+def test_halton_is_scipys():
+    from scipy.stats import qmc
+
+    for dimensions in (1, 2, 5):
+        expected = qmc.Halton(dimensions, scramble=False).random(65)[1:]
+        np.testing.assert_allclose(tuning.halton(dimensions, 64), expected, atol=1e-15)
+
+
+def test_the_papers_start_at_the_measurement():
+    assert tuning.with_parameters(registry.get("RAREKF"), {"V": 0.5}).P0 == 0.5
+
+
+def test_tuning_parameters_in_their_scale():
+    parameter = TuningParameter("x", 1e-3, 10.0)
+    assert parameter.from_unit(0.5) == pytest.approx(0.1) and parameter.to_unit(0.1) == pytest.approx(0.5)
+    assert parameter.from_unit(-1) == 1e-3 and parameter.to_unit(1e9) == 1.0
+    assert TuningParameter("y", 1.0, 3.0, "linear").from_unit(0.25) == 1.5
 
 
 def test_bad_input():

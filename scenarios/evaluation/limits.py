@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..estimator import FilterDiverged, bound, consistency, measurement_variance
-from ..estimator.consistency import Mean
-from ..models.errors import InputError
-from . import offline
-from .offline import Contender
-from .run import Run
-from .scenario import Disturbance, Scenario
+from ...estimator import bound, consistency
+from ...estimator.compliance import measurement_variance
+from ...estimator.consistency import Mean
+from ...estimator.errors import FilterDiverged
+from ...estimator.estimator import Estimator, KnownJoint
+from ...estimator.joint_model import STATES
+from ...models.errors import InputError
+from ..run import Run, simulate_scenario
+from ..scenario import Disturbance, Scenario
 
 BIN = 0.1
 """Time [s] over which errors are averaged to be shown over time."""
@@ -110,7 +112,7 @@ def assess(
     scenario: Scenario,
     folder: Path | None,
     seeds: Sequence[int],
-    contenders: Sequence[Contender],
+    estimators: Mapping[str, Estimator],
     intensity: float | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> Limits:
@@ -120,7 +122,7 @@ def assess(
         scenario: without torque feedback, so that all estimators see the same.
         folder: of the scenario's file.
         seeds: one or more.
-        contenders: of `offline.contenders`.
+        estimators: by name.
         intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario, and at least
             0.001·T2, a joint whose load is known to 1 % after 40 s: nobody knows that nothing acts.
         progress: called after each seed.
@@ -138,10 +140,10 @@ def assess(
     if intensity is None:
         intensity = max(fitted, bound.QUIET.external * float(record[0]["T2"]))
 
-    collected = [_Collected(c) for c in contenders]
+    collected = [_Collected(name, one) for name, one in estimators.items()]
     variances, torsion_variances, walks = [], [], []
     for seed in seeds:
-        run = offline.run_alone(scenario, folder, int(seed))
+        run = simulate_scenario(scenario, folder, seed)
         variances.append(joint_variance(run, record, intensity))
         walks.append(bound.walk_intensity(run.truth("joint_torque"), run.time))
         torsion_variances.append(torsion_variance(run, record, walks[-1]))
@@ -160,16 +162,28 @@ def assess(
     )  # fmt: skip
 
 
+def true_states(run: Run) -> np.ndarray:
+    """The true states of a run, columns `joint_model.STATES`, shape (n, len(STATES)); hysteresis of the flexspline is left out."""
+    states = np.zeros((len(run.time), len(STATES)))
+    truth = run.simulation.truth
+    for i, name in enumerate(STATES):
+        if name == "external_torque":
+            states[:, i] = run.external_torque
+        elif name in (truth.dtype.names or ()):
+            states[:, i] = truth[name]
+    return states
+
+
 def joint_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarray:
     """Bound of the error variance along a run's truth, shape (n,) [(N·m)²]; `record`: of the plant."""
-    noise = offline.sensor_noise(run.joint)
-    current, command = run.truth("motor_current"), run.signals.command
-    return bound.joint_bound(run.time, offline.true_states(run), current, command, record, noise, intensity)
+    noise = KnownJoint.of(run.joint).noise
+    current, command = run.truth("motor_current"), run.simulation.command
+    return bound.joint_bound(run.time, true_states(run), current, command, record, noise, intensity)
 
 
 def torsion_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarray:
     """Bound for the paper's model, shape (n,): random walk of the joint torque, encoders' noise through the stiffness."""
-    p, noise = record[0], offline.sensor_noise(run.joint)
+    p, noise = record[0], KnownJoint.of(run.joint).noise
     load = np.abs(run.truth("flexspline_torque"))
     stiffness = np.where(load < p["T1"], p["K1"], np.where(load < p["T2"], p["K2"], p["K3"]))
     unit = measurement_variance(
@@ -188,8 +202,8 @@ def _binned(values: np.ndarray, size: int) -> np.ndarray:
 class _Collected:
     """What is kept of one estimator from seed to seed: a few numbers and curves, not the signals."""
 
-    def __init__(self, contender: Contender):
-        self.contender = contender
+    def __init__(self, name: str, estimator: Estimator):
+        self.name, self.estimator = name, estimator
         self.rms: list[float] = []
         self.squares: list[np.ndarray] = []
         self.nis: list[tuple[float, int, int]] = []
@@ -203,11 +217,11 @@ class _Collected:
         kept = run.time >= run.scenario.transient
         size = round(BIN / (run.time[1] - run.time[0]))
         try:
-            estimate = self.contender.estimate(run)
+            estimate = self.estimator.estimate(run.signals, run.known)
         except FilterDiverged:
             self.rms.append(np.nan)
             return
-        error = estimate.torque - run.truth("joint_torque")
+        error = estimate.mean - run.truth("joint_torque")
         self.rms.append(float(np.sqrt(np.mean(error[kept] ** 2))))
         self.squares.append(_binned(error**2, size))
         if estimate.variance is not None:
@@ -215,7 +229,7 @@ class _Collected:
             # One sample per bin: those of different seeds are independent.
             self.nees.append(nees[size // 2 :: size][: len(self.squares[-1])])
             self.nees_apart.append(nees[kept][:: round(_APART / (run.time[1] - run.time[0]))])
-        if estimate.innovation is not None and self.contender.causal:
+        if estimate.innovation is not None and self.estimator.causal:
             e, S = estimate.innovation[kept], estimate.innovation_covariance[kept]
             squares = consistency.normalised_squares(e, S)
             self.nis.append((float(np.mean(squares)), e.shape[1], len(e)))
@@ -227,7 +241,7 @@ class _Collected:
     def assessment(self) -> Assessment:
         """Everything over the seeds."""
         error = np.sqrt(np.mean(self.squares, axis=0)) if self.squares else np.zeros(0)
-        found = Assessment(self.contender.name, self.contender.causal, np.array(self.rms), error)
+        found = Assessment(self.name, self.estimator.causal, np.array(self.rms), error)
         if self.nees:
             nees = np.array(self.nees)
             found = replace(

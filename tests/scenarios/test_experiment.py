@@ -1,14 +1,23 @@
-"""The closed loop: the same for all filters, to the bit; reproducible; and what feedback buys."""
+"""A scenario in the closed loop: the same for all filters, to the bit; reproducible; and what feedback buys."""
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
-from flexspline.estimator import FilterDiverged
+
+from flexspline.estimator import FilterDiverged, registry
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.scenarios.experiment import Experiment, estimate, signals_of
+from flexspline.scenarios.filters import PAPER
 from flexspline.scenarios.run import run_scenario
-from flexspline.scenarios.scenario import PAPER_FILTERS, Scenario, load_scenario, shipped_scenarios
+from flexspline.scenarios.scenario import Scenario, load_scenario, shipped_scenarios
+
+CAUSAL = [name for name in registry.names() if registry.get(name).causal]
 
 
 def scenario(**changes) -> Scenario:
@@ -28,25 +37,34 @@ def scenario(**changes) -> Scenario:
     return Scenario.model_validate(data)
 
 
-def signals(run):
-    """Everything but the filters, as bytes."""
-    s = run.signals
-    return {name: getattr(s, name).tobytes() for name in ("time", "truth", "readings", "command", "model_torque")}
+def signals(run) -> dict[str, bytes]:
+    """Everything but the estimates, as bytes."""
+    s = run.simulation
+    return {name: getattr(s, name).tobytes() for name in ("time", "truth", "readings", "command")}
+
+
+def said(found) -> dict[str, bytes]:
+    """Everything that an estimator says, as bytes."""
+    parts = ("mean", "variance", "innovation", "innovation_covariance", "robust", "external")
+    values = {name: getattr(found, name) for name in parts} | dict(found.columns)
+    return {name: value.tobytes() for name, value in values.items() if value is not None}
 
 
 def test_same_seed_same_bits():
-    a, b = run_scenario(scenario()), run_scenario(scenario())
+    a, b = run_scenario(scenario()), run_scenario(scenario(), threads=3)
     assert signals(a) == signals(b)
-    assert a.signals.filters.tobytes() == b.signals.filters.tobytes()
+    assert {name: said(found) for name, found in a.estimates.items()} == {
+        name: said(found) for name, found in b.estimates.items()
+    }
 
 
 def test_other_seed_other_noise():
     """The motor encoder has counts and no noise, so the motion is the same; with an estimate fed back it is not."""
     a, b = run_scenario(scenario()), run_scenario(scenario(seed=6))
-    assert a.signals.truth.tobytes() == b.signals.truth.tobytes()
+    assert a.simulation.truth.tobytes() == b.simulation.truth.tobytes()
     for name in ("link_position", "motor_current", "joint_torque", "force_x", "torque_y"):
         assert (a.reading(name) != b.reading(name)).mean() > 0.2, name
-    for name in a.filters:
+    for name in a.estimates:
         assert (a.estimate(name) != b.estimate(name)).mean() > 0.2, name
     a, b = run_scenario(scenario(feedback="RAREKF")), run_scenario(scenario(feedback="RAREKF", seed=6))
     assert 0 < np.abs(a.truth("joint_torque") - b.truth("joint_torque")).max() < 1
@@ -56,11 +74,79 @@ def test_filters_see_the_same_signals_whoever_else_is_there():
     """Filters removed, added, in another order: every signal the same to the bit, and so is each filter's estimate."""
     full = run_scenario(scenario())
     for choice in ([0], [2], [3, 1], [2, 1, 0, 3]):
-        chosen = [PAPER_FILTERS[i].model_dump(exclude_none=True) for i in choice]
-        other = run_scenario(scenario(filters=chosen))
+        other = run_scenario(scenario(filters=[PAPER[i] for i in choice] + ["lowpass"]))
         assert signals(other) == signals(full)
-        for name in other.filters:
-            assert other.estimate(name).tobytes() == full.estimate(name).tobytes(), name
+        for name in (PAPER[i] for i in choice):
+            assert said(other.estimates[name]) == said(full.estimates[name]), name
+
+
+@pytest.mark.parametrize("name", CAUSAL)
+def test_what_feeds_back_says_in_the_loop_what_it_says_afterwards(name):
+    """Every causal estimator: what acted in the loop is, to the bit, what the same step says over the signals."""
+    chosen = scenario(filters=[name], feedback=name, duration=1.5, disturbances=[])
+    experiment = Experiment.of(chosen)
+    simulation = experiment.simulate()
+    again = estimate({name: registry.get(name)}, signals_of(simulation), experiment.known)[name]
+    silent = Experiment.of(chosen.model_copy(update={"feedback": "none"})).simulate()
+    assert simulation.command.tobytes() != silent.command.tobytes(), "nothing was fed back"
+    # The drive's law with this estimate gives the very commands that were given.
+    assert commanded(experiment, simulation, again.mean).tobytes() == simulation.command.tobytes()
+
+
+def commanded(experiment: Experiment, simulation, torque: np.ndarray) -> np.ndarray:
+    """Current commands [A], shape (n,), of the drive's law on recorded readings with a torque estimate, shape (n,)."""
+    from flexspline.sim.drive import control
+    from flexspline.sim.loop import CONTROL_PERIOD
+
+    p = experiment.record[0]
+    c = experiment.scenario.controller.record(p, CONTROL_PERIOD, True)[0]
+    motor, drive = simulation.readings["motor_position"], np.zeros(3)
+    drive[0] = c["gear"] * experiment.position[0]
+    dt = round(CONTROL_PERIOD / experiment.scenario.timestep) * experiment.scenario.timestep
+    found = np.zeros(len(torque))
+    for k in range(len(torque)):
+        found[k] = control(experiment.position[k], experiment.velocity[k], motor[k], torque[k], drive, dt, c)
+    return found
+
+
+def test_one_that_looks_ahead_is_not_fed_back():
+    (smoother,) = [name for name in registry.names() if name == "rts_smoother"]
+    with pytest.raises(ValueError, match="feedback: expected a filter that can run in the loop, got 'rts_smoother'"):
+        scenario(filters=["EKF", smoother], feedback=smoother)
+
+
+_TWO_AT_ONCE = """
+import sys, threading
+from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.scenario import load_scenario
+
+ready, found = threading.Barrier(2), {}
+
+def one(i):
+    chosen, folder = load_scenario("link_sweep", ["duration=1.5", "feedback=RAREKF"])
+    ready.wait()
+    run = run_scenario(chosen, folder)
+    found[i] = run.simulation.truth.tobytes() + run.estimate("RAREKF").tobytes()
+
+threads = [threading.Thread(target=one, args=(i,)) for i in range(2)]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+sys.exit(0 if len(found) == 2 and found[0] == found[1] else 1)
+"""
+
+
+def test_two_threads_may_make_the_first_simulation_at_once():
+    """In a fresh process: callbacks are installed once, code is loaded or compiled once, both get the same bits."""
+    done = subprocess.run([sys.executable, "-c", _TWO_AT_ONCE], capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0, done.stderr
+
+
+def test_models_are_built_side_by_side():
+    """Threads that build and step their own models at once get what one thread gets."""
+    chosen = [scenario(duration=1.5, transient=0.5, disturbances=[], seed=seed) for seed in range(6)]
+    alone = [signals(run_scenario(one)) for one in chosen]
+    with ThreadPoolExecutor(3) as pool:
+        assert [signals(run) for run in pool.map(run_scenario, chosen)] == alone
 
 
 def test_changing_one_sensor_leaves_the_others_noise_to_the_bit():
@@ -68,7 +154,7 @@ def test_changing_one_sensor_leaves_the_others_noise_to_the_bit():
     a = run_scenario(scenario())
     changes = {"joint_torque": {"noise": 0.5, "rate": 500}, "wrench": {"force_noise": 2.0}}
     b = run_scenario(scenario(sensors=changes))
-    assert a.signals.truth.tobytes() == b.signals.truth.tobytes()
+    assert a.simulation.truth.tobytes() == b.simulation.truth.tobytes()
     for name in ("motor_position", "link_position", "motor_current", "torque_x", "torque_y"):
         assert a.reading(name).tobytes() == b.reading(name).tobytes(), name
     assert a.reading("joint_torque").tobytes() != b.reading("joint_torque").tobytes()
@@ -129,7 +215,7 @@ def test_motion_that_is_not_finite_is_an_error(tmp_path, monkeypatch):
 def test_current_stays_within_its_limit():
     far = [{"time": 0.3, "position": 0.0}, {"time": 0.5, "position": 1.5}]
     run = run_scenario(scenario(mounting="no_load", trajectory=far, disturbances=[]))
-    assert np.abs(run.signals.command).max() == pytest.approx(3.3)
+    assert np.abs(run.simulation.command).max() == pytest.approx(3.3)
     assert np.abs(run.truth("motor_current")).max() <= 3.3 + 1e-9
 
 
@@ -166,7 +252,7 @@ def test_printed_equation_23_with_noise():
     filters = [printed, {"name": "RAREKF", "rule": "rarekf"}]
     run = run_scenario(scenario(mounting="no_load", disturbances=[], filters=filters))
     assert np.isfinite(run.estimate("printed")).all()
-    assert run.robust("printed")[500:].mean() > 0.9 > 0.2 > run.robust("RAREKF")[500:].mean()
+    assert run.estimates["printed"].robust[500:].mean() > 0.9 > 0.2 > run.estimates["RAREKF"].robust[500:].mean()
     raw = np.std(np.diff(run.model_torque))
     assert np.std(np.diff(run.estimate("printed"))) > 0.9 * raw
     assert np.std(np.diff(run.estimate("RAREKF"))) < 0.5 * raw
@@ -195,7 +281,8 @@ def test_shipped_scenarios_begin(name):
     chosen, folder = load_scenario(name, ["duration=3"])
     run = run_scenario(chosen, folder)
     assert len(run.time) == 3000
-    assert np.isfinite(run.signals.truth).all() and np.isfinite(run.signals.filters).all()
+    assert all(np.isfinite(run.truth(name)).all() for name in run.simulation.truth.dtype.names)
+    assert all(np.isfinite(found.mean).all() for found in run.estimates.values())
     assert run.metrics["scenario"] == name
 
 

@@ -1,7 +1,7 @@
-"""A study as an ordered list of runs: cells (a scenario at a point of the axes), each with every seed.
+"""The design of a study: an ordered list of runs: cells (a scenario at a point of the axes), each with every seed.
 
 Every run's random streams derive from (study seed, scenario, seed) and nothing else: results do not depend on order,
-and all points of an axis see the same noise (pairing). Filters that only differ in their own settings share one simulation.
+and all points of an axis see the same noise (pairing). Filters that only differ in their own parameters share one simulation.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import hashlib
 import itertools
 import json
 import zlib
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -19,15 +18,16 @@ from typing import Any
 
 import numpy as np
 
-from ...estimator import FilterSettings, baselines
-from ...estimator.baselines import Estimator
+from ...estimator.estimator import Estimator
+from ...estimator.tuning_parameters import with_values
 from ...models import causes
 from ...models.errors import InputError
 from ...models.files import parse
 from ...sim import sensors
-from ..run import Experiment
+from ..experiment import Experiment
+from ..filters import FilterEntry
 from ..scenario import Scenario, load_scenario, put
-from .study import CauseAxis, LoadAxis, ScaleAxis, Study, Value, points, varied
+from .study import CauseAxis, LoadAxis, ScaleAxis, SettingAxis, Study, Value, points, varies
 
 
 @dataclass(frozen=True)
@@ -47,24 +47,15 @@ class Cell:
 
 @dataclass(frozen=True)
 class Variant:
-    """A filter or estimator as it runs: name, the axes that vary it with their values, and what it is."""
+    """A filter as it runs: name, the axes that vary it with their values, and the estimator, whose own name says both."""
 
     name: str
     columns: dict[str, Value]
-    settings: FilterSettings | Estimator
-
-    @property
-    def label(self) -> str:
-        """A name of its own within the study."""
-        return _label(self.name, self.columns)
-
-
-def _label(name: str, columns: dict[str, Value]) -> str:
-    return "/".join([name, *(f"{k}={v}" for k, v in columns.items())])
+    estimator: Estimator
 
 
 @dataclass(frozen=True)
-class Plan:
+class Design:
     """A study with everything that it names read in; can be sent to other processes.
 
     Attributes:
@@ -78,7 +69,7 @@ class Plan:
     digest: str
 
     @classmethod
-    def of(cls, study: Study, folder: Path = Path()) -> Plan:
+    def of(cls, study: Study, folder: Path = Path()) -> Design:
         """Read the scenarios, and check that every cell can run.
 
         Raises:
@@ -89,16 +80,13 @@ class Plan:
             beside = folder / choice.scenario
             scenario, home = load_scenario(beside if beside.is_file() else choice.scenario)
             data = scenario.model_dump(mode="json", exclude_none=True)
-            data["filters"] = [f.model_dump(exclude_none=True) for f in study.filters]
-            if scenario.feedback not in ("none", "sensor", *(f.name for f in study.filters)):
-                data["filters"] += [
-                    f.model_dump(exclude_none=True) for f in scenario.filters if f.name == scenario.feedback
-                ]
+            feeding = [f for f in scenario.filters if f.name == scenario.feedback and f.name not in study.names]
+            data["filters"] = [f.model_dump() for f in [*study.filters, *feeding]]
             for key, value in (study.set | choice.set).items():
                 put(data, key, value, f"study {study.name}: set {key}")
             scenarios[choice.name or choice.scenario] = (data, str(home.resolve()))
-        plan = cls(study, scenarios, "")
-        return replace(plan, digest=plan._check())
+        design = cls(study, scenarios, "")
+        return replace(design, digest=design._check())
 
     def _check(self) -> str:
         """Build the plant at every value of every axis, the others at their first; the digest of all that rows depend on."""
@@ -119,7 +107,7 @@ class Plan:
                     if not causes.get(cause).concerns(experiment.joint):
                         raise InputError(f"{where}: cause {cause}: joint {experiment.joint.name} leaves no room for it")
             experiment.build()
-            for joint in (experiment.joint, experiment.known):
+            for joint in (experiment.joint, experiment.known_joint):
                 seen.add(hashlib.sha256(joint.mjcf.read_bytes()).hexdigest())
                 seen.add(hashlib.sha256(joint.model_dump_json().encode()).hexdigest())
         asked = self.study.model_dump(mode="json", exclude={"seeds", "description", "reference"})
@@ -148,28 +136,14 @@ class Plan:
 
     @cached_property
     def variants(self) -> list[Variant]:
-        """All filters and estimators with all their variants, in order; one that no axis varies stands once."""
+        """All filters with all their variants, in order; one that no axis varies stands once."""
         found = []
-        for choice in self.study.filters:
-            for columns, values in self._knobs("filters", choice.name):
-                one = choice
-                for knob, value in values.items():
-                    one = varied(one, knob, value)
-                settings = one.settings()
-                found.append(Variant(choice.name, columns, replace(settings, name=_label(choice.name, columns))))
-        for name in self.study.estimators:
-            for columns, values in self._knobs("estimators", name):
-                found.append(Variant(name, columns, replace(baselines.get(name), **values)))
+        for entry in self.study.filters:
+            axes = [axis for axis in self.study.filter_axes if varies(axis, entry)]
+            for values in itertools.product(*(axis.values for axis in axes)):
+                columns = {axis.name: value for axis, value in zip(axes, values, strict=True)}
+                found.append(Variant(entry.name, columns, _variant(entry, axes, columns)))
         return found
-
-    def _knobs(self, room: str, name: str) -> Iterator[tuple[dict[str, Value], dict[str, Value]]]:
-        """Columns and knobs of each variant of a filter."""
-        axes = [a for a in self.study.filter_axes if a.key.rsplit(".", 1)[0] in (f"{room}.{name}", f"{room}.*")]
-        for values in itertools.product(*(a.values for a in axes)):
-            yield (
-                {a.name: v for a, v in zip(axes, values, strict=True)},
-                {a.key.rsplit(".", 1)[1]: v for a, v in zip(axes, values, strict=True)},
-            )
 
     @property
     def runs(self) -> int:
@@ -212,3 +186,10 @@ class Plan:
         one = causes.get(cause)
         one.apply(hidden[0], one.draw(hidden[0], rng, float(cell.columns[axis.name])))
         return hidden
+
+
+def _variant(entry: FilterEntry, axes: list[SettingAxis], columns: dict[str, Value]) -> Estimator:
+    for axis in axes:
+        entry = entry.varied(axis.parameter, columns[axis.name])
+    label = "/".join([entry.name, *(f"{k}={v}" for k, v in columns.items())])
+    return with_values(entry.build(), {"name": label})

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 LEVEL = 0.95
 
@@ -42,7 +42,7 @@ def interval(values: np.ndarray | Sequence[float], level: float = LEVEL) -> Inte
     mean = float(np.mean(x))
     if n == 1:
         return Interval(mean, math.nan, math.nan, 1)
-    half = float(student.ppf(0.5 + 0.5 * level, n - 1) * np.std(x, ddof=1) / math.sqrt(n))
+    half = float(stdtrit(n - 1, 0.5 + 0.5 * level) * np.std(x, ddof=1) / math.sqrt(n))
     return Interval(mean, mean - half, mean + half, n)
 
 

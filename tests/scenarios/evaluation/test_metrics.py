@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from flexspline.scenarios import metrics
+
+from flexspline.estimator.estimator import Posterior
+from flexspline.scenarios.evaluation import metrics
 
 DT = 1e-3
 T = np.arange(0, 20, DT)
@@ -106,9 +108,26 @@ def test_evaluate_puts_it_together(rng):
     external = np.zeros_like(T)
     raw = truth + 0.08 * rng.standard_normal(len(T))
     estimate = truth + 0.02 * rng.standard_normal(len(T))
-    got = metrics.evaluate(estimate, truth, truth, raw, external, DT, 1.0)
+    reference = metrics.Reference(truth, truth, raw, external, DT, 1.0)
+    got = reference.evaluate(estimate)
     assert set(got) == {"rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms"}
     assert got["rms"] == pytest.approx(0.02, rel=0.05)
     assert got["noise_ratio"] == pytest.approx(0.25, rel=0.1)
     assert got["response_ms"] is None
     assert got["delay_ms"] == pytest.approx(0, abs=1.0)
+    nothing = reference.evaluate_posterior(Posterior("plain", T, estimate))
+    assert nothing == got | {"robust_share": None, "mean_nis": None}
+    S = np.full((len(T), 1, 1), 4.0)
+    all_of_it = Posterior("full", T, estimate, None, np.full((len(T), 1), 6.0), S, T < 10.5)
+    assert reference.evaluate_posterior(all_of_it) == got | {"robust_share": pytest.approx(0.5), "mean_nis": 9.0}
+
+
+def test_the_first_peak_is_scipys(rng):
+    """Against `scipy.signal.find_peaks` on signals with and without flat tops, and where there is no peak."""
+    from scipy.signal import find_peaks
+
+    for x in [*np.abs(np.cumsum(rng.standard_normal((200, 80)), axis=1)), *rng.integers(0, 4, (200, 40)).astype(float),
+              np.arange(9.0), np.ones(5)]:  # fmt: skip
+        height = 0.5 * np.max(x)
+        peaks, _ = find_peaks(x, height=height)
+        assert metrics._first_peak(x, height) == (int(peaks[0]) if len(peaks) else int(np.argmax(x)))

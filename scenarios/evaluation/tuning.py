@@ -1,0 +1,320 @@
+"""Finding each estimator's tuning parameters on training seeds, and what it is worth with them on other seeds.
+
+The plant runs once per scenario and seed; an estimator's parameters do not change what the sensors see, so each trial is an
+estimator over stored signals. What is minimised is the RMS error after the transient, over several scenarios its geometric
+mean. The search is Nelder & Mead's in the parameters' own scales, from the best of the defaults and a coarse scan of the
+first parameter, and again from where it ended. The best of all that was tried is returned, so training never ends worse than
+the defaults. No randomness.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import yaml
+
+from ...estimator.errors import FilterDiverged
+from ...estimator.estimator import Estimator
+from ...estimator.tuning_parameters import value_of, with_values
+from ...models.errors import InputError
+from ...models.files import write_into_place
+from ..filters import FilterEntry
+from ..run import Run, simulate_scenario
+from ..scenario import Scenario
+from . import metrics
+from .intervals import Interval, interval
+
+EVALUATIONS = 300
+"""Settings that are tried of an estimator whose update takes less than a microsecond; a tenth of it of one that takes ten."""
+_SCAN = 7  # values of the first parameter before the search
+_STEP = 0.08  # of a parameter's range: the first simplex
+_FAILED = 1e6  # N·m
+_PRIMES = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)  # bases of Halton's sequence
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """An estimator's tuning parameters found on training seeds, and what it is worth on others.
+
+    Attributes:
+        name: of the estimator.
+        default, tuned: before and after.
+        values: tuning parameters, by field.
+        train: RMS error on the training seeds, geometric mean over scenarios [N·m], default and tuned.
+        evaluations: settings tried.
+        test_default, test_tuned: Shape (scenarios, seeds), RMS errors on the test seeds [N·m].
+        at_bound: parameters that ended at a bound of their range.
+    """
+
+    name: str
+    default: Estimator
+    tuned: Estimator
+    values: dict[str, float]
+    train: tuple[float, float]
+    evaluations: int
+    test_default: np.ndarray
+    test_tuned: np.ndarray
+    at_bound: tuple[str, ...]
+
+    @property
+    def difference(self) -> Interval:
+        """Tuned RMS less the default's on the same test runs [N·m], paired over seeds; below zero where tuning helps."""
+        return interval((self.test_tuned - self.test_default).mean(axis=0))
+
+
+def simulated(scenarios: Sequence[tuple[Scenario, Path | None]], seeds: Sequence[int]) -> list[list[Run]]:
+    """Run every scenario with every seed, without estimates: one list of runs per scenario.
+
+    Raises:
+        InputError: no seeds; a scenario with an estimate fed back (`run.simulate_scenario`).
+    """
+    if not seeds:
+        raise InputError("tune: expected at least one seed, got none")
+    return [[simulate_scenario(scenario, folder, seed) for seed in seeds] for scenario, folder in scenarios]
+
+
+def errors(estimator: Estimator, runs: Sequence[Sequence[Run]], threads: int = 1) -> np.ndarray:
+    """RMS error [N·m] over each run, shape (scenarios, seeds); a large number where the estimate diverges."""
+
+    def one(run: Run) -> float:
+        try:
+            error = estimator.estimate(run.signals, run.known).mean - run.truth("joint_torque")
+        except FilterDiverged:
+            return _FAILED
+        return float(np.sqrt(np.mean(error[run.time >= run.scenario.transient] ** 2)))
+
+    found = _on_threads(one, [run for several in runs for run in several], threads)
+    return np.nan_to_num(np.array(found), nan=_FAILED, posinf=_FAILED).reshape(len(runs), -1)
+
+
+def score(rms: np.ndarray) -> float:
+    """One number of RMS errors (scenarios, seeds): over seeds the root mean square, over scenarios the geometric mean."""
+    return float(np.exp(np.mean(np.log(np.sqrt(np.mean(rms**2, axis=1))))))
+
+
+def with_parameters(estimator: Estimator, values: Mapping[str, float]) -> Estimator:
+    """The same with other values of tuning parameters. One of the paper's starts with P0 = V: X̂(0) is the measurement."""
+    return with_values(estimator, _completed(estimator, values))
+
+
+def _completed(estimator: Estimator, values: Mapping[str, float]) -> dict[str, float]:
+    return {"P0": values["V"], **values} if "V" in values and hasattr(estimator, "P0") else dict(values)
+
+
+def tune(
+    estimator: Estimator,
+    train: Sequence[Sequence[Run]],
+    test: Sequence[Sequence[Run]],
+    evaluations: int = EVALUATIONS,
+    threads: int = 1,
+) -> Tuned:
+    """Tune an estimator on training runs and measure it on test runs.
+
+    Args:
+        estimator: with its defaults; without tuning parameters it is only measured.
+        train, test: runs by scenario (`simulated`).
+        evaluations: about how many settings are tried; a tenth for those that simulate the joint.
+        threads: runs at a time; the result does not depend on it.
+    """
+    tuning = estimator.tuning
+    budget = max(evaluations // 10, 2 * len(tuning) + 2) if estimator.costly else evaluations
+    tried: dict[tuple[float, ...], float] = {}
+
+    def values_at(place: Sequence[float]) -> dict[str, float]:
+        return {t.field: t.from_unit(u) for t, u in zip(tuning, place, strict=True)}
+
+    def cost(given: np.ndarray) -> float:
+        place = tuple(float(min(max(u, 0.0), 1.0)) for u in given)
+        if place not in tried:
+            changed = with_parameters(estimator, values_at(place))
+            tried[place] = math.log(score(errors(changed, train, threads)))
+        return tried[place]
+
+    before = score(errors(estimator, train, threads))
+    best, least = estimator, before
+    values = {t.field: float(value_of(estimator, t.field)) for t in tuning}
+    at_bound: tuple[str, ...] = ()
+    if tuning:
+        start = np.array([t.to_unit(values[t.field]) for t in tuning])
+        cost(start)
+        if not estimator.costly:
+            for u in np.linspace(0.0, 1.0, _SCAN):
+                cost(np.r_[u, start[1:]])
+        _search(cost, tried, len(tuning), budget)
+        place = min(tried, key=lambda at: tried[at])
+        if math.exp(tried[place]) < before:
+            values = values_at(place)
+            best, least = with_parameters(estimator, values), math.exp(tried[place])
+            at_bound = tuple(t.field for t, u in zip(tuning, place, strict=True) if u < 1e-3 or u > 1 - 1e-3)
+    return Tuned(
+        estimator.name, estimator, best, values, (before, least), len(tried) + 1,
+        errors(estimator, test, threads), errors(best, test, threads), at_bound,
+    )  # fmt: skip
+
+
+def _search(
+    cost: Callable[[np.ndarray], float], tried: Mapping[tuple[float, ...], float], dimensions: int, budget: int
+) -> None:
+    """Nelder & Mead in the unit cube from the best of what was tried; again from there, until that gives nothing."""
+    from scipy.optimize import minimize
+
+    gained = True
+    while gained and len(tried) < budget:  # the simplex may collapse early
+        lowest = min(tried.values())
+        origin = np.array(min(tried, key=lambda at: tried[at]))
+        simplex = np.tile(origin, (dimensions + 1, 1))
+        for i in range(dimensions):
+            simplex[i + 1, i] += _STEP if origin[i] + _STEP <= 1.0 else -_STEP
+        minimize(
+            cost, origin, method="Nelder-Mead", bounds=[(0.0, 1.0)] * dimensions,
+            options={"initial_simplex": simplex, "maxfev": budget - len(tried), "xatol": 1e-3, "fatol": 1e-5},
+        )  # fmt: skip
+        gained = min(tried.values()) < lowest - 1e-3
+
+
+# --- noise against delay -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Front:
+    """The settings of an estimator of which no other one has both less noise and less delay.
+
+    Attributes:
+        name: of the estimator.
+        points: Shape (P, 2), delay to a push [ms], noise in steady state [N·m]; by delay.
+        settings: the tuning parameters of each point.
+        default, tuned: the same two numbers of the defaults, and of the tuned one where there is one.
+    """
+
+    name: str
+    points: np.ndarray
+    settings: tuple[dict[str, float], ...]
+    default: tuple[float, float]
+    tuned: tuple[float, float] | None = None
+
+
+def noise_and_delay(estimator: Estimator, runs: Sequence[Run], threads: int = 1) -> tuple[float, float]:
+    """Mean delay [ms] and noise [N·m] over runs with pushes (`metrics`); NaN where one is not defined."""
+
+    def one(run: Run) -> tuple[float, float]:
+        try:
+            estimate = estimator.estimate(run.signals, run.known).mean
+        except FilterDiverged:
+            return math.nan, math.nan
+        r = run.reference
+        lag = metrics.delay(estimate, r.truth, r.dt, r.during) if r.events else None
+        return math.nan if lag is None else 1e3 * lag, metrics.noise(estimate, r.truth, r.dt, r.calm)
+
+    found = np.array(_on_threads(one, runs, threads))
+    return float(found[:, 0].mean()), float(found[:, 1].mean())
+
+
+def undominated(points: np.ndarray) -> np.ndarray:
+    """Indices, by the first column, of the points (P, k) of which no other is as small in all columns and smaller in one."""
+    order = np.lexsort(points.T[::-1])
+    kept: list[int] = []
+    for i in order:
+        if np.all(np.isfinite(points[i])) and not any(
+            np.all(points[j] <= points[i]) and np.any(points[j] < points[i]) for j in kept
+        ):
+            kept.append(int(i))
+    return np.array(kept, dtype=int)
+
+
+def halton(dimensions: int, count: int) -> np.ndarray:
+    """The first points of Halton's sequence in the unit cube, without zero; shape (count, dimensions).
+
+    Coordinate d of point i is i with its digits in the d-th prime's base mirrored at the point (Halton 1960).
+    """
+    points = np.zeros((count, dimensions))
+    for d in range(dimensions):
+        left, share = np.arange(1, count + 1), 1.0
+        while np.any(left):
+            share /= _PRIMES[d]
+            points[:, d] += share * (left % _PRIMES[d])
+            left //= _PRIMES[d]
+    return points
+
+
+def pareto(
+    estimator: Estimator, runs: Sequence[Run], tuned: Estimator | None = None, count: int = 96, threads: int = 1
+) -> Front:
+    """Sweep an estimator's tuning parameters and keep the front of noise against delay.
+
+    A third of the settings vary the first parameter alone, over all of its range; the rest spread over all of them
+    (`halton`). Estimators that simulate the joint get a sixteenth.
+
+    Args:
+        estimator: with its defaults. runs: with pushes.
+        tuned: the same after `tune`; its other parameters are then those of the sweep of the first one.
+        count: settings; threads: runs at a time.
+    """
+    tuning, base = estimator.tuning, tuned or estimator
+    count = max(count // 16, 4) if estimator.costly else count
+    choices: list[dict[str, float]] = [{}]
+    if len(tuning) == 1:
+        choices = [{tuning[0].field: tuning[0].from_unit(u)} for u in np.linspace(0, 1, count)]
+    elif tuning:
+        choices = [{tuning[0].field: tuning[0].from_unit(u)} for u in np.linspace(0, 1, max(count // 3, 3))]
+        spread = halton(len(tuning), count - len(choices))
+        choices += [{t.field: t.from_unit(u) for t, u in zip(tuning, place, strict=True)} for place in spread]
+    ends = (estimator, tuned) if tuned else (estimator,)
+    own = [{t.field: float(value_of(e, t.field)) for t in tuning} for e in ends]
+    all_choices = [*own, *choices]
+    found = np.array([noise_and_delay(with_parameters(base, c) if c else base, runs, threads) for c in all_choices])
+    kept = undominated(found)
+    return Front(
+        estimator.name, found[kept], tuple({**own[-1], **all_choices[i]} for i in kept),
+        _pair(found[0]), _pair(found[1]) if tuned else None,
+    )  # fmt: skip
+
+
+def _pair(point: np.ndarray) -> tuple[float, float]:
+    return float(point[0]), float(point[1])
+
+
+_In, _Out = TypeVar("_In"), TypeVar("_Out")
+
+
+def _on_threads(function: Callable[[_In], _Out], items: Sequence[_In], threads: int) -> list[_Out]:
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(function, items))
+
+
+# --- the file ------------------------------------------------------------------------------------------------------
+
+
+def write_tuned(
+    found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int], path: Path
+) -> None:
+    """Write `tuned.yaml`: estimators as a scenario's `filters` and as numbers what they are worth."""
+    data: dict[str, Any] = {
+        "format": 1,
+        "scenarios": list(scenarios),
+        "train": [int(s) for s in train],
+        "test": [int(s) for s in test],
+        "rms": {
+            one.name: {
+                "train": [round(v, 6) for v in one.train],
+                "test": [round(score(rms), 6) for rms in (one.test_default, one.test_tuned)],
+            }
+            for one in found
+        },
+        "filters": [entry_of(one).model_dump() for one in found],
+    }
+    text = "# Found by `flexspline tune`. rms: default, tuned [N·m]. `filters` can be copied into a scenario.\n"
+    text += yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120)
+    with write_into_place(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def entry_of(found: Tuned) -> FilterEntry:
+    """The tuned estimator as an entry of a scenario's `filters`, numbers to six digits."""
+    values = {k: float(f"{v:.6g}") for k, v in _completed(found.default, found.values).items()}
+    return FilterEntry.model_validate({"name": found.name, "estimator": found.name, **values})

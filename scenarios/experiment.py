@@ -1,0 +1,189 @@
+"""A scenario made ready to run: the joint read in, commands worked out; simulated with any seed, estimated by any estimator."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..estimator.errors import FilterDiverged
+from ..estimator.estimator import Estimator, KnownJoint, Posterior
+from ..models.errors import InputError
+from ..models.joint import Joint, Mounting
+from ..models.signals import CHANNELS, SENSED, Signals
+from ..sim import plant, sensors
+from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, Simulation, simulate
+from .scenario import Scenario
+
+if TYPE_CHECKING:
+    import mujoco
+
+_FASTEST = 1e5  # rad/s
+_SEEN = tuple(name for name in SENSED if not CHANNELS[name].at_step)
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A scenario made ready: everything that does not depend on seed or estimators, to run it many times.
+
+    Attributes:
+      scenario: what to run.
+      joint, known_joint: the plant's joint, and the one that the estimators know.
+      mounting: what is bolted to the plant's output.
+      record: parameters of the plant, shape (1,).
+      known: what the estimators know.
+      position, velocity, external_torque, temperature: commands [rad], [rad/s], torque on the link [N·m], temperature [°C],
+        shape (n,).
+      fed_back: the estimator whose torque is fed back; None: the sensor's, or none.
+    """
+
+    scenario: Scenario
+    joint: Joint
+    known_joint: Joint
+    mounting: Mounting
+    record: np.ndarray
+    known: KnownJoint
+    position: np.ndarray
+    velocity: np.ndarray
+    external_torque: np.ndarray
+    temperature: np.ndarray
+    fed_back: Estimator | None
+
+    @classmethod
+    def of(cls, scenario: Scenario, folder: Path | None = None, load: float | None = None) -> Experiment:
+        """Read the joint and work out the commands.
+
+        Args:
+          scenario: what to run.
+          folder: of the scenario's file, where a joint that it names by a relative path lies.
+          load: gravity moment [N·m] at horizontal of what is bolted on, which the estimators know too, instead of the
+            mounting's; the inertia changes in proportion.
+
+        Raises:
+          InputError: a joint or mounting that does not exist, or one without a gravity moment to change.
+        """
+        joint, known_joint = scenario.load_joint(folder)
+        mounting, known_mounting = (j.mount(scenario.mounting or None) for j in (joint, known_joint))
+        if load is not None:
+            mounting, known_mounting = _loaded(mounting, load), _loaded(known_mounting, load)
+        position, velocity = scenario.commands()
+        return cls(
+            scenario, joint, known_joint, mounting, joint.record(mounting), KnownJoint.of(known_joint, known_mounting),
+            position, velocity, scenario.external_torque(), scenario.temperature.signal(scenario.time),
+            next((f.build() for f in scenario.filters if f.name == scenario.feedback), None),
+        )  # fmt: skip
+
+    def build(self, record: np.ndarray | None = None) -> mujoco.MjModel:
+        """The MuJoCo model of the plant, or of another plant, with effects hidden in its record."""
+        return plant.build(
+            self.joint,
+            self.mounting,
+            timestep=self.scenario.timestep,
+            record=self.record if record is None else record,
+            locked_rotor=self.scenario.locked_rotor,
+            temperature=float(self.temperature[0]),
+        )
+
+    def simulate(
+        self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
+    ) -> Simulation:
+        """Run the closed loop; to the bit the same whoever else runs at the time.
+
+        Args:
+          seed: of the sensors' noise; the scenario's by default.
+          record, model: of another plant than the joint's own, both or none (`build`).
+
+        Raises:
+          InputError: torques under which the motion is no longer finite.
+          FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
+        """
+        scenario, record = self.scenario, self.record if record is None else record
+        model = self.build(record) if model is None else model
+        plant.set_temperature(model, float(self.temperature[0]))  # a run before may have left another
+        p = record[0]
+        feedback = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
+        if self.fed_back is not None:
+            feedback = self.fed_back.step(self.known, self.interval)
+        simulation = simulate(
+            model,
+            record,
+            self.position,
+            self.velocity,
+            self.external_torque,
+            sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
+            sensors.noise(self.joint, scenario.seed if seed is None else seed, len(self.position), CONTROL_PERIOD),
+            scenario.controller.record(p, CONTROL_PERIOD, scenario.feedback != "none"),
+            feedback,
+            self.temperature,
+        )
+        tick = simulation.failed[0]
+        overloaded = _overload(simulation)
+        if overloaded is not None:
+            raise InputError(
+                f"scenario {scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques and "
+                "motions that the joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
+            )
+        if tick < len(simulation.time):
+            if self.fed_back is not None and tick > 0:  # over the signals until then it says why
+                self.fed_back.estimate(signals_of(simulation).part(slice(0, tick + 1)), self.known)
+            raise FilterDiverged(
+                scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
+            )
+        return simulation
+
+    @property
+    def interval(self) -> float:
+        """Median time between samples [s], to the bit as an estimator finds it in the signals."""
+        substeps = round(CONTROL_PERIOD / self.scenario.timestep)
+        time = np.arange(len(self.position)) * (substeps * self.scenario.timestep)
+        return float(np.median(np.diff(time)))
+
+
+def signals_of(simulation: Simulation) -> Signals:
+    """What an estimator may read of a simulation: sensors that are read before the drive acts, and the current command."""
+    readings = simulation.readings
+    return Signals(simulation.time, {name: readings[name] for name in _SEEN} | {"current_command": simulation.command})
+
+
+def estimate(
+    estimators: Mapping[str, Estimator], signals: Signals, known: KnownJoint, threads: int = 1
+) -> dict[str, Posterior]:
+    """What every estimator says of signals, by name; to the bit the same for any number of threads.
+
+    Args:
+      estimators: by name. signals: channels. known: of the joint.
+      threads: estimators at a time; compiled ones hold no lock.
+
+    Raises:
+      InputError: a channel that is missing. FilterDiverged: an estimate that is no longer finite; names filter and time.
+    """
+    if threads <= 1 or len(estimators) <= 1:
+        return {name: one.estimate(signals, known) for name, one in estimators.items()}
+    with ThreadPoolExecutor(min(threads, len(estimators)), thread_name_prefix="estimate") as pool:
+        found = pool.map(lambda one: one.estimate(signals, known), estimators.values())
+        return dict(zip(estimators, found, strict=True))
+
+
+def _loaded(mounting: Mounting, load: float) -> Mounting:
+    if mounting.gravity_moment == 0:
+        raise InputError("load: expected a mounting with a gravity moment to change, got one without")
+    share = load / mounting.gravity_moment
+    return mounting.model_copy(update={"gravity_moment": load, "inertia": mounting.inertia * share})
+
+
+def _overload(simulation: Simulation) -> float | None:
+    """When [s] the plant's motion stopped being one: not finite, or faster than anything that turns."""
+    time, ended = simulation.time, simulation.failed[0]
+    truth = simulation.truth[:ended]
+    broken = np.zeros(min(ended + 1, len(time)), dtype=bool)
+    for name in truth.dtype.names:
+        broken[:ended] |= ~np.isfinite(truth[name])
+    for name in ("motor_position", "wave_generator_position", "link_position"):
+        broken[1:ended] |= ~(np.abs(np.diff(truth[name])) < _FASTEST * CONTROL_PERIOD)
+    for name in _SEEN:  # an estimate that is fed back fails with the readings, before there is a truth beside them
+        broken |= ~np.isfinite(simulation.readings[name][: len(broken)])
+    return float(time[np.argmax(broken)]) if np.any(broken) else None

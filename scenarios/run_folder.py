@@ -1,0 +1,190 @@
+"""The folder that holds a run: measurement, signals, estimates, measures, and all that is needed to run it again."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ..estimator.estimator import KnownJoint, Posterior
+from ..models.errors import InputError
+from ..models.files import folder_into_place, load
+from ..models.recording import write_recording
+from ..models.signals import CHANNELS, READINGS, SENSED
+from ..models.tables import read_table, write_table
+from ..sim.loop import CONTROL_PERIOD, TRUTH, Simulation
+from .run import Run
+from .scenario import Scenario
+
+View = Callable[[Run, Path], Callable[[], object] | None]
+"""Adds to a run's folder: a function of (run, folder) that begins, and gives what waits for its end if there is any."""
+_UNITS = {
+    "position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "current": "A", "torque": "N·m", "force": "N",
+    "bristle": "rad", "dahl": "1", "innovation": "N·m", "measurement": "N·m",
+    "variance": "(N·m)²",
+}  # fmt: skip
+_NEEDED = ("scenario.yaml", "signals.parquet", "estimates.parquet", "joint.yaml", "known_joint.yaml")
+
+
+def save_run(run: Run, out: Path, views: Sequence[View] = ()) -> Path:
+    """Write a run folder; nothing is left behind where that fails.
+
+    Holds `<name>.parquet` with its YAML (a measurement), `signals.parquet`, `estimates.parquet`, `metrics.json`,
+    `scenario.yaml` (resolved), `joint.yaml`, `known_joint.yaml`, `run.json` (versions, seed).
+
+    Args:
+      run: what to save.
+      out: the folder.
+      views: what else is to be in it.
+    """
+    with folder_into_place(out) as folder:
+        begun = [view(run, folder) for view in views]
+        write_recording(run.as_recording(), folder)
+        signals = signal_columns(run)
+        write_table(folder / "signals.parquet", signals, {name: _unit_of(name) for name in signals})
+        write_table(folder / "estimates.parquet", *_estimate_columns(run))
+        (folder / "metrics.json").write_text(json.dumps(run.metrics, indent=1, ensure_ascii=False), encoding="utf-8")
+        run.joint.write(folder / "joint.yaml")
+        run.known_joint.write(folder / "known_joint.yaml")
+        data = run.scenario.model_dump(mode="json", exclude_none=True)
+        data["joint"], data["known_joint"], data["plant"], data["sensors"] = "joint.yaml", "known_joint.yaml", {}, {}
+        text = yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120)
+        (folder / "scenario.yaml").write_text(text, encoding="utf-8")
+        (folder / "run.json").write_text(json.dumps(provenance(run), indent=1), encoding="utf-8")
+        for finish in begun:
+            if finish is not None:
+                finish()
+    return out
+
+
+def load_run(folder: Path) -> Run:
+    """Read a run folder back; `InputError` where it is none."""
+    for name in _NEEDED:
+        if not (folder / name).is_file():
+            raise InputError(f"{folder}: expected a run folder, found no {name}")
+    scenario = load(folder / "scenario.yaml", Scenario, "a scenario")
+    joint, known_joint = scenario.load_joint(folder)
+    known = KnownJoint.of(known_joint, known_joint.mount(scenario.mounting or None))
+    columns, _ = read_table(folder / "signals.parquet")
+    time = _column(columns, "time", folder)
+    truth, readings = np.zeros(len(time), TRUTH), np.zeros(len(time), READINGS)
+    for name in TRUTH.names or ():
+        truth[name] = _column(columns, f"true_{name}", folder)
+    for name in SENSED:
+        readings[name] = _column(columns, name, folder)
+    simulation = Simulation(time, truth, readings, _column(columns, "current_command", folder), (len(time), 0))
+    return Run(scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario))
+
+
+def signal_columns(run: Run) -> dict[str, np.ndarray]:
+    """Every signal of a run by column name, shape (n,) each: time, commands, readings, `true_…`, the raw compliance model."""
+    truth, readings = run.simulation.truth, run.simulation.readings
+    return {
+        "time": run.time,
+        "position_command": run.position_command,
+        "external_torque": run.external_torque,
+        "current_command": run.simulation.command,
+        **{name: readings[name] for name in SENSED},
+        **{f"true_{name}": truth[name] for name in truth.dtype.names or ()},
+        "model_torque": run.model_torque,
+    }
+
+
+def provenance(run: Run) -> dict[str, Any]:
+    """What a run depends on: seed, timestep, versions."""
+    packages = ("flexspline", "mujoco", "numpy", "scipy", "numba")
+    return {
+        "scenario": run.name,
+        "seed": run.scenario.seed,
+        "timestep": run.scenario.timestep,
+        "control_period": CONTROL_PERIOD,
+        "versions": {name: metadata.version(name) for name in packages} | {"python": platform.python_version()},
+    }
+
+
+def _unit_of(column: str) -> str:
+    """SI unit of a column, by its name."""
+    if column in CHANNELS:
+        return CHANNELS[column].unit
+    return next((unit for word, unit in reversed(_UNITS.items()) if word in column), "1")
+
+
+def _estimate_columns(run: Run) -> tuple[dict[str, np.ndarray], dict[str, str], dict[str, dict[str, str]]]:
+    """Columns `quantity_filter`, their units, and which filter and quantity each of them is."""
+    columns, units, of = {"time": run.time}, {"time": "s"}, {}
+    for name, found in run.estimates.items():
+        for quantity, values in _quantities(found).items():
+            column = f"{quantity}_{name}"
+            columns[column], units[column] = values, _unit_of(quantity)
+            of[column] = {"filter": name, "quantity": quantity}
+        if found.nis is not None and "nis" not in found.columns:  # follows from the others
+            columns[f"nis_{name}"], units[f"nis_{name}"] = found.nis, "1"
+    return columns, units, of
+
+
+def _quantities(found: Posterior) -> dict[str, np.ndarray]:
+    """A posterior as columns, shape (n,) each."""
+    columns = {"torque": found.mean}
+    if found.variance is not None:
+        columns["variance"] = found.variance
+    if found.external is not None:
+        columns["external_torque"] = found.external
+    if found.robust is not None:
+        columns["robust"] = found.robust.astype(np.float64)
+    if found.innovation is not None and found.innovation_covariance is not None:
+        m = found.innovation.shape[1]
+        for i in range(m):
+            columns[_numbered("innovation", m, i)] = found.innovation[:, i]
+            for j in range(i + 1):
+                columns[_numbered("innovation_variance", m, i, j)] = found.innovation_covariance[:, i, j]
+    return {**columns, **found.columns}
+
+
+def _numbered(quantity: str, m: int, *places: int) -> str:
+    """A name of m components' own: plain where there is one, else numbered from 1; of a diagonal, one number."""
+    return quantity if m == 1 else f"{quantity}_{'_'.join(str(i + 1) for i in sorted(set(places)))}"
+
+
+def _read_estimates(folder: Path, scenario: Scenario) -> dict[str, Posterior]:
+    path = folder / "estimates.parquet"
+    columns, notes = read_table(path)
+    time = _column(columns, "time", folder)
+    by_filter: dict[str, dict[str, np.ndarray]] = {entry.name: {} for entry in scenario.filters}
+    for column, note in notes.items():
+        if note.get("filter") in by_filter:
+            by_filter[note["filter"]][note["quantity"]] = columns[column]
+    return {name: _posterior(name, time, found, path) for name, found in by_filter.items()}
+
+
+def _posterior(name: str, time: np.ndarray, found: dict[str, np.ndarray], path: Path) -> Posterior:
+    if "torque" not in found:
+        raise InputError(f"{path}: column 'torque_{name}': missing")
+    m = sum(re.fullmatch(r"innovation(_\d+)?", quantity) is not None for quantity in found)
+    innovation, covariance, own = None, None, {"torque", "variance", "external_torque", "robust"}
+    if m:
+        innovation, covariance = np.zeros((len(time), m)), np.zeros((len(time), m, m))
+        for i in range(m):
+            innovation[:, i] = found[_numbered("innovation", m, i)]
+            own.add(_numbered("innovation", m, i))
+            for j in range(i + 1):
+                column = _numbered("innovation_variance", m, i, j)
+                covariance[:, i, j] = covariance[:, j, i] = found[column]
+                own.add(column)
+    return Posterior(
+        name, time, found["torque"], found.get("variance"), innovation, covariance,
+        found["robust"] > 0 if "robust" in found else None,
+        {n: values for n, values in found.items() if n not in own}, found.get("external_torque"),
+    )  # fmt: skip
+
+
+def _column(columns: dict[str, np.ndarray], name: str, folder: Path) -> np.ndarray:
+    if name not in columns:
+        raise InputError(f"{folder}: column {name!r}: missing in its tables")
+    return columns[name]
