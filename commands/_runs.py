@@ -1,48 +1,69 @@
-"""Running several scenarios with a progress bar: what `run` and `compare` share."""
+"""Running several scenarios side by side with a progress bar: what `run` and `compare` share."""
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from typing import TYPE_CHECKING
 
 from ..models.errors import InputError
-from ..scenarios.run import Run, run_scenario, save_run
-from ..scenarios.scenario import load_scenario
+from ._console import progress
+from ._drawing import drawing
+
+if TYPE_CHECKING:
+    from ..scenarios.run import Run
+    from ..scenarios.scenario import Scenario
+
+PAPER = ["no_load", "link_sweep", "external_push"]
+"""The paper's three experiments."""
+
+
+def load_all(names: list[str], changes: list[str] | None, seed: int | None = None) -> list[tuple[Scenario, Path]]:
+    """Scenarios with the folders of their files.
+
+    Raises:
+      InputError: one that is wrong, or that is named twice.
+    """
+    from ..scenarios.scenario import load_scenario
+
+    loaded = [load_scenario(name, changes, seed) for name in names]
+    seen: set[str] = set()
+    for scenario, _ in loaded:
+        if scenario.name in seen:
+            raise InputError(f"scenario {scenario.name}: expected each scenario once, got it twice")
+        seen.add(scenario.name)
+    return loaded
 
 
 def run_all(
     names: list[str], out: Path, seed: int | None, changes: list[str] | None, figures: bool, recording: bool
 ) -> list[tuple[Run, Path]]:
-    """Run scenarios one after the other into folders below `out`; all are read before the first is run."""
-    loaded = [load_scenario(name, changes, seed) for name in names]
-    seen: set[str] = set()
-    for scenario, _ in loaded:
-        if scenario.name in seen:
-            raise InputError(f"scenario {scenario.name}: named twice; each writes to a folder of its name")
-        seen.add(scenario.name)
-    for scenario, folder in loaded:  # what cannot run is known before the first one does
-        for joint in scenario.load_joint(folder):
-            joint.mount(scenario.mounting or None)
-    views = []
-    if figures:
-        from ..views.figures import save_figures
+    """Run scenarios on as many threads as there are cores, into folders below `out`; all are read before the first is run."""
+    views = [name for name, wanted in (("figures", figures), ("recording", recording)) if wanted]
+    with drawing(views, len(names)) as begin:
+        from ..scenarios.run import run_scenario
+        from ..scenarios.run_folder import save_run
 
-        views.append(lambda run, folder: save_figures(run, folder / "figures"))
-    if recording:
-        from ..views.rerun_view import write_rerun
+        loaded = load_all(names, changes, seed)
+        for scenario, folder in loaded:  # what cannot run is known before the first one does
+            for joint in scenario.load_joint(folder):
+                joint.mount(scenario.mounting or None)
+        cores = os.cpu_count() or 1
+        at_once = min(cores, len(loaded))
+        with progress() as bar, ThreadPoolExecutor(at_once, thread_name_prefix="run") as pool:
+            task = bar.add_task("simulating", total=len(loaded) * 2)
 
-        views.append(lambda run, folder: write_rerun(run, folder / "run.rrd"))
-    finished = []
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True
-    ) as progress:
-        task = progress.add_task("", total=len(loaded) * 2)
-        for scenario, folder in loaded:
-            progress.update(task, description=f"{scenario.name}: simulating {scenario.duration:g} s")
-            run = run_scenario(scenario, folder)
-            progress.update(task, advance=1, description=f"{scenario.name}: writing")
-            finished.append((run, save_run(run, out / scenario.name, views)))
-            progress.update(task, advance=1)
-    return finished
+            def one(scenario: Scenario, folder: Path) -> tuple[Run, Path]:
+                run = run_scenario(scenario, folder, max(1, cores // at_once))
+                bar.update(task, advance=1, description=f"{scenario.name}: writing")
+                saved = save_run(run, out / scenario.name, begin)
+                bar.update(task, advance=1)
+                return run, saved
+
+            futures = [pool.submit(one, scenario, folder) for scenario, folder in loaded]
+            try:
+                return [future.result() for future in futures]
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise

@@ -6,18 +6,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-from ..models.errors import InputError
-from ..models.files import write_into_place
-from ..scenarios.limits import assess, fitted_intensity, matched
-from ..scenarios.offline import contenders
-from ..scenarios.scenario import load_scenario
-from ..views.limit_tables import limits_table
-from ._console import console
-from ._options import Changes
-from .compare import PAPER
+from ._options import Changes, Estimators
 
 
 def command(
@@ -25,9 +15,7 @@ def command(
         list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds: 1, 2, …")] = 10,
-    filter_: Annotated[
-        list[str] | None, typer.Option("--filter", help="An estimator; repeatable. All by default.")
-    ] = None,
+    filter_: Estimators = None,
     intensity: Annotated[
         float | None,
         typer.Option(
@@ -47,17 +35,20 @@ def command(
     The bound holds for the joint's dynamics, exactly known, with a random-walk external torque, and the encoders' noise. Of a
     scripted scenario it is a yardstick: a filter that adapts may fall below it. With `--walk` it may not.
     """
-    chosen = contenders(filter_ or ())
-    loaded = [load_scenario(name, changes) for name in scenarios or PAPER]
-    if len({scenario.name for scenario, _ in loaded}) < len(loaded):
-        raise InputError("bound: scenarios: expected each once, got one twice")
+    from ..models.errors import InputError
+    from ..scenarios.evaluation.limits import assess, fitted_intensity, matched
+    from ..scenarios.filters import estimators
+    from ..views.limit_tables import limits_table
+    from ._console import console, progress
+    from ._runs import PAPER, load_all
+
+    chosen = estimators(filter_ or ())
+    loaded = load_all(scenarios or PAPER, changes)
     terminal, found = console(), []
-    with Progress(
-        TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=Console(stderr=True), transient=True
-    ) as progress:
-        task = progress.add_task("", total=seeds * len(loaded))
+    with progress() as bar:
+        task = bar.add_task("", total=seeds * len(loaded))
         for scenario, folder in loaded:
-            progress.update(task, description=scenario.name)
+            bar.update(task, description=scenario.name)
             level = intensity
             if walk:
                 level = intensity if intensity is not None else fitted_intensity(scenario)
@@ -66,11 +57,11 @@ def command(
                         f"scenario {scenario.name}: --walk: expected an --intensity, it has no disturbance to fit"
                     )
                 scenario = matched(scenario, level)
-            done = assess(scenario, folder, range(1, seeds + 1), chosen, level, lambda: progress.advance(task))
-            found.append(done)
+            found.append(assess(scenario, folder, range(1, seeds + 1), chosen, level, lambda: bar.advance(task)))
     for limits in found:
         terminal.print(limits_table(limits))
     if out is not None:
+        from ..models.files import write_into_place
         from ..views.limit_figures import limits_figure, save_figure
         from ..views.limit_files import write_limits, write_summary
 

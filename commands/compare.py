@@ -8,13 +8,7 @@ from typing import Annotated
 
 import typer
 
-from ..models.files import write_into_place
-from ..views.tables import comparison_markdown, comparison_table
-from ._console import console
 from ._options import Changes, Out, Seed
-from ._runs import run_all
-
-PAPER = ["no_load", "link_sweep", "external_push"]
 
 
 def command(
@@ -28,7 +22,13 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
 ) -> None:
     """Compare the filters: error, noise, delay, response time, robust share, NIS."""
+    from ._console import console
+    from ._runs import PAPER, run_all
+
     runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
+    from ..models.files import write_into_place
+    from ..views.tables import comparison_markdown, comparison_table
+
     metrics = {run.name: run.metrics for run, _ in runs}
     with write_into_place(out / "comparison.json") as path:
         path.write_text(json.dumps(metrics, indent=1, ensure_ascii=False), encoding="utf-8")

@@ -7,10 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ..views.tables import comparison_table
-from ._console import console
 from ._options import Changes, Out, Scenarios, Seed
-from ._runs import run_all
 
 
 def command(
@@ -22,7 +19,12 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
 ) -> None:
     """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording."""
+    from ._console import console
+    from ._runs import run_all
+
     runs = run_all(scenarios, out, seed, changes, figures, recording)
+    from ..views.tables import comparison_table
+
     terminal = console()
     terminal.print(comparison_table({run.name: run.metrics for run, _ in runs}))
     for _, folder in runs:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from rich.table import Table
-
-from ..scenarios.scenario import load_scenario, shipped_scenarios
-from ._console import console
-
 
 def command() -> None:
     """List the scenarios that come with the testbed."""
+    from rich.table import Table
+
+    from ..scenarios.scenario import load_scenario, shipped_scenarios
+    from ._console import console
+
     table = Table("scenario", "joint", "mounting", "duration", "paper", "what happens")
     for name in shipped_scenarios():
         s, _ = load_scenario(name)

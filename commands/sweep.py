@@ -7,11 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-from ..models.files import write_into_place
-from ._console import console
 
 
 def command(
@@ -31,50 +26,44 @@ def command(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one joint a thread is enough
+    from ..models.files import write_into_place
     from ..scenarios.studies.dataset import Dataset
-    from ..scenarios.studies.grid import Plan
-    from ..scenarios.studies.statistics import summarise, write_csv
+    from ..scenarios.studies.design import Design
+    from ..scenarios.studies.statistics import aggregate, write_csv
     from ..scenarios.studies.study import load_study
     from ..scenarios.studies.sweep import sweep, versions
     from ..views.sweep_tables import sweep_markdown, sweep_table
+    from ._console import console, progress
 
     asked, folder = load_study(study)
     if seeds is not None:
         asked = asked.with_seeds(seeds)
     terminal = console()
-    bars = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    plan = Plan.of(asked, folder)
-    dataset = Dataset.open(out, plan, versions())
-    with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task(f"{asked.name}: runs", total=plan.runs, completed=dataset.done())
+    design = Design.of(asked, folder)
+    dataset = Dataset.open(out, design, versions())
+    with progress(counting=True, remaining=True) as bar:
+        task = bar.add_task(f"{asked.name}: runs", total=design.runs, completed=dataset.done())
         try:
             sweep(
-                plan, dataset, jobs or os.cpu_count() or 1, chunk, scheduler or None,
-                lambda runs: progress.update(task, advance=runs),
+                design, dataset, jobs or os.cpu_count() or 1, chunk, scheduler or None,
+                lambda runs: bar.update(task, advance=runs),
             )  # fmt: skip
         except KeyboardInterrupt:
-            progress.stop()
-            Console(stderr=True).print(
-                f"stopped; {dataset.done()} of {plan.runs} runs are in {out}; the same command goes on", highlight=False
-            )
+            bar.stop()
+            done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
+            bar.console.print(done, highlight=False)
             raise
-        progress.update(task, description=f"{asked.name}: summary", total=None)
-        summaries = list(summarise(dataset))
-        write_csv(summaries, plan, out / "summary.csv")
+        bar.update(task, description=f"{asked.name}: summary", total=None)
+        found = list(aggregate(dataset))
+        write_csv(found, design, out / "summary.csv")
         with write_into_place(out / "summary.md") as path:
-            path.write_text(sweep_markdown(summaries, asked), encoding="utf-8")
+            path.write_text(sweep_markdown(found, asked), encoding="utf-8")
         if figures:
             from ..views.sweep_figures import save_sweep_figures
 
-            save_sweep_figures(summaries, asked, out / "figures")
-    terminal.print(sweep_table(summaries, asked, asked.metrics[0]))
-    failed = sum(s.failed for s in summaries)
+            save_sweep_figures(found, asked, out / "figures")
+    terminal.print(sweep_table(found, asked, asked.metrics[0]))
+    failed = sum(s.failed for s in found)
     if failed:
         terminal.print(
             f"{failed} estimates have no measures; `failure` in the rows says why, summary.md where", style="red"

@@ -1,4 +1,4 @@
-"""`flexspline tune`: every filter's knobs, found on training seeds, measured on others."""
+"""`flexspline tune`: every estimator's tuning parameters, found on training seeds, measured on others."""
 
 from __future__ import annotations
 
@@ -6,20 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from ..models.errors import InputError
-from ..models.files import write_into_place
-from ..scenarios import tuning
-from ..scenarios.loop import CONTROL_PERIOD
-from ..scenarios.metrics import pushes
-from ..scenarios.offline import contenders
-from ..scenarios.scenario import load_scenario
-from ..views.limit_tables import TUNED_HEADS, markdown, tuned_rows, tuned_table
-from ._console import console
-from ._options import Changes
-from .compare import PAPER
+from ._options import Changes, Estimators
 
 
 def command(
@@ -27,9 +16,7 @@ def command(
     scenarios: Annotated[
         list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")
     ] = None,
-    filter_: Annotated[
-        list[str] | None, typer.Option("--filter", help="An estimator; repeatable. All by default.")
-    ] = None,
+    filter_: Estimators = None,
     train: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are tuned on.")] = "1-5",
     test: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are reported.")] = "101-110",
     together: Annotated[
@@ -37,7 +24,7 @@ def command(
     ] = False,
     evaluations: Annotated[
         int, typer.Option(min=1, help="Settings tried of each filter; a tenth of those that simulate the joint.")
-    ] = tuning.EVALUATIONS,
+    ] = 300,
     threads: Annotated[int, typer.Option(min=1, help="Runs at a time; the result does not depend on it.")] = 1,
     pareto: Annotated[bool, typer.Option(help="Sweep noise against delay where a scenario has pushes.")] = True,
     changes: Changes = None,
@@ -46,52 +33,48 @@ def command(
 
     Writes OUT/tuned.yaml (`filters` can be copied into a scenario; one file per scenario below OUT unless --together).
     """
-    chosen = contenders(filter_ or ())
-    training, testing = seeds_of(train, "--train"), seeds_of(test, "--test")
+    training, testing = _seeds(train, "--train"), _seeds(test, "--test")
     both = sorted(set(training) & set(testing))
     if both:
         raise InputError(f"--test: expected other seeds than those of --train, got {both[0]} in both")
-    loaded = [load_scenario(name, changes) for name in scenarios or PAPER]
-    if len({scenario.name for scenario, _ in loaded}) < len(loaded):
-        raise InputError("tune: scenarios: expected each once, got one twice")
+    from ..models.files import write_into_place
+    from ..scenarios.evaluation import tuning
+    from ..scenarios.filters import estimators
+    from ..views.limit_tables import TUNED_HEADS, markdown, tuned_rows, tuned_table
+    from ._console import console, progress
+    from ._runs import PAPER, load_all
+
+    chosen = estimators(filter_ or ())
+    loaded = load_all(scenarios or PAPER, changes)
     groups = [loaded] if together else [[one] for one in loaded]
     terminal = console()
     for group in groups:
         names = [scenario.name for scenario, _ in group]
         folder = out if together or len(groups) == 1 else out / names[0]
-        fronts, pushed = [], None
-        with Progress(
-            TextColumn("{task.description}"),
-            BarColumn(),
-            TimeElapsedColumn(),
-            console=Console(stderr=True),
-            transient=True,
-        ) as progress:
-            task = progress.add_task(f"{', '.join(names)}: simulating", total=len(chosen))
+        fronts, found = [], []
+        with progress() as bar:
+            task = bar.add_task(f"{', '.join(names)}: simulating", total=len(chosen))
             train_runs, test_runs = tuning.simulated(group, training), tuning.simulated(group, testing)
-            if pareto:
-                having = [runs for runs in test_runs if pushes(runs[0].external_torque, CONTROL_PERIOD)]
-                pushed = having[0] if having else None
-            found = []
-            for contender in chosen:
-                progress.update(task, description=f"{', '.join(names)}: {contender.name}")
-                found.append(tuning.tune(contender, train_runs, test_runs, evaluations, threads))
+            pushed = next((runs for runs in test_runs if pareto and runs[0].reference.events), None)
+            for name, estimator in chosen.items():
+                bar.update(task, description=f"{', '.join(names)}: {name}")
+                found.append(tuning.tune(estimator, train_runs, test_runs, evaluations, threads))
                 if pushed:
-                    fronts.append(tuning.pareto(contender, pushed, found[-1].tuned, threads=threads))
-                progress.advance(task)
+                    fronts.append(tuning.pareto(estimator, pushed, found[-1].tuned, threads=threads))
+                bar.advance(task)
         title = f"{', '.join(names)}: tuned on seeds {train}, tested on {test}"
         terminal.print(tuned_table(found, title))
         tuning.write_tuned(found, names, training, testing, folder / "tuned.yaml")
         with write_into_place(folder / "tuned.md") as path:
             path.write_text(f"# {title}\n\n{markdown(TUNED_HEADS, tuned_rows(found))}\n", encoding="utf-8")
-        if fronts:
+        if pushed:
             from ..views.limit_figures import pareto_figure, save_figure
 
             save_figure(pareto_figure(fronts, pushed[0].name, len(testing)), folder / "pareto.png")
         terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}", highlight=False)
 
 
-def seeds_of(text: str, option: str) -> list[int]:
+def _seeds(text: str, option: str) -> list[int]:
     """Seeds of `A-B`, or of one number."""
     first, dash, last = text.partition("-")
     if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):

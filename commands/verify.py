@@ -6,20 +6,20 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
-
-from ..models.joint import load_joint
-from ..sim.plant import TIMESTEP
-from ..sim.verify import verify
-from ._console import console
 
 
 def command(
     folder: Annotated[Path, typer.Argument(help="Folder with the reference solutions (Parquet).")],
     joint: Annotated[str, typer.Option(help="The joint that they were solved for: name or path.")] = "test-joint",
-    timestep: Annotated[float, typer.Option(help="Timestep of the plant [s].", min=1e-6, max=1e-3)] = TIMESTEP,
+    timestep: Annotated[float, typer.Option(help="Timestep of the plant [s].", min=1e-6, max=1e-3)] = 0.0002,
 ) -> None:
     """Compare the plant with reference solutions; exit code 1 when a limit is missed."""
+    from rich.table import Table
+
+    from ..models.joint import load_joint
+    from ..sim.verify import verify
+    from ._console import console
+
     out = console()
     with out.status("driving the plant as the reference solutions describe"):
         differences = verify(folder, load_joint(joint), timestep)

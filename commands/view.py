@@ -8,7 +8,6 @@ import sys
 from pathlib import Path
 from typing import Annotated
 
-import rerun_cli
 import typer
 
 from ..models.errors import InputError
@@ -35,6 +34,8 @@ def command(
 
 def viewer_command(recording: Path, web: bool = False) -> list[str]:
     """The command line that opens a recording; every port is free and bound to this computer only."""
+    import rerun_cli
+
     folder = Path(rerun_cli.__file__).parent
     program = next((folder / name for name in ("rerun", "rerun.exe") if (folder / name).is_file()), None)
     start = [sys.executable, "-m", "rerun_cli"] if program is None else [str(program)]

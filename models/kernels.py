@@ -100,11 +100,15 @@ def _forget_old(top: Path, name: str) -> None:
 @cache
 def digest(module: str) -> str:
     """Sixteen hexadecimal digits of a module's source, of all sources that it imports from here, and of the compiler."""
-    versions = [metadata.version(name) for name in ("numba", "llvmlite", "numpy", "mujoco")]
-    whole = hashlib.blake2b(" ".join([*versions, sys.version]).encode(), digest_size=8)
+    whole = hashlib.blake2b(" ".join([*_versions(), sys.version]).encode(), digest_size=8)
     for name in sorted(_imported(module)):
         whole.update(_source(name))
     return whole.hexdigest()
+
+
+@cache
+def _versions() -> tuple[str, ...]:
+    return tuple(metadata.version(name) for name in ("numba", "llvmlite", "numpy", "mujoco"))
 
 
 @cache

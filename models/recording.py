@@ -25,6 +25,7 @@ from .errors import InputError, nearest
 from .files import Strict, load, write_into_place
 from .joint import Joint, Mounting, load_joint
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
+from .tables import write_table
 
 GAP = 0.1
 """A time [s] between samples that splits a recording into segments."""
@@ -252,8 +253,6 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path."""
     folder = Path(folder)
     ordered = {"time": recording.time, **{n: recording.columns[n] for n in CHANNELS if n in recording.columns}}
-    fields = [pa.field(name, pa.float64(), nullable=False, metadata={"unit": CHANNELS[name].unit}) for name in ordered]
-    table = pa.table(list(ordered.values()), schema=pa.schema(fields))
     path = folder / f"{recording.name}.parquet"
     sidecar = Sidecar(
         format=1,
@@ -265,7 +264,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     data = sidecar.model_dump(mode="json")
     data["link"] = recording.link.model_dump(mode="json", exclude_defaults=True)
     with write_into_place(path) as temporary:
-        pa.parquet.write_table(table, temporary, compression="zstd")
+        write_table(temporary, ordered, {name: CHANNELS[name].unit for name in ordered})
     with write_into_place(path.with_suffix(".yaml")) as temporary:
         temporary.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120), encoding="utf-8")
     return path

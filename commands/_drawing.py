@@ -1,0 +1,81 @@
+"""Views of runs, drawn in processes of their own while scenarios still run: matplotlib and Rerun are loaded there, meanwhile."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from ..scenarios.run import Run
+
+_ROOM = __name__.split(".")[0]
+_MODULES = {"figures": f"{_ROOM}.views.figures", "recording": f"{_ROOM}.views.rerun_view"}
+
+Begin = Callable[["Run", Path], Callable[[], object]]
+"""Begins to draw a run into its folder; what it gives waits for the end."""
+
+
+@contextmanager
+def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
+    """Processes that draw `views`, of `figures` and `recording`, of so many runs; one function that begins, or none.
+
+    They are as many as there are cores, or views to draw.
+    """
+    if not views:
+        yield []
+        return
+    # A server that has loaded what is needed, from which each of them begins; it starts now, in the background.
+    method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
+    context = multiprocessing.get_context(method)
+    if method == "forkserver":
+        context.set_forkserver_preload([_MODULES[view] for view in views])
+    count = min(os.cpu_count() or 1, runs * len(views))
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready) as pool:
+        for _ in range(count):
+            pool.submit(_ready)
+        try:
+            yield [lambda run, folder: _begin(pool, views, run, folder)]
+        except BaseException:
+            pool.shutdown(cancel_futures=True)
+            raise
+
+
+def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Path) -> Callable[[], object]:
+    handed = folder / ".run"
+    with handed.open("wb") as file:
+        pickle.dump(run, file, protocol=pickle.HIGHEST_PROTOCOL)
+    begun: list[Future[None]] = [pool.submit(_draw, view, handed, folder) for view in views]
+
+    def finish() -> None:
+        try:
+            for future in begun:
+                future.result()
+        finally:
+            handed.unlink(missing_ok=True)
+
+    return finish
+
+
+def _ready() -> None:
+    """Leave Ctrl-C to the process that waits for this one."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _draw(view: str, handed: Path, folder: Path) -> None:
+    with handed.open("rb") as file:
+        run: Run = pickle.load(file)
+    if view == "figures":
+        from ..views.figures import save_figures
+
+        save_figures(run, folder / "figures")
+    else:
+        from ..views.rerun_view import write_rerun
+
+        write_rerun(run, folder / "run.rrd")
