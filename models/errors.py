@@ -23,6 +23,8 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def read_text(path: Path, what: str) -> str:
     """Read a text file; an unreadable one raises `InputError` that names it and says what it should be."""
+    if path.exists() and not path.is_file():  # a folder; or a pipe, which may never end
+        raise InputError(f"{path}: cannot read {what}: not a file")
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

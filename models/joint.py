@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from importlib import resources
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import yaml
-from pydantic import ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
-from . import causes
+from . import causes, units
 from .errors import InputError, nearest
 from .files import Strict, load, write_into_place
-from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PLACES, VARIABLES, neutral
+from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
 
 # Symbol: unit, may it be zero? All are non-negative.
@@ -38,16 +38,6 @@ OPTIONAL_SYMBOLS: dict[str, tuple[str, bool]] = {
 the load drives the motor (torque and velocity of opposite sign), `knee_width` half the torsion over which the stiffness goes from
 one slope to the next, `viscous_exponent` the power of speed as which viscous friction grows at high speed; 1, 0 and 1 where
 they are left out."""
-
-_SPELLINGS = str.maketrans({"*": "·", ".": "·", "⋅": "·", "Ω": "Ω"})
-
-
-def _same_unit(a: str, b: str) -> bool:
-    def plain(unit: str) -> str:
-        text = unit.translate(_SPELLINGS).replace("^2", "²").replace("Ω", "ohm").replace(" ", "")
-        return text if text != "" else "1"
-
-    return plain(a) == plain(b)
 
 
 class Number(Strict):
@@ -184,11 +174,15 @@ class Sensors(Strict):
 
 
 class Estimate(Strict):
-    """A parameter of an effect: value, unit, and the standard deviation that diagnosis gives it."""
+    """A parameter of an effect: value, unit (that of the cause where it is left out), and its standard deviation where
+    a diagnosis gave it one."""
 
     value: float
     unit: str = ""
     std: Annotated[float, Field(ge=0)] | None = None
+
+
+_ROUNDING = 1e-9  # of a bound: what writing a number and reading it again may cost
 
 
 class Effect(Strict):
@@ -202,13 +196,19 @@ class Effect(Strict):
         known = causes.names()
         if self.name not in known:
             raise ValueError(f"expected the name of a known cause, got {self.name!r}{nearest(self.name, known)}")
-        expected = [p.name for p in causes.get(self.name).parameters]
+        expected = {p.name: p for p in causes.get(self.name).parameters}
         for name in self.parameters:
             if name not in expected:
                 raise ValueError(f"parameters.{name}: unknown key{nearest(name, expected)}")
-        for name in expected:
+        for name, parameter in expected.items():
             if name not in self.parameters:
                 raise ValueError(f"parameters.{name}: missing")
+            given, (low, high) = self.parameters[name], parameter.bounds
+            if given.unit and not units.same(given.unit, parameter.unit):
+                raise ValueError(f"parameters.{name}.unit: expected {parameter.unit!r}, got {given.unit!r}")
+            slack = _ROUNDING * max(abs(low), abs(high))
+            if not low - slack <= given.value <= high + slack:
+                raise ValueError(f"parameters.{name}.value: expected {low:g} to {high:g}, got {given.value:g}")
         return self
 
     @property
@@ -254,7 +254,8 @@ class Joint(Strict):
     """Angle [rad] that the link stands away from hanging straight down at θl = 0, whatever is mounted; none is 0."""
     mountings: dict[str, Mounting]
     sensors: Sensors
-    effects: list[Effect] = []
+    effects: Annotated[list[Effect], Field(max_length=32)] = []
+    """They act in the order in which they stand: a factor multiplies what the effects before it have made of a number."""
     discrepancies: Annotated[list[Discrepancy], Field(max_length=N_DISCREPANCIES)] = []
     _path: Path = PrivateAttr(default=Path())
 
@@ -269,7 +270,7 @@ class Joint(Strict):
                 continue
             if number is None:
                 raise ValueError(f"numbers.{symbol}: missing")
-            if not _same_unit(number.unit, unit):
+            if not units.same(number.unit, unit):
                 raise ValueError(f"numbers.{symbol}.unit: expected {unit!r}, got {number.unit!r}")
             if number.value < 0 or (number.value == 0 and not may_be_zero):
                 wanted = "a number ≥ 0" if may_be_zero else "a number > 0"
@@ -282,13 +283,19 @@ class Joint(Strict):
         if T2 < T1:
             raise ValueError(f"numbers.T2.value: expected T2 ≥ T1 = {T1:g} N·m, got {T2:g}")
         for number, (field, unit) in self._placed_units():
-            if number is not None and not _same_unit(number.unit, unit):
+            if number is not None and not units.same(number.unit, unit):
                 raise ValueError(f"{field}.unit: expected {unit!r}, got {number.unit!r}")
+        for i, effect in enumerate(self.effects):
+            if not causes.get(effect.name).adds and effect.name in [e.name for e in self.effects[:i]]:
+                raise ValueError(f"effects.{i}: {effect.name} stands twice, and a second one would replace the first")
         if self.mounting not in self.mountings:
             raise ValueError(
                 f"mounting: expected one of {sorted(self.mountings)}, got {self.mounting!r}"
                 f"{nearest(self.mounting, self.mountings)}"
             )
+        record = self.record()  # more orders than there is room for is said here
+        if not np.isfinite(as_floats(record)).all():
+            raise ValueError("effects: expected effects that leave the joint's numbers finite, got some that do not")
         return self
 
     def _placed_units(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
@@ -305,11 +312,30 @@ class Joint(Strict):
         for key, number in self.link_tolerances.items():
             yield number, (f"link_tolerances.{key}", "1")
 
+    @field_validator("model")
+    @classmethod
+    def _inside(cls, model: str) -> str:
+        path = PurePosixPath(model.replace("\\", "/"))
+        if path.is_absolute() or ".." in path.parts or ":" in model or path.suffix != ".xml":
+            raise ValueError(f"expected an MJCF file (.xml) in the joint file's folder, got {model!r}")
+        return model
+
     @property
     def mjcf(self) -> Path:
-        """Path of the MJCF file: beside the joint's own file, or else shipped."""
-        beside = self._path.parent / self.model
-        return beside if beside.is_file() else shipped(self.model)
+        """Path of the MJCF file: in the folder of the joint's own file, or else shipped.
+
+        Raises:
+          InputError: a link that leads out of the folder.
+        """
+        folder = self._path.parent
+        beside = folder / self.model
+        if not beside.is_file():
+            return shipped(self.model)
+        if not beside.resolve().is_relative_to(folder.resolve()):
+            raise InputError(
+                f"{self._path}: model: expected an MJCF file in the joint file's folder, got {self.model!r}"
+            )
+        return beside
 
     def mount(self, name: str | None = None) -> Mounting:
         """Return a mounting by name; `InputError` names the known ones."""
@@ -397,8 +423,8 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     """Load a joint by the name of a shipped one, or from a YAML file.
 
     Args:
-      source: a shipped joint's name (`test-joint`) or a path; a relative path is also tried beside `beside`.
-      beside: folder of the file that names the joint.
+      source: a shipped joint's name (`test-joint`) or a path.
+      beside: folder of the file that names the joint, to which a path in it is relative.
 
     Raises:
       InputError: no such joint, or a description that is wrong; one line.
@@ -408,9 +434,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     if name in known:
         path = known[name]
     else:
-        path = Path(source)
-        if not path.exists() and beside is not None and (beside / path).exists():
-            path = beside / path
+        path = Path(source) if beside is None else beside / source
         if not path.exists():
             raise InputError(
                 f"joint {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(name, known)}"

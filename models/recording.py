@@ -21,6 +21,7 @@ import pyarrow.csv
 import pyarrow.parquet
 import yaml
 
+from . import units
 from .errors import InputError, nearest
 from .files import Strict, load, write_into_place
 from .joint import Joint, Mounting, load_joint
@@ -310,7 +311,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
             raise InputError(f"{path}: column {field.name!r}: expected numbers, got {kind}")
         unit = (field.metadata or {}).get(b"unit", CHANNELS[field.name].unit.encode()).decode()
-        if unit != CHANNELS[field.name].unit:
+        if not units.same(unit, CHANNELS[field.name].unit):
             raise InputError(
                 f"{path}: column {field.name!r}: expected unit {CHANNELS[field.name].unit!r}, got {unit!r}"
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from flexspline.models import causes
 from flexspline.models.errors import InputError
 from flexspline.models.joint import SYMBOLS, Discrepancy, Effect, Estimate, as_joint, known_joints, load_joint
 from flexspline.models.parameters import as_floats
@@ -161,7 +163,113 @@ def test_bad_effects_are_named():
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("text", ["kg*m^2", "kg.m²", "kg m²".replace(" ", "·")])
+@pytest.mark.parametrize(
+    ("name", "parameter", "value", "expected"),
+    [
+        (
+            "friction_drift",
+            "time_constant",
+            {"value": 0.0},
+            "parameters.time_constant.value: expected 0.5 to 300, got 0",
+        ),
+        ("encoder_delay", "seconds", {"value": -0.01}, "parameters.seconds.value: expected 0 to 0.09, got -0.01"),
+        ("torque_sensor_gain", "gain", {"value": 0.0}, "parameters.gain.value: expected 0.05 to 20, got 0"),
+        (
+            "gravity_direction",
+            "angle",
+            {"value": 0.2, "unit": "deg"},
+            "parameters.angle.unit: expected 'rad', got 'deg'",
+        ),
+        ("stiffness", "scale", {"value": float("nan")}, "parameters.scale.value: expected a finite number"),
+        ("hysteresis", "torque", {"value": 1.0, "unit": "mNm"}, "parameters.torque.unit: expected 'N·m', got 'mNm'"),
+        ("torque_constant", "value", {"value": 0.06, "std": -1.0}, "std: expected greater than or equal to 0"),
+    ],
+)
+def test_effects_of_no_sense_are_one_line(name, parameter, value, expected):
+    """Range and unit are those of the cause; a unit that is left out is the cause's."""
+    joint = load_joint("test-joint")
+    cause = causes.get(name)
+    middle = {q.name: {"value": sum(q.ordinary[0]) / 2 * (float(joint.record()[0][q.relative]) if q.relative else 1)}
+              for q in cause.parameters}  # fmt: skip
+    as_joint(joint.model_dump() | {"effects": [{"name": name, "parameters": middle}]}, Path("a.yaml"))
+    with pytest.raises(InputError) as caught:
+        as_joint(
+            joint.model_dump() | {"effects": [{"name": name, "parameters": middle | {parameter: value}}]},
+            Path("a.yaml"),
+        )
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def effect(name, **values):
+    return {"name": name, "parameters": {k: {"value": v} for k, v in values.items()}}
+
+
+@pytest.mark.parametrize(
+    ("effects", "expected"),
+    [
+        ([effect("backlash", width=3e-4), effect("stiffness", scale=0.8), effect("backlash", width=2e-4)],
+         "effects.2: backlash stands twice"),
+        ([effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in (2, 3, 4, 5)],
+         "expected at most 3 orders of cogging, got one more"),
+        ([effect("stiffness", scale=1.1)] * 1000, "effects: expected List should have at most 32 items"),
+        ([effect("link_inertia", scale=20.0)] * 32, None),
+    ],
+)  # fmt: skip
+def test_repeated_effects(effects, expected):
+    data = load_joint("test-joint").model_dump() | {"effects": effects}
+    if expected is None:
+        as_joint(data, Path("a.yaml"))
+        return
+    with pytest.raises(InputError) as caught:
+        as_joint(data, Path("a.yaml"))
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_effects_that_add_may_stand_beside_each_other():
+    data = load_joint("test-joint").model_dump()
+    data["effects"] = [effect("gravity_moment", scale=1.1), effect("gravity_moment", scale=1.2)]
+    data["effects"] += [effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in (2, 3, 4)]
+    p = as_joint(data, Path("a.yaml")).record()[0]
+    assert p["Mg"] == pytest.approx(9.0 * 1.1 * 1.2)
+    assert p["cogging_order"].tolist() == [2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    "model", ["/etc/passwd", "../test_joint.xml", "a/../../x.xml", "C:\\x.xml", "passwd", "http://x/y.xml"]
+)
+def test_a_model_elsewhere_is_refused(tmp_path, model):
+    with pytest.raises(InputError, match=r"model: expected an MJCF file \(\.xml\) in the joint file's folder, got"):
+        load_joint(changed(tmp_path, "model: test_joint.xml", f"model: {model!r}"))
+
+
+def test_a_link_out_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere" / "own.xml").write_text(load_joint("test-joint").mjcf.read_text())
+    (tmp_path / "here").mkdir()
+    (tmp_path / "here" / "own.xml").symlink_to(tmp_path / "elsewhere" / "own.xml")
+    with pytest.raises(InputError, match="expected an MJCF file in the joint file's folder"):
+        load_joint(changed(tmp_path / "here", "model: test_joint.xml", "model: own.xml"))
+
+
+def test_a_path_in_a_file_is_relative_to_that_file(tmp_path, monkeypatch):
+    """A joint of the same name in the working directory is another joint."""
+    for folder, name in (("beside", "the right one"), ("work", "a wrong one")):
+        (tmp_path / folder).mkdir()
+        changed(tmp_path / folder, "name: test-joint", f"name: {name}")
+    monkeypatch.chdir(tmp_path / "work")
+    assert load_joint("joint.yaml", beside=tmp_path / "beside").name == "the right one"
+    assert load_joint("joint.yaml").name == "a wrong one"
+    with pytest.raises(InputError, match="expected a path or one of"):
+        load_joint("joint.yaml", beside=tmp_path)
+
+
+def test_a_pipe_is_no_description(tmp_path):
+    os.mkfifo(tmp_path / "joint.yaml")
+    with pytest.raises(InputError, match="cannot read a joint description: not a file"):
+        load_joint(tmp_path / "joint.yaml")
+
+
+@pytest.mark.parametrize("text", ["kg*m^2", "kg.m²", "kgm²", "kg m²".replace(" ", "·")])
 def test_units_may_be_spelt_differently(tmp_path, text):
     assert (
         load_joint(changed(tmp_path, "1.38e-5, unit: kg·m²", f"1.38e-5, unit: {text}")).numbers["Jm"].value == 1.38e-5

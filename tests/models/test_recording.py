@@ -167,6 +167,9 @@ def test_parquet_of_wrong_type_unit_or_with_nulls(tmp_path):
     pq.write_table(table, path)
     with pytest.raises(InputError, match="expected unit 'A', got 'mA'"):
         read_recording(path)
+    spelt = pa.field("joint_torque", pa.float64(), metadata={"unit": "Nm"})
+    pq.write_table(pa.table(good).append_column(spelt, pa.array(np.arange(3.0))), path)
+    np.testing.assert_array_equal(read_recording(path)["joint_torque"], np.arange(3.0))
     path.write_bytes(b"no parquet")
     with pytest.raises(InputError, match=r"a\.parquet: not a readable Parquet file"):
         read_recording(path)

@@ -1,0 +1,53 @@
+"""MJCF files that people hand us: nothing in them may reach beyond the folder in which they lie."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path, PurePosixPath, PureWindowsPath
+
+from .errors import InputError, read_text
+
+_LARGEST = 10_000_000
+"""Characters of an MJCF file; meshes and textures lie beside it."""
+_DEEPEST = 10  # of includes within includes
+
+
+def check_mjcf(path: Path) -> None:
+    """Check that an MJCF and all files that it names lie in its folder.
+
+    Raises:
+      InputError: a file that is no XML, has document type declarations or plugins, or names a file elsewhere; one line.
+    """
+    _check(path, path.resolve().parent, _DEEPEST)
+
+
+def _check(path: Path, folder: Path, depth: int) -> None:
+    if not path.is_file():
+        raise InputError(f"{path}: expected an MJCF file, no such file")
+    if path.stat().st_size > _LARGEST:
+        raise InputError(f"{path}: expected an MJCF file of at most {_LARGEST} bytes, got {path.stat().st_size}")
+    text = read_text(path, "an MJCF file")
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise InputError(f"{path}: expected an MJCF file without document type declarations")
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}: not a readable MJCF: {error}") from error
+    for element in root.iter():
+        if element.tag in ("plugin", "extension"):
+            raise InputError(f"{path}: {element.tag}: expected a model without plugins")
+        for name, value in element.attrib.items():
+            if name.startswith("file") or (name.endswith("dir") and element.tag == "compiler"):
+                _check_inside(path, folder, element.tag, name, value)
+        if element.tag in ("include", "model") and element.get("file") is not None:
+            if depth == 0:
+                raise InputError(f"{path}: include: expected files no more than {_DEEPEST} deep")
+            _check(folder / str(element.get("file")), folder, depth - 1)
+
+
+def _check_inside(path: Path, folder: Path, tag: str, name: str, value: str) -> None:
+    where = f"{path}: {tag}.{name}"
+    parts = PurePosixPath(value.replace("\\", "/"))
+    outside = parts.is_absolute() or bool(PureWindowsPath(value).drive) or ".." in parts.parts or ":" in value
+    if outside or not (folder / parts).resolve().is_relative_to(folder):
+        raise InputError(f"{where}: expected a file inside the MJCF's folder, got {value!r}")
