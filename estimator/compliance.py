@@ -28,28 +28,24 @@ from ..models.kernels import kernel
 from ..models.laws import flexspline_spring, kinematic_error, wave_generator_torsion
 from ..models.parameters import PARAMETERS
 from .estimator import KnownJoint
-from .sensing import LOWPASS, lowpass, motor_current, temperature
+from .sensing import LOWPASS, RING, line_in_ring, lowpass, motor_current, place_in_ring, temperature
 
-_RING = 512
-"""Samples that a delay of the link encoder may be long: beyond, the oldest stands for what was before it."""
-_AHEAD, _FEWEST = 1.5, 5
-"""The line that carries a late torsion on: fitted to as many delays, and samples at least."""
+_AHEAD = 2.0
+"""Delays of the link encoder, over which the line that carries a late torsion on is fitted."""
 _VELOCITY = 2.0 * math.pi * 40.0
 """Low-pass [rad/s] of the rotor's velocity, on which model discrepancies may depend."""
-_HYSTERESIS = 2.0 * math.pi * 20.0
-"""Low-pass [rad/s] of the torsion that drives the hysteresis."""
-_PLAY = 4e-6
-"""Half of the dead zone through which the torsion drives the hysteresis [rad]."""
+_HYSTERESIS = 2.0 * math.pi * 70.0
+"""Low-pass [rad/s] of the torsion that drives the hysteresis: above, counts wear its state away; below, it misses vibrations."""
 
 TORSION = np.dtype(
     [
-        ("torque", np.float64), ("dahl", np.float64), ("held", np.float64), ("count", np.float64),
+        ("torque", np.float64), ("dahl", np.float64), ("count", np.float64),
         ("motor", LOWPASS), ("slow", LOWPASS),
-        *((name, np.float64, _RING) for name in ("time", "motor_position", "motor_torque", "velocity", "torsion")),
+        *((name, np.float64, RING) for name in ("time", "motor_position", "motor_torque", "velocity", "torsion")),
     ]
 )  # fmt: skip
-"""What `measure` remembers: last torque [N·m] and Dahl state [rad], the torsion behind the dead zone [rad], samples so far,
-rotor and torsion through low-passes, and a ring of past samples for a link encoder that is late."""
+"""What `measure` remembers: last torque [N·m], Dahl state [rad], samples so far, rotor and torsion through low-passes, and a
+ring of past samples for a link encoder that is late."""
 
 
 class Measured(NamedTuple):
@@ -89,7 +85,8 @@ def measure(m, s, p):
         link = dynamics.actual_link_position(s.link_position, motor, w, s.time, p)
         torsion, theta_w = dynamics.measured_torsion(motor, link, motor_torque, p)
     if p.hysteresis_torque != 0.0:
-        _wind(m, torsion, s.interval, p)
+        lowpass(m.slow, torsion, s.interval, _HYSTERESIS)
+        m.dahl = laws.dahl_step(m.dahl, m.slow.rate, s.interval, p)
     torque = flexspline_spring(torsion, p)
     if p.hysteresis_torque != 0.0:
         torque += laws.hysteresis_torque(m.dahl, p)
@@ -104,54 +101,16 @@ def measure(m, s, p):
 def _late_torsion(m, s, motor, motor_torque, w, p):
     """Torsion now [rad] where the link encoder's reading is `p.link_delay` old."""
     n = int(m.count)
-    at = n % _RING
+    at = n % RING
     m.time[at], m.motor_position[at], m.motor_torque[at], m.velocity[at] = s.time, motor, motor_torque, w
     m.count = n + 1.0
     then = s.time - p.link_delay
-    oldest = max(n - _RING + 1, 0)
-    k = n
-    while k > oldest and m.time[k % _RING] > then:
-        k -= 1
-    a, b = k % _RING, min(k + 1, n) % _RING
-    span = m.time[b] - m.time[a]
-    share = min(max((then - m.time[a]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+    a, b, share = place_in_ring(m.time, n, then)
     motor_then = m.motor_position[a] + share * (m.motor_position[b] - m.motor_position[a])
     torque_then = m.motor_torque[a] + share * (m.motor_torque[b] - m.motor_torque[a])
     link = dynamics.actual_link_position(s.link_position, motor_then, m.velocity[a], then, p)
-    torsion, _ = dynamics.measured_torsion(motor_then, link, torque_then, p)
-    m.torsion[at] = torsion
-    # The line through the last samples, at their mean time and slope.
-    window = max(_AHEAD * p.link_delay, (_FEWEST - 0.5) * s.interval)
-    count, mean_t, mean_x = 0, 0.0, 0.0
-    k = n
-    while k >= oldest and s.time - m.time[k % _RING] <= window:
-        count += 1
-        mean_t += s.time - m.time[k % _RING]
-        mean_x += m.torsion[k % _RING]
-        k -= 1
-    mean_t, mean_x = mean_t / count, mean_x / count
-    top, bottom = 0.0, 0.0
-    for j in range(k + 1, n + 1):
-        t = s.time - m.time[j % _RING] - mean_t
-        top -= t * (m.torsion[j % _RING] - mean_x)
-        bottom += t * t
-    slope = top / bottom if count >= _FEWEST else 0.0
-    return mean_x + slope * (mean_t + p.link_delay) if count >= _FEWEST else torsion
-
-
-@kernel
-def _wind(m, torsion, interval, p):
-    """Move the Dahl state on by what the torsion did, less its noise."""
-    lowpass(m.slow, torsion, interval, _HYSTERESIS)
-    if interval == 0.0:
-        m.held = torsion
-        return
-    x = m.slow.value
-    moved = x - m.held
-    if abs(moved) > _PLAY:
-        moved -= _PLAY if moved > 0.0 else -_PLAY
-        m.held += moved
-        m.dahl = laws.dahl_step(m.dahl, moved, 1.0, p)
+    m.torsion[at], _ = dynamics.measured_torsion(motor_then, link, torque_then, p)
+    return line_in_ring(m.time, m.torsion, n, _AHEAD * p.link_delay, s.time + p.link_delay)
 
 
 def torque_variance(joint: KnownJoint) -> float:

@@ -5,9 +5,8 @@ Three things beyond the textbook:
 * **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts say nothing new.
 * **Contacts are rare**: τext walks quietly, and loudly only while the link encoder's innovations are larger than their
   variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
-* **A link encoder that is late** is compared with where the model says the link was then: the present estimate less the way that it
-  has come since, by the model's own motion, which later corrections do not touch (after Larsen et al., "Incorporation of time
-  delayed measurements in a discrete-time Kalman filter", CDC 1998).
+* **A link encoder that is late** makes the whole filter late: it takes motor readings and commands of the instant that the link
+  reading shows, and its state then goes on to now through the commands since by the model, the external torque along a line (`_catch_up`).
 """
 
 from __future__ import annotations
@@ -17,29 +16,32 @@ import math
 import numpy as np
 
 from ..models.kernels import kernel
+from ..models.step import SAMPLE
 from . import joint_model as model
-from .joint_model import EXTERNAL, LINK, LINK_RATE, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS
+from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS
 from .quantised import update
-from .sensing import motor_current, temperature
+from .sensing import RING, line_in_ring, motor_current, temperature
 
-_RING = 512
-"""Samples that a delay of the link encoder may be long."""
+_AHEAD = 6.0
+"""Delays of the link encoder, over which the line that carries the external torque on is fitted."""
 POINTS = 2 * SIZE + 1
+_DIFFERENCE = 1e-5  # rad
 
 FILTER = np.dtype(
     [
         ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("current", np.float64), ("time", np.float64),
         ("motor_ratio", np.float64), ("link_ratio", np.float64),
         ("predicted", np.float64, SIZE), ("predicted_P", np.float64, (SIZE, SIZE)), ("F", np.float64, (SIZE, SIZE)),
-        ("way", np.float64), ("count", np.float64), ("times", np.float64, _RING), ("ways", np.float64, _RING),
-        ("e", np.float64, 2), ("S", np.float64, 2),
+        ("count", np.float64), ("done", np.float64), ("ring", SAMPLE, RING),
+        ("times", np.float64, RING), ("external", np.float64, RING),
+        ("now", np.float64, SIZE), ("e", np.float64, 2), ("S", np.float64, 2),
         ("points", np.float64, (POINTS, SIZE)), ("A", np.float64, (SIZE, SIZE)), ("work", np.float64, (3, SIZE)),
         ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
     ]
 )  # fmt: skip
-"""What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s]; mean NIS of both
-encoders; the prediction with its covariance and Jacobian, for a smoother; the link's way by the model's motion [rad] and a ring of its
-past; innovations [rad] and their variances [rad²]; the rest is scratch."""
+"""What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s]; mean
+NIS of both encoders; the prediction with its covariance and Jacobian, for a smoother; of a link encoder that is late the samples so
+far, those that it has done, and a ring of them; the state now; innovations [rad] and their variances [rad²]; the rest is scratch."""
 SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
 """What is random, and κ, which spreads the sigma points."""
 OUT = np.dtype(
@@ -59,20 +61,29 @@ def filter_step(m, s, c, p, unscented):
         unscented: whether to predict by sigma points instead of a Jacobian.
 
     Returns:
-        The joint torque [N·m] and its variance [(N·m)²].
+        The joint torque [N·m] and its variance [(N·m)²]; `m.now` is the state.
     """
+    if p.link_delay > 0.0:
+        _late_step(m, s, c, p, unscented)
+    else:
+        _step(m, s, s.link_position, s.interval, c, p, unscented)
+        m.now[:] = m.x
+    torque = model.joint_torque(m.now, s.time, p)
+    return torque, model.torque_variance(m.now, m.P, torque, s.time, p, c.noise, m.H)
+
+
+@kernel
+def _step(m, s, link_position, dt, c, p, unscented):
+    """Predict over `dt` [s] to a sample (0: start) and update with its readings, the link's [rad] at that instant."""
     x, P, noise = m.x, m.P, c.noise
-    if s.interval == 0.0:
-        model.start(s.motor_position, s.link_position, s.time, p, x)
+    if dt == 0.0:
+        model.start(s.motor_position, link_position, s.time, p, x)
         for i in range(int(noise.count)):
             P[i, i] = noise.start[int(noise.active[i])]
         m.motor_ratio, m.link_ratio = 1.0, 1.0
         m.current = motor_current(s, x[MOTOR], x[LINK], 0.0, 0.0, p)
-        m.times[0], m.count = s.time, 1.0
     else:
-        link = x[LINK]
-        command = motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p)
-        dt, heat = s.interval, temperature(s, p)
+        command, heat = motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p), temperature(s, p)
         if unscented:
             predict_unscented(m, command, dt, heat, noise, c.kappa, p)
         else:
@@ -81,11 +92,46 @@ def filter_step(m, s, c, p, unscented):
         m.current = model.next_current(m.current, command, dt, p)
         m.predicted[:] = x
         m.predicted_P[:] = P
-        m.way += x[LINK] - link
-        measure(m, s, noise, p)
+        measure(m, s.motor_position, link_position, s.time, noise, p)
     m.time = s.time
-    torque = model.joint_torque(x, s.time, p)
-    return torque, model.torque_variance(x, P, torque, s.time, p, noise, m.H)
+
+
+@kernel
+def _late_step(m, s, c, p, unscented):
+    """A step of the filter that is late by the link encoder's delay, and on to now."""
+    n = int(m.count)
+    m.ring[n % RING] = s
+    m.count = n + 1.0
+    # Every sample whose link reading has come by now: between the last two.
+    k = int(m.done)
+    while k <= n and (k == 0 or m.ring[k % RING].time + p.link_delay <= s.time or n - k >= RING - 2):
+        then = m.ring[k % RING]
+        late = s.time - then.time - p.link_delay
+        link = s.link_position
+        if n > 0 and k > 0:
+            before = m.ring[(n - 1) % RING].link_position
+            link -= min(max(late / s.interval, 0.0), 1.0) * (link - before)
+        dt = then.time - m.time if k > 0 else 0.0
+        _step(m, then, link, dt, c, p, unscented)
+        m.times[k % RING], m.external[k % RING] = then.time, m.x[EXTERNAL]
+        k += 1
+        m.done = k
+    _catch_up(m, k, n, c, p)
+
+
+@kernel
+def _catch_up(m, k, n, c, p):
+    """The state now, from the filter's last one through the commands of samples k to n."""
+    x, current, time = m.now, m.current, m.time
+    x[:] = m.x
+    while k <= n:
+        s = m.ring[k % RING]
+        dt, command = s.time - time, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p)
+        x[EXTERNAL] = line_in_ring(m.times, m.external, int(m.done) - 1, _AHEAD * p.link_delay, time + 0.5 * dt)
+        steps, forget = model.substeps(x, dt, p), math.exp(-dt / c.noise.mesh_time)
+        model.advance(x, current, command, time, dt, steps, forget, temperature(s, p), p, m.work)
+        current, time = model.next_current(current, command, dt, p), s.time
+        k += 1
 
 
 @kernel
@@ -93,7 +139,7 @@ def tell(m, torque, variance, o):
     """Write the outputs, shape (len(OUT.names),); the status."""
     o[0], o[1], o[2], o[3], o[4], o[5] = torque, variance, m.e[0], m.e[1], m.S[0], m.S[1]
     for i in range(SIZE):
-        o[6 + i] = m.x[i]
+        o[6 + i] = m.now[i]
     return 0 if math.isfinite(torque + variance) else 1
 
 
@@ -210,50 +256,36 @@ def _share(ratio, noise):
 
 
 @kernel
-def measure(m, s, noise, p):
-    """Update with both encoders, one after the other. The link's innovation is the one given the motor's: they are uncorrelated."""
+def measure(m, motor_position, link_position, time, noise, p):
+    """Update with both encoders, one after the other. The link's innovation is the one given the motor's, uncorrelated to it."""
     x, H, n = m.x, m.H, int(noise.count)
     P, active = m.P[:n, :n], noise.active
     H[:] = 0.0
-    H[MOTOR] = (model.read_motor(x, p) - _moved(x, MOTOR, -1e-5, p)) / 1e-5
-    m.e[0] = s.motor_position - model.read_motor(x, p)
+    predicted = model.read_motor(x, p)
+    H[MOTOR] = _slope_of_motor(x, predicted, p)
+    m.e[0] = motor_position - predicted
     m.S[0] = update(x, P, active, H[:n], m.e[0], noise.motor_variance, noise.motor_step, m.PH)
     m.S[0] += noise.motor_step**2 / 12.0
     m.motor_ratio = noise.memory * m.motor_ratio + (1.0 - noise.memory) * m.e[0] ** 2 / m.S[0]
-
-    way = _way_within_delay(m, s, p)
-    predicted = model.read_link(x, way, s.time, p)
-    x[LINK] += 1e-5
-    slope = (model.read_link(x, way, s.time, p) - predicted) / 1e-5
-    x[LINK] -= 1e-5
-    H[MOTOR], H[LINK], H[LINK_RATE] = 0.0, slope, -p.link_delay * slope
-    m.e[1] = s.link_position - predicted
+    predicted = model.read_link(x, time, p)
+    H[MOTOR], H[LINK] = 0.0, _slope_of_link(x, predicted, time, p)
+    m.e[1] = link_position - predicted
     m.S[1] = update(x, P, active, H[:n], m.e[1], noise.link_variance, noise.link_step, m.PH)
     m.S[1] += noise.link_step**2 / 12.0
     m.link_ratio = noise.memory * m.link_ratio + (1.0 - noise.memory) * m.e[1] ** 2 / m.S[1]
 
 
 @kernel
-def _moved(x, state, step, p):
-    kept = x[state]
-    x[state] += step
-    found = model.read_motor(x, p)
-    x[state] = kept
-    return found
+def _slope_of_motor(x, reading, p):
+    x[MOTOR] += _DIFFERENCE
+    slope = (model.read_motor(x, p) - reading) / _DIFFERENCE
+    x[MOTOR] -= _DIFFERENCE
+    return slope
 
 
 @kernel
-def _way_within_delay(m, s, p):
-    """How far the link has come within the encoder's delay [rad], by the model's motion."""
-    if p.link_delay == 0.0:
-        return 0.0
-    n = int(m.count)
-    m.times[n % _RING], m.ways[n % _RING] = s.time, m.way
-    m.count = n + 1.0
-    then, k, oldest = s.time - p.link_delay, n, max(n - _RING + 1, 0)
-    while k > oldest and m.times[k % _RING] > then:
-        k -= 1
-    a, b = k % _RING, min(k + 1, n) % _RING
-    span = m.times[b] - m.times[a]
-    share = min(max((then - m.times[a]) / span, 0.0), 1.0) if span > 0.0 else 0.0
-    return m.way - m.ways[a] - share * (m.ways[b] - m.ways[a])
+def _slope_of_link(x, reading, time, p):
+    x[LINK] += _DIFFERENCE
+    slope = (model.read_link(x, time, p) - reading) / _DIFFERENCE
+    x[LINK] -= _DIFFERENCE
+    return slope

@@ -176,13 +176,9 @@ def read_motor(x, p):
 
 
 @kernel
-def read_link(x, moved, time, p):
-    """What the link encoder reads [rad] at a state; `moved`: how far the link has come within the encoder's delay [rad]."""
-    then = State(
-        x[MOTOR] - p.N * moved, x[MOTOR_RATE], x[WAVE] - p.N * moved, x[WAVE_RATE], x[LINK] - moved, x[LINK_RATE],
-        x[BRISTLE], x[DAHL], 0.0, time - p.link_delay, 0.0,
-    )  # fmt: skip
-    return dynamics.read_link_position(then, 0.0, p)
+def read_link(x, time, p):
+    """What a link encoder without delay reads [rad] at a state."""
+    return dynamics.read_link_position(state_of(x, 0.0, time, 0.0), 0.0, p)
 
 
 @kernel

@@ -42,3 +42,49 @@ def motor_current(s, motor_position, link_position, velocity, load, p):
 def temperature(s, p):
     """Temperature [°C] at a sample; the one that the friction is stated for where there is no sensor."""
     return p.reference_temperature if math.isnan(s.temperature) else s.temperature
+
+
+RING = 512
+"""Samples that a delay of the link encoder may be long: beyond, the oldest stands for what was before it."""
+_FEWEST = 5
+
+
+@kernel
+def place_in_ring(times, newest, then):
+    """Where an instant lies in a ring of times, shape (RING,): sample before it, sample after it, and share of the way between.
+
+    Args:
+        newest: number of the last sample, counted from 0 on; it lies at that number modulo RING.
+    """
+    k, oldest = newest, max(newest - RING + 1, 0)
+    while k > oldest and times[k % RING] > then:
+        k -= 1
+    a, b = k % RING, min(k + 1, newest) % RING
+    span = times[b] - times[a]
+    return a, b, min(max((then - times[a]) / span, 0.0), 1.0) if span > 0.0 else 0.0
+
+
+@kernel
+def line_in_ring(times, values, newest, window, at):
+    """The line that fits the last samples of a ring best, at an instant `at` [s]; the last value while there are few.
+
+    Args:
+        times, values: Shape (RING,). newest: as `place_in_ring`.
+        window: of the fit [s], back from the newest; five samples at least.
+    """
+    oldest, last = max(newest - RING + 1, 0), times[newest % RING]
+    count, mean_t, mean_x, k = 0, 0.0, 0.0, newest
+    while k >= oldest and (last - times[k % RING] <= window or count < _FEWEST):
+        count += 1
+        mean_t += times[k % RING]
+        mean_x += values[k % RING]
+        k -= 1
+    if count < _FEWEST:
+        return values[newest % RING]
+    mean_t, mean_x = mean_t / count, mean_x / count
+    top, bottom = 0.0, 0.0
+    for j in range(k + 1, newest + 1):
+        t = times[j % RING] - mean_t
+        top += t * (values[j % RING] - mean_x)
+        bottom += t * t
+    return mean_x + top / bottom * (at - mean_t)

@@ -1,0 +1,138 @@
+"""A joint with an effect in closed loop, and estimators that are told of it: for `test_known_effects`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from flexspline.estimator import KnownJoint
+from flexspline.models import causes
+from flexspline.models.joint import Discrepancy, load_joint
+from flexspline.models.parameters import PLACES, VARIABLES
+from flexspline.models.signals import Signals
+from flexspline.sim import loop, plant, sensors
+from flexspline.sim.drive import Controller
+
+JOINT = load_joint("test-joint")
+MOUNTING = JOINT.mount("link")
+DURATION, TRANSIENT = 7.0, 0.8  # s
+DRAWS = (11, 12, 13)
+"""Seeds: of the motion, of the sensors' noise, and of what is periodic or turned in an effect."""
+
+
+class Middle:
+    """Stands for a random generator: the middle of every range, and a draw where a range is a whole turn or a choice."""
+
+    def __init__(self, seed: int):
+        self.rng = np.random.default_rng(seed)
+
+    def uniform(self, low, high):
+        return self.rng.uniform(low, high) if high - low > 6.0 and low == 0.0 and high < 6.5 else 0.5 * (low + high)
+
+    def integers(self, low, high):
+        return round(0.5 * (low + high - 1))
+
+    def choice(self, count, p=None):
+        return self.rng.choice(count, p=p)
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect: its name, what it does to a record, and whether the gear's temperature changes."""
+
+    name: str
+    fields: tuple[tuple[str, object], ...] = ()
+    discrepancy: tuple[str, str, float, float, float] | None = None  # place, variable, low, high, size
+    warming: float = 0.0
+
+    def record(self, seed: int) -> np.ndarray:
+        """The joint's record with the effect, shape (1,)."""
+        record = JOINT.record(MOUNTING)
+        p = record[0]
+        if not self.fields and self.discrepancy is None and self.name != "none":
+            cause = causes.get(self.name)
+            cause.apply(p, cause.draw(p, Middle(seed)))
+        for name, value in self.fields:
+            p[name] = value
+        if self.discrepancy is not None:
+            place, variable, low, high, size = self.discrepancy
+            shape = np.random.default_rng(seed).standard_normal(9)
+            coefficients = size * (shape - shape.mean()) / np.abs(shape - shape.mean()).max()
+            one = Discrepancy(
+                place=place, variable=variable, low=low, high=high, unit="", coefficients=coefficients.tolist()
+            )
+            p["discrepancy_place"][0] = PLACES.index(one.place)
+            p["discrepancy_variable"][0] = VARIABLES.index(one.variable)
+            p["discrepancy_low"][0], p["discrepancy_high"][0] = one.low, one.high
+            p["discrepancy_count"][0] = len(one.coefficients)
+            p["discrepancy_coefficient"][0, : len(one.coefficients)] = one.coefficients
+        return record
+
+
+SENSOR_CAUSES = ("torque_sensor_gain", "torque_sensor_offset", "torque_sensor_drift")
+CASES = (
+    *(Case(name) for name in causes.names()),
+    Case("link_encoder_zero", (("link_zero", 1e-3),)),
+    Case("link_encoder_orders", (
+        ("link_error_order", (1.0, 2.0, 5.0)), ("link_error_amplitude", (4e-4, 1e-4, 5e-5)), ("link_error_phase", (0.3, 2.0, 4.0)),
+    )),
+    Case("motor_encoder_eccentricity", (("motor_eccentricity", 5e-3), ("motor_eccentricity_phase", 0.7))),
+    Case("friction_temperature", (("friction_temperature", -0.015),), warming=30.0),
+    Case("viscous_exponent", (("viscous_exponent", 0.6),)),
+    Case("knee_width", (("knee_width", 2e-4),)),
+    Case("back_driven_friction", (("friction_load", 0.2), ("back_driven_friction", 0.3))),
+    Case("discrepancy_rotor", discrepancy=("rotor", "link_position", -1.5, 1.5, 8e-3)),
+    Case("discrepancy_mesh", discrepancy=("mesh", "motor_velocity", -160.0, 160.0, 8e-3)),
+    Case("discrepancy_flexspline", discrepancy=("flexspline", "load", -15.0, 15.0, 1.0)),
+    Case("discrepancy_link", discrepancy=("link", "link_position", -1.5, 1.5, 1.0)),
+    Case("discrepancy_joint_torque", discrepancy=("joint_torque", "link_position", -1.5, 1.5, 0.5)),
+    Case("discrepancy_link_position", discrepancy=("link_position", "link_position", -1.5, 1.5, 4e-4)),
+    Case("discrepancy_motor_current", discrepancy=("motor_current", "link_position", -1.5, 1.5, 0.1)),
+)  # fmt: skip
+"""Every known cause at the middle of its ordinary size; what a record can say beyond them; a model discrepancy at every place."""
+
+
+def motion(seed: int, push: bool) -> tuple[np.ndarray, ...]:
+    """Time [s], link position [rad], velocity [rad/s], external torque [N·m] of a draw: a sweep and half of the way back."""
+    rng = np.random.default_rng([seed, 7])
+    time = np.arange(round(DURATION / 1e-3)) * 1e-3
+    begin, way = rng.uniform(0.45, 0.65), rng.uniform(0.45, 0.55)
+    position, velocity = np.full(len(time), begin), np.zeros(len(time))
+    for start, duration, distance in ((0.8, rng.uniform(3.6, 4.0), way), (5.0, 1.8, -0.35 * way)):
+        u = np.clip((time - start) / duration, 0, 1)  # minimum jerk
+        position += distance * u**3 * (10 - 15 * u + 6 * u**2)
+        velocity += distance / duration * 30 * u**2 * (1 - u) ** 2
+    external = np.zeros(len(time))
+    if push:
+        for centre in rng.uniform((1.6, 4.2), (3.4, 6.2)):
+            u = np.clip(np.abs(time - centre) / 0.35, 0, 1)
+            external += rng.uniform(4.0, 7.0) * rng.choice([-1, 1]) * 0.5 * (1 + np.cos(np.pi * u))
+    return time, position, velocity, external
+
+
+@cache
+def signals_of(case: Case, seed: int, push: bool) -> tuple[Signals, np.ndarray]:
+    """What the sensors of a joint with the effect read, without the torque sensor; and its true joint torque Ts."""
+    time, position, velocity, external = motion(seed, push)
+    record = case.record(seed)
+    temperature = 25.0 + case.warming * time / DURATION
+    run = loop.simulate(
+        plant.build(JOINT, MOUNTING, record=record), record, position, velocity, external,
+        sensors.sensor_records(JOINT, float(record[0]["link_delay"]), loop.CONTROL_PERIOD),
+        sensors.noise(JOINT, seed, len(time), loop.CONTROL_PERIOD),
+        Controller(kp=8.0, kd=0.08).record(record[0], loop.CONTROL_PERIOD, False), temperature=temperature,
+    )  # fmt: skip
+    columns = {name: run.readings[name] for name in ("motor_position", "link_position", "motor_current", "temperature")}
+    return Signals(time, {**columns, "current_command": run.command}), run.truth["joint_torque"]
+
+
+def rms_error(estimator, case: Case, seed: int, push: bool, told: Case | None = None, command: bool = True) -> float:
+    """RMS error [N·m] against the true joint torque, after the transient, told of an effect (`told`; the case's own by default)."""
+    signals, truth = signals_of(case, seed, push)
+    if not command:
+        signals = signals.without("current_command")
+    known = KnownJoint.of(JOINT, MOUNTING, (told or case).record(seed))
+    found = estimator.estimate(signals, known).mean
+    return float(np.sqrt(np.mean((found - truth)[signals.time >= TRANSIENT] ** 2)))
