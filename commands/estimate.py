@@ -5,50 +5,66 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
-from rich.text import Text
 
-from ..diagnosis.estimate import ESTIMATORS, Score, estimate, score, write_estimates
 from ..models.errors import InputError
-from ..models.files import write_into_place
-from ..sim.recording import read_measurement
-from ._console import console
+from ._options import Estimators
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ..scenarios.evaluation.recorded import Score
 
 
 def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
     out: Annotated[Path, typer.Option(help="folder to write to")],
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    filter_: Estimators = None,
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
+    from ..models.files import write_into_place
+    from ..models.recording import read_measurement
+    from ..scenarios.evaluation.recorded import estimate_recording, score, write_recorded
+    from ..scenarios.filters import estimators
+    from ._console import console
+
     data = read_measurement(measurement)
     described = data.load_joint(joint)
+    chosen = estimators(filter_ or ())
     for recording in data.recordings:
         if recording.source and (out / f"{recording.name}.parquet").resolve() == Path(recording.source).resolve():
             raise InputError(f"{out}: expected another folder than the measurement's, its recordings would be replaced")
     terminal = console()
-    report: dict[str, dict] = {}
+    report: dict[str, dict[str, Any]] = {}
     for recording in data.recordings:
-        estimates = estimate(recording, described)
-        path = write_estimates(estimates, out)
-        scores = score(recording, estimates, described)
+        found = estimate_recording(recording, described, chosen)
+        for name in filter_ or ():
+            if name in found.missing:
+                raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.missing[name]}")
+        path = write_recorded(found, out)
+        scores = score(recording, found, described)
         report[recording.name] = {
             "joint": described.name,
-            "notes": estimates.notes,
-            **{what: {name: asdict(s) for name, s in found.items()} for what, found in scores.items()},
+            "missing": found.missing,
+            **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
         }
         terminal.print(f"{path}", highlight=False)
         if scores:
             terminal.print(_table(recording.name, recording.external, scores))
+        for name, why in found.missing.items():
+            terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
     with write_into_place(out / "metrics.json") as temporary:
         temporary.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     terminal.print(f"{out / 'metrics.json'}", highlight=False)
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:
+    from rich.table import Table
+    from rich.text import Text
+
     table = Table(title=Text(f"{name}: error [N·m], all of the time and in motion"))
     table.add_column("estimator")
     headings = {
@@ -58,9 +74,10 @@ def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Tab
     for what in scores:
         table.add_column(f"{headings[what]}, RMS", justify="right")
         table.add_column("in motion", justify="right")
-    for estimator in ESTIMATORS:
+    for estimator in dict.fromkeys(name for found in scores.values() for name in found):
         cells = []
         for found in scores.values():
-            cells += [f"{found[estimator].rms:.3f}", f"{found[estimator].rms_moving:.3f}"]
+            s = found.get(estimator)
+            cells += ["–", "–"] if s is None else [f"{s.rms:.3f}", f"{s.rms_moving:.3f}"]
         table.add_row(estimator, *cells)
     return table

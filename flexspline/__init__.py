@@ -1,3 +1,384 @@
-"""Joint torque estimation with harmonic drives: simulate, estimate, diagnose, validate."""
+"""Joint torque with harmonic drives: simulate, estimate, compare, diagnose, validate.
+
+    import flexspline as fs
+
+    run = fs.simulate("external_push", duration=20)                     # a scenario in the closed loop
+    fs.compare(["link_sweep", "external_push"], ["RAREKF", "dynamics_ekf"])   # estimators on the same signals, a table
+    fs.estimate("recording.parquet")                                    # joint torque of a measurement, a table over time
+    fs.diagnose("measurement/").causes                                  # what the description gets wrong
+    fs.validate("measurement/", joint="extended.yaml")                  # how well a description predicts, nothing fitted
+
+SI units throughout; torques [N·m] on the output side. Input that cannot be used raises `InputError`, a `ValueError` whose
+message is one line. Everything is imported when it is first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from .diagnosis.diagnose import Diagnosis
+    from .diagnosis.validate import Validation
+    from .estimator.errors import FilterDiverged
+    from .estimator.estimator import Estimator, Posterior
+    from .models.errors import InputError
+    from .models.joint import Joint, load_joint
+    from .models.recording import Measurement, Recording
+    from .scenarios.run import Run
+    from .scenarios.scenario import Scenario
 
 __version__ = "0.1.0"
+
+_ELSEWHERE = {
+    "Diagnosis": "diagnosis.diagnose",
+    "Estimator": "estimator.estimator",
+    "FilterDiverged": "estimator.errors",
+    "InputError": "models.errors",
+    "Joint": "models.joint",
+    "Measurement": "models.recording",
+    "Posterior": "estimator.estimator",
+    "Recording": "models.recording",
+    "Run": "scenarios.run",
+    "Scenario": "scenarios.scenario",
+    "Validation": "diagnosis.validate",
+    "load_joint": "models.joint",
+}
+__all__ = [
+    "Diagnosis",
+    "Estimator",
+    "FilterDiverged",
+    "InputError",
+    "Joint",
+    "Measurement",
+    "Posterior",
+    "Recording",
+    "Run",
+    "Scenario",
+    "Validation",
+    "__version__",
+    "causes",
+    "compare",
+    "diagnose",
+    "estimate",
+    "estimators",
+    "joints",
+    "load_joint",
+    "load_recording",
+    "simulate",
+    "validate",
+]
+_EXPERIMENTS = ("no_load", "link_sweep", "external_push")
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ELSEWHERE:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    found = getattr(importlib.import_module(f"{__name__}.{_ELSEWHERE[name]}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
+def load_recording(source: str | Path) -> Recording:
+    """Load a recording: a table (`.parquet`, `.csv`) with a YAML file of its stem, as a robot or `Run.as_recording` wrote it.
+
+    Args:
+      source: path of the table or of its YAML file.
+
+    Returns:
+      The recording: `time`, shape (n,) [s], and channels by name, shape (n,) each, SI: `recording["motor_position"]` [rad, motor
+      side], `["link_position"]` [rad], `["motor_current"]` [A], `["joint_torque"]` [N·m], … (`models.signals.CHANNELS`).
+
+    Raises:
+      InputError: a file that is missing or wrong; names file, column and row.
+    """
+    from .models.recording import read_recording
+
+    return read_recording(source)
+
+
+def simulate(scenario: str | Path | Scenario, seed: int | None = None, **changes: Any) -> Run:
+    """Run a scenario: the joint in MuJoCo under its position controller, its sensors, and the scenario's filters.
+
+    Args:
+      scenario: name of a shipped one (`no_load`, `link_sweep`, `external_push`, …), path of a YAML file, or a `Scenario`.
+      seed: of every random stream, instead of the scenario's.
+      changes: keys of the scenario with other values, SI: `duration=20` [s], `filters=["RAREKF", "dynamics_ekf"]`,
+        `temperature=40` [°C]; with two underscores for a dot where they lie inside: `controller__kp=6` [A/rad].
+
+    Returns:
+      The run over n control ticks: `run.truth("joint_torque")` and `run.reading("motor_current")`, shape (n,), SI, by name;
+      `run.estimates["RAREKF"]`, a `Posterior`; `run.metrics`; `run.as_recording()`.
+
+    Raises:
+      InputError: a scenario, joint or key that is wrong; torques under which the motion is no longer finite.
+      FilterDiverged: an estimate that is no longer finite.
+    """
+    from .scenarios.run import run_scenario
+
+    return run_scenario(*_scenario(scenario, seed, changes), threads=_cores())
+
+
+def estimate(
+    data: str | Path | Recording | Run, joint: str | Path | Joint | None = None, estimators: Iterable[str] = ()
+) -> pd.DataFrame:
+    """Joint torque of a recording by estimators that do not read its torque sensor.
+
+    Args:
+      data: a recording, or its path; or a run, whose sensors are then read.
+      joint: what the estimators know of the joint; by default the description that the recording names, or what the run's
+        estimators knew.
+      estimators: names; by default all that find their channels in the recording.
+
+    Returns:
+      A table, n rows: index `time` [s], a column per estimator, joint torque [N·m] as the joint's torque sensor would read it;
+      NaN in parts of less than ten samples between gaps. `attrs["missing"]` says which estimators are not there, and why.
+
+    Raises:
+      InputError: an estimator that there is not, or that is named and lacks a channel; a joint or recording that is wrong.
+    """
+    import pandas as pd
+
+    from .models.errors import InputError
+    from .scenarios import filters
+    from .scenarios.evaluation.recorded import estimate_recording
+
+    named = (estimators,) if isinstance(estimators, str) else tuple(estimators)
+    recording, described = _recording(data, joint)
+    found = estimate_recording(recording, described, filters.estimators(named))
+    for name in named:
+        if name in found.missing:
+            raise InputError(f"estimator {name!r}: {found.missing[name]}")
+    table = pd.DataFrame(
+        {name: found.torque(name) for name in found.posteriors}, index=pd.Index(found.time, name="time [s]")
+    )
+    table.attrs |= {"unit": "N·m", "missing": found.missing}
+    return table
+
+
+def compare(
+    scenarios: str | Path | Scenario | Sequence[str | Path | Scenario] = _EXPERIMENTS,
+    estimators: Iterable[str] = (),
+    seed: int | None = None,
+    **changes: Any,
+) -> pd.DataFrame:
+    """Estimators on identical signals, in one table of measures.
+
+    Args:
+      scenarios: one or several; by default the paper's three experiments.
+      estimators: names; by default the scenarios' own filters, the paper's.
+      seed, changes: as of `simulate`.
+
+    Returns:
+      A table with index (scenario, filter) and the measures of `scenarios.evaluation.metrics` after the transient: `rms`, `max`
+      and `noise` of the error against the true joint torque, `rms_to_sensor` [N·m], `noise_ratio` to the raw compliance
+      model's [1], `delay_ms` and `response_ms` to pushes [ms], `robust_share` [1], `mean_nis` [1]; NaN where one is not defined.
+
+    Raises:
+      InputError, FilterDiverged: as `simulate`.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    import pandas as pd
+
+    from .models.errors import InputError
+    from .scenarios.run import run_scenario
+
+    several = [scenarios] if isinstance(scenarios, str) or not isinstance(scenarios, Sequence) else list(scenarios)
+    named = [estimators] if isinstance(estimators, str) else list(estimators)
+    if named:
+        changes["filters"] = named
+    asked = [_scenario(one, seed, changes) for one in several]
+    names = [scenario.name for scenario, _ in asked]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(f"scenario {name}: expected each scenario once, got it twice")
+    with ThreadPoolExecutor(_cores()) as pool:
+        runs = list(pool.map(lambda one: run_scenario(*one), asked))
+    rows = {(run.name, name): values for run in runs for name, values in run.metrics["filters"].items()}
+    table = pd.DataFrame.from_dict(rows, orient="index", dtype=float)
+    table.index = pd.MultiIndex.from_tuples(rows, names=["scenario", "filter"])
+    return table
+
+
+def diagnose(
+    measurement: str | Path | Recording | Measurement | Sequence[Recording], joint: str | Path | Joint | None = None
+) -> Diagnosis:
+    """What a joint's description gets wrong about a measurement, and why.
+
+    Args:
+      measurement: a recording or a folder of several taken on the same joint, or its path.
+      joint: its description; by default the one that the recordings name.
+
+    Returns:
+      The diagnosis: `verdict`; `causes` with parameters, their standard deviations and confidence; what was calibrated,
+      cannot be told apart, could not have shown; residuals before and after; `extended`, the joint with the causes in it.
+
+    Raises:
+      InputError: a measurement or joint that is wrong; names file, column and row.
+    """
+    from .diagnosis.diagnose import diagnose as diagnose_measurement
+
+    data = _measurement(measurement)
+    return diagnose_measurement(data, _joint(data, joint))
+
+
+def validate(
+    measurement: str | Path | Recording | Measurement | Sequence[Recording], joint: str | Path | Joint | None = None
+) -> Validation:
+    """How well a joint's description predicts a measurement. Nothing is fitted.
+
+    Args:
+      measurement: a recording or a folder of several taken on the same joint, or its path.
+      joint: its description; by default the one that the recordings name.
+
+    Returns:
+      Residuals of every channel in its unit: rms and the sensor's noise, and by region of angle, speed, load and direction.
+
+    Raises:
+      InputError: a measurement or joint that is wrong; names file, column and row.
+    """
+    from .diagnosis.validate import validate as validate_measurement
+
+    data = _measurement(measurement)
+    return validate_measurement(data, _joint(data, joint))
+
+
+def estimators() -> pd.DataFrame:
+    """The estimators that there are: this package's, and those that installed packages add (`estimator.registry`).
+
+    Returns:
+      A table with index `estimator`: `causal` (whether it can run in the loop), `needs` (channels it reads), `tuning` (what may
+      be tuned), `description` with its source.
+    """
+    import pandas as pd
+
+    from .estimator import registry
+
+    rows = {}
+    for name in registry.names():
+        one = registry.get(name)
+        rows[name] = {
+            "causal": one.causal,
+            "needs": ", ".join(one.needs),
+            "tuning": ", ".join(parameter.field for parameter in one.tuning),
+            "description": one.description,
+        }
+    return _table(pd, rows, "estimator")
+
+
+def causes() -> pd.DataFrame:
+    """The causes that a diagnosis can name (`models.causes`).
+
+    Returns:
+      A table with index `cause`: `component` (motor, transmission, link, sensor), `parameters` with units, `description`.
+    """
+    import pandas as pd
+
+    from .models import causes as library
+
+    rows = {}
+    for name in library.names():
+        one = library.get(name)
+        rows[name] = {
+            "component": one.component,
+            "parameters": ", ".join(f"{p.name} [{p.unit}]" for p in one.parameters),
+            "description": one.description,
+        }
+    return _table(pd, rows, "cause")
+
+
+def joints() -> pd.DataFrame:
+    """The joints that the package ships.
+
+    Returns:
+      A table with index `joint`: `ratio` of the gear [1], `rated_torque` [N·m], `mountings`, `description`, `path` of its file.
+
+    Raises:
+      InputError: a shipped description that is wrong.
+    """
+    import pandas as pd
+
+    from .models.joint import known_joints, load_joint
+
+    rows = {}
+    for name, path in known_joints().items():
+        one = load_joint(name)
+        rows[name] = {
+            "ratio": one.numbers["N"].value,
+            "rated_torque": one.numbers["rated_torque"].value,
+            "mountings": ", ".join(one.mountings),
+            "description": " ".join(one.description.split()),
+            "path": str(path),
+        }
+    return _table(pd, rows, "joint")
+
+
+def _table(pandas: Any, rows: Mapping[str, Mapping[str, Any]], index: str) -> pd.DataFrame:
+    table = pandas.DataFrame.from_dict(rows, orient="index")
+    table.index.name = index
+    return table
+
+
+def _cores() -> int:
+    import os
+
+    return os.cpu_count() or 1
+
+
+def _scenario(
+    source: str | Path | Scenario, seed: int | None, changes: Mapping[str, Any]
+) -> tuple[Scenario, Path | None]:
+    """A scenario with changes, and the folder of its file."""
+    from .models.files import parse
+    from .scenarios.scenario import Scenario, changed, load_scenario
+
+    found, folder = (source, None) if isinstance(source, Scenario) else load_scenario(source)
+    dotted = {key.replace("__", "."): value for key, value in changes.items()}
+    if seed is not None:
+        dotted["seed"] = seed
+    if not dotted:
+        return found, folder
+    return parse(changed(found, dotted), Scenario, f"scenario {found.name}"), folder
+
+
+def _recording(data: str | Path | Recording | Run, joint: str | Path | Joint | None) -> tuple[Recording, Joint]:
+    from .models.joint import Joint, load_joint
+    from .scenarios.run import Run
+
+    if isinstance(data, Run):
+        recording, own = data.as_recording(), data.known_joint
+    else:
+        recording = load_recording(data) if isinstance(data, (str, Path)) else data
+        own = None
+    if isinstance(joint, Joint):
+        return recording, joint
+    if joint is None and own is not None:
+        return recording, own
+    beside = Path(recording.source).parent if recording.source and joint is None else None
+    return recording, load_joint(joint or recording.joint, beside)
+
+
+def _measurement(given: str | Path | Recording | Measurement | Sequence[Recording]) -> Measurement:
+    from .models.recording import Measurement, Recording, read_measurement
+
+    if isinstance(given, Measurement):
+        return given
+    if isinstance(given, (str, Path)):
+        return read_measurement(Path(given))
+    recordings = (given,) if isinstance(given, Recording) else tuple(given)
+    return Measurement(recordings[0].name, Path(recordings[0].source or "."), recordings)
+
+
+def _joint(data: Measurement, joint: str | Path | Joint | None) -> Joint:
+    from .models.joint import Joint
+
+    return joint if isinstance(joint, Joint) else data.load_joint(joint)

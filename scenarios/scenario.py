@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -281,6 +282,18 @@ def load_scenario(
     if seed is not None:
         data["seed"] = seed
     return parse(data, Scenario, str(path)), path.parent
+
+
+def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
+    """A scenario's data with other values of dotted keys.
+
+    Raises:
+      InputError: a key that leads nowhere.
+    """
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    for key, value in changes.items():
+        put(data, key, value, f"scenario {scenario.name}: {key}")
+    return data
 
 
 def _override(data: dict[str, Any], change: str) -> None:

@@ -163,7 +163,7 @@ def assess(
 
 
 def true_states(run: Run) -> np.ndarray:
-    """The true states of a run, columns `joint_model.STATES`, shape (n, len(STATES)); hysteresis of the flexspline is left out."""
+    """True states of a run, columns `joint_model.STATES`, shape (n, len(STATES)); hysteresis of the flexspline is left out."""
     states = np.zeros((len(run.time), len(STATES)))
     truth = run.simulation.truth
     for i, name in enumerate(STATES):

@@ -7,10 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-from flexspline import commands
-from flexspline.models.errors import InputError
 from flexspline.sim.recording import Recording, write_recording
 from typer.testing import CliRunner
+
+from flexspline import commands
+from flexspline.models.errors import InputError
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ import time
 
 import matplotlib.image
 import pytest
+
 from flexspline import commands
 from flexspline.views.sweep_tables import BETTER, WORSE, with_interval
 

@@ -1,0 +1,116 @@
+"""The package as a notebook uses it: one line each, tables with names, frozen results, one-line errors."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import typing
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import flexspline as fs
+from flexspline.estimator import registry
+from flexspline.models import causes
+from flexspline.models.recording import read_recording, write_recording
+from flexspline.scenarios.scenario import load_scenario
+
+SHORT = {"duration": 2.0, "transient": 0.5}
+
+
+@pytest.fixture(scope="module")
+def run() -> fs.Run:
+    return fs.simulate("link_sweep", seed=3, **SHORT, filters=["RAREKF", "lowpass"], controller__kp=7.0)
+
+
+def test_everything_that_is_promised_is_there():
+    for name in fs.__all__:
+        assert getattr(fs, name) is not None and name in dir(fs)
+    with pytest.raises(AttributeError, match="no attribute 'estimat'"):
+        fs.estimat  # noqa: B018
+
+
+FUNCTIONS = [name for name in fs.__all__ if name.islower() and not name.startswith("_")]
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_functions_are_typed_and_say_what_they_take_and_give(name):
+    function = getattr(fs, name)
+    text, signature = inspect.getdoc(function), inspect.signature(function)
+    assert signature.return_annotation is not signature.empty
+    assert all(p.annotation is not p.empty for p in signature.parameters.values())
+    if signature.parameters:
+        assert "Args:" in text or "Args" in text
+    assert "Returns:" in text or name == "load_joint"
+    if name not in ("estimators", "causes"):
+        assert "Raises:" in text
+
+
+def test_simulate(run):
+    assert dataclasses.is_dataclass(run) and run.__dataclass_params__.frozen
+    assert run.scenario.seed == 3 and run.scenario.controller.kp == 7.0
+    assert list(run.estimates) == ["RAREKF", "lowpass"] and len(run.time) == 2000
+    again = fs.simulate(load_scenario("link_sweep")[0], seed=3, **SHORT, filters=["lowpass"], controller__kp=7.0)
+    assert again.estimate("lowpass").tobytes() == run.estimate("lowpass").tobytes()
+
+
+def test_estimate(run, tmp_path):
+    table = fs.estimate(run, estimators=["lowpass", "dynamics_ekf"])
+    assert list(table.columns) == ["lowpass", "dynamics_ekf"] and table.index.name == "time [s]"
+    assert table.attrs["unit"] == "N·m" and len(table) == 2000
+    error = table["dynamics_ekf"] - run.truth("joint_torque")
+    assert np.sqrt(np.mean(error[500:] ** 2)) < 0.1
+    path = write_recording(run.as_recording(), tmp_path)
+    for data in (path, str(path), read_recording(path), fs.load_recording(path)):
+        pd.testing.assert_frame_equal(fs.estimate(data, "test-joint", "lowpass"), table[["lowpass"]])
+    everything = fs.estimate(path)
+    assert set(everything.columns) | set(everything.attrs["missing"]) == set(registry.names())
+
+
+def test_compare():
+    table = fs.compare("link_sweep", ["RAREKF", "dynamics_ekf"], **SHORT)
+    assert table.index.names == ["scenario", "filter"]
+    assert list(table.index) == [("link_sweep", "RAREKF"), ("link_sweep", "dynamics_ekf")]
+    assert table.loc[("link_sweep", "dynamics_ekf"), "rms"] < table.loc[("link_sweep", "RAREKF"), "rms"]
+    run = fs.simulate("link_sweep", **SHORT)
+    theirs = fs.compare(["link_sweep"], **SHORT)
+    for name, values in run.metrics["filters"].items():
+        assert theirs.loc[("link_sweep", name), "rms"] == values["rms"]
+
+
+def test_tables_of_what_there_is():
+    assert tuple(fs.estimators().index) == registry.names() and fs.estimators().loc["rts_smoother", "causal"] == False  # noqa: E712
+    assert list(fs.causes().index) == causes.names()
+    assert fs.joints().loc["test-joint", "ratio"] == 100 and fs.joints().loc["test-joint", "rated_torque"] == 16
+    for table in (fs.estimators(), fs.causes()):
+        assert table["description"].str.len().min() > 10
+    assert fs.load_joint("test-joint").name == "test-joint"
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: fs.simulate("no_laod"), "did you mean 'no_load'"),
+        (lambda: fs.simulate("no_load", durtion=3), "durtion: unknown key; did you mean 'duration'"),
+        (lambda: fs.simulate("no_load", filters=["lowpas"]), "did you mean 'lowpass'"),
+        (lambda: fs.compare("no_load", "RAREK"), "did you mean 'RAREKF'"),
+        (lambda: fs.compare(["no_load", "no_load"], duration=2), "got it twice"),
+        (lambda: fs.load_joint("test-jont"), "did you mean 'test-joint'"),
+        (lambda: fs.load_recording("nothing.parquet"), "no such file"),
+        (lambda: fs.estimate("nothing.parquet"), "no such file"),
+    ],
+)
+def test_wrong_input_is_one_line(call, message):
+    with pytest.raises(fs.InputError) as caught:
+        call()
+    assert message in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_annotations_are_real():
+    """Types stand for something: every annotation of the interface can be resolved."""
+    import flexspline.diagnosis  # noqa: F401
+
+    names = {name: getattr(fs, name) for name in fs.__all__ if isinstance(getattr(fs, name), type)}
+    for name in FUNCTIONS:
+        typing.get_type_hints(getattr(fs, name), {**vars(fs), **names, "pd": pd})
