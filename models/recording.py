@@ -20,8 +20,11 @@ import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
 import yaml
+from pydantic import model_validator
 
 from . import units
+from .arm import ArmRecord, ArmSpec, Load, joint_of
+from .arm import column as arm_column
 from .errors import InputError, nearest
 from .files import Strict, load, write_into_place
 from .joint import Joint, Mounting, load_joint
@@ -42,14 +45,21 @@ class Sidecar(Strict):
     """The YAML file beside a recording's table.
 
     `external_torque`: `none`; `measured`, the column of that name; or `unmeasured`: pushes may happen, they are no
-    cause of anything.
+    cause of anything. What hangs on the joint is `link`, or `arm`, whose MJCF lies in the same folder.
     """
 
     format: Literal[1]
     joint: str
     description: str = ""
-    link: Mounting
+    link: Mounting | None = None
+    arm: ArmSpec | None = None
     external_torque: External = "none"
+
+    @model_validator(mode="after")
+    def _one_load(self) -> Sidecar:
+        if (self.link is None) == (self.arm is None):
+            raise ValueError(f"expected either link or arm, got {'none' if self.link is None else 'both'}")
+        return self
 
 
 @dataclass(frozen=True)
@@ -63,7 +73,9 @@ class Recording:
         current, motor torque and joint torque. `recording["link_position"]` is one of them.
       joint: name of the joint's description, or path to one.
       description: for people.
-      link: what was bolted to the output.
+      link: what was bolted to the output; of an arm, what hung on the joint while the others were in the middle of their ways.
+      arm: the arm that the joint is part of, None where `link` is stated; load: what its motion put on the link beside
+        `link`, None where the other joints held still (`models.arm_dynamics`).
       external: whether there was external torque: none, measured (the column) or unmeasured.
       source: where it came from, for messages.
 
@@ -79,6 +91,8 @@ class Recording:
     link: Mounting = _LINK
     external: External = "none"
     source: str = ""
+    arm: ArmRecord | None = None
+    load: Load | None = None
 
     def __post_init__(self) -> None:
         where = self.source or f"recording {self.name!r}"
@@ -139,7 +153,20 @@ class Recording:
     def at(self, samples: slice | np.ndarray, time: np.ndarray | None = None) -> Recording:
         """The same recording at some of its samples; with other time stamps [s] of these, where given."""
         columns = {name: values[samples] for name, values in self.columns.items()}
-        return replace(self, time=self.time[samples] if time is None else time, columns=columns)
+        arm = None if self.arm is None else self.arm.at(samples)
+        load = None if self.load is None else self.load.at(samples)
+        return replace(self, time=self.time[samples] if time is None else time, columns=columns, arm=arm, load=load)
+
+    @cached_property
+    def known_torque(self) -> np.ndarray:
+        """Torque on the link that is known, shape (n,) [N·m]: what was measured, and what an arm in motion puts on it."""
+        known = np.zeros(len(self.time)) if self.load is None else self.load.torque.copy()
+        return known + self["external_torque"] if self.external == "measured" else known
+
+    @cached_property
+    def relative_inertia(self) -> np.ndarray:
+        """Inertia about the joint's axis over that of `link`, shape (n,) [1]: 1 but for an arm whose other joints move."""
+        return np.ones(len(self.time)) if self.load is None else self.load.inertia / self.link.inertia
 
     @cached_property
     def segments(self) -> tuple[slice, ...]:
@@ -238,37 +265,80 @@ def read_recording(path: str | Path) -> Recording:
     if "time" not in columns:
         raise InputError(f"{path}: column 'time': missing{nearest('time', columns)}")
     time = columns.pop("time")
-    return Recording(
+    angles = {name: columns.pop(name) for name in list(columns) if name not in CHANNELS}
+    recording = Recording(
         name=path.stem,
         time=time,
         columns=columns,
         joint=sidecar.joint,
         description=sidecar.description,
-        link=sidecar.link,
+        link=sidecar.link if sidecar.link is not None else _LINK,
         external=sidecar.external_torque,
         source=str(path),
     )
+    return recording if sidecar.arm is None and not angles else _in_arm(recording, sidecar, angles, sidecar_path)
+
+
+def _in_arm(recording: Recording, sidecar: Sidecar, angles: dict[str, np.ndarray], path: Path) -> Recording:
+    """The recording with mounting and load from its arm; `angles`: columns of the arm's other joints."""
+    from .arm_dynamics import Arm
+
+    where = recording.source
+    if sidecar.arm is None:
+        raise InputError(f"{where}: column {next(iter(angles))!r}: expected {path.name} to have `arm:`, got link")
+    for name, values in angles.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if len(bad):
+            raise InputError(
+                f"{where}: column {name!r}, {_row(where, int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
+            )
+    try:
+        arm = Arm(sidecar.arm, path.parent)
+        positions = {str(joint_of(name)): values for name, values in angles.items()}
+        if "link_position" in recording:
+            position = recording["link_position"]
+        else:
+            position = recording["motor_position"] / load_joint(recording.joint, path.parent).numbers["N"].value
+        link, load = arm.of(recording.time, position, positions, recording.segments)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    return replace(recording, link=link, load=load, arm=ArmRecord(sidecar.arm, arm.mjcf(), positions))
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:
-    """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path."""
+    """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path.
+
+    The arm of a recording goes with it, as an MJCF of masses and joints beside it.
+    """
     folder = Path(folder)
     ordered = {"time": recording.time, **{n: recording.columns[n] for n in CHANNELS if n in recording.columns}}
+    arm = recording.arm
+    if arm is not None:
+        ordered |= {arm_column(joint): angle for joint, angle in arm.positions.items()}
     path = folder / f"{recording.name}.parquet"
     sidecar = Sidecar(
         format=1,
         joint=recording.joint,
         description=recording.description,
-        link=recording.link,
+        link=recording.link if arm is None else None,
+        arm=None if arm is None else arm.spec.model_copy(update={"model": f"{recording.name}_arm.xml"}),
         external_torque=recording.external,
     )
-    data = sidecar.model_dump(mode="json")
-    data["link"] = recording.link.model_dump(mode="json", exclude_defaults=True)
+    data = sidecar.model_dump(mode="json", exclude_none=True)
+    if sidecar.link is not None:
+        data["link"] = sidecar.link.model_dump(mode="json", exclude_defaults=True)
+    if arm is not None and sidecar.arm is not None:
+        with write_into_place(folder / sidecar.arm.model) as temporary:
+            temporary.write_text(arm.mjcf, encoding="utf-8")
     with write_into_place(path) as temporary:
-        write_table(temporary, ordered, {name: CHANNELS[name].unit for name in ordered})
+        write_table(temporary, ordered, {name: _unit(name) for name in ordered})
     with write_into_place(path.with_suffix(".yaml")) as temporary:
         temporary.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120), encoding="utf-8")
     return path
+
+
+def _unit(name: str) -> str:
+    return CHANNELS[name].unit if name in CHANNELS else "rad"  # of another joint of an arm
 
 
 def _row(source: str, index: int) -> str:
@@ -290,7 +360,7 @@ def check_channels(where: str, columns: Iterable[str]) -> None:
 
 def _check_header(path: Path, names: list[str]) -> None:
     for i, name in enumerate(names):
-        if name not in CHANNELS:
+        if name not in CHANNELS and joint_of(name) is None:
             raise InputError(
                 f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)}"
             )
@@ -310,11 +380,10 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         kind = field.type
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
             raise InputError(f"{path}: column {field.name!r}: expected numbers, got {kind}")
-        unit = (field.metadata or {}).get(b"unit", CHANNELS[field.name].unit.encode()).decode()
-        if not units.same(unit, CHANNELS[field.name].unit):
-            raise InputError(
-                f"{path}: column {field.name!r}: expected unit {CHANNELS[field.name].unit!r}, got {unit!r}"
-            )
+        expected = _unit(field.name)
+        unit = (field.metadata or {}).get(b"unit", expected.encode()).decode()
+        if not units.same(unit, expected):
+            raise InputError(f"{path}: column {field.name!r}: expected unit {expected!r}, got {unit!r}")
         column = table.column(field.name)
         if column.null_count:
             i = int(np.flatnonzero(column.is_null().to_numpy())[0])

@@ -1,0 +1,237 @@
+"""The load on a joint that is part of an arm: inertia, weight and what other joints' motion puts on it, from an MJCF.
+
+MuJoCo's inverse dynamics of the arm give the torque of one joint (Featherstone's recursive Newton–Euler algorithm),
+
+    τ = M_jj(q) θ'' + Σ_o M_jo(q) q_o'' + c_j(q, q') + g_j(q),
+
+and this project's joint has Jl θl'' = Ts − Mg sin(θl + gravity angle) + τext. While the other joints o hold still, M_jj is
+constant, c_j is zero and the weight of a rigid tree about a fixed axis is a sine of the joint's angle: the arm is a
+`Mounting`, exactly. While they move, inertia is an array, and all the rest is a known torque on the link beside the weight of
+that mounting: a `Load`.
+
+Angles are the MJCF's: its zero is the joint's zero, its axis the positive direction, and `gravity_angle` takes up where it hangs.
+Of the MJCF's dynamics only masses, inertias and gravity count; dampings, armatures, actuators and limits of its own do not: the
+joint's description has the drive.
+"""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from .arm import ArmSpec, Load
+from .errors import InputError, nearest
+from .joint import Mounting, shipped
+from .mjcf import check_mjcf
+from .parameters import GRAVITY
+
+STILL = 1e-3
+"""Range of an angle [rad] within which another joint of the arm holds still."""
+_WINDOW = 0.1  # s: over which the other joints' motion is smoothed and differentiated
+_GRAVITY_SLACK = 0.02
+_WEIGHTLESS = 1e-9  # N·m
+
+
+class Arm:
+    """An arm and one joint of it.
+
+    Attributes:
+      spec: as it stands in the YAML.
+      path: of the MJCF.
+      others: names of the other joints.
+    """
+
+    def __init__(self, spec: ArmSpec, folder: Path):
+        """Read the MJCF, beside the file that names it or shipped.
+
+        Raises:
+          InputError: no such file or joint, or no arm of hinges and slides under gravity; one line.
+        """
+        self.spec = spec
+        self.path = _find(spec.model, folder)
+        self._model = _read(self.path)
+        self._data = mujoco.MjData(self._model)
+        names = [self._model.joint(i).name for i in range(self._model.njnt)]
+        if spec.joint not in names:
+            raise InputError(
+                f"{self.path}: arm.joint: expected one of {names}, got {spec.joint!r}{nearest(spec.joint, names)}"
+            )
+        self._joint = names.index(spec.joint)
+        if int(self._model.jnt_type[self._joint]) != int(mujoco.mjtJoint.mjJNT_HINGE):
+            raise InputError(f"{self.path}: arm.joint: expected a hinge, {spec.joint!r} is another kind of joint")
+        self.others = tuple(name for name in names if name != spec.joint)
+        for name in spec.positions:
+            self._at(name, "arm.positions")
+
+    def mounting(self, positions: Mapping[str, float] | None = None) -> Mounting:
+        """What hangs on the joint while the others hold still at `positions` [rad] (those of the YAML by default)."""
+        q = self._pose(positions or {})
+        weight = []
+        for angle in (0.0, 0.5 * math.pi):
+            q[self._joint] = angle
+            inertia, torque = self._dynamics(q, np.zeros_like(q), np.zeros_like(q))
+            weight.append(torque)
+        if inertia <= 0.0:
+            raise InputError(f"{self.path}: arm.joint: expected masses that {self.spec.joint!r} moves, got none")
+        # Mg sin(θ + γ) at 0 and a quarter turn.
+        moment = math.hypot(*weight)
+        if moment < _WEIGHTLESS:  # an axis that stands upright
+            return Mounting(inertia=inertia, gravity_moment=0.0)
+        return Mounting(inertia=inertia, gravity_moment=moment, gravity_angle=math.atan2(*weight))
+
+    def load(
+        self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], mounting: Mounting
+    ) -> Load:
+        """What the arm puts on the joint while others move.
+
+        Args:
+          time: shape (n,), without gaps [s]; position: of the joint, shape (n,) [rad].
+          positions: of the other joints that move, shape (n,) each [rad], by name.
+          mounting: whose weight the torque is beside.
+        """
+        n = len(time)
+        q = np.tile(self._pose({}), (n, 1))
+        v, a = np.zeros_like(q), np.zeros_like(q)
+        for name, angle in {self.spec.joint: position, **positions}.items():
+            i = self._joint if name == self.spec.joint else self._at(name, "column")
+            q[:, i], v[:, i], a[:, i] = _smooth(time, angle)
+        q[:, self._joint] = position
+        a[:, self._joint] = 0.0  # the rest of τ: inertia times the joint's own acceleration is the equations' of motion
+        inertia, torque = np.zeros(n), np.zeros(n)
+        for k in range(n):
+            inertia[k], torque[k] = self._dynamics(q[k], v[k], a[k])
+        weight = mounting.gravity_moment * np.sin(position + mounting.gravity_angle)
+        return Load(inertia, weight - torque)
+
+    def of(
+        self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], parts: tuple[slice, ...]
+    ) -> tuple[Mounting, Load | None]:
+        """Mounting and load of a recording: a mounting alone where the other joints hold still.
+
+        Args:
+          time, position: of the joint, shape (n,) each [s], [rad]; `positions`: of other joints, by name.
+          parts: samples between gaps.
+        """
+        for name in positions:
+            self._at(name, "column")
+        mounting = self.mounting({name: float(np.median(angle)) for name, angle in positions.items()})
+        if all(float(np.ptp(angle)) <= STILL for angle in positions.values()):
+            return mounting, None
+        loads = [
+            self.load(time[part], position[part], {name: angle[part] for name, angle in positions.items()}, mounting)
+            for part in parts
+        ]
+        return mounting, Load(np.concatenate([x.inertia for x in loads]), np.concatenate([x.torque for x in loads]))
+
+    def mjcf(self) -> str:
+        """Its masses and joints alone, as the text of an MJCF without looks and files."""
+        m = self._model
+        root = ElementTree.Element("mujoco", model="arm")
+        ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
+        ElementTree.SubElement(root, "option", gravity=_numbers(m.opt.gravity))
+        bodies = [ElementTree.SubElement(root, "worldbody")]
+        for i in range(1, m.nbody):
+            body = ElementTree.SubElement(
+                bodies[m.body_parentid[i]], "body", pos=_numbers(m.body_pos[i]), quat=_numbers(m.body_quat[i])
+            )
+            bodies.append(body)
+            for j in range(m.body_jntadr[i], m.body_jntadr[i] + m.body_jntnum[i]):
+                kind = "hinge" if int(m.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_HINGE) else "slide"
+                ElementTree.SubElement(
+                    body, "joint", name=m.joint(j).name, type=kind, pos=_numbers(m.jnt_pos[j]), axis=_numbers(m.jnt_axis[j]),
+                    ref=_numbers(m.qpos0[j : j + 1]),
+                )  # fmt: skip
+            if m.body_mass[i] > 0.0:
+                ElementTree.SubElement(
+                    body, "inertial", pos=_numbers(m.body_ipos[i]), quat=_numbers(m.body_iquat[i]),
+                    mass=_numbers(m.body_mass[i : i + 1]), diaginertia=_numbers(m.body_inertia[i]),
+                )  # fmt: skip
+        ElementTree.indent(root)
+        return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+    def _at(self, name: str, where: str) -> int:
+        if name not in self.others:
+            raise InputError(
+                f"{self.path}: {where}: expected another joint of the arm, one of {list(self.others)}, got {name!r}"
+                f"{nearest(name, self.others)}"
+            )
+        return int(self._model.joint(name).qposadr[0])
+
+    def _pose(self, positions: Mapping[str, float]) -> np.ndarray:
+        q = self._model.qpos0.copy()
+        for name, angle in {**self.spec.positions, **positions}.items():
+            q[self._at(name, "arm.positions")] = angle
+        return q
+
+    def _dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[float, float]:
+        """Inertia about the joint's axis [kg·m²] and the torque τ [N·m] of positions, velocities, accelerations."""
+        m, d = self._model, self._data
+        d.qpos[:], d.qvel[:], d.qacc[:] = q, v, a
+        mujoco.mj_kinematics(m, d)
+        mujoco.mj_comPos(m, d)
+        mujoco.mj_comVel(m, d)
+        torque, row, unit = np.zeros(m.nv), np.zeros(m.nv), np.zeros(m.nv)
+        mujoco.mj_rne(m, d, 1, torque)
+        mujoco.mj_crb(m, d)
+        unit[self._joint] = 1.0
+        mujoco.mj_mulM(m, d, row, unit)
+        return float(row[self._joint]), float(torque[self._joint])
+
+
+def _find(name: str, folder: Path) -> Path:
+    path = folder / name
+    if path.is_file():
+        if not path.resolve().is_relative_to(folder.resolve()):
+            raise InputError(f"arm.model: expected an MJCF file in {folder}, got {name!r}")
+        return path
+    if "/" not in name and "\\" not in name and shipped(name).is_file():
+        return shipped(name)
+    raise InputError(f"{path}: arm.model: expected an MJCF file, no such file {name!r}")
+
+
+def _read(path: Path) -> mujoco.MjModel:
+    check_mjcf(path)
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        flags = int(spec.option.disableflags)
+        model = spec.compile()
+    except ValueError as error:
+        raise InputError(f"{path}: not a readable MJCF: {' '.join(str(error).split())}") from error
+    if flags & int(mujoco.mjtDisableBit.mjDSBL_GRAVITY):
+        raise InputError(f"{path}: option.flag.gravity: expected gravity, which is disabled")
+    strength = float(np.linalg.norm(model.opt.gravity))
+    if abs(strength - GRAVITY) > _GRAVITY_SLACK * GRAVITY:
+        raise InputError(f"{path}: option.gravity: expected {GRAVITY} m/s² in some direction, got {strength:g} m/s²")
+    for i in range(model.njnt):
+        if int(model.jnt_type[i]) not in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
+            raise InputError(
+                f"{path}: joint {model.joint(i).name}: expected an arm of hinges and slides, got another kind"
+            )
+    model.dof_armature[:] = 0.0
+    model.tendon_armature[:] = 0.0
+    return model
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(repr(float(x)) for x in values)
+
+
+def _smooth(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Angle, velocity and acceleration [rad, rad/s, rad/s²] of samples: cubics fitted over `_WINDOW`, on an even grid."""
+    from scipy.signal import savgol_filter
+
+    step = float(np.median(np.diff(time)))
+    grid = time[0] + step * np.arange(max(round((time[-1] - time[0]) / step), 1) + 1)
+    width = min(2 * round(0.5 * _WINDOW / step) + 1, len(grid) - (len(grid) + 1) % 2)
+    width = max(width, 5)
+    even = np.interp(grid, time, angle)
+    if len(grid) <= width:
+        return angle, np.gradient(angle, time), np.zeros_like(angle)
+    return tuple(  # type: ignore[return-value]
+        np.interp(time, grid, savgol_filter(even, width, 3, deriv=order, delta=step)) for order in (0, 1, 2)
+    )
