@@ -232,6 +232,5 @@ def _smooth(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray
     even = np.interp(grid, time, angle)
     if len(grid) <= width:
         return angle, np.gradient(angle, time), np.zeros_like(angle)
-    return tuple(  # type: ignore[return-value]
-        np.interp(time, grid, savgol_filter(even, width, 3, deriv=order, delta=step)) for order in (0, 1, 2)
-    )
+    found = [np.interp(time, grid, savgol_filter(even, width, 3, deriv=order, delta=step)) for order in (0, 1, 2)]
+    return found[0], found[1], found[2]

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_vali
 from . import causes, units
 from .errors import InputError, nearest
 from .files import Strict, load, write_into_place
-from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PLACES, VARIABLES, as_floats, neutral
+from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
 
 # Symbol: unit, may it be zero? All are non-negative.
@@ -98,7 +98,8 @@ class EncoderSpec(Strict):
     @property
     def resolution(self) -> float:
         """Angle of one count [rad]."""
-        return 2 * np.pi / (self.counts if self.counts is not None else 2.0**self.bits)
+        lines = self.counts if self.bits is None else 2**self.bits
+        return 2 * np.pi / float(lines or np.nan)
 
 
 class Ripple(Strict):
@@ -403,7 +404,7 @@ class Joint(Strict):
             temporary.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120), encoding="utf-8")
 
 
-PARAMETERS_NAMES = frozenset(neutral().dtype.names)
+PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())
 
 
 def shipped(name: str = "") -> Path:

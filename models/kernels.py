@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import config
+from numba.core import config as numba_config
 
 _PACKAGE = __name__.split(".")[0]
 _IMPORT = re.compile(r"^\s*from\s+(\.*[\w.]*)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
@@ -44,10 +44,11 @@ def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
 def c_function(signature: Any, function: Callable[..., Any]) -> Any:
     """Compile a C callback of a signature now; its address is `.address`."""
     with _cached_beside(function):
-        return numba.cfunc(signature, cache=True, nopython=True, error_model="numpy")(function)
+        return numba.cfunc(signature, cache=True, error_model="numpy")(function)
 
 
 _setting = threading.Lock()
+_config: Any = numba_config  # Numba fills the module as it is imported
 
 
 @contextmanager
@@ -55,11 +56,11 @@ def _cached_beside(function: Callable[..., Any]) -> Iterator[None]:
     """Let Numba's cache be the folder for the module of a function; Numba reads that setting as it decorates."""
     folder = cache_folder(function.__module__)
     with _setting:
-        before, config.CACHE_DIR = config.CACHE_DIR, str(folder)
+        before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder)
         try:
             yield
         finally:
-            config.CACHE_DIR = before
+            _config.CACHE_DIR = before
 
 
 @cache

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.extending import intrinsic
+from numba.extending import intrinsic as numba_intrinsic
 from numba.np.numpy_support import from_dtype
 
 from .parameters import PARAMETERS
+
+intrinsic: Any = numba_intrinsic  # what it makes takes no typing context, unlike its function
 
 
 @intrinsic

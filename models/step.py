@@ -77,8 +77,9 @@ class PythonStep:
 
 def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:
     """The array, shape (count,), that lies at an address."""
-    size = np.dtype(dtype).itemsize * count
-    return np.frombuffer((ctypes.c_char * size).from_address(address), dtype=dtype)
+    kind: np.dtype = np.dtype(dtype)
+    memory = (ctypes.c_char * (kind.itemsize * count)).from_address(address)
+    return np.frombuffer(memoryview(memory), dtype=kind)
 
 
 @dataclass(frozen=True)

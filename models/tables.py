@@ -23,7 +23,9 @@ def arrow_column(values: np.ndarray) -> pa.Array:
     return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
 
 
-def write_table(path: Path, columns: Mapping[str, np.ndarray], units: Mapping[str, str], notes: Notes | None = None):
+def write_table(
+    path: Path, columns: Mapping[str, np.ndarray], units: Mapping[str, str], notes: Notes | None = None
+) -> None:
     """Write columns, shape (n,) each, as Parquet.
 
     Args:

@@ -40,7 +40,7 @@ TRUTH = np.dtype(
 )  # fmt: skip
 """The true state at one instant, as a record."""
 
-_READINGS_AT = len(SAMPLE) - len(SENSED)  # place of the first reading in a `SAMPLE`
+_READINGS_AT = len(SAMPLE.names or ()) - len(SENSED)  # place of the first reading in a `SAMPLE`
 _WRENCH_AT = SENSED.index(WRENCH[0])
 _JOINT_AXIS = SENSED.index("torque_y")
 

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -30,7 +31,7 @@ def library() -> ctypes.CDLL:
 
 def function_address(name: str) -> int:
     """Address of a function of the library."""
-    return ctypes.cast(getattr(library(), name), ctypes.c_void_p).value
+    return int(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)
 
 
 def install(name: str, address: int) -> None:
@@ -58,7 +59,7 @@ def quiet() -> Iterator[None]:
     with _quiet_lock:
         if _quiet_runs > 0 or not installed("mju_user_warning"):
             if _quiet_runs == 0:
-                install("mju_user_warning", ctypes.cast(_ignore, ctypes.c_void_p).value)
+                install("mju_user_warning", int(ctypes.cast(_ignore, ctypes.c_void_p).value or 0))
             _quiet_runs += 1
             ours = True
         else:
@@ -98,10 +99,10 @@ def offsets() -> dict[str, int]:
     return found
 
 
-def _model_fields():
+def _model_fields() -> tuple[Any, ...]:
     from mujoco.introspect import structs
 
-    return structs.STRUCTS["mjModel"].fields
+    return tuple(structs.STRUCTS["mjModel"].fields)
 
 
 def _find(address: int, value: int) -> int:

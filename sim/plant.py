@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 
@@ -53,7 +55,7 @@ def build(
         _set_numbers(spec, p, timestep, ideal_current)
         native_friction = _set_friction(spec, p)
         has_dahl = p["hysteresis_torque"] != 0
-        joints = structure.JOINTS
+        joints: tuple[str, ...] = structure.JOINTS
         if p["flexible_share"] > 0:
             _hang_flexibly(spec, p)
             joints = (*structure.JOINTS, "flexible")
@@ -222,7 +224,7 @@ def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
     return bool(plain)
 
 
-def _add_state(spec: mujoco.MjSpec, name: str, joint: str = "link"):
+def _add_state(spec: mujoco.MjSpec, name: str, joint: str = "link") -> Any:
     """An actuator that exerts nothing and holds one activation, whose rate the callback gives."""
     actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
     actuator.dyntype = mujoco.mjtDyn.mjDYN_USER

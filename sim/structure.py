@@ -242,7 +242,9 @@ def _expected(
     force[WAVE_GENERATOR] -= more * b.ratio
     force[LINK] += more
     across = np.array([0.0, 1.0 / p["N"], -1.0])
-    inertia += h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced) * np.diag(across**2)  # MuJoCo has no entry across branches
+    inertia += (
+        h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced) * np.diag(across**2)
+    )  # MuJoCo has no entry across branches
     if data.qpos.size > FLEXIBLE:
         hanging = laws.flexible_inertia(p)
         force = np.append(force, -laws.flexible_torque(data.qpos[FLEXIBLE], data.qvel[FLEXIBLE], p))
