@@ -26,6 +26,7 @@ test-slow: $(DONE)
 lint: $(DONE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 
 bench: $(DONE)
 	$(BIN)/python -m benchmarks

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -45,10 +46,10 @@ def value_of(settings: Any, field: str) -> Any:
     return settings
 
 
-def with_values(settings: Any, values: dict[str, float]) -> Any:
+def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
     """A copy of frozen settings with other values, by field; fields may be dotted."""
     own: dict[str, Any] = {}
-    inner: dict[str, dict[str, float]] = {}
+    inner: dict[str, dict[str, Any]] = {}
     for field, value in values.items():
         head, _, rest = field.partition(".")
         if rest:

@@ -15,8 +15,9 @@ from ..estimator.estimator import Estimator, KnownJoint, Posterior
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
+from ..models.step import CompiledStep
 from ..sim import plant, sensors
-from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, Simulation, simulate
+from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, Simulation, simulate
 from .scenario import Scenario
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class Experiment:
         model = self.build(record) if model is None else model
         plant.set_temperature(model, float(self.temperature[0]))  # a run before may have left another
         p = record[0]
-        feedback = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
+        feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:
             feedback = self.fed_back.step(self.known, self.interval)
         simulation = simulate(
@@ -180,7 +181,7 @@ def _overload(simulation: Simulation) -> float | None:
     time, ended = simulation.time, simulation.failed[0]
     truth = simulation.truth[:ended]
     broken = np.zeros(min(ended + 1, len(time)), dtype=bool)
-    for name in truth.dtype.names:
+    for name in TRUTH.names or ():
         broken[:ended] |= ~np.isfinite(truth[name])
     for name in ("motor_position", "wave_generator_position", "link_position"):
         broken[1:ended] |= ~(np.abs(np.diff(truth[name])) < _FASTEST * CONTROL_PERIOD)

@@ -68,7 +68,7 @@ def _walk(inside: np.ndarray, seed: int, start: float) -> np.ndarray:
     steps = stream(seed, f"walk at {start:g} s").standard_normal(len(inside)) * inside
     first = np.argmax(inside)
     steps[first] = 0.0
-    return np.cumsum(steps) / np.sqrt(max(np.count_nonzero(inside), 1))
+    return np.cumsum(steps) / math.sqrt(max(int(np.count_nonzero(inside)), 1))
 
 
 class Temperature(Strict):
@@ -253,7 +253,7 @@ def _merge(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
 
 def shipped_scenarios() -> dict[str, Path]:
     """The scenarios that the package ships, by name."""
-    folder = Path(str(resources.files(__package__)))
+    folder = Path(str(resources.files(str(__package__))))
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 

@@ -229,8 +229,9 @@ class _Collected:
             # One sample per bin: those of different seeds are independent.
             self.nees.append(nees[size // 2 :: size][: len(self.squares[-1])])
             self.nees_apart.append(nees[kept][:: round(_APART / (run.time[1] - run.time[0]))])
-        if estimate.innovation is not None and self.estimator.causal:
-            e, S = estimate.innovation[kept], estimate.innovation_covariance[kept]
+        e, S = estimate.innovation, estimate.innovation_covariance
+        if e is not None and S is not None and self.estimator.causal:
+            e, S = e[kept], S[kept]
             squares = consistency.normalised_squares(e, S)
             self.nis.append((float(np.mean(squares)), e.shape[1], len(e)))
             normal = e / np.sqrt(np.diagonal(S, axis1=1, axis2=2))

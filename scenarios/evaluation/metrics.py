@@ -78,7 +78,7 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
 
 
 @kernel
-def _shift_costs(estimate, truth, indices, earliest, cost):
+def _shift_costs(estimate: np.ndarray, truth: np.ndarray, indices: np.ndarray, earliest: int, cost: np.ndarray) -> None:
     """Mean square of estimate[i] − truth[i − s] over `indices`, for shifts s = −earliest …; into cost, shape (shifts,).
 
     Compiled and without the interpreter's lock: many runs are measured side by side.

@@ -279,7 +279,8 @@ def _pair(point: np.ndarray) -> tuple[float, float]:
     return float(point[0]), float(point[1])
 
 
-_In, _Out = TypeVar("_In"), TypeVar("_Out")
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
 
 
 def _on_threads(function: Callable[[_In], _Out], items: Sequence[_In], threads: int) -> list[_Out]:

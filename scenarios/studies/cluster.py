@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from typing import Any
 
 from ...models.errors import InputError
 from . import sweep
@@ -43,18 +44,19 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> sweep.D
             key = f"sweep-{design.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
             # Lost with its worker, a task begins again elsewhere; the scheduler does that itself.
             future = client.submit(sweep.compute, design, chunk, key=key, pure=False)
-            pending[future.key] = chunk
+            pending[str(future.key)] = chunk
             finished.add(future)
 
         def fill() -> None:
-            wanted = 2 * max(1, sum(client.nthreads().values()))
+            threads: Any = client.nthreads()
+            wanted = 2 * max(1, sum(threads.values()))
             for chunk in islice(chunks, max(0, wanted - len(pending))):
                 submit(chunk)
 
         fill()
         while pending:
             future = next(finished)
-            chunk = pending.pop(future.key)
+            chunk = pending.pop(str(future.key))
             try:
                 table = future.result()
             except (KilledWorker, CancelledError) as error:

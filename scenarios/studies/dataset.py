@@ -27,7 +27,7 @@ from .design import Design
 try:
     import fcntl
 except ImportError:  # no such locks on Windows
-    fcntl = None
+    fcntl = None  # type: ignore[assignment]
 
 _PART = re.compile(r"^runs-(\d+)-(\d+)\.parquet$")
 

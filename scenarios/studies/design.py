@@ -128,10 +128,11 @@ class Design:
     @cached_property
     def cells(self) -> list[Cell]:
         """All cells in order."""
-        products = itertools.product(self.scenarios, *(points(axis) for axis in self.study.plant_axes))
+        axes = [points(axis) for axis in self.study.plant_axes]
+        places = [(scenario, at) for scenario in self.scenarios for at in itertools.product(*axes)]
         return [
             Cell(i, scenario, {k: v for point in at for k, v in point.items()})
-            for i, (scenario, *at) in enumerate(products)
+            for i, (scenario, at) in enumerate(places)
         ]
 
     @cached_property
@@ -162,11 +163,11 @@ class Design:
         for axis in self.study.plant_axes:
             value = cell.columns[axis.name]
             if isinstance(axis, LoadAxis):
-                load = value
+                load = float(value)
             elif isinstance(axis, ScaleAxis):
                 for key, base in axis.keys.items():
-                    put(data, key, base * value, f"{where}: {axis.name}")
-            elif not isinstance(axis, CauseAxis):
+                    put(data, key, base * float(value), f"{where}: {axis.name}")
+            elif isinstance(axis, SettingAxis):
                 put(data, axis.key, value, f"{where}: {axis.name}")
         return Experiment.of(parse(data, Scenario, where), Path(folder), load)
 
@@ -177,7 +178,7 @@ class Design:
 
     def hidden(self, cell: Cell, seed: int, record: np.ndarray) -> np.ndarray | None:
         """The plant's record with the cell's cause in it, shape (1,); None where there is none."""
-        cause = cell.columns.get("cause", "none")
+        cause = str(cell.columns.get("cause", "none"))
         if cause == "none":
             return None
         axis = next(a for a in self.study.axes if isinstance(a, CauseAxis))

@@ -44,7 +44,7 @@ class Aggregate:
 
 
 def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
-    """Summaries of all cells that have rows, one cell in memory at a time."""
+    """What filters are worth in all cells that have rows, one cell in memory at a time."""
     design = dataset.design
     for cell in design.cells:
         table = dataset.read(cell.index)
@@ -60,7 +60,7 @@ def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
             other = reference_of(design, i)
             yield Aggregate(
                 cell.scenario,
-                cell.columns | {a.name: variant.columns.get(a.name) for a in design.study.filter_axes},
+                {**cell.columns, **{a.name: variant.columns.get(a.name) for a in design.study.filter_axes}},
                 variant.name,
                 len(failed),
                 int(failed[:, i].sum()),

@@ -200,7 +200,7 @@ class Study(Strict):
         return range(s.first, s.first + s.count) if isinstance(s, Seeds) else s
 
     @property
-    def plant_axes(self) -> list[Axis]:
+    def plant_axes(self) -> list[AnyAxis]:
         """Axes that ask for another simulation."""
         return [a for a in self.axes if not (isinstance(a, SettingAxis) and a.of_filters)]
 
@@ -223,10 +223,10 @@ def varies(axis: SettingAxis, entry: FilterEntry) -> bool:
     return axis.filter in ("*", entry.name) and axis.parameter in parameters_of(entry.build())
 
 
-def points(axis: Axis) -> list[dict[str, Value]]:
+def points(axis: AnyAxis) -> list[dict[str, Value]]:
     """The columns of an axis at each of its points; a cause axis has two."""
     if isinstance(axis, CauseAxis):
-        none = [{"cause": "none", axis.name: 0.0}] if 0.0 in axis.sizes else []
+        none: list[dict[str, Value]] = [{"cause": "none", axis.name: 0.0}] if 0.0 in axis.sizes else []
         sizes = [s for s in axis.sizes if s != 0.0]
         return none + [{"cause": c, axis.name: s} for c, s in itertools.product(axis.causes, sizes)]
     return [{axis.name: value} for value in axis.values]
@@ -234,7 +234,7 @@ def points(axis: Axis) -> list[dict[str, Value]]:
 
 def shipped_studies() -> dict[str, Path]:
     """The studies that the package ships, by name."""
-    folder = Path(str(resources.files(__package__)))
+    folder = Path(str(resources.files(str(__package__))))
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 

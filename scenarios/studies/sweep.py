@@ -10,12 +10,13 @@ from __future__ import annotations
 import json
 import math
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from itertools import islice
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -63,7 +64,7 @@ def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -
         record = design.hidden(cell, seed, experiment.record)
         plant = model if record is None else experiment.build(record)
         outcomes = outcomes_of(design, cell, seed, experiment, record, plant)
-        head = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
+        head: dict[str, Any] = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
         for variant, outcome in zip(design.variants, outcomes, strict=True):
             rows.append(head | variant.columns | {"filter": variant.name, "failure": outcome.failure} | outcome.metrics)
     table = pa.Table.from_pylist(rows, schema=schema(design))
@@ -117,14 +118,14 @@ def chunk_size(design: Design, jobs: int) -> int:
     return max(1, min(_LARGEST_CHUNK, per_job, len(design.study.seed_list)))
 
 
-Done = Iterator[tuple[Chunk, pa.Table]]
+Done = Generator[tuple[Chunk, pa.Table], None, None]
 
 
 def on_threads(design: Design, chunks: Iterator[Chunk], jobs: int) -> Done:
     """Chunks with their rows as they finish, on `jobs` threads; few are under way at a time, however many there are."""
     stop = threading.Event()
     with ThreadPoolExecutor(jobs, thread_name_prefix="sweep") as pool:
-        pending = {}
+        pending: dict[Future[pa.Table | None], Chunk] = {}
         try:
             while True:
                 for chunk in islice(chunks, 2 * jobs - len(pending)):
