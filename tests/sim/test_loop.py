@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import itertools
 import os
 import shutil
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +18,7 @@ from flexspline.models.joint import AnalogSpec, EncoderSpec
 from flexspline.models.parameters import PARAMETERS
 from flexspline.models.signals import READINGS, SENSED, WRENCH, Signals
 from flexspline.models.step import SAMPLE, CompiledStep, PythonStep, numpy_at
+from flexspline.sim.sensors import noise
 
 QUIET = {"motor_encoder": EncoderSpec(bits=38), "link_encoder": EncoderSpec(bits=38)} | {
     name: AnalogSpec() for name in ("motor_current", "motor_torque", "joint_torque", "temperature")
@@ -93,17 +94,22 @@ def test_the_whole_wrench_by_name():
     assert set(WRENCH) <= set(READINGS.names)
 
 
+def through(x, bandwidth):
+    """Samples every millisecond through a first-order low-pass [Hz], straight between them: its differential equation solved."""
+    step = 2 * np.pi * bandwidth * 1e-3
+    share = 1 - np.exp(-step)
+    found = [x[0]]
+    for before, now in pairwise(x):
+        found.append(np.exp(-step) * found[-1] + (1 - share / step) * now + (share / step - 1 + share) * before)
+    return np.array(found)
+
+
 def test_a_low_pass_and_a_ripple_in_the_loop():
     """The current through 200 Hz with a ripple over the motor's angle, against both applied to the truth afterwards."""
     spec = AnalogSpec(bandwidth=200.0, ripple={"order": 18, "amplitude": 5e-3, "phase": 0.3})
     s = run(sensing(motor_current=spec))
     motor, current = s.truth["motor_position"], s.truth["motor_current"]
-    x = current + 5e-3 * np.sin(18 * motor + 0.3)
-    step = 2 * np.pi * 200.0 * 1e-3
-    share = 1 - np.exp(-step)
-    expected = [x[0]]
-    for before, now in itertools.pairwise(x):
-        expected.append(np.exp(-step) * expected[-1] + (1 - share / step) * now + (share / step - 1 + share) * before)
+    expected = through(current + 5e-3 * np.sin(18 * motor + 0.3), 200.0)
     np.testing.assert_allclose(s.readings["motor_current"], expected, atol=1e-9)
     assert np.std(s.readings["motor_current"] - current) > 3e-3
 
@@ -218,6 +224,7 @@ _NEW_CHANNEL = '    Channel("spring_force", "N", "a load cell on the cable", "lo
 _NEW_LAW = "    out.spring_force = 2.0 * state.link_position + 1.0\n"
 _USE = """
 import numpy as np, sys
+from itertools import pairwise
 from pathlib import Path
 from flexspline.models.joint import load_joint, as_joint
 from flexspline.models.recording import Recording, read_recording, write_recording
@@ -274,3 +281,33 @@ def test_a_payload_that_hangs_by_a_spring_is_felt_by_the_sensor():
     np.testing.assert_allclose(-s.readings["torque_y"], s.truth["joint_torque"], atol=0.03)
     rigid = run(sensing())
     assert np.std(s.truth["joint_torque"] - rigid.truth["joint_torque"]) > 0.05
+
+
+def test_imperfections_of_every_sensor_at_once():
+    """Encoders once and twice per turn and within counts, a late torque sensor with 1/f noise, vibration and crosstalk."""
+    specs = {
+        "motor_encoder": EncoderSpec(counts=4096, cyclic_error=0.2),
+        "joint_torque": AnalogSpec(
+            delay=0.001, flicker=0.02, vibration={"frequency": 40.0, "amplitude": 0.012}, crosstalk=0.16
+        ),
+        "motor_current": AnalogSpec(bandwidth=150.0, ripple={"order": 24, "amplitude": 6e-3, "phase": 1.0}, noise=0.01),
+    }
+    joint = sensing(**specs)
+    record = record_of(motor_eccentricity=6e-4, motor_eccentricity_phase=-0.7)
+    p = record[0]
+    p["link_error_order"][0], p["link_error_amplitude"][0], p["link_error_phase"][0] = 2.0, 1.2e-5, 0.9
+    s = run(joint, record=record)
+    added = noise(joint, 3, len(s.time), 1e-3)
+    motor, link = s.truth["motor_position"], s.truth["link_position"]
+    count = 2 * np.pi / 4096
+    seen = motor + 6e-4 * (np.sin(motor - 0.7) - np.sin(-0.7))
+    seen += 0.2 * count * np.sin(2 * np.pi * seen / (4 * count))
+    assert np.abs(s.readings["motor_position"] - seen).max() <= 0.5 * count * (1 + 1e-6)
+    np.testing.assert_allclose(
+        s.readings["link_position"], link + 1.2e-5 * (np.sin(2 * link + 0.9) - np.sin(0.9)), atol=1e-10
+    )
+    torque = s.truth["joint_torque"] + 0.16 * np.cos(link)
+    np.testing.assert_allclose(s.readings["joint_torque"][1:], torque[:-1] + added["joint_torque"][1:], atol=1e-9)
+    assert added["joint_torque"].std() == pytest.approx(np.hypot(0.02, 0.012), rel=0.05)
+    current = through(s.truth["motor_current"] + 6e-3 * np.sin(24 * motor + 1.0), 150.0)
+    np.testing.assert_allclose(s.readings["motor_current"], current + added["motor_current"], atol=1e-9)
