@@ -33,11 +33,12 @@ SYMBOLS: dict[str, tuple[str, bool]] = {
 
 OPTIONAL_SYMBOLS: dict[str, tuple[str, bool]] = {
     "back_driven_friction": ("1", True), "knee_width": ("rad", True), "viscous_exponent": ("1", False),
+    "reference_temperature": ("°C", True),
 }  # fmt: skip
-"""Numbers that a joint may leave out. `back_driven_friction` is the share of load-dependent friction that acts while
-the load drives the motor (torque and velocity of opposite sign), `knee_width` half the torsion over which the stiffness goes from
-one slope to the next, `viscous_exponent` the power of speed as which viscous friction grows at high speed; 1, 0 and 1 where
-they are left out."""
+"""Numbers that a joint may leave out. `back_driven_friction` is the share of load-dependent friction that acts while the load
+drives the motor (torque and velocity of opposite sign), `knee_width` half the torsion over which the stiffness goes from one
+slope to the next, `viscous_exponent` the power of speed as which viscous friction grows at high speed,
+`reference_temperature` the one at which friction is as stated; 1, 0, 1 and 25 °C where they are left out."""
 
 
 class Number(Strict):

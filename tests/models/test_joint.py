@@ -12,7 +12,16 @@ import pytest
 
 from flexspline.models import causes
 from flexspline.models.errors import InputError
-from flexspline.models.joint import SYMBOLS, Discrepancy, Effect, Estimate, as_joint, known_joints, load_joint
+from flexspline.models.joint import (
+    OPTIONAL_SYMBOLS,
+    SYMBOLS,
+    Discrepancy,
+    Effect,
+    Estimate,
+    as_joint,
+    known_joints,
+    load_joint,
+)
 from flexspline.models.parameters import as_floats
 
 TEXT = known_joints()["test-joint"].read_text(encoding="utf-8")
@@ -274,6 +283,37 @@ def test_units_may_be_spelt_differently(tmp_path, text):
     assert (
         load_joint(changed(tmp_path, "1.38e-5, unit: kg·m²", f"1.38e-5, unit: {text}")).numbers["Jm"].value == 1.38e-5
     )
+
+
+def test_newton_metres_may_be_spelt_together(tmp_path):
+    """`Nm` wherever it is `N·m`: of numbers, of products with them, of effects."""
+    text = (
+        TEXT.replace("N·m·s/rad", "Nms/rad")
+        .replace("N·m/rad", "Nm/rad")
+        .replace("1/(N·m)", "1/(Nm)")
+        .replace("N·m", "Nm")
+    )
+    assert "N·m," not in text and "Nm," in text
+    text += "effects: [{name: hysteresis, parameters: {torque: {value: 1, unit: Nm}, extent: {value: 8.0e-5, unit: rad}}}]\n"
+    (tmp_path / "joint.yaml").write_text(text, encoding="utf-8")
+    joint = load_joint(tmp_path / "joint.yaml")
+    assert joint.record()[0]["hysteresis_torque"] == 1.0
+    np.testing.assert_array_equal(as_floats(joint.bare_record()), as_floats(load_joint("test-joint").record()))
+
+
+def test_numbers_that_may_be_left_out(tmp_path):
+    assert [load_joint("test-joint").record()[0][name] for name in OPTIONAL_SYMBOLS] == [1, 0, 1, 25]
+    more = "numbers:\n" + "".join(
+        f"  {name}: {{value: {value}, unit: {unit!r}, source: measured}}\n"
+        for (name, (unit, _)), value in zip(OPTIONAL_SYMBOLS.items(), (0.5, 1e-4, 0.8, 32), strict=True)
+    )
+    p = load_joint(changed(tmp_path, "numbers:\n", more)).record()[0]
+    assert [p[name] for name in OPTIONAL_SYMBOLS] == [0.5, 1e-4, 0.8, 32]
+
+
+def test_a_sensor_that_nobody_knows_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"sensors: joint_torqe: unknown key; did you mean 'joint_torque'\?"):
+        load_joint(changed(tmp_path, "  joint_torque:\n", "  joint_torqe: {noise: 1}\n  joint_torque:\n"))
 
 
 def test_every_number_has_a_unit_and_a_source():
