@@ -13,15 +13,17 @@ Both hold at every instant, so that any part of a recording can be held out.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..estimator import smoothed
+from ..estimator.estimator import KnownJoint
+from ..estimator.smoothed import Motion
 from ..models import causes
 from ..models.errors import InputError
 from ..models.joint import Effect, Estimate, Joint
-from ..sim.recording import Recording
-from . import estimate as offline
+from ..models.recording import Recording
 
 MOVING = 0.05
 """Output velocity [rad/s] above which samples count: friction at rest is anything up to its level."""
@@ -51,7 +53,7 @@ def fit_current(recording: Recording, joint: Joint, names: tuple[str, ...], use:
     """Fit causes to the balance of motor current and measured external torque.
 
     Args:
-      recording: of one stretch, with external torque.
+      recording: of one segment, with external torque.
       joint: without those causes.
       names: causes whose parameters are magnitudes (`models.causes`); each has a Gaussian prior about its absence with
         the largest ordinary size as deviation.
@@ -66,20 +68,23 @@ def fit_current(recording: Recording, joint: Joint, names: tuple[str, ...], use:
     spread = np.array([_spread(q, bare) for _, q in parameters])
     time, external = recording.time, _external(recording)
     motion = _motion(recording, joint, bare)
-    grid = motion[0]
-    moving = np.abs(motion[5]) > MOVING
+    grid = motion.time
+    moving = np.abs(motion.link_velocity) > MOVING
     chosen = moving if use is None else moving & (np.interp(grid, time, use.astype(float)) > 0.99)
     if chosen.sum() < 100:
         raise InputError(f"{recording.source or recording.name}: expected motion to fit to, got none")
+    load = smoothed.torque_from_current(motion, KnownJoint.of(joint, recording.link, bare))
     # The balance, one number every grid step: of those within the vibration's memory, together one is news.
-    sigma = SENSOR_NOISE * np.sqrt(SENSOR_MEMORY / offline.STEP)
+    sigma = SENSOR_NOISE * np.sqrt(SENSOR_MEMORY / smoothed.STEP)
 
     def balance(values: np.ndarray) -> np.ndarray:
         record = bare.copy()
         for name in names:
             mine = {q.name: v for (n, q), v in zip(parameters, values, strict=True) if n == name}
             causes.get(name).apply(record[0], mine)
-        return (_current_torque(motion, record) - _own(motion, record) + np.interp(grid, time, external))[chosen]
+        known = replace(KnownJoint.of(joint, recording.link, record), start=float(time[0]))
+        torque = smoothed.torque_from_current(motion, known) - known.p["bl"] * motion.link_velocity
+        return (torque - smoothed.own_torque(motion, known, load) + np.interp(grid, time, external))[chosen]
 
     values = present.copy()
     r = start = balance(values)
@@ -114,28 +119,26 @@ def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None 
     angle: the standard deviation of the amplitude is what the stiffness' tolerance makes of it.
     """
     record = joint.record(recording.link)
-    p = record[0]
-    time = recording.time
+    known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
     motion = _motion(recording, joint, record)
-    grid, theta_m, _, _, theta_l, v, _, current, _ = motion
-    torque = _own(motion, record) - np.interp(grid, time, _external(recording))
+    grid, v, theta_l = motion.time, motion.link_velocity, motion.link_position
+    load = smoothed.torque_from_current(motion, known)
+    torque = smoothed.own_torque(motion, known, load) - np.interp(grid, recording.time, _external(recording))
     moving = np.abs(v) > MOVING
-    chosen = moving if use is None else moving & (np.interp(grid, time, use.astype(float)) > 0.99)
-    torsion = np.empty(len(grid))
-    offline._torsion(record, theta_m, theta_l + p["link_zero"], current, torsion)
+    chosen = moving if use is None else moving & (np.interp(grid, recording.time, use.astype(float)) > 0.99)
+    torsion = smoothed.torsion_of(motion, known, load)
     number = joint.numbers["K1"]
     tolerance = np.hypot(number.tolerance, joint.shared_tolerances.get(number.shared, 0.0))
 
     def amplitude(scale: float) -> complex:
-        wound = np.empty(len(grid))
         softer = record.copy()
         for name in ("K1", "K2", "K3"):
             softer[0][name] *= scale
-        offline._wind(softer, torque, wound)
+        wound = smoothed.wound(torque, replace(known, record=softer))
         # reading = θl + A (sin(θl + φ) − sin φ): torsion is too small by that. Zero and delay (v) are free.
         A = np.stack([np.sin(theta_l), np.cos(theta_l), np.ones(len(grid)), v], axis=1)[chosen]
         prior = np.diag([1.5e-3, 1.5e-3, 5e-3, 0.3e-3])
-        noise = 1.5e-4 * np.sqrt(SENSOR_MEMORY / offline.STEP)
+        noise = 1.5e-4 * np.sqrt(SENSOR_MEMORY / smoothed.STEP)
         b = np.concatenate([(wound - torsion)[chosen] / noise, np.zeros(4)])
         sine, cosine, _, _ = np.linalg.lstsq(np.vstack([A / noise, np.linalg.inv(prior)]), b, rcond=None)[0]
         return complex(sine, cosine)
@@ -164,32 +167,18 @@ def _spread(q, record) -> float:
 
 
 def _external(recording: Recording) -> np.ndarray:
-    if recording.external_torque is None:
-        raise InputError(f"{recording.source or recording.name}: expected the column 'external_torque', got none")
-    if len(recording.stretches) > 1:
-        raise InputError(f"{recording.source or recording.name}: expected a recording without gaps")
-    return recording.external_torque
+    where = recording.source or recording.name
+    if "external_torque" not in recording:
+        raise InputError(f"{where}: expected the column 'external_torque', got none")
+    if len(recording.segments) > 1:
+        raise InputError(f"{where}: expected a recording without gaps")
+    return recording["external_torque"]
 
 
-def _motion(recording: Recording, joint: Joint, record: np.ndarray):
-    time, motor = recording.time, recording.motor_position
-    current = recording.motor_current - record[0]["current_offset"]
-    cutoff = offline.bandwidth(time, motor, current, record, offline.QUIET * joint.numbers["rated_torque"].value)
-    return offline._motion(time, time - time[0], motor, recording.link_position, current, record, cutoff)
-
-
-def _current_torque(motion, record: np.ndarray) -> np.ndarray:
-    grid, theta_m, w, w_dot, theta_l, v, _, current, _ = motion
-    out = np.empty(len(grid))
-    offline._torque_from_current(record, 0.0, offline.STEP, theta_m, w, w_dot, theta_l, current, out)
-    return out - record[0]["bl"] * v
-
-
-def _own(motion, record: np.ndarray) -> np.ndarray:
-    grid, theta_m, w, _, theta_l, v, a, _, load = motion
-    out = np.empty(len(grid))
-    offline._own_torque(record, grid - grid[0], theta_m, theta_l, w, v, a, load, out)
-    return out
+def _motion(recording: Recording, joint: Joint, record: np.ndarray) -> Motion:
+    known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
+    signals = recording.signals
+    return smoothed.smooth_motion(signals, known, smoothed.bandwidth(signals, known))
 
 
 def _rms(x: np.ndarray) -> float:

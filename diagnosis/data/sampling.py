@@ -78,3 +78,71 @@ def _off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     off = x[i] - sum(w * x[a] for w, a in zip(weights, others, strict=True))
     speed = (x[i + 1] - x[i - 1]) / (t[i + 1] - t[i - 1])
     return off / np.sqrt(1 + sum(w * w for w in weights)), speed
+
+
+_PERIODS = 8
+"""Parts of the median interval that are tried as the period of the clock behind a log."""
+_STEADIER = 0.7
+"""A log's samples are even and its stamps are not where the clock's own times make the motion so much smoother."""
+
+
+def clock_times(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> np.ndarray | None:
+    """Times [s] of the samples by the clock that took them, shape (n,), where they are not the stamps; None where they are.
+
+    Controllers sample evenly and stamp late: a wrong stamp throws both encoders off their smooth motion at once. Times
+    that are whole periods apart are believed where they make both motions smoother.
+
+    Args:
+      time: stamps of one segment [s], shape (n,).
+      motor, link: readings of both encoders [rad], shape (n,).
+    """
+    if timing_error(time, motor, link) == 0.0:
+        return None
+    rough = _roughness(time, motor, link)
+    best: np.ndarray | None = None
+    interval = float(np.median(np.diff(time)))
+    for part in range(1, _PERIODS + 1):
+        even = _on_clock(time, interval / part)
+        if even is None:
+            continue
+        now = _roughness(even, motor, link)
+        if np.all(now < _STEADIER * rough):
+            best, rough = even, now
+    return best
+
+
+def _on_clock(time: np.ndarray, period: float) -> np.ndarray | None:
+    """The nearest times that are whole periods apart, the period fitted; None where the stamps do not follow such a clock.
+
+    The period is known better the longer one looks: it is fitted to a beginning that doubles, so that ticks never slip.
+    """
+    n = len(time)
+    begin = time[: min(64, n)] - time[0]
+    tried = period * np.linspace(0.94, 1.06, 121)
+    off = [float(np.std(begin / q - np.round(begin / q))) for q in tried]
+    known, slope, start = 64, float(tried[int(np.argmin(off))]), float(time[0])
+    while True:
+        known = min(known, n)
+        ticks = np.round((time[:known] - start) / slope)
+        slope, start = (float(x) for x in np.polyfit(ticks, time[:known], 1))
+        if known == n:
+            break
+        known *= 2
+    ticks = np.round((time - start) / slope)
+    # Two samples of one tick: the later one belongs to the next, or the earlier one to the one before.
+    for k in np.flatnonzero(np.diff(ticks) <= 0):
+        if k + 2 >= n or ticks[k + 2] > ticks[k] + 1:
+            ticks[k + 1] = ticks[k] + 1
+        elif k == 0 or ticks[k - 1] < ticks[k + 1] - 1:
+            ticks[k] = ticks[k + 1] - 1
+    return start + slope * ticks if np.all(np.diff(ticks) >= 1) else None
+
+
+def _roughness(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> np.ndarray:
+    """Root mean square by which both encoders are off their own smooth motion where they move [rad], shape (2,)."""
+    found = []
+    for x in (motor, link):
+        off, speed = _off(time, x)
+        moving = np.abs(speed) > 0.2 * np.sqrt(np.mean(speed * speed))
+        found.append(np.sqrt(np.mean(off[moving] ** 2)))
+    return np.array(found)

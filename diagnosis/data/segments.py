@@ -22,7 +22,7 @@ from ...models.kernels import kernel
 from ...models.parameters import REFERENCE_TEMPERATURE
 from ...models.recording import Recording
 from .motion import passband, smooth
-from .sampling import between, fresh, timing_error
+from .sampling import between, clock_times, fresh, timing_error
 
 STEP = 1e-3
 """Step of the replay [s]."""
@@ -245,6 +245,9 @@ def _channels(recording: Recording, part: slice, joint: Joint, p: np.void, rng: 
     slow = min(present, key=lambda name: encoders[name].rate)
     news = fresh(time, columns[slow], encoders[slow].rate)
     time, columns = time[news], {name: values[news] for name, values in columns.items()}
+    if len(present) == len(encoders):
+        even = clock_times(time, columns["motor_position"], columns["link_position"])
+        time = time if even is None else even
     noise = {name: _encoder_noise(time, columns[name], encoders[name], rng) for name in present}
     if len(present) == 1:
         _complete(columns, noise, time - recording.time[0], p)

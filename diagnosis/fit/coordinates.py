@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...models.causes import Cause, Parameter
+from ...models.causes import Cause, CauseParameter
 
 SPREAD = 1.2
 """Prior standard deviation of a magnitude, in ordinary sizes: small effects are as likely as ordinary ones."""
@@ -40,7 +40,7 @@ class Hypothesis:
     scale: dict[str, float] = field(default_factory=dict)
 
     @property
-    def free(self) -> list[Parameter]:
+    def free(self) -> list[CauseParameter]:
         """The parameters that are not fixed."""
         return [q for q in self.cause.parameters if q.name not in self.fixed]
 

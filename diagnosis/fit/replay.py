@@ -43,8 +43,8 @@ INNER = np.dtype(
         (name, np.float64)
         for name in (
             "wave_generator_position", "wave_generator_velocity", "motor_position", "motor_velocity", "motor_acceleration",
-            "link_position", "link_velocity", "link_acceleration", "bristle", "dahl", "flexspline_torque", "load",
-            "wave_generator_torque",
+            "link_position", "link_velocity", "link_acceleration", "bristle", "dahl", "flexible_position", "flexible_velocity",
+            "flexspline_torque", "load", "wave_generator_torque",
         )
     ]
 )  # fmt: skip
@@ -86,9 +86,11 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
     shift = p.link_delay / h
     reach = laws.wave_generator_torsion(_STIFFEST * p.Kt * p.current_limit, p)
     z, dahl, w, theta_w = 0.0, 0.0, rotor[0, 1], rotor[0, 0]
-    m1, vm1, l1, vl1 = 0.0, 0.0, 0.0, 0.0
+    m1, vm1, l1, vl1, al1 = 0.0, 0.0, 0.0, 0.0, 0.0
+    phi, phi_rate = 0.0, 0.0
+    rigid = p.Jl - laws.flexible_inertia(p)
     for i in range(n):
-        m0, vm0, l0, vl0 = m1, vm1, l1, vl1
+        m0, vm0, l0, vl0, al0 = m1, vm1, l1, vl1, al1
         # Rotor and link as they moved: readings without the encoders' own errors, the link's earlier by its delay.
         m1, vm1, am1 = dynamics.actual_motor_position(rotor[i, 0], p), rotor[i, 1], rotor[i, 2]
         if measured:
@@ -141,8 +143,9 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
                 w_middle = w + 0.5 * change
             else:
                 push = t.flexspline_torque - p.bl * vl + dynamics.link_torque(middle, t.load, p) + external[i]
+                push += laws.flexible_torque(phi, phi_rate, p)
                 spring = 0.25 * h * kf + 0.5 * p.df
-                a22 = p.Jl + h * (spring + 0.5 * p.bl)
+                a22 = rigid + h * (spring + 0.5 * p.bl)
                 a12 = -h * spring * t.ratio
                 det = a11 * a22 - a12 * a12
                 change = h * (a22 * force - a12 * push) / det
@@ -163,13 +166,21 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
                 w = vm1
             if p.hysteresis_torque != 0.0:
                 dahl = laws.dahl_step(dahl, w_middle * t.ratio - vl, h, p)
-        end = dynamics.transmission(State(m1, vm1, theta_w, w, l1, vl1, z, dahl, 0.0, time[i], temperature[i]), p, passband)
+        if p.flexible_share > 0.0:
+            phi, phi_rate = laws.flexible_step(phi, phi_rate, al0, al1, h, p)
+        end = dynamics.transmission(
+            State(m1, vm1, theta_w, w, l1, vl1, z, dahl, 0.0, time[i], temperature[i]), p, passband
+        )
         s = inner[i]
         s.wave_generator_position, s.wave_generator_velocity = theta_w, w
         s.motor_position, s.motor_velocity, s.motor_acceleration = m1, vm1, am1
         s.link_position, s.link_velocity, s.link_acceleration = l1, vl1, al1
-        s.bristle, s.dahl = z, dahl
-        s.flexspline_torque, s.load, s.wave_generator_torque = end.flexspline_torque, end.load, end.wave_generator_torque
+        s.bristle, s.dahl, s.flexible_position, s.flexible_velocity = z, dahl, phi, phi_rate
+        s.flexspline_torque, s.load, s.wave_generator_torque = (
+            end.flexspline_torque,
+            end.load,
+            end.wave_generator_torque,
+        )
     return True
 
 
@@ -193,7 +204,9 @@ def _readings(p, time, temperature, torque, external, stiffness, inner, passband
             s.link_velocity, s.bristle, s.dahl, current, time[i], temperature[i],
         )  # fmt: skip
         Ts = s.flexspline_torque - p.bl * s.link_velocity
-        balance = dynamics.link_torque(state, s.load, p) + external[i] - p.Jl * s.link_acceleration
+        balance = dynamics.link_torque(state, s.load, p) + external[i]
+        balance += laws.flexible_torque(s.flexible_position, s.flexible_velocity, p)
+        balance -= (p.Jl - laws.flexible_inertia(p)) * s.link_acceleration
         # The link's balance as the torque sensor reads it: in these units its noise is the same at all parameters. Without one
         # the noise is the torsion's, which the stiffness scales: at the described stiffness it stays the same.
         if has_torque:

@@ -13,7 +13,6 @@ objective, gradient and curvature; taking it out leaves what the signal says (co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,6 +29,7 @@ class SolverSettings:
       huber: standard deviations beyond which a residual counts linearly.
       tolerance: a fit ends when the objective (in units of χ²) changes by less.
       good: share of the expected change of the objective below which derivatives are computed anew.
+      far: step of a calibration variable [standard deviations] after which they are, too.
       noisy: share of the noise in the whitened energy from which on it is taken out (errors in variables).
       chance: standard deviations of the difference of two sums of squares below zero that still count as nothing.
       cluster: residuals within so many seconds may have to do with each other in ways that the noise model does not know.
@@ -38,6 +38,7 @@ class SolverSettings:
     huber: float = 3.0
     tolerance: float = 0.5
     good: float = 0.7
+    far: float = 0.3
     noisy: float = 0.15
     chance: float = 6.0
     cluster: float = 1.0
@@ -112,7 +113,9 @@ def prior_cost(problem: Problem, theta: np.ndarray, model: Model) -> float:
     return float(z @ z)
 
 
-def corrected_loss(problem: Problem, r: np.ndarray, share: np.ndarray | None, settings: SolverSettings = SETTINGS) -> float:
+def corrected_loss(
+    problem: Problem, r: np.ndarray, share: np.ndarray | None, settings: SolverSettings = SETTINGS
+) -> float:
     """Robust loss of a whitened residual less that of the noise's share of it.
 
     What is left of a segment's balance is about zero at best; what is below that by more than chance counts as if it were
@@ -213,16 +216,11 @@ def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 def noise_share(problem: Problem, noise: Noise, point: Point) -> float:
     """Share of the sensors' noise in the whitened energy of a residual."""
-    white = whiten(problem.segments, noise, [np.stack([a, b], -1) for a, b in zip(point.residual, point.noise, strict=True)])
+    white = whiten(
+        problem.segments, noise, [np.stack([a, b], -1) for a, b in zip(point.residual, point.noise, strict=True)]
+    )
     energy = np.sum(np.minimum(white.rows**2, SETTINGS.huber**2), axis=0)
     return float(energy[1] / max(energy[0], 1e-300))
-
-
-def noise_jacobian(problem: Problem, theta: np.ndarray, model: Model, point: Point, jacobian: Columns) -> Columns:
-    """What the noise replicates add to the derivatives in all unknowns, computed anew."""
-    other = [a + b for a, b in zip(point.residual, point.noise, strict=True)]
-    again = problem.jacobian(theta, model, other, replicate=True)
-    return [b - a for a, b in zip(jacobian, again, strict=True)]
 
 
 class Fitter:
@@ -235,126 +233,136 @@ class Fitter:
 
     def __init__(self, problem: Problem, settings: SolverSettings = SETTINGS):
         self.problem, self.settings = problem, settings
-        self.replays = 0
 
     def fit(
         self,
         model: Model,
         theta: np.ndarray,
-        noise: Noise | None = None,
         near: Fit | None = None,
         iterations: int = 8,
-        anneal: bool = True,
-        refresh: bool = True,
-        sensors: Sequence[np.ndarray] | None = None,
+        sensors: Columns | None = None,
     ) -> Fit:
-        """Fit a model by damped Gauss–Newton from `theta`.
+        """Fit a model by damped Gauss–Newton from `theta`, the noise learned anew before every step.
+
+        The noise's share is left in (`polish` takes it out): fits are compared by a log evidence from which it is taken.
 
         Args:
-          noise: to begin with; learned from the first residual by default.
-          near: a fit whose derivatives in the common unknowns serve until they no longer do.
-          anneal: whether the noise is learned anew after every step; else it stays.
-          refresh: whether derivatives in the common unknowns may be computed anew.
+          near: a fit whose derivatives in the common unknowns serve; without it they are computed as often as a step is larger
+            than they are good for.
           sensors: what the noise replicates add to the residuals of the fit that others are compared with: sensor noise is then
             the same for all of them.
         """
         problem, settings = self.problem, self.settings
         low, high = problem.bounds(model)
         theta = np.clip(theta, low, high)
-        point = evaluate_point(problem, theta, model)
+        residual = problem.residuals([theta], [model])[0]
+        replicates = sensors
+        if replicates is None:
+            other = problem.residuals([theta], [model], replicate=True)[0]
+            replicates = [b - a for a, b in zip(residual, other, strict=True)]
         history: list[float] = []
-        jacobian: Columns | None = None
-        extra: Columns | None = None
-        fresh, update, damping = False, near is None, 0.0
-        covariance: np.ndarray | None = None
-        if noise is None:
-            noise = self._learn(point, sensors, None, None)
-        for _ in range(iterations):
-            if update or jacobian is None:
-                jacobian, extra, fresh = self._derivatives(model, theta, point, noise, near, update)
-            if anneal and covariance is not None:
-                noise = self._learn(point, sensors, jacobian, covariance)
-            normal = normal_equations(problem, noise, model, theta, point, jacobian, extra, settings)
-            covariance = _inverse(normal.hessian)
+        common = None if near is None else [j[..., : problem.size] for j in near.jacobian]
+        fresh, damping = near is None, 0.0
+        jacobian: Columns = []
+        for iteration in range(iterations):
+            if fresh:
+                columns = (
+                    np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
+                )
+                common = _put(common, problem.jacobian(theta, model, residual, columns), columns, problem.size)
+            jacobian = self._with_effects(model, theta, residual, common)
+            noise = learn(problem.segments, residual, replicates, problem.quantum())
+            normal = normal_equations(
+                problem, noise, model, theta, Point(residual, replicates), jacobian, None, settings
+            )
             cost = normal.loss + prior_cost(problem, theta, model)
             history.append(cost)
-            moved = None
-            for _ in range(5):
+            accepted = False
+            for _ in range(4):
                 A = normal.hessian + damping * np.diag(np.abs(np.diag(normal.hessian)))
                 step = bounded_step(A, normal.gradient, low - theta, high - theta)
-                trial = evaluate_point(problem, theta + step, model)
-                after = self._cost(noise, trial, theta + step, model, extra is not None)
-                if after < cost:
-                    moved = step
+                trial = problem.residuals([theta + step], [model])[0]
+                after = self._cost(noise, trial, theta + step, model)
+                accepted = after < cost
+                if accepted:
                     break
-                damping = max(5 * damping, 1e-2)
-            if moved is None:
-                if fresh or not refresh:
+                damping = max(8 * damping, 1e-2)
+            if not accepted:
+                if fresh or near is not None:
                     break
-                update = True
+                fresh = True
                 continue
-            expected = -(2 * normal.gradient @ moved + moved @ normal.hessian @ moved)
-            theta, point = theta + moved, trial
-            damping *= 0.2
+            expected = -(2 * normal.gradient @ step + step @ normal.hessian @ step)
+            theta, residual = theta + step, trial
+            damping *= 0.1
             if cost - after < settings.tolerance:
                 break
-            update = refresh and cost - after < settings.good * expected
-            if not update:  # the effects' own derivatives are of where the fit is
-                near, jacobian = (near if jacobian is None else self._as_near(near, jacobian, extra)), None
-        if jacobian is None:
-            jacobian, extra, fresh = self._derivatives(model, theta, point, noise, near, False)
-        if anneal:
-            noise = self._learn(point, sensors, jacobian, covariance)
-        return self.finish(model, theta, point, jacobian, extra, noise, tuple(history))
+            good = cost - after > settings.good * expected
+            fresh = near is None and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
+            del iteration
+        # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
+        jacobian = self._with_effects(model, theta, residual, common)
+        other = problem.residuals([theta], [model], replicate=True)[0]
+        own = [b - a for a, b in zip(residual, other, strict=True)]
+        noise = learn(problem.segments, residual, own if sensors is None else sensors, problem.quantum())
+        return self.finish(model, theta, Point(residual, own), jacobian, None, noise, tuple(history))
 
-    def _as_near(self, near, jacobian, extra):
-        """What `_derivatives` takes common columns from."""
-        return _Near(jacobian, extra)
+    def polish(self, f: Fit, iterations: int = 4) -> Fit:
+        """The same model fitted to its end, the noise's share taken out (errors in variables), under noise that stays."""
+        problem, settings = self.problem, self.settings
+        low, high = problem.bounds(f.model)
+        theta, point = f.theta, f.point
+        jacobian = problem.jacobian(theta, f.model, point.residual)
+        other = [a + b for a, b in zip(point.residual, point.noise, strict=True)]
+        extra: Columns | None = None
+        if noise_share(problem, f.noise, point) > settings.noisy:
+            again = problem.jacobian(theta, f.model, other, replicate=True)
+            extra = [b - a for a, b in zip(jacobian, again, strict=True)]
+        noise = self._learn(point, jacobian, f.covariance)
+        history = list(f.history)
+        for _ in range(iterations):
+            normal = normal_equations(problem, noise, f.model, theta, point, jacobian, extra, settings)
+            cost = normal.loss + prior_cost(problem, theta, f.model)
+            history.append(cost)
+            step = bounded_step(normal.hessian, normal.gradient, low - theta, high - theta)
+            moved = False
+            for part in (1.0, 0.3):
+                trial = evaluate_point(problem, theta + part * step, f.model)
+                after = self._cost(
+                    noise, trial.residual, theta + part * step, f.model, trial.noise if extra is not None else None
+                )
+                if after < cost:
+                    theta, point, moved = theta + part * step, trial, True
+                    break
+            if not moved or cost - after < settings.tolerance:
+                break
+        return self.finish(f.model, theta, point, jacobian, extra, noise, tuple(history))
 
-    def _cost(self, noise: Noise, point: Point, theta: np.ndarray, model: Model, corrected: bool) -> float:
-        pairs = [np.stack([a, b], -1) for a, b in zip(point.residual, point.noise, strict=True)]
-        rows = whiten(self.problem.segments, noise, pairs).rows
-        loss = corrected_loss(self.problem, rows[:, 0], rows[:, 1] if corrected else None, self.settings)
+    def _with_effects(self, model: Model, theta: np.ndarray, residual: Columns, common: Columns) -> Columns:
+        effects = np.arange(self.problem.size, len(theta))
+        if not len(effects):
+            return common
+        own = self.problem.jacobian(theta, model, residual, effects)
+        return [np.concatenate([a, b], -1) for a, b in zip(common, own, strict=True)]
+
+    def _cost(
+        self, noise: Noise, residual: Columns, theta: np.ndarray, model: Model, share: Columns | None = None
+    ) -> float:
+        columns = (
+            [r[..., None] for r in residual]
+            if share is None
+            else [np.stack([a, b], -1) for a, b in zip(residual, share, strict=True)]
+        )
+        rows = whiten(self.problem.segments, noise, columns).rows
+        loss = corrected_loss(self.problem, rows[:, 0], None if share is None else rows[:, 1], self.settings)
         total = loss + prior_cost(self.problem, theta, model)
         return total if np.isfinite(total) else np.inf
 
-    def _learn(self, point: Point, sensors, jacobian: Columns | None, covariance: np.ndarray | None) -> Noise:
-        spread = None
-        if jacobian is not None and covariance is not None:
-            root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-            spread = [j @ root for j in jacobian]
-        replicates = point.noise if sensors is None else sensors
-        return learn(self.problem.segments, point.residual, replicates, self.problem.quantum(), spread)
-
-    def _derivatives(self, model, theta, point, noise, near, update) -> tuple[Columns, Columns | None, bool]:
-        """Derivatives of the residuals and of the noise's share in them; whether those in the common unknowns are new."""
-        problem = self.problem
-        common, effects = np.arange(problem.size), np.arange(problem.size, len(theta))
-        correct = noise_share(problem, noise, point) > self.settings.noisy
-        other = [a + b for a, b in zip(point.residual, point.noise, strict=True)]
-        if near is not None and not update:
-            known = [j[..., : problem.size] for j in near.jacobian]
-            extra = near.noise_jacobian
-        else:
-            columns = common if near is None else np.setdiff1d(common, problem.linear)
-            part = problem.jacobian(theta, model, point.residual, columns)
-            known = _put(near.jacobian if near is not None else None, part, columns, problem.size)
-            extra = None
-        own = problem.jacobian(theta, model, point.residual, effects) if len(effects) else None
-        jacobian = known if own is None else [np.concatenate([a, b], -1) for a, b in zip(known, own, strict=True)]
-        if not correct:
-            return jacobian, None, update or near is None
-        if extra is None:
-            columns = np.setdiff1d(common, problem.linear) if near is not None and near.noise_jacobian is not None else common
-            part = problem.jacobian(theta, model, other, columns, replicate=True)
-            part = [b - a[..., columns] for a, b in zip(known, part, strict=True)]
-            before = near.noise_jacobian if near is not None else None
-            extra = _put(before, part, columns, problem.size)
-        extra = [e[..., : problem.size] for e in extra]
-        if own is not None:
-            more = problem.jacobian(theta, model, other, effects, replicate=True)
-            extra = [np.concatenate([e, b - a], -1) for e, a, b in zip(extra, own, more, strict=True)]
-        return jacobian, extra, update or near is None
+    def _learn(self, point: Point, jacobian: Columns, covariance: np.ndarray) -> Noise:
+        """Noise at a point, with what the residual may still be off as the parameters are uncertain."""
+        root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
+        spread = [j @ root for j in jacobian]
+        return learn(self.problem.segments, point.residual, point.noise, self.problem.quantum(), spread)
 
     def finish(self, model, theta, point, jacobian, extra, noise, history=()) -> Fit:
         """The Laplace approximation of a model at its maximum, under a noise."""
@@ -364,25 +372,19 @@ class Fitter:
         _, logdet = np.linalg.slogdet(normal.hessian * spread[:, None] * spread)
         cost = normal.loss + normal.white.log_determinant + prior_cost(problem, theta, model)
         evidence = -0.5 * (cost + logdet) - sum(np.log(h.alternatives) for h in model)
+        if extra is None:
+            # What a model gains by making noise small is none of its merit.
+            rows = whiten(problem.segments, noise, [n[..., None] for n in point.noise]).rows[:, 0]
+            evidence += 0.5 * float(np.sum(huber_loss(rows, self.settings.huber)))
         # The corrected gradient is noisier than the curvature says: the columns' noise counts once with the residual, once
         # as the replicate's share taken out (Godambe's information in place of Fisher's).
         prior = np.diag(1 / spread**2)
         S = normal.hessian - prior
         V = S + 2 * _positive(normal.share, spread)
         covariance = _inverse(_godambe(S, V, prior, 1e-12) + prior)
-        return Fit(model, theta, point, jacobian, extra, noise, covariance, float(evidence), normal.loss, tuple(history))
-
-    def under(self, f: Fit, noise: Noise) -> Fit:
-        """The same fit judged under another noise."""
-        return self.finish(f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, noise, f.history)
-
-
-@dataclass(frozen=True)
-class _Near:
-    """Derivatives that a fit begins with."""
-
-    jacobian: Columns
-    noise_jacobian: Columns | None
+        return Fit(
+            model, theta, point, jacobian, extra, noise, covariance, float(evidence), normal.loss, tuple(history)
+        )
 
 
 def _put(before: Columns | None, part: Columns, columns: np.ndarray, size: int) -> Columns:

@@ -1,0 +1,232 @@
+"""Screening: the linearised gain in log evidence of every hypothesis at a fit, with all other unknowns free to answer.
+
+The derivative of the replayed residuals with respect to every cause (a secant at part of its ordinary size) gives each
+cause's approximate log evidence in closed form. The few that look best are judged again with the noise that would be
+left if they were there: what they explain is then no discrepancy any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..fit.coordinates import Hypothesis
+from ..fit.noise import Noise, learn, whiten
+from ..fit.residual import Problem
+from ..fit.solver import SETTINGS as SOLVER
+from ..fit.solver import Columns, Fit, bounded_step, huber_loss, huber_weight, prior_cost, stacked
+
+
+@dataclass(frozen=True)
+class ScreenSettings:
+    """How hypotheses are screened.
+
+    Attributes:
+      probe, coarse_probe: part of the ordinary size at which a cause is probed, where the residual is nearly noise and where
+        it is not.
+      quiet: normalised RMS of the residual against the sensors' noise below which it is nearly noise.
+      least_gain: linearised log evidence below which a hypothesis is left out.
+      smallest: part of the ordinary size below which it is left out.
+      again: hypotheses that are judged again with the noise that they would leave.
+    """
+
+    probe: float = 0.03
+    coarse_probe: float = 0.3
+    quiet: float = 2.0
+    least_gain: float = 3.5
+    smallest: float = 0.015
+    again: int = 6
+
+
+SETTINGS = ScreenSettings()
+
+
+@dataclass(frozen=True)
+class Screened:
+    """A hypothesis with its linearised gain in log evidence, and where the linear model puts it.
+
+    Attributes:
+      start: coordinates of the hypothesis.
+      shift: change of the other unknowns that goes with them.
+      noise: that it would leave, where it was judged again.
+    """
+
+    hypothesis: Hypothesis
+    gain: float
+    start: np.ndarray
+    shift: np.ndarray
+    noise: Noise | None = None
+
+    @property
+    def size(self) -> float:
+        """In ordinary sizes."""
+        return float(np.linalg.norm(self.start[self.hypothesis.magnitudes]))
+
+
+class Library:
+    """Columns of every hypothesis at a fit.
+
+    Attributes:
+      hypotheses: the hypotheses.
+      origins: of each the coordinates at which the joint stays as it is, shape (size,).
+      columns: of each the derivatives of the residuals in its magnitudes, shape (k, len(BALANCES), m) a segment.
+    """
+
+    def __init__(self, problem: Problem, at: Fit, hypotheses: Sequence[Hypothesis], probe: float):
+        self.hypotheses = list(hypotheses)
+        thetas, models = [], []
+        record = problem.records(at.theta, at.model)[0][0]
+        # A cause that replaces a number starts from what calibration has made of it.
+        self.origins = [h.coordinates(h.cause.centre(record, h.fixed)) for h in self.hypotheses]
+        for h, origin in zip(self.hypotheses, self.origins, strict=True):
+            for j in h.magnitudes:
+                u = origin.copy()
+                u[j] += probe
+                thetas.append(np.concatenate([at.theta, u]))
+                models.append((*at.model, h))
+        base = at.point.residual
+        done = iter(problem.residuals(thetas, models))
+        self.columns: list[Columns] = []
+        for h in self.hypotheses:
+            parts = [next(done) for _ in h.magnitudes]
+            self.columns.append(
+                [np.stack([(part[s] - base[s]) / probe for part in parts], -1) for s in range(len(base))]
+            )
+
+    def of(self, hypothesis: Hypothesis) -> Columns:
+        """Columns of one hypothesis."""
+        return self.columns[self.hypotheses.index(hypothesis)]
+
+    def without(self, names: set[str]) -> Library:
+        """The library without some causes."""
+        kept = [i for i, h in enumerate(self.hypotheses) if h.cause.name not in names]
+        found = object.__new__(Library)
+        found.hypotheses = [self.hypotheses[i] for i in kept]
+        found.origins = [self.origins[i] for i in kept]
+        found.columns = [self.columns[i] for i in kept]
+        return found
+
+
+class _Linear:
+    """The linear model about a fit under a noise: normal equations of the other unknowns, and whitened columns of hypotheses."""
+
+    def __init__(self, problem: Problem, noise: Noise, at: Fit, columns: Sequence[Columns]):
+        together = [np.concatenate([c[s] for c in columns], axis=-1) for s in range(len(problem.segments))]
+        rows = whiten(problem.segments, noise, stacked(at.point.residual, at.jacobian, together)).rows
+        n = at.jacobian[0].shape[-1]
+        weight = huber_weight(rows[:, 0], SOLVER.huber)
+        counted = np.flatnonzero(np.any(rows, axis=1))
+        part = rows[counted] * np.sqrt(weight[counted, None])
+        G = part.T @ part
+        prior = 1 / problem.spread(at.model) ** 2
+        self.H = G[1 : n + 1, 1 : n + 1] + np.diag(prior)
+        self.g = G[1 : n + 1, 0] + prior * at.theta
+        self.cross = G[n + 1 :, 1 : n + 1]
+        self.own = G[n + 1 :, n + 1 :]
+        self.score = G[n + 1 :, 0]
+        low, high = problem.bounds(at.model)
+        self.low, self.high = low - at.theta, high - at.theta
+        self.held = (self.low >= -1e-6) | (self.high <= 1e-6)  # at the end of its tolerance: cannot answer further
+        held = self.H + np.diag(np.where(self.held, 1e15, 0.0))
+        self.solved = np.linalg.solve(held, self.cross.T)
+        self.information = self.own - self.cross @ self.solved
+        self.left = -self.score + self.solved.T @ self.g
+        # Calibration's own way back from its bounds is no merit of a cause.
+        step = bounded_step(self.H, self.g, self.low, self.high)
+        self.idle = float(self.g @ step + 0.5 * step @ self.H @ step)
+
+    def judge(self, h: Hypothesis, origin: np.ndarray, block: slice) -> Screened:
+        """Gain and place of one hypothesis whose columns stand at `block`."""
+        at = h.magnitudes
+        spread, begin = h.spread[at], origin[at]
+        A = self.information[block, block] + np.diag(1 / spread**2)
+        b = self.left[block] - begin / spread**2
+        change = np.linalg.solve(A, b)
+        _, logdet = np.linalg.slogdet(A * spread[:, None] * spread)
+        cost = 0.5 * logdet + np.log(h.alternatives)
+        gain = 0.5 * b @ change - cost
+        start = np.zeros(h.size)
+        start[at] = begin + change
+        if not h.polar and np.any(h.confine(start) != start):
+            # The sign is not possible: what the bound leaves.
+            start = h.confine(start)
+            change = start[at] - begin
+            gain = b @ change - 0.5 * change @ A @ change - cost
+        shift = -self.solved[:, block] @ change
+        if self.held.any():
+            # What is at the end of its tolerance may come back when the cause takes over its part.
+            joined = np.block(
+                [[self.H, self.cross[block].T], [self.cross[block], self.own[block, block] + np.diag(1 / spread**2)]]
+            )
+            slope = np.concatenate([self.g, self.score[block] + begin / spread**2])
+            u_low, u_high = (limit[at] - begin for limit in h.limits)
+            step = bounded_step(joined, slope, np.concatenate([self.low, u_low]), np.concatenate([self.high, u_high]))
+            n = len(self.H)
+            relieved = self.idle - (slope @ step + 0.5 * step @ joined @ step) - cost
+            if relieved > gain:
+                gain, shift = relieved, step[:n]
+                start[at] = begin + step[n:]
+        return Screened(h, float(gain), start, shift)
+
+
+def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings = SETTINGS) -> tuple[Screened, ...]:
+    """Linearised gain in log evidence of every hypothesis, best first; one per cause and order, its best start."""
+    if not library.hypotheses:
+        return ()
+    linear = _Linear(problem, at.noise, at, library.columns)
+    found: dict[tuple, Screened] = {}
+    position = 0
+    for h, origin in zip(library.hypotheses, library.origins, strict=True):
+        block = slice(position, position + len(h.magnitudes))
+        position = block.stop
+        one = linear.judge(h, origin, block)
+        key = (h.cause.name, *h.fixed.items())
+        if key not in found or one.gain > found[key].gain:
+            found[key] = one
+    ranked = sorted(found.values(), key=lambda s: -s.gain)
+    good = [s for s in ranked if s.gain > settings.least_gain and s.size > settings.smallest]
+    reference = _evidence(problem, at, at.noise, None, None, None) if good else 0.0
+    again = [_again(problem, at, library, s, reference) for s in good[: settings.again]]
+    names = {id(s.hypothesis) for s in again}
+    return tuple(sorted([*again, *(s for s in ranked if id(s.hypothesis) not in names)], key=lambda s: -s.gain))
+
+
+def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: float) -> Screened:
+    """A hypothesis judged with the noise that it would leave, in the linear model."""
+    columns, h = library.of(s.hypothesis), s.hypothesis
+    origin = library.origins[library.hypotheses.index(h)]
+    here = h.magnitudes
+    best = s
+    for _ in range(2):
+        change = best.start[here] - origin[here]
+        r = [a + J @ best.shift + c @ change for a, J, c in zip(at.point.residual, at.jacobian, columns, strict=True)]
+        noise = learn(problem.segments, r, at.point.noise, problem.quantum())
+        linear = _Linear(problem, noise, at, [columns])
+        one = linear.judge(h, origin, slice(0, len(here)))
+        gain = _evidence(problem, at, noise, columns, one, origin) - reference - np.log(h.alternatives)
+        best = Screened(h, float(gain), one.start, one.shift, noise)
+    return best
+
+
+def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | None, origin) -> float:
+    """Log evidence of the linear model at a fit, of a hypothesis in it; comparable between noises."""
+    residual, theta, spread = at.point.residual, at.theta, problem.spread(at.model)
+    parts = [at.jacobian]
+    if columns is not None:
+        here = s.hypothesis.magnitudes
+        change = s.start[here] - origin[here]
+        theta = theta + s.shift
+        residual = [a + J @ s.shift + c @ change for a, J, c in zip(residual, at.jacobian, columns, strict=True)]
+        parts.append(columns)
+        spread = np.concatenate([spread, s.hypothesis.spread[here]])
+    white = whiten(problem.segments, noise, stacked(residual, *parts))
+    r = white.rows[:, 0]
+    weight = huber_weight(r, SOLVER.huber)
+    X = white.rows[:, 1:] * np.sqrt(weight)[:, None]
+    H = X.T @ X + np.diag(1 / spread**2)
+    cost = float(np.sum(huber_loss(r, SOLVER.huber))) + white.log_determinant + prior_cost(problem, theta, at.model)
+    if columns is not None:
+        cost += float(np.sum((s.start[here] / s.hypothesis.spread[here]) ** 2))
+    return -0.5 * (cost + float(np.linalg.slogdet(H * spread[:, None] * spread)[1]))

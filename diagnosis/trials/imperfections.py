@@ -1,0 +1,110 @@
+"""Imperfections that every real joint has, each too small to be a cause: `challenge --real` puts them on top of a drawn joint.
+
+Sizes are those of the test joint, scaled to others: torques with the rated torque, currents with what that torque draws,
+angles of the transmission with its wind-up under that torque. Angles of encoders are what encoders have, whatever joint
+they sit in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...models.joint import Joint, Ripple, Vibration
+from ...models.parameters import N_ORDERS
+from .outside import sign
+
+_TEST = (16.0, 100 * 0.0603, 9400.0)
+"""Rated torque [N·m], N·Kt [N·m/A] and K2 [N·m/rad] of the test joint, for which the sizes are stated."""
+_FRICTION_PER_KELVIN = -0.01
+"""Change of friction with temperature by which a warming gear is simulated [1/K]."""
+
+
+@dataclass(frozen=True)
+class Imperfections:
+    """One draw of what a real joint has.
+
+    Attributes:
+      values: every number drawn, by name.
+      nominal: the joint with its sensors' imperfections, from which recordings are made.
+      warming: [K/s] of each recording's gear.
+      jitter: of the time stamps [s rms].
+    """
+
+    values: dict[str, float]
+    nominal: Joint
+    warming: float
+    jitter: float
+
+    def apply(self, record: np.ndarray) -> None:
+        """Put what sits in the joint itself into a record, shape (1,), in place."""
+        p, v = record[0], self.values
+        p["knee_width"] = v["knee_width"]
+        p["viscous_exponent"] = v["viscous_exponent"]
+        p["flexible_share"], p["flexible_frequency"] = v["flexible_share"], v["flexible_frequency"]
+        p["flexible_damping"] = v["flexible_damping"]
+        p["friction_temperature"] = _FRICTION_PER_KELVIN
+        free = [k for k in range(N_ORDERS) if p["amplitude"][k] == 0]
+        for slot, name, order in zip(free, ("sixth", "link"), (6.0, 1.0 / float(p["N"])), strict=False):
+            p["order"][slot], p["amplitude"][slot] = order, v[f"kinematic_{name}"]
+            p["phase"][slot] = v[f"kinematic_{name}_phase"]
+        p["motor_eccentricity"], p["motor_eccentricity_phase"] = v["motor_eccentricity"], v["motor_eccentricity_phase"]
+        slot = int(np.flatnonzero(p["link_error_amplitude"] == 0)[-1])
+        p["link_error_order"][slot], p["link_error_amplitude"][slot] = 2.0, v["link_encoder_second"]
+        p["link_error_phase"][slot] = v["link_encoder_second_phase"]
+
+
+def imperfections(nominal: Joint, rng: np.random.Generator) -> Imperfections:
+    """Draw the imperfections of a joint."""
+    rated, K2 = nominal.numbers["rated_torque"].value, nominal.numbers["K2"].value
+    constant = nominal.numbers["N"].value * nominal.numbers["Kt"].value
+    torque = rated / _TEST[0]
+    current = torque * _TEST[1] / constant
+    angle = torque * _TEST[2] / K2
+    u = rng.uniform
+    turn = 2 * np.pi
+    v = {
+        "knee_width": u(0.2, 0.8) * nominal.numbers["T1"].value / nominal.numbers["K1"].value,
+        "viscous_exponent": u(0.7, 0.9),
+        "flexible_share": u(0.1, 0.3), "flexible_frequency": u(14, 25), "flexible_damping": u(0.01, 0.03),
+        "warming": sign(rng) * u(0.0, 0.0015) / abs(_FRICTION_PER_KELVIN),
+        "kinematic_sixth": angle * u(2e-6, 20e-6), "kinematic_sixth_phase": u(0, turn),
+        "kinematic_link": angle * u(2e-6, 20e-6), "kinematic_link_phase": u(0, turn),
+        "motor_eccentricity": u(0.2e-3, 1e-3), "motor_eccentricity_phase": u(0, turn),
+        "motor_cyclic": u(0.1, 0.3),
+        "link_encoder_second": u(5e-6, 15e-6), "link_encoder_second_phase": u(0, turn),
+        "current_bandwidth": u(150, 300),
+        "ripple_order": float(rng.integers(12, 25)), "ripple": current * u(2e-3, 6e-3), "ripple_phase": u(0, turn),
+        "torque_delay": u(0.5e-3, 2e-3), "torque_flicker": torque * u(0.010, 0.030),
+        "vibration_frequency": u(25, 55), "vibration": torque * u(0.005, 0.020),
+        "crosstalk": 0.01 * nominal.mount().gravity_moment * sign(rng),
+        "jitter": u(0.05e-3, 0.2e-3),
+    }  # fmt: skip
+    s = nominal.sensors
+    with_errors = s.model_copy(
+        update={
+            "motor_encoder": s.motor_encoder.model_copy(update={"cyclic_error": v["motor_cyclic"]}),
+            "motor_current": s.motor_current.model_copy(
+                update={
+                    "bandwidth": v["current_bandwidth"],
+                    "ripple": Ripple(order=v["ripple_order"], amplitude=v["ripple"], phase=v["ripple_phase"]),
+                }
+            ),
+            "joint_torque": s.joint_torque.model_copy(
+                update={
+                    "delay": v["torque_delay"], "flicker": v["torque_flicker"], "crosstalk": v["crosstalk"],
+                    "vibration": Vibration(frequency=v["vibration_frequency"], amplitude=v["vibration"]),
+                }
+            ),
+        }
+    )  # fmt: skip
+    real = nominal.model_copy(update={"sensors": with_errors})
+    real._path = nominal._path
+    return Imperfections(v, real, v["warming"], v["jitter"])
+
+
+NAMEABLE = (
+    "kinematic_error", "link_encoder_eccentricity", "link_encoder_error", "motor_encoder_eccentricity", "link_flexibility",
+)  # fmt: skip
+"""Causes that are imperfections themselves: naming one of them is right where nothing else is hidden."""
