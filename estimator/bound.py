@@ -13,8 +13,8 @@ recursion without Q⁻¹, J(k+1) = (Q + F J(k)⁻¹ Fᵀ)⁻¹ + HᵀR⁻¹H, wh
 trajectories as information, infinitely much of it about states that have no noise. The average is never below it (J⁻¹ is
 convex); it is what an estimator attains that linearises at the truth.
 
-**The stated model.** Dynamics, friction, elasticity and drive current are exactly the record's (`baselines.joint_dynamics`); the
-external torque is a random walk of a stated intensity, a priori (0.2·T2)² at the start. Both encoders: Gaussian
+**The stated model.** Dynamics, friction, elasticity and drive current are exactly the record's (`joint_model`); the external
+torque is a random walk of a stated intensity, a priori (0.2·T2)² at the start. Both encoders: Gaussian
 noise of variance σ² + q²/12, step q. Of all noise of that variance the Gaussian one tells least: a filter that uses
 where the counts change may come out below such a bound. So may one that adapts, on a scenario that rests most of the time:
 the bound holds for the mean over random walks. It is the bound for filtering; a smoother has a lower one, which is not computed.
@@ -25,13 +25,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numba import njit
 
 from ..models.errors import InputError
-from .baselines import joint_dynamics as model
-from .baselines import quantised
-from .baselines.base import JointSignals, SensorNoise
-from .baselines.joint_dynamics import LINK, LINK_RATE, MESH, MOTOR, SIZE, ProcessNoise
+from ..models.kernels import kernel
+from . import joint_model as model
+from . import quantised
+from .dynamics_filter import propagate
+from .estimator import KnownJoint, SensorNoise
+from .joint_model import DAHL, LINK, LINK_RATE, MESH, MOTOR, SIZE, ProcessNoise
 
 QUIET = ProcessNoise()
 """Prior of the joint's states; and, by its `external`, the lowest intensity of an external torque that is worth stating."""
@@ -87,75 +88,88 @@ def joint_bound(
     record: np.ndarray,
     noise: SensorNoise,
     intensity: float,
+    temperature: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the bound of the joint torque's error variance [(N·m)²], shape (n,), along a true trajectory.
 
     Args:
         time: Shape (n,) [s].
-        states: Shape (n, SIZE), the true states, columns `joint_dynamics.STATES`.
+        states: Shape (n, SIZE), the true states, columns `joint_model.STATES`.
         current: Shape (n,), true motor current [A]. command: in force from a sample to the next [A].
         record: Shape (1,), the joint's parameters.
         noise: of the encoders.
         intensity: of the external torque's random walk [N·m/√s]; ≥ 0.
+        temperature: Shape (n,), of the gear [°C]; by default the one that the joint's friction is stated for.
 
     Raises:
         InputError: an intensity that is none, or shapes that do not fit.
     """
-    p = model.known(record)
+    joint = KnownJoint(record, noise)
     if not (np.isfinite(intensity) and intensity >= 0.0):
         raise InputError(f"bound: intensity [N·m/√s]: expected a finite number ≥ 0, got {intensity!r}")
     if states.shape != (len(time), SIZE):
         raise InputError(f"bound: states: expected shape ({len(time)}, {SIZE}), got {states.shape}")
-    blank = np.zeros(len(time))
-    signals = JointSignals(time, blank, blank, current, command)
-    process = replace(QUIET, external=intensity / float(p["T2"]), push=0.0, mesh_push=0.0, torque=0.0, bristle=0.0)
-    arrays = process.matrices(signals, p, noise)
-    arrays.walk[MESH] = arrays.walk[model.DAHL] = 0.0
-    variance = np.array([noise.motor_noise**2, noise.link_noise**2])
-    steps = np.array([noise.motor_resolution, noise.link_resolution])
-    arrays = arrays._replace(active=arrays.active[arrays.active != MESH], variance=variance + steps**2 / 12.0)
+    process = replace(
+        QUIET, external=intensity / float(joint.p["T2"]), push=0.0, mesh_push=0.0, torque=0.0, bristle=0.0
+    )
+    random = process.record(joint, 0.0)
+    r = random[0]
+    r["walk"][[MESH, DAHL]] = 0.0
+    r["motor_variance"] = noise.motor_noise**2 + noise.motor_resolution**2 / 12.0
+    r["link_variance"] = noise.link_noise**2 + noise.link_resolution**2 / 12.0
+    model.activate(r, [i for i in r["active"][: int(r["count"])].astype(int) if i != MESH])
+    if temperature is None:
+        temperature = np.full(len(time), joint.p["reference_temperature"])
     out = np.empty(len(time))
-    _along(time, np.ascontiguousarray(states), current, command, record, arrays, out)
+    _along(time, np.ascontiguousarray(states), current, command, temperature, record, random, out)
     return out
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _along(time, states, current, command, record, noise, out):
-    p = record[0]
-    m = len(noise.active)
+@kernel
+def _along(time, states, current, command, temperature, record, random, out):
+    p, noise = record[0], random[0]
+    m = int(noise.count)
     x, y, ahead, work = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros((3, SIZE))
     P, F, A = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
-    H, PH = np.zeros(m), np.zeros(m)
+    H, PH, slopes = np.zeros(m), np.zeros(m), np.zeros(SIZE)
     for i in range(m):
-        P[i, i] = noise.start[noise.active[i]]
+        P[i, i] = noise.start[int(noise.active[i])]
     for k in range(len(time)):
         x[:] = states[k]
         if k > 0:
             dt = time[k] - time[k - 1]
             _jacobian(
-                states[k - 1], current[k - 1], command[k - 1], time[k - 1], dt, p, noise.active, F, y, ahead, work
+                states[k - 1],
+                current[k - 1],
+                command[k - 1],
+                time[k - 1],
+                dt,
+                temperature[k - 1],
+                p,
+                noise,
+                F,
+                y,
+                ahead,
+                work,
             )
-            model.propagate(F, P, A)
+            propagate(F, P, A, m)
             for i in range(m):
-                P[i, i] += noise.walk[noise.active[i]] * dt
-            for sensor in range(2):
-                H[:] = 0.0
-                if sensor == 0:
-                    H[MOTOR] = 1.0
-                else:
-                    reading = model.link_encoder(x, time[k], p)
-                    x[LINK] += 1e-5
-                    slope = (model.link_encoder(x, time[k], p) - reading) / 1e-5
-                    x[LINK] -= 1e-5
-                    H[LINK], H[LINK_RATE] = slope, -p.link_delay * slope
-                quantised.update(x, P, noise.active, H, 0.0, noise.variance[sensor], 0.0, PH)
+                P[i, i] += noise.walk[int(noise.active[i])] * dt
+            H[:] = 0.0
+            H[MOTOR] = 1.0
+            quantised.update(x, P, noise.active, H, 0.0, noise.motor_variance, 0.0, PH)
+            reading = model.read_link(x, time[k], p)
+            x[LINK] += 1e-5
+            slope = (model.read_link(x, time[k], p) - reading) / 1e-5
+            x[LINK] -= 1e-5
+            H[MOTOR], H[LINK], H[LINK_RATE] = 0.0, slope, -p.link_delay * slope
+            quantised.update(x, P, noise.active, H, 0.0, noise.link_variance, 0.0, PH)
         torque = model.joint_torque(x, time[k], p)
-        out[k] = model.torque_variance(x, P, torque, time[k], p, noise.active, H)
-        out[k] = max(out[k], 0.0) / p.torque_gain**2
+        out[k] = max(model.torque_variance(x, P, torque, time[k], p, noise, slopes), 0.0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _jacobian(at, current, command, time, dt, p, active, F, low, high, work):
+@kernel
+def _jacobian(at, current, command, time, dt, temperature, p, noise, F, low, high, work):
     """Write the Jacobian of a step at a true state, shape (m, m), by central differences.
 
     Their steps are a hundredth of what an estimator takes: near rest a longer one would reach across the kink of
@@ -163,16 +177,19 @@ def _jacobian(at, current, command, time, dt, p, active, F, low, high, work):
     """
     low[:] = at
     steps = model.substeps(low, dt, p)
-    for j in range(len(active)):
-        width = _FINE * model.STEPS[active[j]]
+    m = int(noise.count)
+    for j in range(m):
+        a = int(noise.active[j])
+        width = _FINE * model.STEPS[a]
         low[:] = at
         high[:] = at
-        low[active[j]] -= width
-        high[active[j]] += width
-        model.advance(low, current, command, time, dt, steps, 1.0, p, work)
-        model.advance(high, current, command, time, dt, steps, 1.0, p, work)
-        for i in range(len(active)):
-            F[i, j] = (high[active[i]] - low[active[i]]) / (2.0 * width)
+        low[a] -= width
+        high[a] += width
+        model.advance(low, current, command, time, dt, steps, 1.0, temperature, p, work)
+        model.advance(high, current, command, time, dt, steps, 1.0, temperature, p, work)
+        for i in range(m):
+            b = int(noise.active[i])
+            F[i, j] = (high[b] - low[b]) / (2.0 * width)
 
 
 def random_walk_bound(W, V, P0: float) -> np.ndarray:
@@ -192,7 +209,7 @@ def random_walk_bound(W, V, P0: float) -> np.ndarray:
     return out
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def _random_walk(W, V, P, out):
     out[0] = P
     for k in range(1, len(V)):

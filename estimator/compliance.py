@@ -9,8 +9,8 @@ that is built on torsion, and knows what a joint's record knows beyond the paper
   and what a model discrepancy does at the rotor;
 * **delay of the link encoder**: it is compared with the rotor where the rotor was then; what is late is only the torsion, and
   that goes on along the line that fits its last samples best (`_AHEAD`);
-* **flexspline**: backlash, hysteresis, model discrepancies. The Dahl state follows the torsion through a low-pass and a dead
-  zone as wide as its noise: counts would wind it back and forth until nothing is left of it.
+* **flexspline**: backlash, hysteresis, model discrepancies. The Dahl state follows the torsion through a low-pass: counts
+  would wind it back and forth until nothing is left of it.
 """
 
 from __future__ import annotations

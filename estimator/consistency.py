@@ -11,7 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from ..models.errors import InputError
 
@@ -35,10 +34,10 @@ class Mean:
 
     @property
     def verdict(self) -> str:
-        """`consistent`, `overconfident` (its covariance is too small) or `cautious` (too large)."""
+        """`consistent`, `overconfident` (its covariance is too small) or `conservative` (too large)."""
         if self.value > self.high:
             return "overconfident"
-        return "cautious" if self.value < self.low else "consistent"
+        return "conservative" if self.value < self.low else "consistent"
 
 
 def normalised_squares(vectors: np.ndarray, covariances: np.ndarray) -> np.ndarray:
@@ -51,6 +50,8 @@ def normalised_squares(vectors: np.ndarray, covariances: np.ndarray) -> np.ndarr
 
 def chi_square_interval(dof: int, samples: int, level: float = LEVEL) -> tuple[float, float]:
     """Interval in which the mean of `samples` independent χ² of `dof` degrees lies with probability `level`, per degree."""
+    from scipy.stats import chi2
+
     total = dof * samples
     low, high = chi2.ppf([0.5 - 0.5 * level, 0.5 + 0.5 * level], total)
     return float(low / total), float(high / total)
@@ -88,18 +89,21 @@ def autocorrelation(innovations: np.ndarray, lags: int) -> np.ndarray:
     v = np.asarray(innovations, dtype=np.float64)
     if v.ndim != 1 or not 0 < lags < len(v):
         raise InputError(f"autocorrelation: expected shape (T,) with more than {lags} samples, got {v.shape}")
-    # By the spectrum: a lag costs nothing.
-    spectrum = np.abs(np.fft.rfft(v, 2 * len(v))) ** 2
-    covariance = np.fft.irfft(spectrum)[: lags + 1]
+    from statsmodels.tsa.stattools import acovf
+
+    covariance = acovf(v, demean=False, fft=True, nlag=lags)
     return covariance[1:] / covariance[0] if covariance[0] > 0.0 else np.zeros(lags)
 
 
 def white_band(samples: int, level: float = LEVEL) -> float:
     """Half-width of the band in which ρ of white innovations lies with probability `level`: 1.96/√n at 95 %."""
-    return float(norm.ppf(0.5 + 0.5 * level) / np.sqrt(samples))
+    from scipy.special import ndtri
+
+    return float(ndtri(0.5 + 0.5 * level) / np.sqrt(samples))
 
 
 def ljung_box(rho: np.ndarray, samples: int) -> float:
     """Probability of autocorrelations, shape (L,), as large as these if the innovations are white (Ljung & Box 1978)."""
-    lags = np.arange(1, len(rho) + 1)
-    return float(chi2.sf(samples * (samples + 2) * np.sum(rho**2 / (samples - lags)), len(rho)))
+    from statsmodels.tsa.stattools import q_stat
+
+    return float(q_stat(np.asarray(rho), samples)[1][-1])

@@ -5,8 +5,9 @@ Three things beyond the textbook:
 * **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts say nothing new.
 * **Contacts are rare**: τext walks quietly, and loudly only while the link encoder's innovations are larger than their
   variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
-* **A link encoder that is late** makes the whole filter late: it takes motor readings and commands of the instant that the link
-  reading shows, and its state then goes on to now through the commands since by the model, the external torque along a line (`_catch_up`).
+* **A link encoder that is late** makes the whole filter late: it takes motor readings and commands of the instant that the
+  link reading shows, and its state then goes on to now through the commands since by the model, the external torque along a
+  line (`_catch_up`).
 """
 
 from __future__ import annotations
@@ -39,9 +40,10 @@ FILTER = np.dtype(
         ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
     ]
 )  # fmt: skip
-"""What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s]; mean
-NIS of both encoders; the prediction with its covariance and Jacobian, for a smoother; of a link encoder that is late the samples so
-far, those that it has done, and a ring of them; the state now; innovations [rad] and their variances [rad²]; the rest is scratch."""
+"""What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s];
+mean NIS of both encoders; the prediction with its covariance and Jacobian, for a smoother; for a link encoder that is late the
+samples so far, those that are done, a ring of them and of the external torque [N·m]; the state now; innovations [rad] and their
+variances [rad²]; the rest is scratch."""
 SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
 """What is random, and κ, which spreads the sigma points."""
 OUT = np.dtype(
@@ -145,8 +147,11 @@ def tell(m, torque, variance, o):
 
 @kernel
 def predict_extended(m, command, dt, heat, noise, p):
-    """Predict state and covariance over `dt` [s]; the Jacobian by forward differences through the compiled step itself, so that
-    friction's sticking and sliding, the knees of the stiffness and every known effect are in it."""
+    """Predict state and covariance over `dt` [s].
+
+    The Jacobian is by forward differences through the compiled step itself, so that friction's sticking and sliding, the knees
+    of the stiffness and every known effect are in it.
+    """
     x, F, base, y = m.x, m.F, m.points[0], m.points[1]
     n = int(noise.count)
     steps = model.substeps(x, dt, p)
@@ -169,8 +174,8 @@ def predict_extended(m, command, dt, heat, noise, p):
 
 @kernel
 def predict_unscented(m, command, dt, heat, noise, kappa, p):
-    """Predict state and covariance over `dt` [s] by sigma points x, x ± √((n + κ) P) columns, weights κ/(n + κ), 1/(2(n + κ))
-    (Julier & Uhlmann 1997). Each goes through the compiled step, sticking or sliding as it may."""
+    """Predict state and covariance over `dt` [s] by sigma points x, x ± √((n + κ) P) columns, weights κ/(n + κ),
+    1/(2(n + κ)) (Julier & Uhlmann 1997). Each goes through the compiled step, sticking or sliding as it may."""
     x, P, C, points = m.x, m.P, m.A, m.points
     n = int(noise.count)
     steps = model.substeps(x, dt, p)
@@ -257,7 +262,7 @@ def _share(ratio, noise):
 
 @kernel
 def measure(m, motor_position, link_position, time, noise, p):
-    """Update with both encoders, one after the other. The link's innovation is the one given the motor's, uncorrelated to it."""
+    """Update with both encoders in turn. The link's innovation is the one given the motor's, uncorrelated to it."""
     x, H, n = m.x, m.H, int(noise.count)
     P, active = m.P[:n, :n], noise.active
     H[:] = 0.0

@@ -50,6 +50,7 @@ class KnownJoint:
       link_zero: standard deviation of the link encoder's zero against the motor encoder's [rad].
       link_wander: by how much that zero may wander with the link's angle [rad]: of a known eccentricity, how well it is known.
       back_driven: standard deviation of the share of load-dependent friction that acts while the load drives.
+      start: when the recording began [s], from which drifts count; None: with the first sample.
     """
 
     record: np.ndarray
@@ -59,6 +60,7 @@ class KnownJoint:
     link_zero: float = 0.0
     link_wander: float = 0.0
     back_driven: float = 0.0
+    start: float | None = None
 
     def __post_init__(self) -> None:
         if getattr(self.record, "dtype", None) != PARAMETERS or self.record.shape != (1,):
@@ -90,7 +92,11 @@ class KnownJoint:
     def as_read(self, torque: np.ndarray, time: np.ndarray) -> np.ndarray:
         """What the joint's torque sensor would read [N·m] of a joint torque: its known gain, offset and drift."""
         p = self.p
-        return p["torque_gain"] * torque + p["torque_offset"] + p["torque_rate"] * (time - time[0])
+        return p["torque_gain"] * torque + p["torque_offset"] + p["torque_rate"] * self.since(time)
+
+    def since(self, time: np.ndarray) -> np.ndarray:
+        """Times [s] since the recording began."""
+        return time - (time[0] if self.start is None else self.start)
 
 
 def _deviation(number: Any) -> float:
@@ -205,7 +211,7 @@ class CausalEstimator(Estimator):
         )
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        samples = as_samples(signals, self.needs)
+        samples = as_samples(signals, self.needs, joint)
         out, failed, status = run_step(self.step(joint, float(np.median(np.diff(signals.time)))), samples)
         if failed < len(samples):
             last = out[max(failed - 1, 0)]
@@ -229,16 +235,16 @@ class CausalEstimator(Estimator):
         )  # fmt: skip
 
 
-def as_samples(signals: Signals, needs: tuple[str, ...]) -> np.ndarray:
-    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command counts from the next sample
-    on; before the first there was none, 0 A.
+def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> np.ndarray:
+    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command counts from the next
+    sample on; before the first there was none, 0 A.
 
     Raises:
       InputError: a channel of `needs` that is missing.
     """
     time = signals.time
     found = np.full(len(time), np.nan, SAMPLE)
-    found["time"], found["interval"] = time - time[0], np.diff(time, prepend=time[0])
+    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
     for name in needs:
         signals[name]
     for name in SENSED:

@@ -14,11 +14,11 @@ State x, shape (SIZE,):
 An estimator carries the covariance of the *active* ones of these: κ and κt where it is asked to calibrate itself, x_h where
 the record has hysteresis.
 
-The model is f (`advance`), h (`read_motor`, `read_link`, both angles; `joint_torque`), and what is random: a record of `NOISE`,
-made by `ProcessNoise`. The equations of motion are `models.dynamics.balance_with`. Between samples the current follows its command
-with the winding's time constant L/R. One step is Strang's splitting: the stiff bristle and the Dahl state by their exact
-solutions at constant velocity for half a substep, the mechanics by the classical Runge-Kutta method for a whole one, the
-bristle again. Substeps are chosen so that the fastest spring turns by no more than 0.8 rad in each.
+The model is f (`advance`), h (`read_motor`, `read_link`, both angles; `joint_torque`), and what is random: a record of
+`NOISE`, made by `ProcessNoise`. The equations of motion are `models.dynamics.balance_with`. Between samples the current
+follows its command with the winding's time constant L/R. One step is Strang's splitting: the stiff bristle and the Dahl state
+by their exact solutions at constant velocity for half a substep, the mechanics by the classical Runge-Kutta method for a
+whole one, the bristle again. Substeps are chosen so that the fastest spring turns by no more than 0.8 rad in each.
 """
 
 from __future__ import annotations
@@ -55,9 +55,10 @@ NOISE = np.dtype(
         ("mesh_time", np.float64), ("memory", np.float64), ("low", np.float64), ("high", np.float64),
     ]
 )  # fmt: skip
-"""What is random, as a record for compiled code: how many states are active, and which; diagonals of P(0) and of the noise per
-second; of the rotor's velocity where a current reading drives it, and of d and τext where the encoders contradict; variance of the
-encoders [rad²] and their steps [rad]; `mesh_time` [s], `memory`, and both ends of `threshold` of `ProcessNoise`."""
+"""What is random, as a record for compiled code: how many states are active, and which; diagonals of P(0) and of the noise
+per second; of the rotor's velocity where a current reading drives it, and of d and τext where the encoders contradict;
+variance of the encoders [rad²] and their steps [rad]; `mesh_time` [s], `memory`, and both ends of `threshold` of
+`ProcessNoise`."""
 
 
 @dataclass(frozen=True)
@@ -276,7 +277,7 @@ def start(motor_position, link_position, time, p, x):
 
 @kernel
 def torque_variance(x, P, torque, time, p, noise, H):
-    """The variance of the joint torque [(N·m)²] that P means, the covariance of the active states; H: scratch, shape (SIZE,)."""
+    """The variance of the joint torque [(N·m)²] that P means, the covariance of active states; H: scratch, shape (SIZE,)."""
     m = int(noise.count)
     for i in range(m):
         s = int(noise.active[i])

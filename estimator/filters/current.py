@@ -6,6 +6,9 @@ the balance of rotor and wave generator as one body (`models.dynamics.transmitte
 measured velocity and friction under the last torque's load. Velocity and acceleration are the motor encoder's, through a causal
 second-order low-pass; what turns with the motor's angle (current, cogging, the transmission's ratio) passes the same one, so that
 both sides stay in step. It needs no second encoder; at rest, friction may be anything up to its level, and so may the error.
+
+Where noise asks for a low cutoff its lag, √2/ω, outweighs the noise. With `lead` the current's low-pass is (1 + lead·√2 s/ω)/(1 +
+√2 s/ω + s²/ω²): at 1 a load that rises evenly is followed without lag, at √3 times the noise.
 """
 
 from __future__ import annotations
@@ -28,18 +31,19 @@ from ..tuning_parameters import TuningParameter
 MEMORY = np.dtype(
     [("torque", np.float64), ("bristle", np.float64), ("motor", LOWPASS), ("drive", LOWPASS), ("ratio", LOWPASS)]
 )
-SETTINGS = np.dtype([("cutoff", np.float64)])
+SETTINGS = np.dtype([("cutoff", np.float64), ("lead", np.float64)])
 OUT = np.dtype([(n, np.float64) for n in ("torque", "motor_velocity", "motor_acceleration", "drive_torque", "bristle")])
 _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
 @kernel
-def torque_of_current(m, s, cutoff, p):
+def torque_of_current(m, s, c, p):
     """Joint torque Ts [N·m] at a sample, a record of `models.step.SAMPLE`.
 
     Args:
-        m: record of `MEMORY`, moved on. cutoff: of the low-pass [rad/s]. p: parameter record.
+        m: record of `MEMORY`, moved on. c: record of `SETTINGS`: cutoff of the low-pass [rad/s], lead [s]. p: parameter record.
     """
+    cutoff = c.cutoff
     motor = dynamics.actual_motor_position(s.motor_position, p)
     lowpass(m.motor, motor, s.interval, cutoff)
     w, a = m.motor.rate, m.motor.acceleration
@@ -56,7 +60,8 @@ def torque_of_current(m, s, cutoff, p):
         m.bristle = laws.bristle_step(m.bristle, w, g, s.interval, p)
         state = dynamics.drive_state(motor, w, link, w / p.N, m.bristle, current, s.time, temperature(s, p))
     friction = dynamics.mesh_torque(state, m.torque, g, p)
-    m.torque = (m.drive.value - friction - (p.Jm + p.Jw) * a) / m.ratio.value
+    drive, ratio = m.drive.value + c.lead * m.drive.rate, m.ratio.value + c.lead * m.ratio.rate
+    m.torque = (drive - friction - (p.Jm + p.Jw) * a) / ratio
     return m.torque - p.bl * w / p.N
 
 
@@ -64,7 +69,7 @@ def torque_of_current(m, s, cutoff, p):
 def _step(memory, sample, record, settings, out):
     m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
     c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
-    o.torque = torque_of_current(m, s, c.cutoff, p)
+    o.torque = torque_of_current(m, s, c, p)
     o.motor_velocity, o.motor_acceleration = m.motor.rate, m.motor.acceleration
     o.drive_torque, o.bristle = m.drive.value, m.bristle
     return 0 if math.isfinite(o.torque) else 1
@@ -76,19 +81,24 @@ class MotorCurrent(CausalEstimator):
 
     Attributes:
         cutoff: of the low-pass [Hz].
+        lead: share of the low-pass's lag that is made up for [1].
     """
 
     name: str = "current"
     cutoff: float = 40.0
+    lead: float = 0.0
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
-    tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 300.0),)
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (
+        TuningParameter("cutoff", 1.0, 300.0), TuningParameter("lead", 0.0, 1.5, "linear"),
+    )  # fmt: skip
     description: ClassVar[str] = "motor current less friction and the drive's inertia; needs no second encoder"
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY
     outputs: ClassVar[tuple[str, ...]] = OUT.names
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
-        return np.array([(2 * math.pi * self.cutoff,)], SETTINGS)
+        cutoff = 2 * math.pi * self.cutoff
+        return np.array([(cutoff, self.lead * math.sqrt(2.0) / cutoff)], SETTINGS)
 
 
 ESTIMATORS = (MotorCurrent(),)

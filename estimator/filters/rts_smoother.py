@@ -83,7 +83,7 @@ class RTSSmoother(Estimator):
     )
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        samples = as_samples(signals, self.needs)
+        samples = as_samples(signals, self.needs, joint)
         filtered = DynamicsEKF(self.name, self.process)
         settings = filtered.settings(joint, float(np.median(np.diff(signals.time))))
         n, m = len(samples), int(settings[0]["noise"]["count"])

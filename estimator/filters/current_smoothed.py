@@ -1,0 +1,40 @@
+"""Joint torque from the motor current, offline: motion, current and friction through one zero-phase smoother (`smoothed`).
+
+As `current`, without its lag, and with as much bandwidth as the readings' noise allows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from ...models.signals import Signals
+from .. import smoothed
+from ..estimator import Estimator, KnownJoint, Posterior
+from ..tuning_parameters import TuningParameter
+
+
+@dataclass(frozen=True)
+class CurrentSmoothed(Estimator):
+    """Joint torque from motor current, smoothed; not causal.
+
+    Attributes:
+        quiet: noise that it may have [rated torques], which decides about its bandwidth (`smoothed.bandwidth`).
+    """
+
+    name: str = "current_smoothed"
+    quiet: float = smoothed.QUIET
+    causal: ClassVar[bool] = False
+    needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("quiet", 1e-4, 0.1),)
+    description: ClassVar[str] = "motor current less friction and the drive's inertia, through a zero-phase smoother"
+
+    def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        for name in self.needs:
+            signals[name]
+        motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
+        torque = smoothed.torque_from_current(motion, joint) - joint.p["bl"] * motion.link_velocity
+        return Posterior(self.name, signals.time, motion.at(signals.time, torque))
+
+
+ESTIMATORS = (CurrentSmoothed(),)

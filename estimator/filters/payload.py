@@ -1,0 +1,190 @@
+"""Observers of a rigid payload (`payload_model`), from the motor current: as it becomes known, and as known in the end.
+
+`payload` is causal: rotor, link and current pass the same low-pass, two of `sensing.lowpass` in a row, so that its
+regression stays in step; the payload's torque is then that of the link's present angle. `payload_smoothed` sees the whole
+recording through the zero-phase smoother (`smoothed`), filters it again about what it knew at the end until that no longer
+moves (Gauss-Newton for the most probable payload), and gives that payload's torque everywhere. Both are blind to contact, by
+construction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numba import carray
+
+from ...models import dynamics
+from ...models.kernels import kernel
+from ...models.pointers import pointer_to, record_at
+from ...models.signals import Signals
+from ...models.step import Step, sample_at
+from .. import smoothed
+from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior
+from ..motion import CUTOFF
+from ..payload_model import INTERVAL, MEMORY, SIZE, Seen, external_torque, forget, noise, prior, update
+from ..sensing import LOWPASS, lowpass, motor_current, temperature
+from ..tuning_parameters import TuningParameter
+
+_DECIMATION = 4  # grid steps per sample
+_ITERATIONS = 10
+
+MEMORY_RECORD = np.dtype(
+    [
+        ("x", np.float64, SIZE),
+        ("P", np.float64, (SIZE, SIZE)),
+        ("motor", LOWPASS, 2),
+        ("link", LOWPASS, 2),
+        ("drive", LOWPASS, 2),
+    ]
+)
+SETTINGS = np.dtype([("cutoff", np.float64), ("noise", np.float64), ("prior", np.float64, (SIZE, 2))])
+OUT = np.dtype([(n, np.float64) for n in (
+    "torque", "external_torque", "payload_sin", "payload_cos", "payload_inertia", "back_driven_friction", "friction_error",
+)])  # fmt: skip
+_memory_at, _settings_at, _out_at = pointer_to(MEMORY_RECORD), pointer_to(SETTINGS), pointer_to(OUT)
+
+
+@kernel
+def _lowpass_twice(m, u, interval, cutoff):
+    lowpass(m[0], u, interval, cutoff)
+    lowpass(m[1], m[0].value, interval, cutoff)
+
+
+@Step
+def _step(memory, sample, record, settings, out):
+    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
+    c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
+    x, P, h = m.x, m.P, s.interval
+    motor = dynamics.actual_motor_position(s.motor_position, p)
+    _lowpass_twice(m.motor, motor, h, c.cutoff)
+    link = motor / p.N
+    if not math.isnan(s.link_position):
+        link = dynamics.actual_link_position(s.link_position, motor, m.motor[1].rate, s.time, p)
+    _lowpass_twice(m.link, link, h, c.cutoff)
+    w, v, a = m.motor[1].rate, m.link[1].rate, m.link[1].acceleration
+    heat = temperature(s, p)
+    current = motor_current(s, motor, link, w, 0.0, p)
+    now = dynamics.drive_state(motor, w, link, v, 0.0, current, s.time, heat)
+    _lowpass_twice(m.drive, dynamics.rotor_torque(now, 0.0, 0.0, p), h, c.cutoff)
+    if h == 0.0:
+        for i in range(SIZE):
+            x[i], P[i, i] = c.prior[i, 0], c.prior[i, 1] ** 2
+    else:
+        forget(x, P, math.exp(-h / MEMORY), c.prior[4, 1] ** 2)
+        seen = dynamics.drive_state(m.motor[1].value, w, m.link[1].value, v, 0.0, current, s.time, heat)
+        own = p.Jl * a - dynamics.link_torque(seen, 0.0, p)
+        update(x, P, Seen(seen, m.motor[1].acceleration, a, m.drive[1].value, own), x.copy(), c.noise, p)
+    o.external_torque = external_torque(x, link, a)
+    o.torque = p.Jl * a - dynamics.link_torque(now, 0.0, p) - o.external_torque
+    o.payload_sin, o.payload_cos, o.payload_inertia, o.back_driven_friction, o.friction_error = (
+        x[0],
+        x[1],
+        x[2],
+        x[3],
+        x[4],
+    )
+    return 0 if math.isfinite(o.torque) else 1
+
+
+@dataclass(frozen=True)
+class PayloadObserver(CausalEstimator):
+    """Observer of a rigid payload as it becomes known.
+
+    Attributes:
+        cutoff: of the low-pass [Hz].
+    """
+
+    name: str = "payload"
+    cutoff: float = 40.0
+    needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 300.0),)
+    description: ClassVar[str] = "observer of a rigid payload from the motor current; blind to contact"
+    compiled: ClassVar[Step] = _step
+    remembers: ClassVar[np.dtype] = MEMORY_RECORD
+    outputs: ClassVar[tuple[str, ...]] = OUT.names
+
+    def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
+        found = np.zeros(1, SETTINGS)
+        found["cutoff"], found["prior"] = 2 * math.pi * self.cutoff, prior(joint)
+        found["noise"] = noise(joint) * math.sqrt(INTERVAL / interval)
+        return found
+
+
+@dataclass(frozen=True)
+class PayloadSmoothed(Estimator):
+    """The rigid payload that the whole recording shows; not causal.
+
+    Attributes:
+        quiet: noise that the estimate from current may have [rated torques], which decides about the bandwidth of the motion.
+    """
+
+    name: str = "payload_smoothed"
+    quiet: float = smoothed.QUIET
+    causal: ClassVar[bool] = False
+    needs: ClassVar[tuple[str, ...]] = ("motor_position", "motor_current")
+    tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("quiet", 1e-4, 0.1),)
+    description: ClassVar[str] = (
+        "the rigid payload that the whole recording shows, from the motor current; blind to contact"
+    )
+
+    def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        for name in self.needs:
+            signals[name]
+        motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
+        load = smoothed.torque_from_current(motion, joint)
+        own = smoothed.own_torque(motion, joint, load)
+        x = observe(signals, joint, motion, own)
+        external = (
+            x[0] * np.sin(motion.link_position) + x[1] * np.cos(motion.link_position) - x[2] * motion.link_acceleration
+        )
+        whole = np.ones(len(signals.time))
+        columns = {name: value * whole for name, value in zip(OUT.names[2:6], x, strict=False)}
+        torque, external = motion.at(signals.time, own - external), motion.at(signals.time, external)
+        return Posterior(self.name, signals.time, torque, columns=columns, external=external)
+
+
+def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray) -> np.ndarray:
+    """What a recording's part shows of [α, β, J, κ, r] in the end, shape (SIZE,).
+
+    Args:
+        motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque`, shape (n,) [N·m].
+    """
+    wide = smoothed.smooth_motion(signals, joint, CUTOFF)
+    k = np.arange(0, min(len(wide.time), len(motion.time)), _DECIMATION)
+    columns = [
+        motion.since, motion.motor_position, motion.motor_velocity, motion.motor_acceleration, motion.link_position,
+        motion.link_velocity, motion.link_acceleration, motion.temperature, wide.current, own,
+    ]  # fmt: skip
+    given = [np.ascontiguousarray(c[k]) for c in columns]
+    sigma, first = noise(joint), prior(joint)
+    share = math.exp(-smoothed.STEP * _DECIMATION / MEMORY)
+    x = _filter(*given, joint.record, first, sigma, share, np.empty(0))
+    # Again, linearised about what was known in the end.
+    for _ in range(_ITERATIONS):
+        about = x[:4].copy()
+        x = _filter(*given, joint.record, first, sigma, share, about)
+        if np.allclose(x[:4], about, rtol=1e-3, atol=1e-3):
+            break
+    return x
+
+
+@kernel
+def _filter(since, motor, w, w_dot, link, v, a, heat, current, own, record, prior, noise, share, about):
+    p = record[0]
+    x, P = prior[:, 0].copy(), np.diag(prior[:, 1] ** 2)
+    for i in range(len(since)):
+        if i > 0:
+            forget(x, P, share, prior[4, 1] ** 2)
+        at = about if len(about) > 0 else x[:4].copy()
+        T = own[i] - external_torque(at, link[i], a[i]) + p.bl * v[i]
+        actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], T, since[i], p)
+        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], 0.0, actual, since[i], heat[i])
+        seen = Seen(state, w_dot[i], a[i], dynamics.rotor_torque(state, 0.0, T, p), own[i])
+        update(x, P, seen, at, noise, p)
+    return x
+
+
+ESTIMATORS = (PayloadObserver(), PayloadSmoothed())

@@ -1,0 +1,433 @@
+"""Joint torque and external torque of a recording, by every estimator whose channels it has: without a torque sensor.
+
+A recording is made ready first, segment by segment (`prepare`): what estimators need and no sensor read follows from what
+was read and the joint's description, and the encoders' zeros are set against each other.
+
+* **Current**: where a drive reports its torque instead, that over the torque constant that the drive believes in.
+* **One encoder**: the other side's motion follows from the joint's description, under the torque that the current means (or,
+  without a current, the link's own). What is made of torsion is then left out: torsion cannot be read with one encoder.
+* **Delay** of the link encoder: a recording is over, so its readings are simply taken earlier.
+* **Zero.** Where both encoders' zeros are not known against each other, the compliance model has an offset of stiffness times
+  that. A joint states how well it is known (`sensors.link_encoder.zero`: `std`, or else `deviation`); the motor current knows it
+  up to the friction's uncertainty over the stiffness. Both are combined by their variances; where the joint has a link encoder
+  eccentricity with a standard deviation, the zero may wander with the link angle by that much (`track_zero`).
+* **W** of the paper's filters is the one of `WALKS` that makes the EKF's innovations most likely: how fast the load changes is a
+  property of the motion, not of the joint.
+
+No estimator reads the columns `joint_torque` and `external_torque`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..models import dynamics, laws
+from ..models.errors import InputError
+from ..models.files import write_into_place
+from ..models.joint import Joint
+from ..models.kernels import kernel
+from ..models.recording import Recording
+from ..models.signals import Signals
+from ..models.tables import write_table
+from . import registry, smoothed
+from .arrays import run
+from .errors import FilterDiverged
+from .estimator import Estimator, KnownJoint
+from .filters.current import MotorCurrent
+from .filters.paper import PaperFilter
+from .filters.payload import PayloadObserver, observe
+from .motion import CUTOFF
+from .payload_model import MEMORY, NOISE, friction_error, slow_friction
+
+WALKS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
+"""Factors of the filters' W among which the likelihood of the EKF's innovations chooses."""
+SHORTEST = 10
+"""Samples that a segment must have to be estimated."""
+POSITIONS = ("motor_position", "link_position")
+_CAUSAL = 0.6
+"""Cutoff of the causal estimate from current, which has no lag at an even load, for as much noise as the smoother's bandwidth."""
+_TRACK = 20  # grid steps per sample of the zero's tracking
+_MOVING = 2.5  # Stribeck velocities of the motor from which on it is in motion
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A recording's segment, ready for estimators; n samples.
+
+    Attributes:
+      signals: both positions, the link's tared and without delay, and the current, as far as they can be known.
+      known: what is known of the joint, with what the segment shows of it.
+      measured: channels that were measured, or are another unit of one that was.
+      own_torque: shape (n,), joint torque that the link's own inertia, gravity and known link torques ask for [N·m].
+      walk: factor of the paper's filters' W, one of `WALKS`.
+      bandwidth: of the estimate from current [Hz].
+      note: what was found: `start` [s], `bandwidth` [Hz], `zero` [rad] with `zero_std`, the payload's moments [N·m] and inertia
+        [kg·m²], the back-driven share of the load-dependent friction.
+    """
+
+    signals: Signals
+    known: KnownJoint
+    measured: frozenset[str]
+    own_torque: np.ndarray
+    walk: float
+    bandwidth: float
+    note: dict[str, float]
+
+    def lacks(self, estimator: Estimator) -> str | None:
+        """Why there is nothing for an estimator here; None where there is."""
+        for channel in estimator.needs:
+            if channel not in self.signals:
+                return f"expected the column {channel!r}, the recording has none"
+            if channel not in self.measured and set(estimator.needs) >= set(POSITIONS):
+                return (
+                    f"expected the column {channel!r}, the recording has none: torsion cannot be read with one encoder"
+                )
+        return None
+
+    def ready(self, estimator: Estimator) -> Estimator:
+        """An estimator as this segment wants it: scaled to joint and sampling, W and bandwidth by what its readings show."""
+        interval = float(np.median(np.diff(self.signals.time)))
+        scaled = estimator.scaled(self.known, interval)
+        if isinstance(scaled, PaperFilter):
+            return replace(scaled, W=scaled.W * self.walk)
+        if isinstance(scaled, MotorCurrent):
+            return replace(scaled, cutoff=_CAUSAL * self.bandwidth, lead=1.0)
+        if isinstance(scaled, PayloadObserver):
+            return replace(scaled, cutoff=min(scaled.cutoff, self.bandwidth))
+        return scaled
+
+
+@dataclass(frozen=True)
+class Estimates:
+    """Estimates over one recording; n samples.
+
+    Attributes:
+      name: of the recording.
+      time: shape (n,) [s].
+      torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments of fewer
+        than `SHORTEST` samples.
+      external_torque: torque on the link that its own gravity and inertia do not explain, by estimator, likewise.
+      left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
+      notes: what was found on the way, one entry a segment (`Prepared.note`).
+    """
+
+    name: str
+    time: np.ndarray
+    torque: dict[str, np.ndarray]
+    external_torque: dict[str, np.ndarray]
+    left_out: dict[str, str] = field(default_factory=dict)
+    notes: list[dict[str, float]] = field(default_factory=list)
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """All columns as they are written: `time` [s], `torque_…` and `external_torque_…` [N·m]."""
+        columns = {"time": self.time}
+        columns.update({f"torque_{name}": values for name, values in self.torque.items()})
+        columns.update({f"external_torque_{name}": values for name, values in self.external_torque.items()})
+        return columns
+
+
+@dataclass(frozen=True)
+class Score:
+    """Error of one estimate against what was measured [N·m]: all samples, samples in motion, mean, largest."""
+
+    rms: float
+    rms_moving: float
+    mean: float
+    max: float
+
+
+def estimate_recording(recording: Recording, joint: Joint, names: Sequence[str] | None = None) -> Estimates:
+    """Run estimators over a recording of a joint.
+
+    Args:
+      recording: its `joint_torque` and `external_torque` are not read.
+      joint: the description, with the effects that are known of it.
+      names: of the registry; all by default.
+
+    Raises:
+      InputError: a name that is none.
+    """
+    estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
+    known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
+    blind = recording.signals.without("joint_torque", "external_torque")
+    torque = {name: np.full(len(recording.time), np.nan) for name in estimators}
+    external = {name: np.full(len(recording.time), np.nan) for name in estimators}
+    left_out: dict[str, str] = {}
+    notes = []
+    for segment in recording.segments:
+        if segment.stop - segment.start < SHORTEST:
+            continue
+        ready = prepare(blind.part(segment), known)
+        notes.append(ready.note)
+        for name, estimator in estimators.items():
+            if name in left_out:
+                continue
+            reason = ready.lacks(estimator)
+            if reason is not None:
+                left_out[name] = reason
+                continue
+            try:
+                found = ready.ready(estimator).estimate(ready.signals, ready.known)
+            except (FilterDiverged, InputError) as error:
+                left_out[name] = str(error)
+                continue
+            torque[name][segment] = ready.known.as_read(found.mean, ready.signals.time)
+            external[name][segment] = ready.own_torque - found.mean if found.external is None else found.external
+    for name in left_out:
+        del torque[name], external[name]
+    return Estimates(recording.name, recording.time, torque, external, left_out, notes)
+
+
+def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str, dict[str, Score]]:
+    """Score estimates where there is something to compare with.
+
+    Returns:
+      `joint_torque` (with a sensor) and `external_torque` (where it was measured, or known to be zero): estimator →
+      score. Friction at rest is anything up to its level, hence the score in motion (motor faster than 2.5 Stribeck
+      velocities).
+    """
+    N = joint.numbers["N"].value
+    motor = recording["motor_position"] if "motor_position" in recording else N * recording["link_position"]
+    moving = np.abs(np.gradient(motor, recording.time)) > _MOVING * joint.numbers["vs"].value
+    truths: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
+    if "joint_torque" in recording:
+        truths["joint_torque"] = (recording["joint_torque"], estimates.torque)
+    if recording.external == "measured":
+        truths["external_torque"] = (recording["external_torque"], estimates.external_torque)
+    elif recording.external == "none":
+        truths["external_torque"] = (np.zeros(len(recording.time)), estimates.external_torque)
+    return {
+        what: {name: _score(values - truth, moving) for name, values in found.items()}
+        for what, (truth, found) in truths.items()
+    }
+
+
+def _score(error: np.ndarray, moving: np.ndarray) -> Score:
+    good = np.isfinite(error)
+    if not good.any():
+        return Score(*[float("nan")] * 4)
+    inside = error[good & moving] if np.any(good & moving) else error[good]
+    error = error[good]
+    return Score(
+        rms=float(np.sqrt(np.mean(error**2))),
+        rms_moving=float(np.sqrt(np.mean(inside**2))),
+        mean=float(np.mean(error)),
+        max=float(np.max(np.abs(error))),
+    )
+
+
+def write_estimates(estimates: Estimates, folder: Path) -> Path:
+    """Write estimates as `<recording>.parquet`, units in the columns' metadata; return its path."""
+    columns = estimates.columns
+    path = folder / f"{estimates.name}.parquet"
+    with write_into_place(path) as temporary:
+        write_table(temporary, columns, {name: "s" if name == "time" else "N·m" for name in columns})
+    return path
+
+
+# --- a segment made ready -------------------------------------------------------------------------------------------
+
+
+def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
+    """Make a segment ready for estimators.
+
+    Args:
+      signals: at least one position; no `joint_torque`.
+      joint: what is known of it.
+
+    Raises:
+      InputError: no position.
+    """
+    given = set(signals)
+    if not given & set(POSITIONS):
+        raise InputError(f"recording: expected one of the columns {', '.join(POSITIONS)}, got {sorted(given)}")
+    if "motor_current" not in signals and "motor_torque" in signals:
+        signals = signals.with_columns(motor_current=signals["motor_torque"] / joint.p["Kt_drive"])
+    if "link_position" in signals and joint.p["link_delay"] > 0:
+        late = np.interp(signals.time + joint.p["link_delay"], signals.time, signals["link_position"])
+        signals, joint = signals.with_columns(link_position=late), _with(joint, link_delay=0.0)
+    measured = set(signals)
+    if "link_position" not in measured:
+        signals = signals.with_columns(link_position=_link_of_motor(signals, joint))
+    elif "motor_position" not in measured:
+        signals = signals.with_columns(motor_position=_motor_of_link(signals, joint))
+    note = {"start": float(signals.time[0])}
+
+    if "motor_current" not in signals:
+        motion = smoothed.smooth_motion(signals, joint, CUTOFF)
+        own = smoothed.own_torque(motion, joint, np.zeros(len(motion.time)))
+        return Prepared(signals, joint, frozenset(measured), motion.at(signals.time, own), 1.0, motion.cutoff, note)
+
+    # The payload first, as it shows how much of the load-dependent friction acts when the load drives.
+    cutoff = smoothed.bandwidth(signals, joint)
+    motion = smoothed.smooth_motion(signals, joint, cutoff)
+    own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
+    payload = observe(signals, joint, motion, own)
+    joint = _with(joint, back_driven_friction=payload[3])
+    note |= {"bandwidth": cutoff} | {
+        name: float(value)
+        for name, value in zip(
+            ("payload_sin", "payload_cos", "payload_inertia", "back_driven_friction"), payload, strict=False
+        )
+    }
+    walk = 1.0
+    if measured >= set(POSITIONS):
+        zero, std = tared(signals, joint, motion)
+        signals = signals.with_columns(link_position=signals["link_position"] - zero)
+        joint = replace(joint, link_zero=std)
+        note |= {"zero": float(np.mean(zero)), "zero_std": std}
+        walk = likely_walk(signals, joint)
+    return Prepared(signals, joint, frozenset(measured), motion.at(signals.time, own), walk, cutoff, note)
+
+
+def _with(joint: KnownJoint, **values: float) -> KnownJoint:
+    """The same with other numbers in the record."""
+    record = joint.record.copy()
+    for name, value in values.items():
+        record[0][name] = value
+    return replace(joint, record=record)
+
+
+def likely_walk(signals: Signals, joint: KnownJoint) -> float:
+    """The one of `WALKS` by which the EKF's W makes its innovations most likely."""
+    interval = float(np.median(np.diff(signals.time)))
+    measured = registry.get("model").estimate(signals, joint).mean
+    ekf = registry.get("EKF").scaled(joint, interval)
+    return min(WALKS, key=lambda walk: _surprise(run(replace(ekf, W=ekf.W * walk), measured)))
+
+
+def _surprise(history) -> float:
+    """Minus twice the log likelihood of a filter's innovations, robust: no outlier counts more than 5 deviations."""
+    S = history.innovation_covariance[1:, 0, 0]
+    return float(np.sum(np.log(S) + np.minimum(history.innovation[1:, 0] ** 2 / S, 25.0)))
+
+
+# --- one encoder ----------------------------------------------------------------------------------------------------
+
+
+def _link_of_motor(signals: Signals, joint: KnownJoint) -> np.ndarray:
+    """The link encoder's reading [rad] as the joint's description has it under the torque that the current means."""
+    if "motor_current" in signals:
+        motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint))
+        torque = smoothed.torque_from_current(motion, joint)
+    else:
+        motion = smoothed.smooth_motion(signals, joint, CUTOFF)
+        torque = smoothed.own_torque(motion, joint, np.zeros(len(motion.time)))
+    found = np.empty(len(signals.time))
+    _wind_link(signals["motor_position"], motion.at(signals.time, torque), joint.record, found)
+    return found
+
+
+@kernel
+def _wind_link(motor_reading, torque, record, out):
+    p = record[0]
+    for i in range(len(out)):
+        motor = dynamics.actual_motor_position(motor_reading[i], p)
+        theta_w = motor - laws.wave_generator_torsion(torque[i] / p.N, p)
+        link = theta_w / p.N - laws.kinematic_error(theta_w, p) - laws.flexspline_torsion(torque[i], p)
+        out[i] = laws.link_reading(link, p)
+
+
+def _motor_of_link(signals: Signals, joint: KnownJoint) -> np.ndarray:
+    """The motor encoder's reading [rad, motor side] as the joint's description has it under the link's own torque."""
+    rough = signals.with_columns(motor_position=joint.p["N"] * (signals["link_position"] - joint.p["link_zero"]))
+    motion = smoothed.smooth_motion(rough, joint, CUTOFF)
+    torque = smoothed.own_torque(motion, joint, np.zeros(len(motion.time)))
+    found = np.empty(len(signals.time))
+    link = smoothed.link_positions(rough, joint)
+    _wind_motor(link, motion.at(signals.time, torque), joint.record, found)
+    return found
+
+
+@kernel
+def _wind_motor(link, torque, record, out):
+    p = record[0]
+    for i in range(len(out)):
+        wound = laws.flexspline_torsion(torque[i], p)
+        theta_w = p.N * (link[i] + wound)
+        for _ in range(3):
+            theta_w = p.N * (link[i] + wound + laws.kinematic_error(theta_w, p))
+        out[i] = laws.motor_reading(theta_w + laws.wave_generator_torsion(torque[i] / p.N, p), p)
+
+
+# --- the encoders' zeros --------------------------------------------------------------------------------------------
+
+
+def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion) -> tuple[np.ndarray, float]:
+    """What the link encoder's zero is off from the joint's [rad], shape (n,), and its mean standard deviation.
+
+    Args:
+      signals: both encoders and the current, n samples.
+      motion: of `smoothed.smooth_motion` at the bandwidth of the estimate from current.
+    """
+    p, spread, wander = joint.p, joint.link_zero, joint.link_wander
+    if spread == 0 and wander == 0:
+        return np.zeros(len(signals.time)), 0.0
+    torque = smoothed.torque_from_current(motion, joint)
+    wide = smoothed.smooth_motion(signals, joint, CUTOFF)
+    n = min(len(wide.time), len(motion.time))
+    # A reading that is too high by δ makes torsion too small by δ.
+    torsion = smoothed.torsion_of(wide, joint, wide.at(wide.time, np.interp(wide.time, motion.time, torque)))
+    seen = (smoothed.wound(torque, joint)[:n] - torsion[:n])[::_TRACK]
+    load = np.abs(torque[:n:_TRACK])
+    slope = 1.0 / np.where(load < p["T1"], p["K1"], np.where(load < p["T2"], p["K2"], p["K3"]))
+    w, v = motion.motor_velocity[:n:_TRACK], motion.link_velocity[:n:_TRACK]
+    slow = np.array([slow_friction(x, p) for x in w])
+    friction = friction_error(joint)
+    zero, std = track_zero(
+        seen, slope, np.sign(w), slow, np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
+        max(0.1 * friction, NOISE * joint.rated_torque),
+    )  # fmt: skip
+    return np.interp(signals.time, motion.time[:n:_TRACK], zero), float(np.mean(std))
+
+
+def track_zero(
+    seen: np.ndarray,
+    compliance: np.ndarray,
+    direction: np.ndarray,
+    slow: np.ndarray,
+    travel: np.ndarray,
+    spread: float,
+    wander: float,
+    friction: float,
+    noise: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Kalman smoother of the zero δ [rad] and the friction model's error r [N·m], every `_TRACK` grid steps.
+
+        seen = δ + compliance · direction · r + noise
+        δ walks by `wander` rad per √rad of travel, r forgets in `MEMORY`
+
+    Args:
+      seen: measured, shape (n,) [rad]; compliance [rad/(N·m)], direction of motion, slow: further noise near rest [N·m],
+        travel since the last [rad]: shape (n,).
+      spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m]; noise [N·m].
+
+    Returns:
+      δ and its standard deviation, shape (n,).
+    """
+    n = len(seen)
+    forget = np.exp(-smoothed.STEP * _TRACK / MEMORY)
+    x, P = np.zeros(2), np.diag([spread**2, friction**2])
+    xs, Ps, xp, Pp = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2)), np.empty((n, 2, 2))
+    F = np.diag([1.0, forget])
+    for k in range(n):
+        if k:
+            x = F @ x
+            P = F @ P @ F + np.diag([wander**2 * travel[k], friction**2 * (1 - forget**2)])
+        xp[k], Pp[k] = x, P
+        H = np.array([1.0, compliance[k] * direction[k]])
+        R = (compliance[k] * np.hypot(noise, slow[k])) ** 2
+        gain = P @ H / (H @ P @ H + R)
+        x = x + gain * (seen[k] - H @ x)
+        P = P - np.outer(gain, H @ P)
+        xs[k], Ps[k] = x, P
+    for k in range(n - 2, -1, -1):
+        G = Ps[k] @ F @ np.linalg.pinv(Pp[k + 1])
+        xs[k] += G @ (xs[k + 1] - xp[k + 1])
+        Ps[k] += G @ (Ps[k + 1] - Pp[k + 1]) @ G.T
+    return xs[:, 0], np.sqrt(np.maximum(Ps[:, 0, 0], 0.0))

@@ -1,0 +1,227 @@
+"""What a whole recording's motion, seen through one zero-phase smoother, says of the torques: for whatever need not be causal.
+
+Rotor, link and current go through the same linear filter (`motion`), so that both sides of a torque balance stay in step however
+low its passband is. How low it must be, the readings' own noise says (`bandwidth`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..models import dynamics, laws
+from ..models.dynamics import State
+from ..models.kernels import kernel
+from ..models.signals import Signals
+from .estimator import KnownJoint
+from .motion import smooth
+
+STEP = 1e-3
+"""Grid [s] on which motion is differentiated and friction replayed."""
+BANDWIDTHS = (80.0, 40.0, 20.0, 10.0, 5.0)
+"""Bandwidths [Hz] of the estimate from current, best first; see `bandwidth`."""
+QUIET = 0.005
+"""Noise that the estimate from current may have, as a share of the rated torque: it decides about the bandwidth."""
+_ROBUST = 1.4826
+_LOAD_STEPS = 5  # friction depends on the torque that it is part of, weakly
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Smooth motion and current on an even grid; n samples, what the sensors read wrong taken off.
+
+    Attributes:
+      time: shape (n,) [s]; since: of the recording's start [s].
+      motor_position, motor_velocity, motor_acceleration: shape (n,), rotor, motor side.
+      link_position, link_velocity, link_acceleration: shape (n,), output side.
+      current: shape (n,), as read [A]. temperature: shape (n,) [°C].
+      cutoff: passband of the smoother [Hz].
+    """
+
+    time: np.ndarray
+    since: np.ndarray
+    motor_position: np.ndarray
+    motor_velocity: np.ndarray
+    motor_acceleration: np.ndarray
+    link_position: np.ndarray
+    link_velocity: np.ndarray
+    link_acceleration: np.ndarray
+    current: np.ndarray
+    temperature: np.ndarray
+    cutoff: float
+
+    def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Values on the grid at other times [s]."""
+        return np.interp(time, self.time, values)
+
+
+def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float) -> Motion:
+    """Motion of a recording's part; `cutoff`: passband [Hz].
+
+    Args:
+      signals: `motor_position`, and `link_position`, `motor_current`, `temperature` where they are known. Without a link
+        encoder the link moves as the rotor does.
+      joint: what is known of it.
+    """
+    time, p = signals.time, joint.p
+    motor = np.empty(len(time))
+    _motor_positions(signals["motor_position"], joint.record, motor)
+    link = motor / p["N"]
+    if "link_position" in signals:
+        link = link_positions(signals, joint)
+    current = signals["motor_current"] if "motor_current" in signals else np.zeros(len(time))
+    s = smooth(time, np.column_stack([motor, link, current]), STEP, cutoff)
+    temperature = signals["temperature"] if "temperature" in signals else np.full(len(time), p["reference_temperature"])
+    columns = [array[:, i] for i in (0, 1) for array in (s.value, s.rate, s.acceleration)]
+    heat = np.interp(s.time, time, temperature)
+    return Motion(
+        s.time,
+        s.time - time[0] + joint.since(time)[0],
+        *(np.ascontiguousarray(c) for c in columns),
+        np.ascontiguousarray(s.value[:, 2]),
+        heat,
+        cutoff,
+    )
+
+
+def link_positions(signals: Signals, joint: KnownJoint) -> np.ndarray:
+    """The link's angle [rad] at every sample: its reading without delay, zero, orders and discrepancy."""
+    time, p, reading = signals.time, joint.p, signals["link_position"]
+    if p["link_delay"] > 0:
+        reading = np.interp(time + p["link_delay"], time, reading)
+    found = np.empty(len(time))
+    _link_positions(reading, signals["motor_position"], joint.since(time), joint.record, found)
+    return found
+
+
+@kernel
+def _motor_positions(reading, record, out):
+    for i in range(len(out)):
+        out[i] = dynamics.actual_motor_position(reading[i], record[0])
+
+
+@kernel
+def _link_positions(reading, motor, since, record, out):
+    for i in range(len(out)):
+        out[i] = dynamics.actual_link_position(reading[i], motor[i], 0.0, since[i], record[0])
+
+
+def bandwidth(signals: Signals, joint: KnownJoint, quiet: float = QUIET) -> float:
+    """The highest of `BANDWIDTHS` [Hz] at which the torque from current has no more noise than `quiet` [rated torques].
+
+    Noise of the motor's angle (counts, and jitter of the time stamps times speed) enters through the rotor's
+    acceleration, noise of the current directly. Both are taken from the readings, as white.
+    """
+    p, time = joint.p, signals.time
+    angle, amperes = white_noise(time, signals["motor_position"]), white_noise(time, signals["motor_current"])
+    interval = float(np.median(np.diff(time)))
+    for cutoff in BANDWIDTHS:
+        inertia = (p["Jm"] + p["Jw"]) * (2 * np.pi * cutoff) ** 2 * angle
+        share = min(1.0, 2 * cutoff * interval)  # of the readings' noise, in power, that passes
+        if p["N"] * np.hypot(inertia, p["Kt"] * amperes) * np.sqrt(share) <= quiet * joint.rated_torque:
+            return cutoff
+    return BANDWIDTHS[-1]
+
+
+def white_noise(time: np.ndarray, values: np.ndarray) -> float:
+    """Standard deviation of white noise on a smooth signal, from third divided differences; robust."""
+    t = np.stack([time[i : len(time) - 3 + i] for i in range(4)])
+    t = t - t[0]
+    scale = t[-1].copy()
+    weight = np.array([1 / np.prod([(t[i] - t[j]) / scale for j in range(4) if j != i], axis=0) for i in range(4)])
+    y = np.stack([values[i : len(values) - 3 + i] for i in range(4)])
+    difference = np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
+    return float(_ROBUST * np.median(np.abs(difference)))
+
+
+def torque_from_current(motion: Motion, joint: KnownJoint) -> np.ndarray:
+    """Flexspline torque Tf [N·m] on the grid: current less friction and what turns the drive; the LuGre bristle follows."""
+    out = np.empty(len(motion.time))
+    m = motion
+    _torque_from_current(
+        m.since, m.motor_position, m.motor_velocity, m.motor_acceleration, m.link_position, m.link_velocity, m.current,
+        m.temperature, joint.record, out,
+    )  # fmt: skip
+    return out
+
+
+@kernel
+def _torque_from_current(since, motor, w, w_dot, link, v, current, temperature, record, out):
+    p = record[0]
+    z, T = 0.0, 0.0
+    for i in range(len(out)):
+        step = z
+        for _ in range(_LOAD_STEPS):
+            actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], T, since[i], p)
+            state = dynamics.drive_state(motor[i], w[i], link[i], v[i], z, actual, since[i], temperature[i])
+            g = dynamics.sliding_friction(state, T, p)
+            if i == 0:  # has been turning like this for long, or rests without friction
+                step = g / p.s0 * np.tanh(w[i])
+            else:
+                step = laws.bristle_step(z, w[i], g, since[i] - since[i - 1], p)
+            state = dynamics.drive_state(motor[i], w[i], link[i], v[i], step, actual, since[i], temperature[i])
+            T = dynamics.transmitted_torque(state, w_dot[i], g, T, p)
+        z = step
+        out[i] = T
+
+
+def own_torque(motion: Motion, joint: KnownJoint, load: np.ndarray) -> np.ndarray:
+    """Joint torque [N·m] on the grid that the link's own inertia, gravity and known link torques ask for.
+
+    Args:
+      load: flexspline torque [N·m], shape (n,), on which a model discrepancy may depend.
+    """
+    out = np.empty(len(motion.time))
+    m = motion
+    _own_torque(
+        m.since,
+        m.motor_position,
+        m.motor_velocity,
+        m.link_position,
+        m.link_velocity,
+        m.link_acceleration,
+        load,
+        joint.record,
+        out,
+    )
+    return out
+
+
+@kernel
+def _own_torque(since, motor, w, link, v, a, load, record, out):
+    p = record[0]
+    for i in range(len(out)):
+        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], 0.0, 0.0, since[i], 0.0)
+        out[i] = p.Jl * a[i] - dynamics.link_torque(state, load[i], p)
+
+
+def torsion_of(motion: Motion, joint: KnownJoint, load: np.ndarray) -> np.ndarray:
+    """Torsion Δθf [rad] on the grid of Eqs. (1), (5), (6), the motor torque for Tw."""
+    out = np.empty(len(motion.time))
+    m = motion
+    _torsion(m.since, m.motor_position, m.motor_velocity, m.link_position, m.current, load, joint.record, out)
+    return out
+
+
+@kernel
+def _torsion(since, motor, w, link, current, load, record, out):
+    p = record[0]
+    for i in range(len(out)):
+        actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], load[i], since[i], p)
+        still = State(motor[i], 0.0, motor[i], w[i], link[i], 0.0, 0.0, 0.0, actual, since[i], 0.0)
+        torque = dynamics.rotor_torque(still, 0.0, load[i], p)
+        out[i], _ = dynamics.measured_torsion(motor[i], link[i], torque, p)
+
+
+def wound(torque: np.ndarray, joint: KnownJoint) -> np.ndarray:
+    """Torsion Δθf [rad] that a flexspline torque [N·m] winds, shape (n,), without hysteresis."""
+    out = np.empty(len(torque))
+    _wound(np.ascontiguousarray(torque), joint.record, out)
+    return out
+
+
+@kernel
+def _wound(torque, record, out):
+    for i in range(len(out)):
+        out[i] = laws.flexspline_torsion(torque[i], record[0])
