@@ -6,6 +6,7 @@ import argparse
 
 import numpy as np
 from flexspline.scenarios.loop import CONTROL_PERIOD
+
 from flexspline.scenarios.run import Run, run_scenario
 from flexspline.scenarios.scenario import FilterChoice, load_scenario
 

@@ -1,8 +1,9 @@
-"""The 80 s no-load scenario with all filters in the loop, beside MuJoCo alone stepping the same model for as long."""
+"""The 80 s no-load scenario with the paper's filters, beside MuJoCo alone stepping the same model for as long."""
 
 from __future__ import annotations
 
 import mujoco
+
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim import native, plant
@@ -39,7 +40,7 @@ def main() -> None:
         plain = measure(bare(shipped))
     speed, ratio = SECONDS / loop.median, loop.median / same.median
     names = ", ".join(f.name for f in scenario.filters)
-    print(f"no_load, {SECONDS:g} s, {names} in the loop, {steps} steps of {scenario.timestep * 1e3:g} ms")
+    print(f"no_load, {SECONDS:g} s, {names} over its signals, {steps} steps of {scenario.timestep * 1e3:g} ms")
     print(f"  closed loop              {loop}")
     print(f"  MuJoCo, the same model   {same}: mj_step(m, d, {steps}), the joint's laws as its callback")
     print(f"  MuJoCo, the shipped MJCF {plain}: linear springs, no callback")

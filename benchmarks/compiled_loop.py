@@ -6,48 +6,51 @@ import ctypes
 
 import mujoco
 import numpy as np
-from flexspline.estimator import FilterSettings, compliance_torque, filter_bank, start_bank, update_bank, workspace
+
 from flexspline.models.joint import load_joint
-from flexspline.scenarios.loop import CONTROL_PERIOD
-from flexspline.scenarios.run import run_scenario
+from flexspline.models.step import SAMPLE
+from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim import native, plant, sensors
-from flexspline.sim.callbacks import transmission
+from flexspline.sim.callbacks import transmission_at
 from flexspline.sim.drive import control
+from flexspline.sim.loop import CONTROL_PERIOD
 
 from .timing import measure
 
 SECONDS = 10.0
+_STEP = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
 
 
-def _python_loop(scenario, folder) -> None:
-    joint, known = scenario.load_joint(folder)
-    mounting = joint.mount(scenario.mounting)
-    record, calibration = joint.record(mounting), known.record(mounting)
-    p, k = record[0], calibration[0]
-    model = plant.build(joint, mounting, timestep=scenario.timestep, record=record)
+def _python_loop(experiment: Experiment) -> None:
+    scenario, record = experiment.scenario, experiment.record
+    p, n = record[0], len(experiment.position)
+    model = experiment.build()
     data = mujoco.MjData(model)
     plant.start(model, data)
-    position, velocity = scenario.commands()
-    kinds = sensors.sensor_records(joint, 0.0)
-    n = len(position)
-    noise = sensors.noise(scenario.seed, n)
-    settings = [choice.settings() if hasattr(choice, "settings") else FilterSettings() for choice in scenario.filters]
-    bank = filter_bank(settings)
-    states = start_bank(bank, np.zeros((len(settings), 1)), np.array([[[s.P0]] for s in settings]))
-    work = workspace(1, 1)
-    controller, drive = scenario.controller.record(p, CONTROL_PERIOD, False)[0], np.zeros(3)
-    seen, y, last = np.zeros((2, n)), np.zeros((len(settings), 1)), 0.0
+    kinds = sensors.sensor_records(experiment.joint, 0.0, CONTROL_PERIOD)
+    noise = sensors.noise(experiment.joint, scenario.seed, n, CONTROL_PERIOD)
+    assert experiment.fed_back is not None
+    compiled = experiment.fed_back.step(experiment.known, experiment.interval)
+    address, memory, known, settings, out = compiled.arrays()
+    step, given = _STEP(address), np.full(1, np.nan, SAMPLE)
+    addresses = [a.ctypes.data for a in (memory, given, known, settings, out)]
+    controller, drive = scenario.controller.record(p, CONTROL_PERIOD, True)[0], np.zeros(3)
+    seen, last = np.zeros((2, n)), 0.0
     substeps = round(CONTROL_PERIOD / scenario.timestep)
     for i in range(n):
         seen[0, i], seen[1, i] = data.qpos[0], data.qpos[2]
-        motor, link = (sensors.sample(seen[s], i, CONTROL_PERIOD, noise[s], kinds[s]) for s in range(2))
-        y[:] = compliance_torque(motor, link, k["Kt"] * last, k)
-        update_bank(states, y, bank, work)
-        command = control(position[i], velocity[i], motor, 0.0, drive, CONTROL_PERIOD, controller)
+        sample = given[0]
+        sample["time"], sample["interval"] = i * CONTROL_PERIOD, CONTROL_PERIOD if i else 0.0
+        sample["current_command"] = last
+        for s, name in enumerate(("motor_position", "link_position")):
+            sample[name] = sensors.sample(seen[s], i, CONTROL_PERIOD, noise[name], kinds[s])
+        step(*addresses)
+        position, velocity = experiment.position[i], experiment.velocity[i]
+        command = control(position, velocity, sample["motor_position"], out[0], drive, CONTROL_PERIOD, controller)
         data.ctrl[0] = p["Kt"] * command
         mujoco.mj_step(model, data, nstep=substeps)
-        transmission(data.qpos, data.qvel, 0.0, p)
+        transmission_at(data.qpos[:3].copy(), data.qvel[:3].copy(), 0.0, p)
         last = command
 
 
@@ -69,13 +72,18 @@ def _python_callback(steps: int):
 
 def main() -> None:
     """Print the times and their ratios."""
-    scenario, folder = load_scenario("no_load", [f"duration={SECONDS:g}"])
-    compiled = measure(lambda: run_scenario(scenario, folder))
-    python = measure(lambda: _python_loop(scenario, folder), 3)
-    print(f"closed loop, {SECONDS:g} s of no_load")
+    experiment = Experiment.of(*load_scenario("no_load", [f"duration={SECONDS:g}", "feedback=RAREKF"]))
+    with native.quiet():
+        compiled = measure(experiment.simulate)
+        python = measure(lambda: _python_loop(experiment), 3)
+    print(f"closed loop, {SECONDS:g} s of no_load, RAREKF fed back")
     print(f"  compiled                 {compiled}")
     print(f"  loop in Python           {python}, without wrench and torque sensor; its parts compiled")
     print(f"  gain                     {python.median / compiled.median:.1f}")
-    steps = round(SECONDS / scenario.timestep)
+    steps = round(SECONDS / experiment.scenario.timestep)
     callback = measure(_python_callback(steps), 3)
     print(f"  empty Python callback    {callback}: {steps} steps of the shipped MJCF")
+
+
+if __name__ == "__main__":
+    main()

@@ -14,11 +14,12 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pyarrow.parquet as pq
+from numba import carray, cfunc, types
+
 from flexspline.models.joint import Joint, Mounting, load_joint
 from flexspline.models.parameters import SIZE, as_floats
 from flexspline.sim import callbacks, native, plant, verify
 from flexspline.sim.callbacks import transmission
-from numba import carray, cfunc, types
 
 STEPS = (1e-3, 5e-4, 2.5e-4, 2e-4, 1e-4, 5e-5)
 CHANNELS = ("torsion", "joint_torque", "motor_current")

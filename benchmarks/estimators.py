@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from flexspline.models.files import write_into_place
-from flexspline.scenarios import limits, offline, tuning
 from flexspline.scenarios.intervals import interval
 from flexspline.scenarios.limits import Limits
 from flexspline.scenarios.offline import Contender, contenders
+from flexspline.scenarios.tuning import Tuned
+
+from flexspline.models.files import write_into_place
+from flexspline.scenarios import limits, offline, tuning
 from flexspline.scenarios.run import Run
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.scenarios.tuning import Tuned
 from flexspline.views.limit_figures import limits_figure, pareto_figure, save_figure
 from flexspline.views.limit_tables import markdown, number
 

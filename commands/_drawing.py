@@ -6,6 +6,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
@@ -16,7 +17,16 @@ if TYPE_CHECKING:
     from ..scenarios.run import Run
 
 _ROOM = __name__.split(".")[0]
-_MODULES = {"figures": f"{_ROOM}.views.figures", "recording": f"{_ROOM}.views.rerun_view"}
+_MODULES = {
+    "figures": (
+        f"{_ROOM}.scenarios.run",
+        "matplotlib.backends.backend_agg",
+        "matplotlib.figure",
+        f"{_ROOM}.views.figures",
+    ),
+    "recording": (f"{_ROOM}.scenarios.run", f"{_ROOM}.views.rerun_view"),
+}
+"""What each view loads."""
 
 Begin = Callable[["Run", Path], Callable[[], object]]
 """Begins to draw a run into its folder; what it gives waits for the end."""
@@ -31,20 +41,21 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     if not views:
         yield []
         return
-    # A server that has loaded what is needed, from which each of them begins; it starts now, in the background.
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context = multiprocessing.get_context(method)
-    if method == "forkserver":
-        context.set_forkserver_preload([_MODULES[view] for view in views])
+    if method == "forkserver":  # a server that has loaded what is needed, from which each of them begins
+        context.set_forkserver_preload([module for view in views for module in _MODULES[view]])
     count = min(os.cpu_count() or 1, runs * len(views))
     with ProcessPoolExecutor(count, mp_context=context, initializer=_ready) as pool:
-        for _ in range(count):
-            pool.submit(_ready)
+        starting = threading.Thread(target=lambda: [pool.submit(_ready) for _ in range(count)])
+        starting.start()
         try:
             yield [lambda run, folder: _begin(pool, views, run, folder)]
         except BaseException:
+            starting.join()
             pool.shutdown(cancel_futures=True)
             raise
+        starting.join()
 
 
 def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Path) -> Callable[[], object]:

@@ -15,7 +15,7 @@ from ._options import Estimators
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..scenarios.evaluation.recorded import Score
+    from ..estimator.offline import Score
 
 
 def command(
@@ -25,36 +25,38 @@ def command(
     filter_: Estimators = None,
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
+    from ..estimator import registry
+    from ..estimator.offline import estimate_recording, score, write_estimates
     from ..models.files import write_into_place
     from ..models.recording import read_measurement
-    from ..scenarios.evaluation.recorded import estimate_recording, score, write_recorded
-    from ..scenarios.filters import estimators
     from ._console import console
 
     data = read_measurement(measurement)
     described = data.load_joint(joint)
-    chosen = estimators(filter_ or ())
+    for name in filter_ or ():
+        registry.get(name)
     for recording in data.recordings:
         if recording.source and (out / f"{recording.name}.parquet").resolve() == Path(recording.source).resolve():
             raise InputError(f"{out}: expected another folder than the measurement's, its recordings would be replaced")
     terminal = console()
     report: dict[str, dict[str, Any]] = {}
     for recording in data.recordings:
-        found = estimate_recording(recording, described, chosen)
+        found = estimate_recording(recording, described, filter_)
         for name in filter_ or ():
-            if name in found.missing:
-                raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.missing[name]}")
-        path = write_recorded(found, out)
+            if name in found.left_out:
+                raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.left_out[name]}")
+        path = write_estimates(found, out)
         scores = score(recording, found, described)
         report[recording.name] = {
             "joint": described.name,
-            "missing": found.missing,
+            "notes": found.notes,
+            "left_out": found.left_out,
             **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
         }
         terminal.print(f"{path}", highlight=False)
         if scores:
             terminal.print(_table(recording.name, recording.external, scores))
-        for name, why in found.missing.items():
+        for name, why in found.left_out.items():
             terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
     with write_into_place(out / "metrics.json") as temporary:
         temporary.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -140,27 +140,27 @@ def estimate(
 
     Returns:
       A table, n rows: index `time` [s], a column per estimator, joint torque [N·m] as the joint's torque sensor would read it;
-      NaN in parts of less than ten samples between gaps. `attrs["missing"]` says which estimators are not there, and why.
+      NaN in parts of less than ten samples between gaps. `attrs["left_out"]` says which estimators are not there, and why.
 
     Raises:
       InputError: an estimator that there is not, or that is named and lacks a channel; a joint or recording that is wrong.
     """
     import pandas as pd
 
+    from .estimator import registry
+    from .estimator.offline import estimate_recording
     from .models.errors import InputError
-    from .scenarios import filters
-    from .scenarios.evaluation.recorded import estimate_recording
 
     named = (estimators,) if isinstance(estimators, str) else tuple(estimators)
-    recording, described = _recording(data, joint)
-    found = estimate_recording(recording, described, filters.estimators(named))
     for name in named:
-        if name in found.missing:
-            raise InputError(f"estimator {name!r}: {found.missing[name]}")
-    table = pd.DataFrame(
-        {name: found.torque(name) for name in found.posteriors}, index=pd.Index(found.time, name="time [s]")
-    )
-    table.attrs |= {"unit": "N·m", "missing": found.missing}
+        registry.get(name)
+    recording, described = _recording(data, joint)
+    found = estimate_recording(recording, described, named or None)
+    for name in named:
+        if name in found.left_out:
+            raise InputError(f"estimator {name!r}: {found.left_out[name]}")
+    table = pd.DataFrame(found.torque, index=pd.Index(found.time, name="time [s]"))
+    table.attrs |= {"unit": "N·m", "left_out": found.left_out}
     return table
 
 

@@ -65,7 +65,7 @@ def test_estimate(run, tmp_path):
     for data in (path, str(path), read_recording(path), fs.load_recording(path)):
         pd.testing.assert_frame_equal(fs.estimate(data, "test-joint", "lowpass"), table[["lowpass"]])
     everything = fs.estimate(path)
-    assert set(everything.columns) | set(everything.attrs["missing"]) == set(registry.names())
+    assert set(everything.columns) | set(everything.attrs["left_out"]) == set(registry.names())
 
 
 def test_compare():
