@@ -5,17 +5,15 @@ from __future__ import annotations
 import argparse
 
 import numpy as np
-from flexspline.scenarios.loop import CONTROL_PERIOD
 
+from flexspline.scenarios.filters import FilterEntry, paper_entries
 from flexspline.scenarios.run import Run, run_scenario
-from flexspline.scenarios.scenario import FilterChoice, load_scenario
+from flexspline.scenarios.scenario import load_scenario
+from flexspline.sim.loop import CONTROL_PERIOD
 
 FILTERS = [
-    FilterChoice(name="EKF", rule="ekf"),
-    FilterChoice(name="AREKF", rule="arekf"),
-    FilterChoice(name="RAREKF", rule="rarekf"),
-    FilterChoice(name="REKF", rule="robust"),
-    FilterChoice(name="printed", rule="rarekf", alpha="printed"),
+    *paper_entries(),
+    FilterEntry.model_validate({"name": "printed", "rule": "rarekf", "alpha": "printed"}),
 ]
 LOADS = ((0, 3), (3, 6), (6, 20))
 MISTAKEN = {"exact": {}, "flexspline 10 % softer than known": {"K1": 7560, "K2": 8460, "K3": 11700}}
@@ -56,7 +54,7 @@ def no_load(seeds: range) -> None:
             e = (run.estimate(f) - run.truth("joint_torque"))[kept]
             s = (run.estimate(f) - run.reading("joint_torque"))[kept]
             rows.append((np.sqrt(np.mean(e**2)), np.abs(e).max(), np.mean(np.abs(e) < 0.1), np.mean(np.abs(s) < 0.1),
-                         run.robust(f)[kept].mean()))  # fmt: skip
+                         np.mean(run.estimates[f].robust[kept])))  # fmt: skip
         c = list(zip(*rows, strict=True))
         _row(f, _spread(c[0]), _spread(c[1]), _spread(c[2], 100, 2), _spread(c[3], 100, 2), _spread(c[4], 100, 1))
 
@@ -75,7 +73,7 @@ def load(seeds: range) -> None:
                 for run in runs:
                     size = np.abs(run.truth("joint_torque"))
                     where = (run.time >= run.scenario.transient) & (size >= low) & (size < high)
-                    shares.append(run.robust(f)[where].mean())
+                    shares.append(np.mean(run.estimates[f].robust[where]))
                 cells.append(_spread(shares, 100, 1))
             rms = [run.metrics["filters"][f]["rms"] for run in runs]
             print(f"| {f} | {' | '.join(cells)} | {_spread(rms)} |")
@@ -107,9 +105,10 @@ def equal_noise(seeds: range) -> None:
     """Claim 3 at equal noise: an EKF with W raised until its noise is RAREKF's; what the push then costs each."""
     print("\n## External push: EKF with W raised, beside RAREKF\n")
     _head("filter", "noise / raw model", "RMS [N·m]", "largest [N·m]")
-    choices = [FilterChoice(name="RAREKF", rule="rarekf")]
+    choices = [FilterEntry.model_validate("RAREKF")]
     choices += [
-        FilterChoice(name=f"EKF-{i}", rule="ekf", W=w) for i, w in enumerate((1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3))
+        FilterEntry.model_validate({"name": f"EKF-{i}", "rule": "ekf", "W": w})
+        for i, w in enumerate((1e-4, 2e-4, 4e-4, 8e-4, 1.6e-3, 3.2e-3))
     ]
     collected: dict[str, list] = {c.name: [] for c in choices}
     for seed in seeds:
@@ -120,7 +119,7 @@ def equal_noise(seeds: range) -> None:
             collected[c.name].append((m["noise_ratio"], m["rms"], m["max"]))
     for c in choices:
         a = list(zip(*collected[c.name], strict=True))
-        label = c.name if c.W is None else f"EKF, W = {c.W:g}"
+        label = f"EKF, W = {c.parameters['W']:g}" if "W" in c.parameters else c.name
         print(f"| {label} | {_spread(a[0], 1, 2)} | {_spread(a[1])} | {_spread(a[2], 1, 2)} |")
 
 

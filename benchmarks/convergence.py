@@ -18,8 +18,9 @@ from numba import carray, cfunc, types
 
 from flexspline.models.joint import Joint, Mounting, load_joint
 from flexspline.models.parameters import SIZE, as_floats
+from flexspline.models.pointers import floats_at, record_at, word_at
 from flexspline.sim import callbacks, native, plant, verify
-from flexspline.sim.callbacks import transmission
+from flexspline.sim.callbacks import transmission_at
 
 STEPS = (1e-3, 5e-4, 2.5e-4, 2e-4, 1e-4, 5e-5)
 CHANNELS = ("torsion", "joint_torque", "motor_current")
@@ -28,8 +29,13 @@ INTEGRATORS = {"implicitfast": 3, "implicit": 2, "Euler": 0, "RK4": 1}
 _MAGIC = 1.2345678901e19
 
 
-def _compile(NUMERIC: int, COUNT: int, QPOS: int, QVEL: int, PASSIVE: int):
-    floats_at, record_at, word_at = native.floats_at, native.record_at, native.word_at
+@cache
+def _passive():
+    """The callback: the springs' forces and nothing else."""
+    at = native.offsets()
+    NUMERIC, COUNT, QPOS, QVEL, PASSIVE = (
+        at[name] for name in ("numeric_data", "nnumericdata", "qpos", "qvel", "qfrc_passive")
+    )
 
     @cfunc(types.void(types.intp, types.intp))
     def passive(m, d):
@@ -38,19 +44,13 @@ def _compile(NUMERIC: int, COUNT: int, QPOS: int, QVEL: int, PASSIVE: int):
         p = carray(record_at(word_at(m + 8 * NUMERIC) + 8), 1)[0]
         theta, velocity = carray(floats_at(word_at(d + 8 * QPOS)), 3), carray(floats_at(word_at(d + 8 * QVEL)), 3)
         force = carray(floats_at(word_at(d + 8 * PASSIVE)), 3)
-        Tw, Tf, _, slope = transmission(theta, velocity, 0.0, p)
+        t = transmission_at(theta, velocity, 0.0, p)
         tendon = p.df * (velocity[1] / p.N - velocity[2])  # MuJoCo exerts this; it is in Tf, too
-        force[0] -= Tw
-        force[1] += Tw - Tf * slope + tendon / p.N
-        force[2] += Tf - tendon
+        force[0] -= t.wave_generator_torque
+        force[1] += t.wave_generator_torque - t.flexspline_torque * t.ratio + tendon / p.N
+        force[2] += t.flexspline_torque - tendon
 
     return passive
-
-
-@cache
-def _passive():
-    at = native.offsets()
-    return _compile(*(at[name] for name in ("numeric_data", "nnumericdata", "qpos", "qvel", "qfrc_passive")))
 
 
 def plain(joint: Joint, mounting: Mounting, reference, timestep: float, integrator: str) -> dict[str, np.ndarray]:
@@ -82,7 +82,7 @@ def plain(joint: Joint, mounting: Mounting, reference, timestep: float, integrat
         data.ctrl[0] = p["Kt"] * current[k]
         data.xfrc_applied[body, 4] = -external[k]
         mujoco.mj_step(model, data, nstep=substeps)
-    torque = np.array([transmission(q, w, 0.0, p)[1] for q, w in zip(theta, omega, strict=True)])
+    torque = np.array([transmission_at(q, w, 0.0, p).flexspline_torque for q, w in zip(theta, omega, strict=True)])
     return {
         "torsion": theta[:, 0] / p["N"] - theta[:, 2],
         "joint_torque": torque - p["bl"] * omega[:, 2],

@@ -9,22 +9,27 @@ from __future__ import annotations
 import argparse
 import re
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from flexspline.scenarios.intervals import interval
-from flexspline.scenarios.limits import Limits
-from flexspline.scenarios.offline import Contender, contenders
-from flexspline.scenarios.tuning import Tuned
 
+from flexspline.estimator import registry
+from flexspline.estimator.estimator import Estimator
+from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
-from flexspline.scenarios import limits, offline, tuning
+from flexspline.scenarios.evaluation import limits, tuning
+from flexspline.scenarios.evaluation.intervals import interval
+from flexspline.scenarios.evaluation.limits import Limits
+from flexspline.scenarios.evaluation.tuning import Tuned
+from flexspline.scenarios.filters import PAPER, estimators
 from flexspline.scenarios.run import Run
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_figures import limits_figure, pareto_figure, save_figure
 from flexspline.views.limit_tables import markdown, number
+
+from .timing import measure
 
 SCENARIOS = ("no_load", "link_sweep", "external_push")
 MISTAKES = {
@@ -35,6 +40,7 @@ MISTAKES = {
 """What the plant has and the estimators do not know, in the link sweep."""
 READINGS = {
     "RAREKF": {}, "AREKF (α = 1)": {"rule": "arekf"}, "α as printed, Eq. (23)": {"alpha": "printed"},
+    "1/α as printed": {"alpha": "inverse"},
     "memory as printed, Eq. (20)": {"memory": "printed"}, "adjusted covariance, Eqs. (14), (19)": {"covariance": "adjusted"},
 }  # fmt: skip
 """How the paper's equations may be read."""
@@ -99,12 +105,10 @@ def claim_table(every: dict[str, Results], together: Sequence[Tuned]) -> str:
     rows = []
     common = next(one for one in together if one.name == "RAREKF").test_tuned
     for name, results in every.items():
-        causal = [
-            e.name for e in results.limits.estimators if e.causal and e.name not in ("EKF", "AREKF", "RAREKF", "REKF")
-        ]
+        causal = [e.name for e in results.limits.estimators if e.causal and e.name not in PAPER]
         default = min(causal, key=lambda n: results.default(n).mean())
         best = min(causal, key=lambda n: results.best(n).mean())
-        simple = [c.name for c in contenders(causal) if not c.costly]
+        simple = [name for name in causal if not registry.get(name).costly]
         without = min(simple, key=lambda n: results.best(n).mean())
         rows.append(
             (
@@ -148,18 +152,18 @@ def consistency_table(every: dict[str, Results]) -> str:
     return markdown(heads, rows) + note
 
 
-def knobs_table(every: dict[str, Results]) -> str:
+def parameters_table(every: dict[str, Results]) -> str:
     """What tuning chose for each filter in each scenario, and how much it took off the error."""
     rows = []
     for name in next(iter(every.values())).tuned:
         row = [name]
         for results in every.values():
             one = results.tuned[name]
-            knobs = ", ".join(
+            values = ", ".join(
                 f"{k.split('.')[-1]} {v:.2g}" + ("!" if k in one.at_bound else "") for k, v in one.values.items()
             )
             change = 100 * (one.test_tuned.mean() / one.test_default.mean() - 1)
-            row.append(f"{knobs} ({change:+.0f} %)" if knobs else "–")
+            row.append(f"{values} ({change:+.0f} %)" if values else "–")
         if any(cell != "–" for cell in row[1:]):
             rows.append(row)
     return markdown(["filter", *every], rows)
@@ -170,54 +174,50 @@ def together_table(found: Sequence[Tuned]) -> str:
     rows = []
     reference = next(one for one in found if one.name == "RAREKF").test_tuned
     for one in sorted(found, key=lambda one: tuning.score(one.test_tuned)):
-        knobs = ", ".join(f"{k.split('.')[-1]} {v:.2g}" for k, v in one.values.items()) or "–"
+        values = ", ".join(f"{k.split('.')[-1]} {v:.2g}" for k, v in one.values.items()) or "–"
         cells = [rms(row) for row in one.test_tuned]
         means = np.sqrt(
             np.prod([a.mean() / b.mean() for a, b in zip(one.test_tuned, reference, strict=True)]) ** (2 / 3)
         )
-        rows.append((one.name, *cells, f"{means:.2f}", knobs))
-    return markdown(("filter", *(f"{s} [N·m]" for s in SCENARIOS), "/ RAREKF, geometric mean", "knobs"), rows)
+        rows.append((one.name, *cells, f"{means:.2f}", values))
+    return markdown(
+        ("filter", *(f"{s} [N·m]" for s in SCENARIOS), "/ RAREKF, geometric mean", "tuning parameters"), rows
+    )
 
 
-def cost_table(chosen: Sequence[Contender], run: Run) -> str:
+def cost_table(chosen: Mapping[str, Estimator], run: Run) -> str:
     """Time of one update, core time, median of five."""
     rows = []
-    for contender in chosen:
-        contender.estimate(run)
-        times = []
-        for _ in range(5):
-            began = time.process_time()
-            contender.estimate(run)
-            times.append(time.process_time() - began)
-        rows.append((contender.name, f"{1e6 * np.median(times) / len(run.time):.2f}"))
+    for name, one in chosen.items():
+        timing = measure(lambda one=one: one.estimate(run.signals, run.known))
+        rows.append((name, f"{1e6 * timing.core / len(run.time):.2f}"))
     rows.sort(key=lambda row: float(row[1]))
     return markdown(("estimator", "µs per update"), rows)
 
 
-def mistake_table(chosen: Sequence[Contender], seeds: Sequence[int], threads: int) -> str:
+def mistake_table(chosen: Mapping[str, Estimator], seeds: Sequence[int], threads: int) -> str:
     """RMS error in the link sweep where the plant is not what the estimators know."""
     columns = []
     for changes in MISTAKES.values():
         scenario, folder = load_scenario("link_sweep", [*changes, "known_joint=test-joint"])
-        runs = [[offline.run_alone(scenario, folder, seed) for seed in seeds]]
-        columns.append({c.name: tuning.errors(c, runs, threads)[0] for c in chosen})
-    order = sorted(chosen, key=lambda c: columns[0][c.name].mean())
-    rows = [(c.name, *(f"{column[c.name].mean():.3f}" for column in columns)) for c in order]
+        runs = tuning.simulated([(scenario, folder)], seeds)
+        columns.append({name: tuning.errors(one, runs, threads)[0] for name, one in chosen.items()})
+    order = sorted(chosen, key=lambda name: columns[0][name].mean())
+    rows = [(name, *(f"{column[name].mean():.3f}" for column in columns)) for name in order]
     return markdown(("estimator", *(f"{name} [N·m]" for name in MISTAKES)), rows)
 
 
 def readings_table(every: dict[str, list[Run]]) -> str:
     """RMS error of the paper's filter by the reading of its equations."""
-    (base,) = contenders(["RAREKF"])
     rows = []
     for label, changes in READINGS.items():
-        settings = replace(base.settings, **changes)
-        cells = [rms(tuning.errors(Contender(label, settings, ()), [runs])[0]) for runs in every.values()]
+        reading = with_values(registry.get("RAREKF"), changes)
+        cells = [rms(tuning.errors(reading, [runs])[0]) for runs in every.values()]
         rows.append((label, *cells))
     return markdown(("reading", *(f"{name} [N·m]" for name in every)), rows)
 
 
-def walk_table(chosen: Sequence[Contender], seeds: Sequence[int]) -> tuple[str, Limits]:
+def walk_table(chosen: Mapping[str, Estimator], seeds: Sequence[int]) -> tuple[str, Limits]:
     """Error in units of the bound on draws of the bound's own external torque: nothing causal may be below 1."""
     scenario, folder = load_scenario("external_push", ["duration=12"])
     found = limits.assess(limits.matched(scenario, 1.0), folder, seeds, chosen, 1.0)
@@ -259,7 +259,7 @@ def main() -> None:
     asked = parser.parse_args()
     seeds = range(101, 101 + asked.seeds)
     few = seeds[:FEW]
-    chosen = contenders()
+    chosen = estimators()
     began = time.perf_counter()
 
     def say(what: str) -> None:
@@ -267,7 +267,7 @@ def main() -> None:
 
     every, runs, fronts = {}, {}, []
     train_runs: dict[str, list[Run]] = {}
-    to_tune = [c for c in chosen if not (asked.quick and c.costly)]
+    to_tune = {name: one for name, one in chosen.items() if not (asked.quick and one.costly)}
     for name in SCENARIOS:
         scenario, folder = load_scenario(name)
         train_runs[name] = tuning.simulated([(scenario, folder)], range(1, 1 + asked.train))[0]
@@ -276,23 +276,22 @@ def main() -> None:
         found = limits.assess(scenario, folder, seeds, chosen)
         save_figure(limits_figure(found), asked.out / f"estimators_{name}.png")
         tuned = {}
-        for contender in to_tune:
-            say(f"{name}: tuning {contender.name}")
-            tuned[contender.name] = tuning.tune(contender, [train_runs[name]], [runs[name]], threads=asked.threads)
+        for estimator, one in to_tune.items():
+            say(f"{name}: tuning {estimator}")
+            tuned[estimator] = tuning.tune(one, [train_runs[name]], [runs[name]], threads=asked.threads)
         every[name] = Results(found, tuned)
-    for contender in chosen:
-        say(f"noise against delay: {contender.name}")
-        tuned = every["external_push"].tuned.get(contender.name)
-        fronts.append(
-            tuning.pareto(contender, runs["external_push"][:FEW], tuned.tuned if tuned else None, threads=asked.threads)
-        )
+    for name, one in chosen.items():
+        say(f"noise against delay: {name}")
+        best = every["external_push"].tuned.get(name)
+        pushed = runs["external_push"][:FEW]
+        fronts.append(tuning.pareto(one, pushed, best.tuned if best else None, threads=asked.threads))
     save_figure(pareto_figure(fronts, "external_push", len(few)), asked.out / "estimators_pareto.png")
     together = []
-    for contender in to_tune:
-        say(f"one setting for all: {contender.name}")
-        together.append(tuning.tune(contender, list(train_runs.values()), list(runs.values()), threads=asked.threads))
+    for name, one in to_tune.items():
+        say(f"one setting for all: {name}")
+        together.append(tuning.tune(one, list(train_runs.values()), list(runs.values()), threads=asked.threads))
     if asked.quick:
-        together += [_untuned(c, list(runs.values()), asked.threads) for c in chosen if c.costly]
+        together += [_untuned(one, list(runs.values()), asked.threads) for one in chosen.values() if one.costly]
     say("model error, readings, the bound's own model, cost")
     walk, _ = walk_table(chosen, seeds)
     tables = {
@@ -300,7 +299,7 @@ def main() -> None:
         "claim": claim_table(every, together),
         **{f"errors {name}": error_table(results) for name, results in every.items()},
         "consistency": consistency_table(every),
-        "knobs": knobs_table(every),
+        "parameters": parameters_table(every),
         "together": together_table(together),
         "mistakes": mistake_table(chosen, few, asked.threads),
         "readings": readings_table(runs),
@@ -312,9 +311,9 @@ def main() -> None:
     say(f"{asked.page}")
 
 
-def _untuned(contender: Contender, runs: Sequence[Sequence[Run]], threads: int) -> Tuned:
-    found = tuning.errors(contender, runs, threads)
-    return Tuned(contender, contender, {}, (np.nan, np.nan), 0, found, found, ())
+def _untuned(estimator: Estimator, runs: Sequence[Sequence[Run]], threads: int) -> Tuned:
+    found = tuning.errors(estimator, runs, threads)
+    return Tuned(estimator.name, estimator, estimator, {}, (np.nan, np.nan), 0, found, found, ())
 
 
 def bounds_table(every: dict[str, Results]) -> str:
