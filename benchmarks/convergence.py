@@ -45,9 +45,11 @@ def _passive():
         theta, velocity = carray(floats_at(word_at(d + 8 * QPOS)), 3), carray(floats_at(word_at(d + 8 * QVEL)), 3)
         force = carray(floats_at(word_at(d + 8 * PASSIVE)), 3)
         t = transmission_at(theta, velocity, 0.0, p)
-        tendon = p.df * (velocity[1] / p.N - velocity[2])  # MuJoCo exerts this; it is in Tf, too
-        force[0] -= t.wave_generator_torque
-        force[1] += t.wave_generator_torque - t.flexspline_torque * t.ratio + tendon / p.N
+        # MuJoCo exerts both dampings, which are in the torques, too.
+        tendon = p.df * (velocity[1] / p.N - velocity[2])
+        spring = t.wave_generator_torque - p.dw * (velocity[0] - velocity[1])
+        force[0] -= spring
+        force[1] += spring - t.flexspline_torque * t.ratio + tendon / p.N
         force[2] += t.flexspline_torque - tendon
 
     return passive
