@@ -133,17 +133,7 @@ def run(
         InputError: measurements of the wrong shape, or not finite.
         FilterDiverged: the next estimate would not be finite.
     """
-    y = _checked(measurements, 1 if model is None else len(model.H))
-    if model is None and initial_state is None:
-        return _scalar(settings, y[:, 0], time, None)
-    model = _torque_model(settings) if model is None else model
-    n = len(model.F)
-    if initial_state is None and not np.array_equal(model.H, np.eye(n)):
-        raise InputError("initial_state: expected one, as H is not the identity and Y(0) is not a state; got none")
-    start = y[0] if initial_state is None else _state(initial_state, n)
-    return _vector(
-        settings, model, y, lambda k, x: (model.F @ x, model.F), lambda k, x: (model.H @ x, model.H), start, time
-    )
+    return _single(settings, measurements, time, model, initial_state, None)
 
 
 def run_batch(
@@ -151,27 +141,32 @@ def run_batch(
     measurements: np.ndarray,
     *,
     time: np.ndarray | None = None,
+    model: FilterModel | None = None,
+    initial_state: np.ndarray | None = None,
     estimates_only: bool = False,
 ) -> FilterHistory | np.ndarray:
-    """Run N of the paper's filters, compiled, without the interpreter's lock. To the bit what N calls of `run` give.
+    """Run N filters. To the bit what N calls of `run` give.
 
     Args:
         settings: one for all, or one per filter.
-        measurements: Shape (N, T).
-        time: as for `run`.
-        estimates_only: return only X̂, shape (N, T, 1): a tenth of the memory.
+        measurements: Shape (N, T) or (N, T, m).
+        time, model, initial_state: as for `run`; initial_state (n,) or (N, n).
+        estimates_only: return only X̂, shape (N, T, n): a tenth of the memory.
 
     Raises:
         InputError, FilterDiverged: as `run`; the message names the filter's index.
     """
     y = np.asarray(measurements, dtype=np.float64)
-    if y.ndim != 2 or not y.size:
-        raise InputError(f"measurements: expected shape (N, T), got {np.shape(measurements)}")
+    if y.ndim not in (2, 3):
+        raise InputError(f"measurements: expected shape (N, T) or (N, T, m), got {np.shape(measurements)}")
     several = (settings,) * len(y) if isinstance(settings, PaperFilter) else tuple(settings)
     if len(several) != len(y):
         raise InputError(f"settings: expected one or {len(y)}, as many as measurements, got {len(several)}")
-    checked = (_checked(row, 1)[:, 0] for row in y)
-    rows = [_scalar(one, row, time, i) for i, (one, row) in enumerate(zip(several, checked, strict=True))]
+    if not several:
+        raise InputError("filters: expected at least one filter, got none")
+    starts = [None] * len(y) if initial_state is None else np.atleast_2d(initial_state)
+    starts = starts if len(starts) == len(y) else [starts[0]] * len(y)
+    rows = [_single(one, y[i], time, model, starts[i], i) for i, one in enumerate(several)]
     if estimates_only:
         return np.stack([row.x for row in rows])
     arrays = [field.name for field in fields(FilterHistory) if field.name != "settings"]
@@ -202,8 +197,22 @@ def run_extended(
     Raises:
         InputError, FilterDiverged: as `run`.
     """
-    y = _checked(measurements, len(model.H))
-    return _vector(settings, model, y, transition, observation, _state(initial_state, len(model.F)), time)
+    y = _checked(measurements, len(model.H), None)
+    return _vector(settings, model, y, transition, observation, _state(initial_state, len(model.F)), time, None)
+
+
+def _single(settings, measurements, time, model, initial_state, index) -> FilterHistory:
+    """One filter, number `index` of a batch; the torque filter from Y(0) is compiled."""
+    y = _checked(measurements, 1 if model is None else len(model.H), index)
+    if model is None and initial_state is None:
+        return _scalar(settings, y[:, 0], time, index)
+    model = _torque_model(settings) if model is None else model
+    n = len(model.F)
+    if initial_state is None and not np.array_equal(model.H, np.eye(n)):
+        raise InputError("initial_state: expected one, as H is not the identity and Y(0) is not a state; got none")
+    start = y[0] if initial_state is None else _state(initial_state, n)
+    F, H = model.F, model.H
+    return _vector(settings, model, y, lambda k, x: (F @ x, F), lambda k, x: (H @ x, H), start, time, index)
 
 
 def _scalar(settings: PaperFilter, y: np.ndarray, time: np.ndarray | None, index: int | None) -> FilterHistory:
@@ -223,7 +232,7 @@ def _scalar(settings: PaperFilter, y: np.ndarray, time: np.ndarray | None, index
     )  # fmt: skip
 
 
-def _vector(settings, model, y, transition, observation, start, time) -> FilterHistory:
+def _vector(settings, model, y, transition, observation, start, time, index) -> FilterHistory:
     """The filter of any dimension: `recursion.vector_update` at every sample."""
     c = settings.record()[0]
     n, m = len(start), y.shape[1]
@@ -242,10 +251,11 @@ def _vector(settings, model, y, transition, observation, start, time) -> FilterH
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # what overflows is told by its status
             found = recursion.vector_update(f, x, predicted, y[t], F, H, W, V, L, model.load_index, c)
         if isinstance(found, int):
-            LFL = L @ (F @ f["P"] @ F.T + W) @ L.T
-            largest = float(np.linalg.eigvalsh(LFL)[-1]) if found == recursion.GAMMA_TOO_SMALL else 0.0
+            largest = 0.0
+            if found == recursion.GAMMA_TOO_SMALL:
+                largest = float(np.linalg.eigvalsh(L @ (F @ f["P"] @ F.T + W) @ L.T)[-1])
             reason = settings.failure(found, f["x"][model.load_index], largest)
-            raise FilterDiverged(settings.name, t, _at(time, t), reason)
+            raise FilterDiverged(settings.name, t, _at(time, t), reason, index)
         f = found
         steps.append(f)
     return FilterHistory(settings, **{name: np.array([f[name] for f in steps]) for name in steps[0]})
@@ -261,15 +271,18 @@ def _at(time: np.ndarray | None, step: int) -> float:
     return float(time[step]) if time is not None else step * 1e-3
 
 
-def _checked(measurements: np.ndarray, m: int) -> np.ndarray:
+def _checked(measurements: np.ndarray, m: int, index: int | None) -> np.ndarray:
     """Measurements as an array, shape (T, m); refuse wrong shapes and values that are not finite."""
     y = np.asarray(measurements, dtype=np.float64)
     y = y[:, None] if y.ndim == 1 else y
-    if y.ndim != 2 or y.shape[0] == 0 or y.shape[1] != m:
-        raise InputError(f"measurements: expected one sample at least, shape (T, {m}), got {np.shape(measurements)}")
+    if y.ndim != 2:
+        raise InputError(f"measurements: expected shape (T,) or (T, m), got {np.shape(measurements)}")
+    if y.shape[0] == 0 or y.shape[1] != m:
+        raise InputError(f"measurements: expected at least one sample of {m} value(s), got shape {y.shape}")
     bad = np.argwhere(~np.isfinite(y))
     if bad.size:
-        raise InputError(f"measurements: expected finite numbers, got {y[tuple(bad[0])]} at sample {bad[0][0]}")
+        which = "" if index is None else f" of filter {index}"
+        raise InputError(f"measurements: expected finite numbers, got {y[tuple(bad[0])]} at sample {bad[0][0]}{which}")
     return y
 
 

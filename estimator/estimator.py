@@ -27,6 +27,9 @@ from .errors import FilterDiverged
 from .tuning_parameters import TuningParameter
 
 
+_DIGITS = 9  # s: a time since the start has lost more than that of an interval by rounding, and the loop's has not
+
+
 @dataclass(frozen=True)
 class SensorNoise:
     """Resolution (one count) and noise (rms) of the sensors: [rad, motor side], [rad], [A]."""
@@ -137,6 +140,9 @@ class Posterior:
         if self.innovation is None or self.innovation_covariance is None:
             return None
         S, e = self.innovation_covariance, self.innovation
+        if e.shape[1] == 1:
+            s = S[:, 0, 0]
+            return np.divide(e[:, 0] ** 2, s, out=np.zeros(len(e)), where=s > 0)
         good = np.all(np.diagonal(S, axis1=1, axis2=2) > 0, axis=1)
         found = np.zeros(len(e))
         found[good] = np.einsum("ni,ni->n", e[good], np.linalg.solve(S[good], e[good][..., None])[..., 0])
@@ -212,7 +218,7 @@ class CausalEstimator(Estimator):
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
         samples = as_samples(signals, self.needs, joint)
-        out, failed, status = run_step(self.step(joint, float(np.median(np.diff(signals.time)))), samples)
+        out, failed, status = run_step(self.step(joint, sample_interval(signals)), samples)
         if failed < len(samples):
             last = out[max(failed - 1, 0)]
             raise FilterDiverged(self.name, failed, float(signals.time[failed]), self.reason(status, last))
@@ -235,6 +241,11 @@ class CausalEstimator(Estimator):
         )  # fmt: skip
 
 
+def sample_interval(signals: Signals) -> float:
+    """Median time between samples [s], as exact as a clock: what `Estimator.step` is given of signals."""
+    return round(float(np.median(np.diff(signals.time))), _DIGITS)
+
+
 def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> np.ndarray:
     """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command counts from the next
     sample on; before the first there was none, 0 A.
@@ -242,17 +253,26 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> n
     Raises:
       InputError: a channel of `needs` that is missing.
     """
-    time = signals.time
-    found = np.full(len(time), np.nan, SAMPLE)
-    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
     for name in needs:
         signals[name]
+    # Signals do not change, and every estimator reads the same of them.
+    made: dict[float | None, np.ndarray] = signals.__dict__.setdefault("_samples", {})
+    if joint.start not in made:
+        made[joint.start] = _samples(signals, joint)
+    return made[joint.start]
+
+
+def _samples(signals: Signals, joint: KnownJoint) -> np.ndarray:
+    time = signals.time
+    found = np.full(len(time), np.nan, SAMPLE)
+    found["time"], found["interval"] = joint.since(time), np.round(np.diff(time, prepend=time[0]), _DIGITS)
     for name in SENSED:
         if name in signals and name != "joint_torque":
             found[name] = signals[name]
     if "current_command" in signals:
         command = signals["current_command"]
         found["current_command"] = np.r_[0.0, command[:-1]]
+    found.flags.writeable = False
     return found
 
 

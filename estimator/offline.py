@@ -36,7 +36,7 @@ from ..models.tables import write_table
 from . import registry, smoothed
 from .arrays import run
 from .errors import FilterDiverged
-from .estimator import Estimator, KnownJoint
+from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import PayloadObserver, observe
@@ -90,7 +90,7 @@ class Prepared:
 
     def ready(self, estimator: Estimator) -> Estimator:
         """An estimator as this segment wants it: scaled to joint and sampling, W and bandwidth by what its readings show."""
-        interval = float(np.median(np.diff(self.signals.time)))
+        interval = sample_interval(self.signals)
         scaled = estimator.scaled(self.known, interval)
         if isinstance(scaled, PaperFilter):
             return replace(scaled, W=scaled.W * self.walk)
@@ -295,7 +295,7 @@ def _with(joint: KnownJoint, **values: float) -> KnownJoint:
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
     """The one of `WALKS` by which the EKF's W makes its innovations most likely."""
-    interval = float(np.median(np.diff(signals.time)))
+    interval = sample_interval(signals)
     measured = registry.get("model").estimate(signals, joint).mean
     ekf = registry.get("EKF").scaled(joint, interval)
     return min(WALKS, key=lambda walk: _surprise(run(replace(ekf, W=ekf.W * walk), measured)))

@@ -16,7 +16,7 @@ from ...models.kernels import kernel
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, tell
 from ..errors import FilterDiverged
-from ..estimator import Estimator, KnownJoint, Posterior, as_samples
+from ..estimator import Estimator, KnownJoint, Posterior, as_samples, sample_interval
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
 from ..tuning_parameters import TuningParameter
 from .dynamics_ekf import DynamicsEKF
@@ -85,7 +85,7 @@ class RTSSmoother(Estimator):
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
         samples = as_samples(signals, self.needs, joint)
         filtered = DynamicsEKF(self.name, self.process)
-        settings = filtered.settings(joint, float(np.median(np.diff(signals.time))))
+        settings = filtered.settings(joint, sample_interval(signals))
         n, m = len(samples), int(settings[0]["noise"]["count"])
         out, predicted = np.zeros((n, len(OUT.names))), np.zeros((n, SIZE))
         F, covariance, P = np.zeros((n, m, m)), np.zeros((n, m, m)), np.zeros((n, m, m))

@@ -7,14 +7,15 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from flexspline.estimator import FilterDiverged, FilterModel, FilterSettings, baselines, compliance, run
 from flexspline.estimator.baselines import JointSignals, SensorNoise, huber
 from flexspline.estimator.baselines.compliance_model import compliance_measurement
+from scipy.optimize import minimize
+from scipy.signal import butter, lfilter
+
+from flexspline.estimator import FilterDiverged, FilterModel, FilterSettings, baselines, compliance, run
 from flexspline.models import laws
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
-from scipy.optimize import minimize
-from scipy.signal import butter, lfilter
 
 TORQUE_FILTERS = ("kalman", "h_infinity", "strong_tracking", "huber")
 NOISE = SensorNoise()

@@ -8,15 +8,16 @@ from time import perf_counter
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from flexspline.estimator import baselines
 from flexspline.estimator.baselines import JointSignals, SensorNoise, joint_dynamics, quantised, rts_smoother
 from flexspline.estimator.baselines.joint_dynamics import BRISTLE, EXTERNAL, SIZE, WAVE_RATE, ProcessNoise
+from scipy.integrate import solve_ivp
+from scipy.stats import chi2, truncnorm
+
+from flexspline.estimator import baselines
 from flexspline.models import laws
 from flexspline.models.joint import load_joint
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
-from scipy.integrate import solve_ivp
-from scipy.stats import chi2, truncnorm
 
 NOISE = SensorNoise()
 SCENARIOS = ("no_load", "link_sweep", "external_push")

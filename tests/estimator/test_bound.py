@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from flexspline.estimator import bound
 from flexspline.estimator.baselines import JointSignals, SensorNoise, dynamics_ekf, joint_dynamics
 from flexspline.estimator.baselines.joint_dynamics import BRISTLE, EXTERNAL, LINK, MOTOR, SIZE, ProcessNoise
+from scipy.linalg import solve_discrete_are
+
+from flexspline.estimator import bound
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
-from scipy.linalg import solve_discrete_are
 
 NOISE = SensorNoise(motor_resolution=0.0, motor_noise=4e-4, link_resolution=0.0, link_noise=2e-6, current_noise=0.0)
 PRIOR = np.r_[[4e-4, 1.0, 4e-3, 1.0, 2e-3, 2e-6, 1e-2, 2.4], np.zeros(4)]

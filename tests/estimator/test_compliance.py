@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from flexspline.estimator import FilterSettings, compliance, compliance_torque, run
+
+from flexspline.estimator import PaperFilter, compliance, compliance_torque, run
 from flexspline.models.errors import InputError
 
 N, K1, K2, K3, T1, T2, KW0, CW = 100.0, 8400.0, 9400.0, 13000.0, 3.9, 12.0, 1.14, 20.0
@@ -102,7 +103,7 @@ def test_filters_on_the_reference(reference, calibration, name, rng):
     y = compliance(motor, link, calibration["Kt"][0] * current, calibration).torque
     rms, robust = {}, {}
     for rule in ("ekf", "robust", "arekf", "rarekf"):
-        got = run(FilterSettings(rule=rule), y)
+        got = run(PaperFilter(rule=rule), y)
         rms[rule] = np.sqrt(np.mean((got.torque - data["joint_torque"]) ** 2))
         robust[rule] = got.robust.mean()
     print(name, "rms", {k: round(v, 4) for k, v in rms.items()}, "robust", {k: round(v, 4) for k, v in robust.items()})

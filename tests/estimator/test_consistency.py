@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from flexspline.estimator import FilterModel, FilterSettings, consistency, run
-from flexspline.models.errors import InputError
 from scipy.stats import chi2
+
+from flexspline.estimator import FilterModel, PaperFilter, consistency, run
+from flexspline.models.errors import InputError
 
 F = np.array([[1.0, 0.1], [0.0, 0.95]])
 H = np.array([[1.0, 0.0]])
@@ -25,7 +26,7 @@ def monte_carlo(rng, process: float = 1.0, runs: int = 40, steps: int = 400):
             x = F @ x + np.sqrt(np.diag(W)) * rng.standard_normal(2)
         states = np.array(states)
         y = states[:, 0] + np.sqrt(V[0, 0]) * rng.standard_normal(steps)
-        h = run(FilterSettings(rule="ekf"), y, model=model, initial_state=start)
+        h = run(PaperFilter(rule="ekf"), y, model=model, initial_state=start)
         nis.append(consistency.normalised_squares(h.innovation[1:], h.innovation_covariance[1:]))
         nees.append(consistency.normalised_squares(h.x - states, h.P))
         innovations.append(h.innovation[1:, 0] / np.sqrt(h.innovation_covariance[1:, 0, 0]))
@@ -50,7 +51,7 @@ def test_a_matched_filter_passes(rng):
     assert 0.3 < p.mean() < 0.7 and p.min() > 1e-5
 
 
-@pytest.mark.parametrize("process, verdict", [(0.02, "overconfident"), (50.0, "cautious")])
+@pytest.mark.parametrize("process, verdict", [(0.02, "overconfident"), (50.0, "conservative")])
 def test_a_mismatched_filter_fails_in_the_right_direction(process, verdict, rng):
     nis, nees, innovations = monte_carlo(rng, process)
     assert consistency.mean_consistency(nis, 1).verdict == verdict
@@ -59,7 +60,7 @@ def test_a_mismatched_filter_fails_in_the_right_direction(process, verdict, rng)
     rho = np.mean([consistency.autocorrelation(v, 20) for v in innovations], axis=0)
     band = consistency.white_band(innovations.size)
     # A slow filter lags, its innovations keep their sign; a fast one overshoots, they change it.
-    assert (rho[0] > 3 * band) == (verdict == "overconfident") and (rho[0] < -3 * band) == (verdict == "cautious")
+    assert (rho[0] > 3 * band) == (verdict == "overconfident") and (rho[0] < -3 * band) == (verdict == "conservative")
     assert np.mean([consistency.ljung_box(consistency.autocorrelation(v, 20), 399) for v in innovations]) < 0.05
 
 

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from flexspline.estimator import FilterDiverged, FilterModel, FilterSettings, run, run_batch
+
+from flexspline.estimator import FilterDiverged, FilterModel, PaperFilter, run, run_batch
 
 
 def test_printed_alpha_diverges_at_zero_load():
     """α = kω² is zero at zero load and f_α = P̄_Y/(α·P_Y) infinite: an exception that says so, not NaN."""
     y = np.zeros(100)
     y[40:] = 1e-3
-    assert np.isfinite(run(FilterSettings(), y).torque).all()
+    assert np.isfinite(run(PaperFilter(), y).torque).all()
     with pytest.raises(FilterDiverged) as caught:
-        run(FilterSettings(name="as printed", alpha="printed"), y, time=0.5 + 1e-3 * np.arange(100))
+        run(PaperFilter(name="as printed", alpha="printed"), y, time=0.5 + 1e-3 * np.arange(100))
     error = caught.value
     assert (error.filter, error.step) == ("as printed", 40)
     assert error.time == pytest.approx(0.54)
@@ -26,19 +27,33 @@ def test_printed_alpha_diverges_on_the_no_load_reference(reference, calibration)
     """The no-load motion starts from rest at zero; as printed the filter does not survive its first torque."""
     torque = reference("no_load")["joint_torque"]
     with pytest.raises(FilterDiverged, match="α = kω²"):
-        run(FilterSettings(alpha="printed"), torque)
+        run(PaperFilter(alpha="printed"), torque)
 
 
 def test_printed_alpha_works_backwards(rng):
     """It loosens the filter where the load is small and equals AREKF where it is large."""
     quiet = 0.3 + 0.02 * rng.standard_normal(2000)
     loaded = 9.0 + 0.02 * rng.standard_normal(2000)
-    printed = FilterSettings(alpha="printed")
+    printed = PaperFilter(alpha="printed")
     assert run(printed, quiet).robust.mean() > 0.9
-    assert run(FilterSettings(), quiet).robust.mean() < 0.01
+    assert run(PaperFilter(), quiet).robust.mean() < 0.01
     got = run(printed, loaded)
     assert (got.alpha == 1.0).all()
-    np.testing.assert_array_equal(got.torque, run(FilterSettings(rule="arekf"), loaded).torque)
+    np.testing.assert_array_equal(got.torque, run(PaperFilter(rule="arekf"), loaded).torque)
+
+
+def test_inverse_alpha_is_what_the_figures_show(rng):
+    """α = max(1, 1/(kω²)): optimal mode without load, whatever the innovations; AREKF under load."""
+    inverse = PaperFilter(alpha="inverse")
+    quiet = run(inverse, np.r_[np.zeros(50), 1e-3 * rng.standard_normal(500)])
+    assert np.isfinite(quiet.torque).all() and not quiet.robust.any()
+    assert np.isinf(quiet.alpha[1:51]).all() and quiet.alpha.min() == 1.0 == quiet.alpha[0]
+    loaded = 9.0 + 0.3 * rng.standard_normal(2000)
+    got = run(inverse, loaded)
+    assert (got.alpha == 1.0).all()
+    np.testing.assert_array_equal(got.torque, run(PaperFilter(rule="arekf"), loaded).torque)
+    between = run(inverse, np.full(10, 2.0))
+    assert between.alpha[-1] == pytest.approx(1 / (inverse.k * 2.0**2))
 
 
 def test_printed_memory_forgets():
@@ -49,8 +64,8 @@ def test_printed_memory_forgets():
     y = np.zeros(60)
     y[30] = 2.0
     y[31:] = 0.3
-    source = run(FilterSettings(rule="arekf"), y)
-    printed = run(FilterSettings(rule="arekf", memory="printed"), y)
+    source = run(PaperFilter(rule="arekf"), y)
+    printed = run(PaperFilter(rule="arekf", memory="printed"), y)
     for got, past in ((source, source.memory), (printed, printed.innovation_covariance)):
         expected = (9.0 * past[:-1] + got.innovation[1:, :, None] ** 2) / 10.0
         np.testing.assert_allclose(got.memory[1:], expected, rtol=1e-13)
@@ -62,8 +77,8 @@ def test_printed_memory_forgets():
 def test_adjusted_covariance_solves_both_equations():
     """P_Y of Eq. (14) contains the Σ that Eq. (19) chooses by it; `adjusted` satisfies both, and adjusts less."""
     y = np.where(np.arange(60) >= 30, 9.0, 0.0)
-    got = run(FilterSettings(covariance="adjusted"), y)
-    plain = run(FilterSettings(), y)
+    got = run(PaperFilter(covariance="adjusted"), y)
+    plain = run(PaperFilter(), y)
     on = got.robust
     assert on.any()
     f = got.memory[on, 0, 0] / (got.alpha[on] * got.innovation_covariance[on, 0, 0])
@@ -76,18 +91,18 @@ def test_adjusted_covariance_solves_both_equations():
 
 def test_gamma_too_small():
     with pytest.raises(FilterDiverged, match=r"γ⁻²LᵀL of Eq. \(18\) is not positive definite") as caught:
-        run(FilterSettings(rule="robust", gamma=0.05), np.zeros(10))
+        run(PaperFilter(rule="robust", gamma=0.05), np.zeros(10))
     needed = np.sqrt(1e-2 + 1e-4)
     assert f"more than {needed:g} N·m" in str(caught.value)
     assert caught.value.step == 1
-    assert np.isfinite(run(FilterSettings(rule="robust", gamma=1.01 * needed), np.zeros(10)).torque).all()
+    assert np.isfinite(run(PaperFilter(rule="robust", gamma=1.01 * needed), np.zeros(10)).torque).all()
 
 
 def test_batch_names_which_filter():
     y = np.zeros((3, 50))
     y[1, 20:] = 1.0
     with pytest.raises(FilterDiverged, match="number 1 of the batch") as caught:
-        run_batch(FilterSettings(alpha="printed"), y)
+        run_batch(PaperFilter(alpha="printed"), y)
     assert (caught.value.index, caught.value.step) == (1, 20)
 
 
@@ -96,19 +111,19 @@ def test_overflow_ends_in_the_exception():
     y = np.array([0.0, 1.0, 1e200, -1e300, 0.0])
     for rule in ("ekf", "robust", "arekf", "rarekf"):
         with pytest.raises(FilterDiverged, match="diverged at step"):
-            run(FilterSettings(rule=rule), y)
+            run(PaperFilter(rule=rule), y)
 
 
 def test_unstable_model_ends_in_the_exception():
     model = FilterModel([[1e200]], [[1.0]], [[1.0]], [[1.0]], [[1.0]])
     with pytest.raises(FilterDiverged):
-        run(FilterSettings(rule="ekf"), np.ones(30), model=model)
+        run(PaperFilter(rule="ekf"), np.ones(30), model=model)
 
 
 def test_unobserved_state_grows_without_bound(rng):
     """Σ = f_α·P inflates what no measurement sees, too: a limit of the method, told and not NaN."""
     model = FilterModel(np.eye(2), [[1.0, 0.0]], 0.01 * np.eye(2), [[1.0]], [[1.0, 0.5], [0.5, 1.0]])
     y = 3.0 * rng.standard_normal(5000)
-    assert np.isfinite(run(FilterSettings(rule="ekf"), y, model=model, initial_state=np.zeros(2)).x).all()
+    assert np.isfinite(run(PaperFilter(rule="ekf"), y, model=model, initial_state=np.zeros(2)).x).all()
     with pytest.raises(FilterDiverged, match=r"grown without bound|not finite"):
-        run(FilterSettings(rule="arekf"), y, model=model, initial_state=np.zeros(2))
+        run(PaperFilter(rule="arekf"), y, model=model, initial_state=np.zeros(2))

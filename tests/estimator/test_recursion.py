@@ -5,21 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
-from flexspline.estimator import (
-    FilterModel,
-    FilterSettings,
-    filter_bank,
-    run,
-    run_batch,
-    run_extended,
-    start_bank,
-    state_size,
-    unpack,
-    update,
-    update_bank,
-)
-from flexspline.estimator.recursion import workspace
-from numba import njit
+
+from flexspline.estimator import FilterModel, KnownJoint, PaperFilter, get, run, run_batch, run_extended
+from flexspline.models.joint import load_joint
+from flexspline.models.signals import Signals
 
 RULES = ("ekf", "robust", "arekf", "rarekf")
 
@@ -50,7 +39,7 @@ def square_root(A):
 def test_ekf_is_the_kalman_filter(rng, n, m):
     model = random_model(rng, n, m)
     x0, y = rng.standard_normal(n), rng.standard_normal((300, m))
-    ours = run(FilterSettings(rule="ekf"), y, model=model, initial_state=x0)
+    ours = run(PaperFilter(rule="ekf"), y, model=model, initial_state=x0)
 
     theirs = KalmanFilter(dim_x=n, dim_z=m)
     theirs.x, theirs.P = x0[:, None].copy(), model.P0.copy()
@@ -82,7 +71,7 @@ def test_nonlinear_ekf_against_filterpy(rng):
     model = FilterModel(np.eye(2), np.ones((1, 2)), 1e-4 * np.eye(2), np.array([[0.01]]), np.eye(2))
     x0 = np.array([0.6, 0.0])
     y = np.sin(0.5 * np.cos(3.1 * h * np.arange(400))) + 0.1 * rng.standard_normal(400)
-    ours = run_extended(FilterSettings(rule="ekf"), model, y, transition, observation, x0)
+    ours = run_extended(PaperFilter(rule="ekf"), model, y, transition, observation, x0)
 
     theirs = ExtendedKalmanFilter(dim_x=2, dim_z=1)
     theirs.x, theirs.P, theirs.Q, theirs.R = x0[:, None].copy(), np.eye(2), model.W, model.V
@@ -102,7 +91,7 @@ def test_nonlinear_ekf_against_filterpy(rng):
 def test_extended_with_linear_functions_is_the_linear_filter(rng):
     model = random_model(rng, 3, 2)
     x0, y = rng.standard_normal(3), rng.standard_normal((50, 2))
-    settings = FilterSettings(rule="rarekf", k=1.0)
+    settings = PaperFilter(rule="rarekf", k=1.0)
     linear = run(settings, y, model=model, initial_state=x0)
     extended = run_extended(
         settings, model, y, lambda k, x: (model.F @ x, model.F), lambda k, x: (model.H @ x, model.H), x0
@@ -133,7 +122,7 @@ def written_out(settings, y, W, V, P0):
 def test_one_state_collapses(rng, rule):
     """With one state robust mode is Σ = f_α·P, f_α = P̄_Y/(α·P_Y), and the posterior that of Eq. (17)."""
     y = np.where(np.arange(600) > 300, 9.0, 0.0) + 0.07 * rng.standard_normal(600)
-    settings = FilterSettings(rule=rule)
+    settings = PaperFilter(rule=rule)
     got = run(settings, y)
     x, P, memory, alpha, f = written_out(settings, y, settings.W, settings.V, settings.P0)
     np.testing.assert_allclose(got.torque, x, rtol=1e-12)
@@ -154,7 +143,7 @@ def test_robust_mode_is_equation_19_with_21_24_25(rng, n, m):
     """Build L of Eq. (21) from the compensation of Eq. (24), put it into Eq. (19): Σ, and with it x and P, agree."""
     model = random_model(rng, n, m)
     y = 3.0 * rng.standard_normal((40, m))
-    settings = FilterSettings(rule="rarekf", k=0.5, gamma=2.0)
+    settings = PaperFilter(rule="rarekf", k=0.5, gamma=2.0)
     got = run(settings, y, model=model, initial_state=np.zeros(n))
     assert got.robust.any()
     assert not got.robust[1:].all()
@@ -184,13 +173,13 @@ def test_fixed_gamma(rng, n, m):
     L = 0.3 * rng.standard_normal((n, n))
     model = FilterModel(model.F, model.H, model.W, model.V, 0.1 * model.P0, L)
     y, x0 = rng.standard_normal((60, m)), np.zeros(n)
-    ekf = run(FilterSettings(rule="ekf"), y, model=model, initial_state=x0)
-    infinite = run(FilterSettings(rule="robust", gamma=np.inf), y, model=model, initial_state=x0)
+    ekf = run(PaperFilter(rule="ekf"), y, model=model, initial_state=x0)
+    infinite = run(PaperFilter(rule="robust", gamma=np.inf), y, model=model, initial_state=x0)
     np.testing.assert_array_equal(infinite.x, ekf.x)
     np.testing.assert_array_equal(infinite.P, ekf.P)
-    large = run(FilterSettings(rule="robust", gamma=1e8), y, model=model, initial_state=x0)
+    large = run(PaperFilter(rule="robust", gamma=1e8), y, model=model, initial_state=x0)
     np.testing.assert_allclose(large.x, ekf.x, rtol=0, atol=1e-12)
-    got = run(FilterSettings(rule="robust", gamma=2.0), y, model=model, initial_state=x0)
+    got = run(PaperFilter(rule="robust", gamma=2.0), y, model=model, initial_state=x0)
     assert np.abs(got.x - ekf.x).max() > 1e-6
     for t in range(1, len(y)):
         P = model.F @ got.P[t - 1] @ model.F.T + model.W
@@ -204,7 +193,7 @@ def test_robust_is_faster_after_a_step():
     y = np.where(np.arange(200) >= 100, 5.0, 0.0)
     rise = {}
     for rule in RULES:
-        torque = run(FilterSettings(rule=rule), y).torque
+        torque = run(PaperFilter(rule=rule), y).torque
         rise[rule] = int(np.argmax(torque[100:] > 4.5))
     print("steps to 90 %:", rise)
     assert rise["arekf"] <= rise["rarekf"] < rise["robust"] <= rise["ekf"]
@@ -215,16 +204,16 @@ def test_redundancy_keeps_optimal_mode_under_load(rng):
     """Modelling error that grows with load: AREKF goes robust on it, RAREKF tolerates it, both are equal at no load."""
     quiet = 0.05 * rng.standard_normal(3000)
     loaded = 12.0 + 0.15 * rng.standard_normal(3000)
-    assert run(FilterSettings(rule="arekf"), loaded).robust.mean() > 0.5
-    assert run(FilterSettings(rule="rarekf"), loaded).robust.mean() < 0.01
-    arekf, rarekf = (run(FilterSettings(rule=rule), quiet) for rule in ("arekf", "rarekf"))
+    assert run(PaperFilter(rule="arekf"), loaded).robust.mean() > 0.5
+    assert run(PaperFilter(rule="rarekf"), loaded).robust.mean() < 0.01
+    arekf, rarekf = (run(PaperFilter(rule=rule), quiet) for rule in ("arekf", "rarekf"))
     np.testing.assert_array_equal(arekf.torque, rarekf.torque)
     assert rarekf.robust.mean() < 0.05
 
 
 def test_start():
     """X̂(0) = Y(0), P(0) = P0, nothing has been remembered."""
-    settings = FilterSettings(P0=0.5)
+    settings = PaperFilter(P0=0.5)
     got = run(settings, [3.0, 3.1])
     assert got.torque[0] == 3.0
     assert got.P[0, 0, 0] == 0.5
@@ -237,7 +226,7 @@ def test_start():
 @pytest.mark.parametrize("rule", RULES)
 def test_batch_is_single_to_the_bit(rng, rule):
     y = np.where(np.arange(200) > 100, 9.0, 0.0) + 0.07 * rng.standard_normal((7, 200))
-    settings = [FilterSettings(rule=rule, V=4e-3 + 1e-4 * i, rho=3.0 + i) for i in range(7)]
+    settings = [PaperFilter(rule=rule, V=4e-3 + 1e-4 * i, rho=3.0 + i) for i in range(7)]
     batch = run_batch(settings, y)
     estimates = run_batch(settings, y, estimates_only=True)
     for i, one in enumerate(settings):
@@ -250,7 +239,7 @@ def test_batch_is_single_to_the_bit(rng, rule):
 def test_batch_is_single_to_the_bit_in_more_dimensions(rng):
     model = random_model(rng, 3, 2)
     y, x0 = rng.standard_normal((4, 50, 2)), rng.standard_normal((4, 3))
-    settings = FilterSettings(rule="rarekf", k=0.3)
+    settings = PaperFilter(rule="rarekf", k=0.3)
     batch = run_batch(settings, y, model=model, initial_state=x0)
     for i in range(4):
         single = run(settings, y[i], model=model, initial_state=x0[i])
@@ -258,31 +247,50 @@ def test_batch_is_single_to_the_bit_in_more_dimensions(rng):
         np.testing.assert_array_equal(batch.P[i], single.P)
 
 
-@njit(nogil=True)
-def loop(states, y, bank, work, out):
-    """A compiled loop that holds several filters, as the closed loop does."""
-    for t in range(1, y.shape[0]):
-        for i in range(states.shape[0]):
-            update(states[i], y[t], bank.F[i], bank.H[i], bank.W[i], bank.V[i], bank.L[i], bank.gains[i], work)
-            out[t, i] = states[i, 0]
+@pytest.mark.parametrize("settings", [
+    *(PaperFilter(rule=rule) for rule in RULES), PaperFilter(memory="printed"), PaperFilter(covariance="adjusted"),
+    PaperFilter(alpha="inverse"), PaperFilter(rule="robust", L=0.5),
+], ids=str)  # fmt: skip
+def test_scalar_is_vector(rng, settings):
+    """The compiled filter of one state and the matrices of any number of them are one recursion."""
+    y = np.where(np.arange(1500) % 700 > 300, 9.0, 0.2) + 0.07 * rng.standard_normal(1500)
+    one = np.eye(1)
+    model = FilterModel(one, one, settings.W * one, settings.V * one, settings.P0 * one, settings.L * one)
+    scalar, vector = run(settings, y), run(settings, y, model=model)
+    for field in (
+        "x",
+        "P",
+        "innovation",
+        "innovation_covariance",
+        "unadjusted_covariance",
+        "memory",
+        "alpha",
+        "f_alpha",
+        "nis",
+    ):
+        np.testing.assert_allclose(
+            getattr(scalar, field), getattr(vector, field), rtol=1e-11, atol=1e-15, err_msg=field
+        )
+    np.testing.assert_array_equal(scalar.robust, vector.robust)
 
 
-def test_compiled_loop_and_stepwise_bank_agree_with_run(rng):
-    y = np.where(np.arange(100) > 50, 9.0, 0.0)[:, None] + 0.07 * rng.standard_normal((100, 1))
-    settings = [FilterSettings(rule=rule) for rule in RULES]
-    bank = filter_bank(settings)
-    P0 = np.full((4, 1, 1), settings[0].P0)
-    states = start_bank(bank, np.full((4, 1), y[0, 0]), P0)
-    assert states.shape == (4, state_size(1, 1))
-    stepped = states.copy()
-    out = np.empty((100, 4))
-    loop(states, y, bank, workspace(1, 1), out)
-    work = workspace(1, 1)
-    for t in range(1, 100):
-        assert update_bank(stepped, np.full((4, 1), y[t, 0]), bank, work) == (-1, 0)
-    np.testing.assert_array_equal(stepped, states)
-    for i, one in enumerate(settings):
-        np.testing.assert_array_equal(out[1:, i], run(one, y).torque[1:])
-    last = unpack(states, 1, 1)
-    np.testing.assert_array_equal(last.torque, out[-1])
-    assert last.robust[1]  # the fixed-γ rule always is
+@pytest.mark.parametrize("rule", RULES)
+def test_step_by_address_is_run(rng, rule):
+    """What the closed loop calls is what `run` gives of the compliance model's torque, to the bit."""
+    joint = KnownJoint.of(load_joint("test-joint"))
+    time = np.arange(2000) * 1e-3
+    motor = 4.0 * np.sin(2 * time)
+    columns = {
+        "motor_position": motor, "link_position": motor / 100 - 4e-4 * (time > 1.0) + 2e-6 * rng.standard_normal(2000),
+        "motor_current": 0.3 + 0 * time,
+    }  # fmt: skip
+    signals = Signals(time, columns)
+    ours = PaperFilter(rule=rule).estimate(signals, joint)
+    measured = get("model").estimate(signals, joint).mean
+    np.testing.assert_array_equal(ours.columns["measurement"], measured)
+    history = run(PaperFilter(rule=rule), measured)
+    np.testing.assert_array_equal(ours.mean, history.torque)
+    np.testing.assert_array_equal(ours.variance, history.P[:, 0, 0])
+    np.testing.assert_array_equal(ours.innovation_covariance, history.innovation_covariance)
+    np.testing.assert_array_equal(ours.robust, history.robust)
+    np.testing.assert_array_equal(ours.columns["alpha"], history.alpha)

@@ -1,4 +1,4 @@
-"""Settings: what is refused and how, and where the defaults come from."""
+"""The paper's filters as estimators: what is refused and how, where the defaults come from, what they are elsewhere."""
 
 from __future__ import annotations
 
@@ -7,17 +7,19 @@ import pickle
 
 import numpy as np
 import pytest
+
 from flexspline.estimator import (
     FilterDiverged,
     FilterModel,
-    FilterSettings,
-    filter_bank,
+    KnownJoint,
+    PaperFilter,
     measurement_variance,
     paper_filters,
     run,
     run_batch,
 )
 from flexspline.models.errors import InputError
+from flexspline.models.joint import load_joint
 
 
 @pytest.mark.parametrize(
@@ -43,7 +45,7 @@ from flexspline.models.errors import InputError
 )
 def test_bad_setting(field, value, parts):
     with pytest.raises(InputError) as caught:
-        FilterSettings(**{"name": "mine", field: value})
+        PaperFilter(**{"name": "mine", field: value})
     message = str(caught.value)
     assert "\n" not in message
     for part in (field, *parts):
@@ -51,7 +53,7 @@ def test_bad_setting(field, value, parts):
 
 
 def test_settings_are_frozen_and_named():
-    settings = FilterSettings(rule="arekf")
+    settings = PaperFilter(rule="arekf")
     assert settings.name == "arekf"
     with pytest.raises(dataclasses.FrozenInstanceError):
         settings.V = 1.0
@@ -68,7 +70,7 @@ def test_defaults_follow_from_the_sensors():
     )  # fmt: skip
     assert measurement_variance(**sensors) == pytest.approx(0.0469**2, rel=0.01)
     V = measurement_variance(**sensors | {"stiffness": 8400}, torque_noise=0.9e-3, wave_generator_stiffness=1.14)
-    settings = FilterSettings()
+    settings = PaperFilter()
     assert settings.V == pytest.approx(1.6 * V, rel=0.05)
     assert settings.gamma**2 > max(settings.V, settings.P0) + settings.W
     assert settings.k * 4.0**2 == 1.0
@@ -104,7 +106,7 @@ def test_bad_model(change, part):
 
 
 def test_bad_measurements():
-    settings = FilterSettings()
+    settings = PaperFilter()
     with pytest.raises(InputError, match="nan at sample 2"):
         run(settings, [0.0, 1.0, np.nan])
     with pytest.raises(InputError, match="at least one sample"):
@@ -116,9 +118,26 @@ def test_bad_measurements():
     with pytest.raises(InputError, match="expected one or 2"):
         run_batch([settings], np.zeros((2, 3)))
     with pytest.raises(InputError, match="at least one filter"):
-        filter_bank([])
+        run_batch([], np.zeros((0, 3)))
     model = FilterModel(np.eye(2), [[1.0, 0.0]], np.eye(2), [[1.0]], np.eye(2))
     with pytest.raises(InputError, match="initial_state"):
         run(settings, np.zeros(5), model=model)
     with pytest.raises(InputError, match="initial_state"):
         run(settings, np.zeros(5), model=model, initial_state=np.zeros(3))
+
+
+def test_scaled_to_a_joint():
+    """The test joint at 1 kHz has the defaults, to the bit; elsewhere they go with sensors, rated torque and interval."""
+    joint = load_joint("test-joint")
+    known = KnownJoint.of(joint)
+    for filter in (*paper_filters(), PaperFilter("REKF", "robust"), PaperFilter(W=3e-4, V=0.02, gamma=0.3)):
+        assert filter.scaled(known, 1e-3) == filter
+        assert filter.scaled(known, float(np.median(np.diff(np.arange(5000) * 1e-3)))) == filter
+    coarse = dataclasses.replace(
+        known, rated_torque=32.0, noise=dataclasses.replace(known.noise, motor_resolution=4e-3)
+    )
+    ours = PaperFilter().scaled(coarse, 2e-3)
+    assert ours.W == pytest.approx(8 * PaperFilter().W)
+    assert ours.k == pytest.approx(PaperFilter().k / 4)
+    assert ours.V == ours.P0 > PaperFilter().V
+    assert ours.gamma**2 / ours.V == pytest.approx(PaperFilter().gamma ** 2 / PaperFilter().V)

@@ -1,0 +1,222 @@
+"""The contract of estimators: every one by its name, in the loop and over signals, with what is known of a joint."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError, dataclass, fields, is_dataclass, replace
+from importlib.metadata import EntryPoint
+from typing import ClassVar
+
+import numpy as np
+import pytest
+from known_effects import JOINT, MOUNTING
+
+from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
+from flexspline.estimator.estimator import SensorNoise, as_samples, run_step
+from flexspline.estimator.tuning_parameters import value_of, with_values
+from flexspline.models.errors import InputError
+from flexspline.models.signals import Signals
+from flexspline.models.step import SAMPLE, PythonStep, numpy_at
+from flexspline.sim import loop, plant, sensors
+from flexspline.sim.drive import Controller, control
+
+NAMES = registry.names()
+CAUSAL = [name for name in NAMES if registry.get(name).causal]
+
+
+def test_names_and_errors(known, signals):
+    assert {
+        "EKF", "AREKF", "RAREKF", "REKF", "model", "current", "lowpass", "kalman", "h_infinity", "strong_tracking", "huber",
+        "momentum", "momentum_torsion", "dynamics_ekf", "dynamics_ekf_calibrating", "dynamics_ukf", "rts_smoother",
+        "current_smoothed", "payload", "payload_smoothed",
+    } <= set(NAMES)  # fmt: skip
+    with pytest.raises(InputError, match="did you mean 'kalman'"):
+        registry.get("kalmann")
+    with pytest.raises(InputError, match="motor_position"):
+        registry.get("model").estimate(signals.without("motor_position"), known)
+    with pytest.raises(InputError, match="record"):
+        KnownJoint(np.zeros(1))
+    with pytest.raises(InputError, match="cutoff"):
+        replace(registry.get("lowpass"), cutoff=900.0).estimate(signals, known)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_one_is_a_frozen_dataclass_that_says_what_it_is(name):
+    estimator = registry.get(name)
+    assert estimator.name == name and is_dataclass(estimator)
+    with pytest.raises(FrozenInstanceError):
+        estimator.name = "other"
+    assert 20 < len(estimator.description) < 130 and "\n" not in estimator.description
+    assert isinstance(estimator, CausalEstimator) == estimator.causal
+    for parameter in estimator.tuning:
+        assert parameter.low <= value_of(estimator, parameter.field) <= parameter.high
+        other = with_values(estimator, {parameter.field: parameter.from_unit(0.61)})
+        assert type(other) is type(estimator) and other != estimator
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_finite_and_causal(name, known, signals):
+    """What comes later changes nothing, where an estimator says so; it runs with and without the current command."""
+    estimator = registry.get(name)
+    whole = estimator.estimate(signals, known)
+    assert whole.mean.shape == (2000,) and np.isfinite(whole.mean).all()
+    short = estimator.estimate(signals.part(slice(0, 1400)), known)
+    assert np.array_equal(short.mean, whole.mean[:1400]) == estimator.causal
+    blind = estimator.estimate(signals.without("current_command"), known)
+    assert np.isfinite(blind.mean).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_only_the_channels_that_it_needs_are_needed(name, known, signals):
+    estimator = registry.get(name)
+    part = Signals(signals.time, {channel: signals[channel] for channel in estimator.needs})
+    assert np.isfinite(estimator.estimate(part, known).mean).all()
+    assert "joint_torque" not in estimator.needs and "external_torque" not in estimator.needs
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_no_estimator_reads_a_torque_sensor(name, known, signals):
+    estimator = registry.get(name)
+    torque = np.random.default_rng(0).standard_normal(len(signals.time))
+    with_sensor = signals.with_columns(joint_torque=torque, external_torque=torque)
+    assert np.array_equal(estimator.estimate(with_sensor, known).mean, estimator.estimate(signals, known).mean)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_torque_sensors_gain_is_no_ones_business(name, known, signals):
+    """Estimates are of the actual torque; what a sensor with gain, offset and drift would read is `as_read`."""
+    record = known.record.copy()
+    record["torque_gain"], record["torque_offset"], record["torque_rate"] = 1.1, 0.3, 0.1
+    sensed = replace(known, record=record)
+    actual = registry.get(name).estimate(signals, known).mean
+    assert np.array_equal(registry.get(name).estimate(signals, sensed).mean, actual)
+    assert np.allclose(sensed.as_read(actual, signals.time), 1.1 * actual + 0.3 + 0.1 * signals.time)
+    late = replace(sensed, start=-2.0)
+    assert np.allclose(late.as_read(actual, signals.time) - sensed.as_read(actual, signals.time), 0.2)
+
+
+@pytest.mark.parametrize("name", CAUSAL)
+def test_in_the_loop_it_says_what_it_says_afterwards(name):
+    """The command that the drive gave in the loop follows, to the bit, from the estimates over the signals of that loop."""
+    seed, n, dt = 3, 800, loop.CONTROL_PERIOD
+    known, record = KnownJoint.of(JOINT, MOUNTING), JOINT.record(MOUNTING)
+    position, velocity, push = np.full(n, 0.3), np.zeros(n), np.where(np.arange(n) > 400, 3.0, 0.0)
+    controller = Controller(torque_feedback=0.4).record(record[0], dt, True)
+    run = loop.simulate(
+        plant.build(JOINT, MOUNTING), record, position, velocity, push, sensors.sensor_records(JOINT, 0.0, dt),
+        sensors.noise(JOINT, seed, n, dt), controller, registry.get(name).step(known, dt),
+    )  # fmt: skip
+    assert run.failed == (n, 0)
+    columns = {c: run.readings[c] for c in ("motor_position", "link_position", "motor_current", "temperature")}
+    found = registry.get(name).estimate(Signals(run.time, {**columns, "current_command": run.command}), known)
+    state = np.array([controller[0]["gear"] * position[0], 0.0, 0.0])
+    command = [
+        control(position[k], velocity[k], columns["motor_position"][k], found.mean[k], state, dt, controller[0])
+        for k in range(n)
+    ]
+    assert np.array_equal(command, run.command)
+    assert np.std(found.mean) > 0.05
+
+
+def test_one_that_looks_ahead_cannot_be_fed_back(known):
+    for name in set(NAMES) - set(CAUSAL):
+        with pytest.raises(InputError, match="looks ahead"):
+            registry.get(name).step(known, 1e-3)
+
+
+def test_samples(known, signals):
+    found = as_samples(signals, ("motor_position",), replace(known, start=-1.0))
+    assert found.dtype == SAMPLE
+    assert found["time"][0] == 1.0 and found["interval"][0] == 0.0 and found["interval"][1] == pytest.approx(1e-3)
+    assert np.array_equal(found["current_command"], np.r_[0.0, signals["current_command"][:-1]])
+    assert np.isnan(found["joint_torque"]).all() and np.isnan(found["temperature"]).all()
+    assert np.isnan(as_samples(signals.without("current_command"), (), known)["current_command"]).all()
+
+
+def test_known_joint_says_how_well(known):
+    """Noise of the sensors, tolerance of the friction, what the encoders' zeros leave open: the description's own numbers."""
+    assert known.noise == SensorNoise() and known.rated_torque == 16.0
+    assert known.friction == pytest.approx(0.15) and known.link_zero == pytest.approx(1e-3)
+
+
+@dataclass(frozen=True)
+class Plain(CausalEstimator):
+    """An estimator that somebody wrote in Python: torque of the motor, with its own idea of the gear."""
+
+    name: str = "plain"
+    fails_at: int = -1
+    description: ClassVar[str] = "torque of the motor current times the gear ratio"
+    remembers: ClassVar[np.dtype] = np.dtype([("count", np.float64)])
+    outputs: ClassVar[tuple[str, ...]] = ("torque", "variance", "innovation", "innovation_variance", "count")
+
+    @property
+    def compiled(self):
+        return PLAIN
+
+    def settings(self, joint, interval):
+        return np.array([(float(self.fails_at),)], np.dtype([("fails_at", np.float64)]))
+
+
+def _plain(memory, sample, record, settings, out):
+    count = numpy_at(memory, np.float64, 1)
+    given = numpy_at(sample, SAMPLE, 1)[0]
+    if count[0] == numpy_at(settings, np.float64, 1)[0]:
+        return 1
+    numpy_at(out, np.float64, 5)[:] = 6.03 * given["current_command"], 0.5, 0.1, 2.0, count[0]
+    count[0] += 1
+    return 0
+
+
+PLAIN = PythonStep(_plain)
+
+
+def test_an_estimator_in_python(known, signals):
+    found = Plain().estimate(signals, known)
+    assert np.allclose(found.mean[1:], 6.03 * signals["current_command"][:-1])
+    assert (found.variance == 0.5).all() and found.innovation_covariance.shape == (2000, 1, 1)
+    assert found.nis == pytest.approx(np.full(2000, 0.005))
+    assert np.array_equal(found.columns["count"], np.arange(2000))
+    with pytest.raises(FilterDiverged, match="'plain' diverged at step 7, t = 0.007 s"):
+        Plain(fails_at=7).estimate(signals, known)
+    out, failed, status = run_step(Plain(fails_at=7).step(known, 1e-3), as_samples(signals, (), known))
+    assert (failed, status) == (7, 1) and (out[7:] == 0).all()
+
+
+def entry(value: str, name: str = "foreign") -> EntryPoint:
+    return EntryPoint(name, value, registry.GROUP)
+
+
+def test_estimators_of_other_packages(monkeypatch, known, signals):
+    """Found by entry points, loaded when asked for; a broken one says in a line what is wrong with it."""
+    points = [entry("test_estimator:FOREIGN"), entry("nowhere.at_all:X", "broken"), entry("sys:path", "none"), entry("x:y", "EKF")]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    registry._others.cache_clear()
+    try:
+        assert {"foreign", "broken", "none", "EKF"} <= set(registry.names())
+        assert registry.get("foreign") is FOREIGN
+        assert registry.get("EKF").rule == "ekf"
+        for name, part in (("broken", "ModuleNotFoundError: No module named 'nowhere'"), ("none", "got list")):
+            with pytest.raises(InputError, match=part) as caught:
+                registry.get(name)
+            assert name in str(caught.value) and "\n" not in str(caught.value)
+    finally:
+        registry._others.cache_clear()
+
+
+FOREIGN = Plain("foreign")
+
+
+def test_the_registry_is_cheap():
+    """Names and defaults, without what only some estimators compute with."""
+    program = "import flexspline.estimator.registry as r, sys; r.get('EKF'); print(*sorted(m for m in sys.modules))"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert not loaded & {"scipy.signal", "scipy.stats", "statsmodels", "matplotlib", "pandas"}
+
+
+def test_no_field_is_called_like_the_contract():
+    """A tuning parameter must not hide a method: the paper's `memory` is one of its readings."""
+    contract = {"estimate", "step", "scaled", "settings", "remembers", "outputs", "posterior", "compiled", "needs", "tuning"}
+    for name in NAMES:
+        assert not contract & {f.name for f in fields(registry.get(name))}
