@@ -27,9 +27,6 @@ from .errors import FilterDiverged
 from .tuning_parameters import TuningParameter
 
 
-_DIGITS = 9  # s: a time since the start has lost more than that of an interval by rounding, and the loop's has not
-
-
 @dataclass(frozen=True)
 class SensorNoise:
     """Resolution (one count) and noise (rms) of the sensors: [rad, motor side], [rad], [A]."""
@@ -242,8 +239,8 @@ class CausalEstimator(Estimator):
 
 
 def sample_interval(signals: Signals) -> float:
-    """Median time between samples [s], as exact as a clock: what `Estimator.step` is given of signals."""
-    return round(float(np.median(np.diff(signals.time))), _DIGITS)
+    """Median time between samples [s] to the nanosecond, without what a time since the start has lost by rounding."""
+    return round(float(np.median(np.diff(signals.time))), 9)
 
 
 def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> np.ndarray:
@@ -265,7 +262,7 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> n
 def _samples(signals: Signals, joint: KnownJoint) -> np.ndarray:
     time = signals.time
     found = np.full(len(time), np.nan, SAMPLE)
-    found["time"], found["interval"] = joint.since(time), np.round(np.diff(time, prepend=time[0]), _DIGITS)
+    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
     for name in SENSED:
         if name in signals and name != "joint_torque":
             found[name] = signals[name]
