@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from flexspline.estimator.baselines import JointSignals, SensorNoise, dynamics_ekf, joint_dynamics
-from flexspline.estimator.baselines.joint_dynamics import BRISTLE, EXTERNAL, LINK, MOTOR, SIZE, ProcessNoise
 from scipy.linalg import solve_discrete_are
 
-from flexspline.estimator import bound
+from flexspline.estimator import KnownJoint, SensorNoise, bound, joint_model
+from flexspline.estimator.filters import dynamics_ekf
+from flexspline.estimator.joint_model import BRISTLE, EXTERNAL, LINK, MOTOR, SIZE, ProcessNoise
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
+from flexspline.models.signals import Signals
 
 NOISE = SensorNoise(motor_resolution=0.0, motor_noise=4e-4, link_resolution=0.0, link_noise=2e-6, current_noise=0.0)
 PRIOR = np.r_[[4e-4, 1.0, 4e-3, 1.0, 2e-3, 2e-6, 1e-2, 2.4], np.zeros(4)]
@@ -94,9 +95,9 @@ def walk(record, seed: int, intensity: float, n: int = 1500):
     x, work, states, current = np.zeros(SIZE), np.zeros((3, SIZE)), np.zeros((n, SIZE)), np.zeros(n)
     for k in range(n):
         if k > 0:
-            steps = joint_dynamics.substeps(x, 1e-3, p)
-            joint_dynamics.advance(x, current[k - 1], command[k - 1], time[k - 1], 1e-3, steps, 1.0, p, work)
-            current[k] = joint_dynamics.next_current(current[k - 1], command[k - 1], 1e-3, p)
+            steps = joint_model.substeps(x, 1e-3, p)
+            joint_model.advance(x, current[k - 1], command[k - 1], time[k - 1], 1e-3, steps, 1.0, 25.0, p, work)
+            current[k] = joint_model.next_current(current[k - 1], command[k - 1], 1e-3, p)
             x[EXTERNAL] += intensity * np.sqrt(1e-3) * rng.standard_normal()
         states[k] = x
     motor = states[:, MOTOR] + NOISE.motor_noise * rng.standard_normal(n)
@@ -111,31 +112,31 @@ def test_joint_bound_is_the_information_recursion(record):
     F = np.empty((120, 8, 8))
     for k in range(120):
         for j in active:
-            width = 1e-3 * joint_dynamics.STEPS[j]
+            width = 1e-2 * joint_model.STEPS[j]
             moved = []
             for sign in (1, -1):
                 x, work = states[k].copy(), np.zeros((3, SIZE))
                 x[j] += sign * width
-                steps = joint_dynamics.substeps(states[k], 1e-3, p)
-                joint_dynamics.advance(x, current[k], command[k], time[k], 1e-3, steps, 1.0, p, work)
+                steps = joint_model.substeps(states[k], 1e-3, p)
+                joint_model.advance(x, current[k], command[k], time[k], 1e-3, steps, 1.0, 25.0, p, work)
                 moved.append(x[active])
             F[k, :, j] = (moved[0] - moved[1]) / (2 * width)
-    scale = joint_dynamics.STEPS[active]  # units that differ by ten decades
+    scale = joint_model.STEPS[active]  # units that differ by ten decades
     F = F / scale[:, None] * scale[None, :]
     H = np.zeros((121, 2, 8))
     H[:, 0, MOTOR], H[:, 1, LINK] = scale[MOTOR], scale[LINK]
     Q = 1e-10 * np.eye(8)
     Q[EXTERNAL, EXTERNAL] = 1e-3 / scale[EXTERNAL] ** 2
-    start = ProcessNoise().matrices(JointSignals(*[time] * 4, command), p, NOISE).start[active] / scale**2
+    start = ProcessNoise().record(KnownJoint(record, NOISE), 1e-3)[0]["start"][active] / scale**2
     J = bound.posterior_information(F, Q, H, np.diag([NOISE.motor_noise**2, NOISE.link_noise**2]), np.diag(1 / start))
     ours = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)
     for k in (20, 60, 120):
         x, gradient = states[k], np.empty(8)
-        T = joint_dynamics.joint_torque(x, time[k], p)
+        T = joint_model.joint_torque(x, time[k], p)
         for j in active:
             y = x.copy()
-            y[j] += joint_dynamics.STEPS[j]
-            gradient[j] = joint_dynamics.joint_torque(y, time[k], p) - T
+            y[j] += joint_model.STEPS[j]
+            gradient[j] = joint_model.joint_torque(y, time[k], p) - T
         assert ours[k] == pytest.approx(gradient @ np.linalg.solve(J[k], gradient), rel=0.02)
 
 
@@ -151,9 +152,10 @@ def test_a_filter_of_the_same_model_attains_it(record):
     errors, limits = [], []
     for seed in seeds:
         time, states, current, command, motor, link = walk(record, seed, intensity)
-        torque = np.array([joint_dynamics.joint_torque(x, 0.0, record[0]) for x in states[500:]])
-        estimate = filtered.estimate(JointSignals(time, motor, link, current, command), record, NOISE)
-        errors.append(np.mean((estimate.torque[500:] - torque) ** 2))
+        torque = np.array([joint_model.joint_torque(x, 0.0, record[0]) for x in states[500:]])
+        columns = {"motor_position": motor, "link_position": link, "motor_current": current, "current_command": command}
+        estimate = filtered.estimate(Signals(time, columns), KnownJoint(record, NOISE))
+        errors.append(np.mean((estimate.mean[500:] - torque) ** 2))
         limits.append(bound.joint_bound(time, states, current, command, record, NOISE, intensity)[500:].mean())
     ratio = np.sqrt(np.mean(errors) / np.mean(limits))
     spread = np.std(errors) / np.mean(errors) / np.sqrt(len(errors)) / 2

@@ -189,7 +189,12 @@ def entry(value: str, name: str = "foreign") -> EntryPoint:
 
 def test_estimators_of_other_packages(monkeypatch, known, signals):
     """Found by entry points, loaded when asked for; a broken one says in a line what is wrong with it."""
-    points = [entry("test_estimator:FOREIGN"), entry("nowhere.at_all:X", "broken"), entry("sys:path", "none"), entry("x:y", "EKF")]
+    points = [
+        entry("test_estimator:FOREIGN"),
+        entry("nowhere.at_all:X", "broken"),
+        entry("sys:path", "none"),
+        entry("x:y", "EKF"),
+    ]
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
     registry._others.cache_clear()
     try:
@@ -217,6 +222,17 @@ def test_the_registry_is_cheap():
 
 def test_no_field_is_called_like_the_contract():
     """A tuning parameter must not hide a method: the paper's `memory` is one of its readings."""
-    contract = {"estimate", "step", "scaled", "settings", "remembers", "outputs", "posterior", "compiled", "needs", "tuning"}
+    contract = {
+        "estimate",
+        "step",
+        "scaled",
+        "settings",
+        "remembers",
+        "outputs",
+        "posterior",
+        "compiled",
+        "needs",
+        "tuning",
+    }
     for name in NAMES:
         assert not contract & {f.name for f in fields(registry.get(name))}

@@ -8,19 +8,21 @@ from time import perf_counter
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
-from flexspline.estimator.baselines import JointSignals, SensorNoise, joint_dynamics, quantised, rts_smoother
-from flexspline.estimator.baselines.joint_dynamics import BRISTLE, EXTERNAL, SIZE, WAVE_RATE, ProcessNoise
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2, truncnorm
 
-from flexspline.estimator import baselines
-from flexspline.models import laws
+from flexspline.estimator import KnownJoint, SensorNoise, get, joint_model, quantised
+from flexspline.estimator.dynamics_filter import SETTINGS
+from flexspline.estimator.filters import rts_smoother
+from flexspline.estimator.joint_model import BRISTLE, EXTERNAL, LINK, SIZE, WAVE_RATE, ProcessNoise
+from flexspline.models import dynamics, laws
 from flexspline.models.joint import load_joint
-from flexspline.scenarios.run import run_scenario
+from flexspline.models.signals import Signals
+from flexspline.scenarios.run import simulate_scenario
 from flexspline.scenarios.scenario import load_scenario
 
-NOISE = SensorNoise()
 SCENARIOS = ("no_load", "link_sweep", "external_push")
+REFERENCE = 25.0  # °C
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +46,11 @@ def test_step_against_an_independent_integrator(effects, record):
     def rate(t, y):
         out = np.zeros(SIZE)
         current = 1.2 * (1 - np.exp(-t * q["R"] / q["L"]))
-        joint_dynamics.rates(y, current, t, q, out)
-        Tf, slope = joint_dynamics.flexspline_torque(y, q)
-        out[BRISTLE] = laws.bristle_rate(y[BRISTLE], y[WAVE_RATE], laws.friction_level(y[WAVE_RATE], y[5], Tf, t, q), q)
-        v = y[WAVE_RATE] * slope - y[6]
+        joint_model.rates(y, current, t, REFERENCE, q, out)
+        state = joint_model.state_of(y, current, t, REFERENCE)
+        between = joint_model.transmission(y, state, q)
+        out[BRISTLE] = laws.bristle_rate(y[BRISTLE], y[WAVE_RATE], dynamics.sliding_friction(state, between.load, q), q)
+        v = between.torsion_rate
         out[-1] = v - abs(v) * y[-1] / q["hysteresis_extent"]
         return out
 
@@ -56,10 +59,10 @@ def test_step_against_an_independent_integrator(effects, record):
     for finer in (1, 2, 4):
         ours, work, current = x.copy(), np.zeros((3, SIZE)), 0.0
         for k in range(50):
-            steps = finer * joint_dynamics.substeps(ours, 1e-3, q)
-            joint_dynamics.advance(ours, current, 1.2, k * 1e-3, 1e-3, steps, 1.0, q, work)
-            current = joint_dynamics.next_current(current, 1.2, 1e-3, q)
-        errors.append(joint_dynamics.joint_torque(ours, 0.05, q) - joint_dynamics.joint_torque(reference, 0.05, q))
+            steps = finer * joint_model.substeps(ours, 1e-3, q)
+            joint_model.advance(ours, current, 1.2, k * 1e-3, 1e-3, steps, 1.0, REFERENCE, q, work)
+            current = joint_model.next_current(current, 1.2, 1e-3, q)
+        errors.append(joint_model.joint_torque(ours, 0.05, q) - joint_model.joint_torque(reference, 0.05, q))
     print(f"error of the torque [N·m] at one, two, four times the substeps: {np.round(errors, 5)}")
     assert abs(errors[0]) < 0.01
     assert abs(errors[2]) < 0.4 * abs(errors[0])
@@ -116,7 +119,9 @@ def test_smoother_against_filterpy(record):
     expected, expected_P, _, _ = f.rts_smoother(means, covariances)
     states, filtered, torque, variance = means.copy(), covariances.copy(), np.zeros(n), np.zeros(n)
     time, Fs = np.arange(n) * 1e-3, np.tile(F, (n, 1, 1))
-    rts_smoother.smooth(time, states, record, np.arange(m), Fs, predicted, before, filtered, torque, variance)
+    settings = np.zeros(1, SETTINGS)
+    joint_model.activate(settings[0]["noise"], list(range(m)))
+    rts_smoother.backward(time, states, record, settings, Fs, predicted, before, filtered, torque, variance)
     assert np.allclose(states, expected, atol=1e-8) and np.allclose(filtered, expected_P, atol=1e-9)
 
 
@@ -124,30 +129,31 @@ MATCHED = ProcessNoise(push=0.0, mesh_push=0.0, external=0.05, floor=0.0)
 EXACT = SensorNoise(motor_resolution=0.0, motor_noise=4e-4, link_resolution=0.0, link_noise=2e-6, current_noise=0.0)
 
 
-def sample(record: np.ndarray, seed: int, n: int = 2500) -> tuple[JointSignals, np.ndarray]:
+def sample(record: np.ndarray, seed: int, n: int = 2500) -> tuple[Signals, np.ndarray]:
     """Signals of the stochastic model itself, and its joint torque, shape (n,)."""
     rng = np.random.default_rng(seed)
     p = record[0]
     time = np.arange(n) * 1e-3
     command = 1.6 * np.sin(2 * np.pi * 0.7 * time)
-    blank = JointSignals(time, 0 * time, 0 * time, 0 * time, command)
-    noise = MATCHED.matrices(blank, p, EXACT)
+    noise = MATCHED.record(KnownJoint(record, EXACT), 1e-3)[0]
     forget = np.exp(-1e-3 / MATCHED.mesh_time)
     x, work, current = np.zeros(SIZE), np.zeros((3, SIZE)), 0.0
     used = np.zeros(SIZE)
-    used[noise.active] = np.sqrt(noise.walk[noise.active] * 1e-3)
+    active = noise["active"][: int(noise["count"])].astype(int)
+    used[active] = np.sqrt(noise["walk"][active] * 1e-3)
     x[EXTERNAL] = rng.standard_normal()
     motor, link, torque = np.zeros(n), np.zeros(n), np.zeros(n)
     for k in range(n):
         if k > 0:
-            steps = joint_dynamics.substeps(x, 1e-3, p)
-            joint_dynamics.advance(x, current, command[k - 1], time[k - 1], 1e-3, steps, forget, p, work)
-            current = joint_dynamics.next_current(current, command[k - 1], 1e-3, p)
+            steps = joint_model.substeps(x, 1e-3, p)
+            joint_model.advance(x, current, command[k - 1], time[k - 1], 1e-3, steps, forget, REFERENCE, p, work)
+            current = joint_model.next_current(current, command[k - 1], 1e-3, p)
             x += used * rng.standard_normal(SIZE)
-        motor[k], link[k], torque[k] = x[0], x[5], joint_dynamics.joint_torque(x, time[k], p)
+        motor[k], link[k], torque[k] = x[0], x[LINK], joint_model.joint_torque(x, time[k], p)
     motor += EXACT.motor_noise * rng.standard_normal(n)
     link += EXACT.link_noise * rng.standard_normal(n)
-    return JointSignals(time, motor, link, 0 * time, command), torque
+    columns = {"motor_position": motor, "link_position": link, "motor_current": 0 * time, "current_command": command}
+    return Signals(time, columns), torque
 
 
 @pytest.mark.parametrize("name, inflation", [("dynamics_ekf", 1.0), ("dynamics_ukf", 1.0)])
@@ -155,14 +161,14 @@ def test_consistent_on_data_of_its_own_model(name, inflation, record):
     """NIS and NEES over seeds within the 99.9 % chi-square intervals (Bar-Shalom et al. 2001, section 5.4)."""
     seeds = range(100, 112)
     print("seeds", list(seeds))
-    estimator = replace(baselines.get(name), process=MATCHED)
+    estimator = replace(get(name), process=MATCHED)
     nis, nees = [], []
     for seed in seeds:
         signals, torque = sample(record, seed)
-        ours = estimator.estimate(signals, record, EXACT)
+        ours = estimator.estimate(signals, KnownJoint(record, EXACT))
         S = np.diagonal(ours.innovation_covariance, axis1=1, axis2=2)
         nis.append((ours.innovation[500:] ** 2 / S[500:]).sum(axis=1))
-        nees.append(((ours.torque - torque) ** 2 / ours.variance)[500::250])  # far enough apart to be independent
+        nees.append(((ours.mean - torque) ** 2 / ours.variance)[500::250])  # far enough apart to be independent
     nis, nees = np.array(nis), np.array(nees)
     low, high = chi2.ppf([0.0005, 0.9995], 2 * nis.size) / nis.size
     print(f"{name}: mean NIS {nis.mean():.3f} in [{low:.3f}, {high:.3f}]")
@@ -176,27 +182,25 @@ def test_smoother_beats_filter_on_its_own_model(record):
     signals, torque = sample(record, 7)
     errors = {}
     for name in ("dynamics_ekf", "rts_smoother"):
-        estimate = replace(baselines.get(name), process=MATCHED).estimate(signals, record, EXACT)
-        errors[name] = np.sqrt(np.mean((estimate.torque - torque)[500:] ** 2))
+        estimate = replace(get(name), process=MATCHED).estimate(signals, KnownJoint(record, EXACT))
+        errors[name] = np.sqrt(np.mean((estimate.mean - torque)[500:] ** 2))
     print(errors)
     assert errors["rts_smoother"] < 0.8 * errors["dynamics_ekf"]
 
 
 def compare(name: str, seed: int, estimators: tuple[str, ...], change: dict[str, float] | None = None):
     """RMS error after the transient of RAREKF and of estimators [N·m], and their time per sample [µs]."""
-    ran = run_scenario(load_scenario(name, seed=seed)[0])
-    record = ran.known.record(ran.known.mount(ran.scenario.mounting or None)).copy()
+    scenario, folder = load_scenario(name, seed=seed)
+    ran = simulate_scenario(scenario, folder, seed)
+    record = ran.known.record.copy()
     for field, factor in (change or {}).items():
         record[field] *= factor
-    signals = JointSignals(
-        ran.time, ran.reading("motor_position"), ran.reading("link_position"), ran.reading("motor_current"),
-        ran.signals.command,
-    )  # fmt: skip
     kept, truth = ran.time >= ran.scenario.transient, ran.truth("joint_torque")
-    rms, cost = {"RAREKF": np.sqrt(np.mean((ran.estimate("RAREKF") - truth)[kept] ** 2))}, {}
-    for estimator in estimators:
+    rms, cost = {}, {}
+    for estimator in ("RAREKF", *estimators):
+        known = ran.known if estimator == "RAREKF" else replace(ran.known, record=record)
         began = perf_counter()
-        torque = baselines.get(estimator).estimate(signals, record, NOISE).torque
+        torque = get(estimator).estimate(ran.signals, known).mean
         cost[estimator] = 1e6 * (perf_counter() - began) / len(truth)
         rms[estimator] = np.sqrt(np.mean((torque - truth)[kept] ** 2))
     return rms, cost

@@ -1,0 +1,242 @@
+"""Every filter against a closed form or a library."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+from scipy.optimize import minimize
+from scipy.signal import butter, lfilter
+
+from flexspline.estimator import FilterDiverged, FilterModel, PaperFilter, compliance, get, run
+from flexspline.estimator.compliance import torque_variance
+from flexspline.estimator.filters import huber
+from flexspline.estimator.filters.kalman import STATE
+from flexspline.models import laws
+from flexspline.models.signals import Signals
+
+
+def of(time, motor, link, current) -> Signals:
+    """Signals with a command that is the current."""
+    columns = {"motor_position": motor, "link_position": link, "motor_current": current, "current_command": current}
+    return Signals(time, columns)
+
+
+def told(known, **values):
+    """The same joint with other numbers in its record."""
+    record = known.record.copy()
+    for name, value in values.items():
+        record[name] = value
+    return replace(known, record=record)
+
+
+@pytest.mark.parametrize("name", ["current", "current_smoothed"])
+def test_current_at_constant_speed(name, known):
+    """N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, once transients are over."""
+    joint = told(known, amplitude=0.0)
+    w, i, time = 20.0, 1.5, np.arange(1000) * 1e-3
+    signals = of(time, w * time, w / 100 * time, np.full(1000, i))
+    torque = get(name).estimate(signals, joint).mean[-1]
+    q = joint.p
+    g = laws.stribeck_friction(w, 0.2, 0.0, 1.0, 25.0, q)
+    expected = q["N"] * (q["Kt"] * i - (q["bm"] + q["bw"]) * w - g) - q["bl"] * w / q["N"]
+    assert torque == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_lead_follows_a_ramp_without_lag(known):
+    """Of a current that rises evenly: a lag of √2/ω without lead, none with it."""
+    joint = told(known, amplitude=0.0)
+    time = np.arange(3000) * 1e-3
+    w, slope = 20.0, 0.5
+    signals = of(time, w * time, w / 100 * time, slope * time)
+    lags = []
+    for lead in (0.0, 1.0):
+        torque = replace(get("current"), cutoff=5.0, lead=lead).estimate(signals, joint).mean
+        at_rest = 100 * (joint.p["Kt"] * slope * (time - 1e-3))  # the command counts from the next sample on
+        off = torque - torque[2500] - (at_rest - at_rest[2500])
+        assert np.abs(off[2000:]).max() < 1e-6
+        friction = 100 * (laws.stribeck_friction(w, 0.2, 0.0, 1.0, 25.0, joint.p) + (joint.p["bm"] + joint.p["bw"]) * w)
+        lags.append((at_rest[-1] - friction - joint.p["bl"] * w / 100 - torque[-1]) / (100 * joint.p["Kt"] * slope))
+    print("lags [s]", lags)
+    assert lags[0] == pytest.approx(np.sqrt(2) / (2 * np.pi * 5.0), rel=0.02) and abs(lags[1]) < 1e-3
+
+
+def test_compliance_model(known, signals):
+    current = np.r_[0.0, signals["current_command"][:-1]]
+    expected = compliance(
+        signals["motor_position"], signals["link_position"], known.p["Kt"] * current, known.record
+    ).torque
+    assert np.allclose(get("model").estimate(signals, known).mean, expected, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("name, order", [("lowpass", 2), ("lowpass_first_order", 1)])
+def test_lowpass(name, order, known, signals):
+    """Gain 1/√2 at the cutoff, the closed form of a Butterworth filter; and scipy's direct form on any signal."""
+    joint = told(known, amplitude=0.0)
+    time = np.arange(4000) * 1e-3
+    at_cutoff = of(time, 0 * time, -1e-4 * np.sin(2 * np.pi * 20 * time), 0 * time)
+    torque = replace(get(name), cutoff=20.0).estimate(at_cutoff, joint).mean[-1000:]
+    assert np.sqrt(2 * np.mean(torque**2)) == pytest.approx(joint.p["K1"] * 1e-4 / np.sqrt(2), rel=1e-6)
+
+    raw = get("model").estimate(signals, known).mean
+    b, a = butter(order, 30.0, fs=1000.0)
+    expected = lfilter(b, a, raw - raw[0]) + raw[0]
+    assert np.allclose(get(name).estimate(signals, known).mean, expected, atol=1e-10)
+
+
+def linear_model(signals, known, q):
+    """F, H, W, V, P0 of the constant-rate model at 1 kHz, and the measurement."""
+    y, V = get("model").estimate(signals, known).mean, torque_variance(known)
+    h = 1e-3
+    F = np.array([[1, h], [0, 1]])
+    W = q * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])
+    P0 = np.diag([V, float(known.p["T2"]) ** 2])
+    return y, FilterModel(F, np.array([[1.0, 0.0]]), W, np.array([[V]]), P0)
+
+
+def states(found):
+    """Torque and its rate, shape (n, 2)."""
+    return np.column_stack([found.mean, found.columns["torque_rate"]])
+
+
+def test_kalman_against_filterpy(known, signals):
+    estimator = get("kalman")
+    y, model = linear_model(signals, known, (estimator.acceleration * known.p["T2"]) ** 2)
+    f = KalmanFilter(2, 1)
+    f.x, f.P, f.F, f.H, f.Q, f.R = np.array([y[0], 0.0]), model.P0.copy(), model.F, model.H, model.W, model.V
+    ours = estimator.estimate(signals, known)
+    for k in range(1, len(y)):
+        f.predict()
+        f.update(y[k])
+        assert np.allclose(states(ours)[k], f.x, rtol=1e-10, atol=1e-10)
+        assert ours.variance[k] == pytest.approx(f.P[0, 0], rel=1e-9)
+        assert ours.innovation_covariance[k, 0, 0] == pytest.approx(f.S[0, 0], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name, neutral", [("h_infinity", {"gamma": 1e9}), ("huber", {"k": 1e9}), ("strong_tracking", {"soften": 1e12})]
+)
+def test_neutral_tuning_gives_the_kalman_filter(name, neutral, known, signals):
+    estimator = replace(get(name), acceleration=10.0, **neutral)
+    kalman = replace(get("kalman"), acceleration=10.0).estimate(signals, known)
+    ours = estimator.estimate(signals, known)
+    assert np.allclose(ours.mean, kalman.mean, atol=1e-9)
+    assert np.allclose(ours.variance, kalman.variance, rtol=1e-9)
+
+
+def test_h_infinity_is_equation_18(known, signals):
+    """Simon's form and the paper's Eq. (18) are one recursion on the same model, wherever both exist."""
+    estimator = get("h_infinity")
+    y, model = linear_model(signals, known, (estimator.acceleration * known.p["T2"]) ** 2)
+    gamma = estimator.gamma * np.sqrt(model.V[0, 0])
+    paper = FilterModel(model.F, model.H, model.W, model.V, model.P0, L=np.diag([1.0, 0.0]))
+    history = run(PaperFilter(rule="robust", gamma=gamma), y, model=paper, initial_state=np.array([y[0], 0.0]))
+    ours = estimator.estimate(signals, known)
+    assert np.allclose(ours.mean, history.torque, atol=1e-9)
+    assert np.allclose(ours.innovation_covariance[1:], history.innovation_covariance[1:], rtol=1e-9)
+    with pytest.raises(FilterDiverged, match="γ is too small"):
+        replace(estimator, gamma=0.5).estimate(signals, known)
+
+
+def test_strong_tracking_against_its_equations(known, signals):
+    estimator = replace(get("strong_tracking"), soften=1.0)
+    y, m = linear_model(signals, known, (estimator.acceleration * known.p["T2"]) ** 2)
+    x, P, V0, faded = np.array([y[0], 0.0]), m.P0.copy(), None, 0
+    ours = estimator.estimate(signals, known)
+    for k in range(1, len(y)):
+        x = m.F @ x
+        e = y[k] - m.H @ x
+        V0 = np.outer(e, e) if V0 is None else (0.95 * V0 + np.outer(e, e)) / 1.95
+        propagated = m.F @ P @ m.F.T
+        fade = np.trace(V0 - m.H @ m.W @ m.H.T - m.V) / np.trace(m.H @ propagated @ m.H.T)
+        faded += fade > 1
+        P = max(1.0, fade) * propagated + m.W
+        K = P @ m.H.T @ np.linalg.inv(m.H @ P @ m.H.T + m.V)
+        x, P = x + K @ e, (np.eye(2) - K @ m.H) @ P
+        assert np.allclose(states(ours)[k], x, rtol=1e-8, atol=1e-8)
+    assert faded > 20
+
+
+def test_huber_minimises_hubers_cost():
+    rng = np.random.default_rng(2)
+    for e in (0.1, -2.0, 9.0):
+        A = rng.standard_normal((2, 2))
+        P, V, x = A @ A.T + np.eye(2), 0.5, rng.standard_normal(2)
+        y, k = x[0] + e, 1.345
+        factor = np.linalg.inv(np.linalg.cholesky(P))
+
+        def cost(s, x=x, y=y, V=V, k=k, factor=factor):
+            r = np.abs(np.append(factor @ (s - x), (y - s[0]) / np.sqrt(V)))
+            return np.sum(np.where(r <= k, 0.5 * r**2, k * r - 0.5 * k**2))
+
+        best = minimize(cost, x, method="Nelder-Mead", options={"xatol": 1e-9, "fatol": 1e-14, "maxiter": 4000}).x
+        f = np.array([(x[0], x[1], P[0, 0], P[0, 1], P[1, 1])], STATE)
+        huber.correct(f[0], y - x[0], V, k, 1e-12, 500)
+        ours = np.array([f["torque"][0], f["torque_rate"][0]])
+        assert cost(ours) <= cost(best) + 1e-9
+        assert np.allclose(ours, best, atol=1e-4)
+
+
+def test_momentum_observer(known):
+    """A joint without friction under constant current and push: first-order lags with the closed form 1 − exp(−K t);
+    the external torque is De Luca's residual of the joint as one rigid body."""
+    none = dict.fromkeys(("Fc", "Fs", "bm", "bw", "bl", "Mg", "amplitude", "s1"), 0.0)
+    joint = told(known, **none, s0=1e-9)
+    q = joint.p
+    N, J = q["N"], q["Jl"] + q["N"] ** 2 * (q["Jm"] + q["Jw"])
+    i, push, h = 0.5, 3.0, 1e-4
+    a = (N * q["Kt"] * i + push) / J  # both bodies as one
+    time = np.arange(5000) * h
+    link = 0.5 * a * time**2
+    signals = of(time, N * link, link, np.full(5000, i))
+    estimator = replace(get("momentum"), bandwidth=5.0, cutoff=1e5)
+    ours = estimator.estimate(signals, joint)
+    lag = 1.0 - np.exp(-2 * np.pi * 5.0 * time)
+    assert np.allclose(ours.mean, (q["Jl"] * a - push) * lag, atol=0.02)
+    assert np.allclose(ours.external, push * lag, atol=0.02)
+
+    rng = np.random.default_rng(3)  # any motion
+    link = link + np.cumsum(np.cumsum(rng.standard_normal(5000))) * 1e-10
+    ours = estimator.estimate(of(time, N * link, link, np.full(5000, i)), joint)
+    v, K, total, residual = ours.columns["link_velocity"], 2 * np.pi * 5.0, 0.0, np.zeros(5000)
+    for k in range(1, 5000):
+        total += h * N * q["Kt"] * i
+        residual[k] = K * (J * v[k] - total) / (1 + K * h)
+        total += h * residual[k]
+    assert np.allclose(ours.external, residual, atol=1e-3)
+
+
+def test_momentum_torsion_follows_torsion_at_rest(known):
+    """At rest a change of torsion is a change of torque, whatever the current says."""
+    time = np.arange(2000) * 1e-3
+    link = np.where(time > 1.0, -1e-4, 0.0)
+    ours = get("momentum_torsion").estimate(of(time, 0 * time, link, 0 * time), known).mean
+    assert ours[-1] - ours[900] == pytest.approx(known.p["K1"] * 1e-4, rel=1e-6)
+
+
+def test_observers_find_a_payload(known):
+    """A rigid payload that moves with the joint, its torque in the current: its moments, whatever the link's own."""
+    q = known.p
+    N, J = q["N"], q["Jm"] + q["Jw"]
+    time = np.arange(8000) * 1e-3
+    joint = told(known, amplitude=0.0)
+    link = 0.9 * np.sin(0.8 * time) + 0.3 * np.sin(2.1 * time)
+    v, a = (
+        0.72 * np.cos(0.8 * time) + 0.63 * np.cos(2.1 * time),
+        -0.576 * np.sin(0.8 * time) - 1.323 * np.sin(2.1 * time),
+    )
+    payload = -4.0 * np.sin(link) + 1.5 * np.cos(link) - 0.2 * a
+    torque = q["Jl"] * a + q["Mg"] * np.sin(link) - payload
+    w = N * v
+    g = np.array([laws.stribeck_friction(x, 0.0, 0.0, 0.0, 25.0, q) for x in w])
+    current = ((torque + q["bl"] * v) / N + J * N * a + (q["bm"] + q["bw"]) * w + g * np.tanh(w)) / q["Kt"]
+    signals = Signals(time, {"motor_position": N * link, "link_position": link, "motor_current": current})
+    late = time > 4.0
+    for name in ("payload", "payload_smoothed"):
+        found = get(name).estimate(signals, joint)
+        error = np.sqrt(np.mean((found.external - payload)[late] ** 2) / np.mean(payload[late] ** 2))
+        print(name, [round(found.columns[c][-1], 3) for c in ("payload_sin", "payload_cos", "payload_inertia")], error)
+        assert error < 0.25
+        assert np.allclose((found.mean + found.external)[late], (torque + payload)[late], atol=0.1)
