@@ -154,7 +154,8 @@ def hypotheses(cause: Cause, record: np.ndarray, present: dict[str, float] | Non
         elif not q.integer:
             low, high = q.ordinary[0]
             scale[q.name] = max(0.5 * np.log(high / low), 0.3) if low > 0 else 0.5 * (high - low)
-    orders = [range(round(q.ordinary[0][0]), round(q.ordinary[0][1]) + 1) for q in whole]
+    limits = [q.searched or (round(q.ordinary[0][0]), round(q.ordinary[0][1])) for q in whole]
+    orders = [range(low, high + 1) for low, high in limits]
     grids = []
     for q in shape:
         low, high = q.ordinary[0]

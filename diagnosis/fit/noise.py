@@ -49,6 +49,8 @@ class NoiseSettings:
 
 
 SETTINGS = NoiseSettings()
+_STEADY = 3
+"""Samples in a row with the same gain after which a filter's covariance is taken for its steady one."""
 _ROBUST = 1.4826  # standard deviation of a normal distribution per median absolute deviation
 
 
@@ -96,7 +98,8 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
     state = np.zeros((d, c))
     new = np.zeros(c)
     P, work = np.zeros((d, d)), np.zeros((d, d))
-    gain = np.zeros(d)
+    gain, last = np.zeros(d), np.zeros(d)
+    steady, S = 0, 1.0
     # The stationary covariance of the autoregression: by letting it run; the bands' are their variances.
     for _ in range(200):
         _step_covariance(P, work, ar, white, bands, decay, 0.0, rest_decay, p, m)
@@ -105,7 +108,10 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
     total = 0.0
     for i in range(k):
         if i > 0:
-            _step_covariance(P, work, ar, white, bands, decay, rest if at_rest[i] else 0.0, rest_decay, p, m)
+            if at_rest[i] or at_rest[i - 1] or not usable[i] or not usable[i - 1]:
+                steady = 0
+            if steady < _STEADY:
+                _step_covariance(P, work, ar, white, bands, decay, rest if at_rest[i] else 0.0, rest_decay, p, m)
             for j in range(c):
                 value = 0.0
                 for l in range(p):
@@ -124,18 +130,23 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
         if not usable[i]:
             out[i] = 0.0
             continue
-        S = 0.0
-        for a in range(d):
-            if a == 0 or a >= p:
-                gain[a] = 0.0
-        for a in range(d):
-            value = P[a, 0]
-            for b in range(p, d):
-                value += P[a, b]
-            gain[a] = value
-        S = gain[0]
-        for b in range(p, d):
-            S += gain[b]
+        if steady < _STEADY:
+            S = 0.0
+            for a in range(d):
+                value = P[a, 0]
+                for b in range(p, d):
+                    value += P[a, b]
+                gain[a] = value
+                if a == 0 or a >= p:
+                    S += value
+            moved = 0.0
+            for a in range(d):
+                moved = max(moved, abs(gain[a] - last[a]))
+                last[a] = gain[a]
+            steady = steady + 1 if moved < 1e-7 * S else 0
+            for a in range(d):
+                for b in range(d):
+                    P[a, b] -= gain[a] * gain[b] / S
         norm = 1.0 / np.sqrt(S)
         total += np.log(S)
         for j in range(c):
@@ -147,9 +158,6 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
         for a in range(d):
             for j in range(c):
                 state[a, j] += gain[a] * new[j]
-        for a in range(d):
-            for b in range(d):
-                P[a, b] -= gain[a] * gain[b] / S
     log_s[0] = total
 
 
@@ -350,7 +358,7 @@ def learn(
             if use.sum() < 8:
                 use = counted
             r = _clipped(residuals[i][:, b], use)
-            e, n = haar(np.column_stack([r, replicates[i][:, b]]), use, scales)
+            e, n = haar(np.column_stack([r, _clipped(replicates[i][:, b], use)]), use, scales)
             energy += n * e[:, 0]
             known += n * e[:, 1]
             number += n

@@ -32,15 +32,18 @@ class SolverSettings:
       far: step of a calibration variable [standard deviations] after which they are, too.
       noisy: share of the noise in the whitened energy from which on it is taken out (errors in variables).
       chance: standard deviations of the difference of two sums of squares below zero that still count as nothing.
+      leverage: a residual whose derivative in a common unknown is so many times the usual one counts as much less: where the
+        replay is about to leave the range of a law, the smallest error of the motion decides.
       cluster: residuals within so many seconds may have to do with each other in ways that the noise model does not know.
     """
 
     huber: float = 3.0
     tolerance: float = 0.5
     good: float = 0.7
-    far: float = 0.3
+    far: float = 1.5
     noisy: float = 0.15
     chance: float = 6.0
+    leverage: float = 20.0
     cluster: float = 1.0
 
 
@@ -114,21 +117,25 @@ def prior_cost(problem: Problem, theta: np.ndarray, model: Model) -> float:
 
 
 def corrected_loss(
-    problem: Problem, r: np.ndarray, share: np.ndarray | None, settings: SolverSettings = SETTINGS
+    problem: Problem,
+    r: np.ndarray,
+    share: np.ndarray | None,
+    weight: np.ndarray | float = 1.0,
+    settings: SolverSettings = SETTINGS,
 ) -> float:
     """Robust loss of a whitened residual less that of the noise's share of it.
 
     What is left of a segment's balance is about zero at best; what is below that by more than chance counts as if it were
     above. Where the replicate is a little louder than the data, parameters that make all noise louder would win otherwise.
     """
-    whole = huber_loss(r, settings.huber)
+    whole = weight * huber_loss(r, settings.huber)
     if share is None:
         return float(np.sum(whole))
     from ..data.segments import BALANCES
 
     lengths = np.repeat([-(-len(s.at) // s.block) for s in problem.segments], len(BALANCES))
     starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
-    total, part = (np.add.reduceat(x, starts) for x in (whole, huber_loss(share, settings.huber)))
+    total, part = (np.add.reduceat(x, starts) for x in (whole, weight * huber_loss(share, settings.huber)))
     floor = -settings.chance * np.sqrt(np.maximum(np.minimum(total, part), 1.0))
     left = total - part
     return float(np.sum(np.where(left > floor, left, 2 * floor - left)))
@@ -157,14 +164,15 @@ def bounded_step(A: np.ndarray, g: np.ndarray, low: np.ndarray, high: np.ndarray
 
 @dataclass(frozen=True)
 class Normal:
-    """Normal equations at a point: Hessian and gradient (of half the objective), objective without the prior, the noise's share of
-    the information, and the whitened residual with its log determinant."""
+    """Normal equations at a point: Hessian and gradient (of half the objective), objective without the prior, the noise's share
+    of the information, the whitened residual with its log determinant, and the weights of its rows by leverage."""
 
     hessian: np.ndarray
     gradient: np.ndarray
     loss: float
     share: np.ndarray
     white: White
+    weight: np.ndarray
 
 
 def stacked(first: Columns, *others: Columns) -> Columns:
@@ -172,11 +180,25 @@ def stacked(first: Columns, *others: Columns) -> Columns:
     return [np.concatenate([r[..., None], *(o[s] for o in others)], axis=-1) for s, r in enumerate(first)]
 
 
-def products(rows: np.ndarray, limit: float) -> tuple[np.ndarray, np.ndarray]:
+def leverage_weight(X: np.ndarray, limit: float) -> np.ndarray:
+    """Weights of whitened rows X, shape (total, n), that keep single ones from deciding alone: bounded influence (Mallows)."""
+    counted = np.flatnonzero(np.any(X, axis=1))
+    if not len(counted):
+        return np.ones(len(X))
+    part = np.abs(X[counted[:: max(len(counted) // 4000, 1)]])
+    rms = np.sqrt(np.mean(X[counted] ** 2, axis=0))
+    usual = np.maximum(np.partition(part, int(0.9 * len(part)), axis=0)[int(0.9 * len(part))], 0.03 * rms) + 1e-300
+    far = np.max(np.abs(X) / usual, axis=1) / limit
+    return 1.0 / np.maximum(far, 1.0) ** 2
+
+
+def products(rows: np.ndarray, limit: float, weight: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Weighted JᵀJ and Jᵀr of whitened rows [r, J]; one symmetric product, without empty rows."""
-    weight = huber_weight(rows[:, 0], limit)
+    found = huber_weight(rows[:, 0], limit)
+    if weight is not None:
+        found = found * weight
     counted = np.flatnonzero(np.any(rows, axis=1))
-    part = rows[counted] * np.sqrt(weight[counted, None])
+    part = rows[counted] * np.sqrt(found[counted, None])
     G = part.T @ part
     return G[1:, 1:], G[1:, 0]
 
@@ -194,17 +216,18 @@ def normal_equations(
     """Normal equations of the posterior, the noise's share taken out where its derivatives are given."""
     curvature = 1 / problem.spread(model) ** 2
     white = whiten(problem.segments, noise, stacked(point.residual, jacobian))
-    information, g = products(white.rows, settings.huber)
+    weight = leverage_weight(white.rows[:, 1 : problem.size + 1], settings.leverage)
+    information, g = products(white.rows, settings.huber, weight)
     g = g + curvature * theta
     share, noise_rows = np.zeros_like(information), None
     if noise_jacobian is not None:
         noise_rows = whiten(problem.segments, noise, stacked(point.noise, noise_jacobian)).rows
-        share, noise_gradient = products(noise_rows, settings.huber)
+        share, noise_gradient = products(noise_rows, settings.huber, weight)
         g = g - noise_gradient
         information = _positive(information - share, problem.spread(model))
-    loss = corrected_loss(problem, white.rows[:, 0], None if noise_rows is None else noise_rows[:, 0], settings)
+    loss = corrected_loss(problem, white.rows[:, 0], None if noise_rows is None else noise_rows[:, 0], weight, settings)
     return Normal(
-        information + np.diag(curvature), g, loss, share, White(white.rows[:, :1], white.log_determinant)
+        information + np.diag(curvature), g, loss, share, White(white.rows[:, :1], white.log_determinant), weight
     )  # fmt: skip
 
 
@@ -282,7 +305,7 @@ class Fitter:
                 A = normal.hessian + damping * np.diag(np.abs(np.diag(normal.hessian)))
                 step = bounded_step(A, normal.gradient, low - theta, high - theta)
                 trial = problem.residuals([theta + step], [model])[0]
-                after = self._cost(noise, trial, theta + step, model)
+                after = self._cost(noise, trial, theta + step, model, normal.weight)
                 accepted = after < cost
                 if accepted:
                     break
@@ -328,9 +351,8 @@ class Fitter:
             moved = False
             for part in (1.0, 0.3):
                 trial = evaluate_point(problem, theta + part * step, f.model)
-                after = self._cost(
-                    noise, trial.residual, theta + part * step, f.model, trial.noise if extra is not None else None
-                )
+                share = trial.noise if extra is not None else None
+                after = self._cost(noise, trial.residual, theta + part * step, f.model, normal.weight, share)
                 if after < cost:
                     theta, point, moved = theta + part * step, trial, True
                     break
@@ -346,7 +368,13 @@ class Fitter:
         return [np.concatenate([a, b], -1) for a, b in zip(common, own, strict=True)]
 
     def _cost(
-        self, noise: Noise, residual: Columns, theta: np.ndarray, model: Model, share: Columns | None = None
+        self,
+        noise: Noise,
+        residual: Columns,
+        theta: np.ndarray,
+        model: Model,
+        weight: np.ndarray,
+        share: Columns | None = None,
     ) -> float:
         columns = (
             [r[..., None] for r in residual]
@@ -354,7 +382,7 @@ class Fitter:
             else [np.stack([a, b], -1) for a, b in zip(residual, share, strict=True)]
         )
         rows = whiten(self.problem.segments, noise, columns).rows
-        loss = corrected_loss(self.problem, rows[:, 0], None if share is None else rows[:, 1], self.settings)
+        loss = corrected_loss(self.problem, rows[:, 0], None if share is None else rows[:, 1], weight, self.settings)
         total = loss + prior_cost(self.problem, theta, model)
         return total if np.isfinite(total) else np.inf
 

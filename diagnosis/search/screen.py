@@ -8,15 +8,17 @@ left if they were there: what they explain is then no discrepancy any more.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..data.segments import BALANCES
 from ..fit.coordinates import Hypothesis
-from ..fit.noise import Noise, learn, whiten
+from ..fit.noise import Noise, SensorNoise, learn, whiten
 from ..fit.residual import Problem
 from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Columns, Fit, bounded_step, huber_loss, huber_weight, prior_cost, stacked
+from ..fit.solver import Columns, Fit, bounded_step, huber_loss, huber_weight, leverage_weight, prior_cost, stacked
+from .worth import mean_squares
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,7 @@ class ScreenSettings:
       quiet: normalised RMS of the residual against the sensors' noise below which it is nearly noise.
       least_gain: linearised log evidence below which a hypothesis is left out.
       smallest: part of the ordinary size below which it is left out.
-      again: hypotheses that are judged again with the noise that they would leave.
+      again: hypotheses of either ranking that are judged again with the noise that they would leave.
     """
 
     probe: float = 0.03
@@ -37,7 +39,7 @@ class ScreenSettings:
     quiet: float = 2.0
     least_gain: float = 3.5
     smallest: float = 0.015
-    again: int = 6
+    again: int = 5
 
 
 SETTINGS = ScreenSettings()
@@ -51,6 +53,7 @@ class Screened:
       start: coordinates of the hypothesis.
       shift: change of the other unknowns that goes with them.
       noise: that it would leave, where it was judged again.
+      removed: mean square that it would take from the residual [N·m at the output]², likewise.
     """
 
     hypothesis: Hypothesis
@@ -58,11 +61,17 @@ class Screened:
     start: np.ndarray
     shift: np.ndarray
     noise: Noise | None = None
+    removed: float = 0.0
 
     @property
     def size(self) -> float:
         """In ordinary sizes."""
         return float(np.linalg.norm(self.start[self.hypothesis.magnitudes]))
+
+    @property
+    def key(self) -> tuple:
+        """The cause with its whole numbers."""
+        return (self.hypothesis.cause.name, *self.hypothesis.fixed.items())
 
 
 class Library:
@@ -99,9 +108,9 @@ class Library:
         """Columns of one hypothesis."""
         return self.columns[self.hypotheses.index(hypothesis)]
 
-    def without(self, names: set[str]) -> Library:
-        """The library without some causes."""
-        kept = [i for i, h in enumerate(self.hypotheses) if h.cause.name not in names]
+    def keeping(self, hypotheses: Sequence[Hypothesis]) -> Library:
+        """The library of some of its hypotheses."""
+        kept = [i for i, h in enumerate(self.hypotheses) if any(h is g for g in hypotheses)]
         found = object.__new__(Library)
         found.hypotheses = [self.hypotheses[i] for i in kept]
         found.origins = [self.origins[i] for i in kept]
@@ -117,6 +126,7 @@ class _Linear:
         rows = whiten(problem.segments, noise, stacked(at.point.residual, at.jacobian, together)).rows
         n = at.jacobian[0].shape[-1]
         weight = huber_weight(rows[:, 0], SOLVER.huber)
+        weight *= leverage_weight(rows[:, 1 : problem.size + 1], SOLVER.leverage)
         counted = np.flatnonzero(np.any(rows, axis=1))
         part = rows[counted] * np.sqrt(weight[counted, None])
         G = part.T @ part
@@ -172,10 +182,39 @@ class _Linear:
 
 
 def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings = SETTINGS) -> tuple[Screened, ...]:
-    """Linearised gain in log evidence of every hypothesis, best first; one per cause and order, its best start."""
+    """Linearised gain in log evidence of every hypothesis, best first; one per cause and order, its best start.
+
+    What a cause does slowly counts little as long as all that is slow is taken for discrepancy, also its own. So the ones that are
+    judged again are the best under the noise that was learned and the best under white noise as loud as the residual.
+    """
     if not library.hypotheses:
         return ()
-    linear = _Linear(problem, at.noise, at, library.columns)
+    ranked = _ranked(problem, at, library, at.noise)
+    plain = _ranked(problem, at, library, plain_noise(problem, at))
+    chosen: dict[tuple, Screened] = {}
+    for one in (ranked, plain):
+        good = [s for s in one if s.gain > settings.least_gain and s.size > settings.smallest]
+        for s in good[: settings.again]:
+            chosen.setdefault(s.key, s)
+    reference = _evidence(problem, at, at.noise, None, None, None) if chosen else 0.0
+    again = [_again(problem, at, library, s, reference) for s in chosen.values()]
+    return tuple(sorted([*again, *(s for s in ranked if s.key not in chosen)], key=lambda s: -s.gain))
+
+
+def plain_noise(problem: Problem, at: Fit) -> Noise:
+    """White noise as loud as a fit's residual is in motion, balance by balance."""
+    total, count = np.zeros(len(BALANCES)), np.zeros(len(BALANCES))
+    for segment, r in zip(problem.segments, at.point.residual, strict=True):
+        use = segment.usable & ~segment.at_rest[:, None]
+        total += np.sum(np.where(use, r, 0.0) ** 2, axis=0)
+        count += np.sum(use, axis=0)
+    rms = np.sqrt(np.divide(total, count, out=np.ones(len(BALANCES)), where=count > 0)) + 1e-12
+    one = tuple(SensorNoise(np.zeros(1), float(x)) for x in rms)
+    return Noise((one,) * len(problem.segments), np.zeros_like(at.noise.discrepancy), at.noise.rest, at.noise.settings)
+
+
+def _ranked(problem: Problem, at: Fit, library: Library, noise: Noise) -> list[Screened]:
+    linear = _Linear(problem, noise, at, library.columns)
     found: dict[tuple, Screened] = {}
     position = 0
     for h, origin in zip(library.hypotheses, library.origins, strict=True):
@@ -185,12 +224,7 @@ def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings
         key = (h.cause.name, *h.fixed.items())
         if key not in found or one.gain > found[key].gain:
             found[key] = one
-    ranked = sorted(found.values(), key=lambda s: -s.gain)
-    good = [s for s in ranked if s.gain > settings.least_gain and s.size > settings.smallest]
-    reference = _evidence(problem, at, at.noise, None, None, None) if good else 0.0
-    again = [_again(problem, at, library, s, reference) for s in good[: settings.again]]
-    names = {id(s.hypothesis) for s in again}
-    return tuple(sorted([*again, *(s for s in ranked if id(s.hypothesis) not in names)], key=lambda s: -s.gain))
+    return sorted(found.values(), key=lambda s: -s.gain)
 
 
 def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: float) -> Screened:
@@ -207,7 +241,10 @@ def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: 
         one = linear.judge(h, origin, slice(0, len(here)))
         gain = _evidence(problem, at, noise, columns, one, origin) - reference - np.log(h.alternatives)
         best = Screened(h, float(gain), one.start, one.shift, noise)
-    return best
+    change = best.start[here] - origin[here]
+    r = [a + J @ best.shift + c @ change for a, J, c in zip(at.point.residual, at.jacobian, columns, strict=True)]
+    removed = mean_squares(problem, at.point.residual).sum() - mean_squares(problem, r).sum()
+    return replace(best, removed=float(removed))
 
 
 def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | None, origin) -> float:

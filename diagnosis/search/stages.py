@@ -1,8 +1,13 @@
-"""Which causes the data speak for, in stages: calibrate, screen, fit, accept; again until no further cause earns its place.
+"""Which causes the data speak for, in stages: calibrate, screen, fit, select, settle.
+
+*Calibrate* the joint without causes. *Screen* the library there and *fit* the few that look best through the replay: the first
+cause may be large, where nothing is linear. With it in the model what is left is small, and further causes are *selected* in the
+linear model of a second library, one after the other; *settle* fits all of them together and takes back what does not hold.
 
 Every stage returns a frozen result, and every hypothesis that was looked at leaves a decision that says why it was taken or not.
 The noise, with what no description can hold (`fit.noise`), is learned for every model that is compared: a cause is worth what it
-makes likelier *beside* its own discrepancy, not in units of the encoders' noise.
+makes likelier *beside* its own discrepancy, not in units of the encoders' noise. Among causes that the data speak for, the one that
+is worth most to a user comes first: the mean square of the simulation's error that it alone removes (`worth`).
 """
 
 from __future__ import annotations
@@ -13,64 +18,45 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..data.segments import BALANCES
 from ..fit.coordinates import Hypothesis
-from ..fit.noise import normalised_rms, whiten
-from ..fit.residual import REACH, Model, Problem
+from ..fit.noise import learn, normalised_rms, whiten
+from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Fit, Fitter, huber_loss, prior_cost, with_dispersion
+from ..fit.solver import Fit, Fitter, Point, huber_loss, prior_cost, with_dispersion
+from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
 from .screen import Library, Screened, ScreenSettings, screen
+from .worth import Worth, unexplained, worth
 
 Progress = Callable[[str, float], None]
 """Called with a stage's name and the share of the work that is done."""
 
 
 @dataclass(frozen=True)
-class CalibrateSettings:
-    """How the joint is calibrated before any cause is tried.
-
-    Attributes:
-      tare: values of the link encoder's zero, in its standard deviations, from which the best is where fits start: a
-        milliradian is several newton metres, where nothing is linear.
-      iterations: of Gauss–Newton.
-      stuck: a number that the data know well and that sits so many standard deviations from nominal may stand in for an effect.
-      unsettled: normalised RMS against the sensors' noise from which on a second start is tried.
-    """
-
-    tare: tuple[float, ...] = (-2.4, -1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8, 2.4)
-    iterations: int = 9
-    stuck: float = 0.92 * REACH
-    unsettled: float = 1.35
-
-
-@dataclass(frozen=True)
 class AcceptSettings:
-    """When a further cause is accepted.
+    """When a cause is accepted.
 
     Attributes:
       threshold: log evidence that it must add.
       smallest: part of the ordinary size below which it is not named: the laws themselves are not better than that.
-      significant: standard deviations that it must be away from absent.
-      small, least_gain: one that earns less than this part of what the first did, or less than this log evidence, must be as
-        significant by standard deviations that no noise model has to be right for (`solver.with_dispersion`).
+      significant: standard deviations that it must be away from absent, by those that no noise model has to be right for too
+        (`solver.with_dispersion`).
+      worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is one of
+        many things that the description does not hold, and no answer to what the simulation gets wrong.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
-      proxy: one that earns less than this part of what another earns stands in for it.
-      race: rivals that earn more than this part of the best are fitted to the end.
-      finalists: hypotheses fitted in a round; per_cause: at most of one cause.
+      race: rivals that are worth more than this part of the best are fitted to the end.
+      finalists: hypotheses fitted in the first round; per_cause: at most of one cause.
       most: causes at once.
     """
 
     threshold: float = 7.0
     smallest: float = 0.03
     significant: float = 4.0
-    small: float = 0.2
-    least_gain: float = 100.0
+    worth: float = 0.5
     held_out_share: float = 0.2
-    proxy: float = 0.5
-    race: float = 0.7
+    race: float = 0.6
     finalists: int = 3
     per_cause: int = 2
-    most: int = 3
+    most: int = 5
 
 
 @dataclass(frozen=True)
@@ -87,22 +73,24 @@ SETTINGS = SearchSettings()
 
 @dataclass(frozen=True)
 class Decision:
-    """What became of one hypothesis in one round.
+    """What became of one hypothesis at one stage.
 
     Attributes:
-      round: from 1.
+      stage: `fit`, `select` or `settle`, with the number of causes that were in the model.
       cause, fixed: its name and its whole-number parameters.
-      gain: log evidence that it added, of the linear model where it was not fitted.
+      gain: log evidence that it adds.
+      worth: root mean square of the simulation's error that it removes [N·m at the output].
       size: in ordinary sizes.
-      fitted: whether it was fitted through the replay.
+      fitted: whether it was fitted through the replay, or judged in the linear model.
       taken: whether it was accepted.
       reason: why, or why not, for people.
     """
 
-    round: int
+    stage: str
     cause: str
     fixed: dict[str, float]
     gain: float
+    worth: float
     size: float
     fitted: bool
     taken: bool
@@ -110,80 +98,44 @@ class Decision:
 
 
 @dataclass(frozen=True)
-class Finalist:
-    """A hypothesis fitted on top of a base: its log evidence over the base's, and whether it is large enough to be named and beyond
-    what tolerances can express."""
+class Rivals:
+    """What else could stand where a cause was accepted.
 
-    fit: Fit
+    Attributes:
+      cause: its name.
+      gain: log evidence that it added.
+      others: name and gain, at the same place, of causes that are not needed any more with it.
+    """
+
+    cause: str
     gain: float
-    nameable: bool
-
-    @property
-    def name(self) -> str:
-        """The cause's name."""
-        return self.fit.model[-1].cause.name
-
-
-@dataclass(frozen=True)
-class Round:
-    """One round of the search: a base model, all hypotheses by their linearised gain, and the finalists, best first."""
-
-    base: Fit
-    quiet: float
-    screened: tuple[Screened, ...]
-    finalists: tuple[Finalist, ...]
-    decisions: tuple[Decision, ...]
-
-    @property
-    def named(self) -> list[tuple[str, float]]:
-        """Names and gains of those that could be named, best first."""
-        return [(f.name, f.gain) for f in self.finalists if f.nameable]
+    others: tuple[tuple[str, float], ...]
 
 
 @dataclass(frozen=True)
 class Search:
-    """What the search found: the rounds, the chosen model, and the library's columns there.
+    """What the search found.
 
     Attributes:
-      complete: whether all rounds were done; not so where time was up.
+      base: the calibrated joint without causes.
+      chosen: the model with all causes that were accepted.
+      library: columns of all other hypotheses near it.
+      rivals: of every accepted cause, in the model's order.
+      decisions: about every hypothesis, stage by stage.
+      quiet: normalised RMS against the sensors' noise of `base` and of `chosen`.
+      complete: whether all stages were done; not so where time was up.
     """
 
-    rounds: tuple[Round, ...]
+    base: Fit
     chosen: Fit
     library: Library
+    rivals: tuple[Rivals, ...]
+    decisions: tuple[Decision, ...]
+    quiet: tuple[float, float]
     complete: bool = True
 
-    @property
-    def decisions(self) -> tuple[Decision, ...]:
-        """All decisions, in order."""
-        return tuple(d for r in self.rounds for d in r.decisions)
 
-
-def calibrate(problem: Problem, fitter: Fitter, settings: CalibrateSettings = SETTINGS.calibrate) -> Fit:
-    """The joint without causes at its most probable numbers."""
-    return fitter.fit((), tared(problem, problem.start(None, ()), (), settings), iterations=settings.iterations)
-
-
-def tared(problem: Problem, theta: np.ndarray, model: Model, settings: CalibrateSettings) -> np.ndarray:
-    """The same unknowns with the link encoder's zero where the residual is smallest, on a grid."""
-    names = problem.calibration.names
-    if "link_encoder_zero" not in names or not problem.link_measured:
-        return theta
-    at = names.index("link_encoder_zero")
-    tried = [np.r_[theta[:at], x, theta[at + 1 :]] for x in settings.tare]
-    found = problem.residuals(tried, [model] * len(tried))
-    return tried[int(np.nanargmin([_roughness(problem, rs) for rs in found]))]
-
-
-def _roughness(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
-    """Sum of the logarithms of mean absolute residuals in motion: robust, and without a noise model."""
-    total = 0.0
-    for segment, r in zip(problem.segments, residuals, strict=True):
-        for b in range(len(BALANCES)):
-            use = segment.usable[:, b] & ~segment.at_rest
-            if use.any():
-                total += use.sum() * np.log(np.mean(np.abs(r[use, b])) + 1e-12)
-    return float(total)
+# --- stages ----------------------------------------------------------------------------------------------------------
 
 
 def quiet_rms(problem: Problem, f: Fit) -> float:
@@ -192,22 +144,23 @@ def quiet_rms(problem: Problem, f: Fit) -> float:
     return max(1.0, normalised_rms(problem.segments, bare, f.point.residual))
 
 
-def finalists(screened: Sequence[Screened], settings: AcceptSettings, least: float) -> list[Screened]:
-    """The best hypotheses that could matter, at most `per_cause` of the same cause."""
-    chosen: list[Screened] = []
-    taken: dict[str, int] = {}
-    for s in screened:
-        name = s.hypothesis.cause.name
-        if s.gain <= least or s.size <= 0.5 * settings.smallest:
-            continue
-        if taken.get(name, 0) < settings.per_cause and len(taken | {name: 0}) <= settings.finalists:
-            taken[name] = taken.get(name, 0) + 1
-            chosen.append(s)
-    return chosen
+def size_of(problem: Problem, f: Fit, index: int = -1) -> float:
+    """Size of one of a fit's effects, in ordinary sizes from where the joint would be without it."""
+    return float(np.linalg.norm(_away(problem, f, index)[f.model[index].magnitudes]))
+
+
+def _away(problem: Problem, f: Fit, index: int) -> np.ndarray:
+    """Coordinates of an effect less those at which it does nothing."""
+    h = f.model[index]
+    parts = problem.split(f.theta, f.model)
+    kept = [i for i in range(len(f.model)) if i != index % len(f.model)]
+    theta = np.concatenate([f.theta[: problem.size], *(parts[i] for i in kept)])
+    before = problem.records(theta, tuple(f.model[i] for i in kept))[0][0]
+    return parts[index] - h.coordinates(h.cause.centre(before, h.fixed))
 
 
 def _start(problem: Problem, base: Fit, s: Screened) -> np.ndarray:
-    """Where to start a finalist: at the linear solution, a part of the way to it, or where the effect is absent."""
+    """Where to start a finalist: at the linear solution or a part of the way to it."""
     model = (*base.model, s.hypothesis)
     low, high = problem.bounds(model)
     u = s.hypothesis.confine(np.clip(s.start, -3.0, 3.0))
@@ -225,12 +178,50 @@ def _start(problem: Problem, base: Fit, s: Screened) -> np.ndarray:
     return starts[int(np.nanargmin(costs))]
 
 
-def size_of(problem: Problem, f: Fit) -> float:
-    """Size of a fit's last effect, in ordinary sizes from where the joint would be without it."""
-    h = f.model[-1]
-    before = problem.records(f.theta[: len(f.theta) - h.size], f.model[:-1])[0][0]
-    absent = h.coordinates(h.cause.centre(before, h.fixed))
-    return float(np.linalg.norm((problem.split(f.theta, f.model)[-1] - absent)[h.magnitudes]))
+@dataclass(frozen=True)
+class Finalist:
+    """A hypothesis fitted on top of a base: its log evidence over the base's, and the mean square that it removes [N·m]²."""
+
+    fit: Fit
+    gain: float
+    removed: float
+
+    @property
+    def name(self) -> str:
+        """The cause's name."""
+        return self.fit.model[-1].cause.name
+
+
+def _finalists(problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[Screened], settings: AcceptSettings):
+    """The best hypotheses, fitted through the replay; a close race is decided by fits at their ends."""
+    good = [s for s in screened if s.noise and s.gain > 0.5 * settings.threshold and s.size > 0.5 * settings.smallest]
+    chosen: list[Screened] = []
+    for s in sorted(good, key=lambda s: -s.removed)[: settings.finalists - 1] + good:
+        taken = [c.hypothesis.cause.name for c in chosen]
+        if any(c is s for c in chosen) or taken.count(s.hypothesis.cause.name) >= settings.per_cause:
+            continue
+        if len(chosen) < settings.finalists:
+            chosen.append(s)
+    fitted = [
+        _as_finalist(
+            problem, base,
+            fitter.fit((*base.model, s.hypothesis), _start(problem, base, s), base, 4, base.point.noise),
+        )
+        for s in chosen
+    ]  # fmt: skip
+    fitted.sort(key=lambda f: -f.gain)
+    if len(fitted) > 1 and fitted[1].gain > max(settings.race * fitted[0].gain, settings.threshold):
+        best = fitted[0].gain
+        for i, f in enumerate(fitted):
+            if f.gain > settings.race * best:
+                more = fitter.fit(f.fit.model, f.fit.theta, f.fit, 4, base.point.noise)
+                fitted[i] = max((f, _as_finalist(problem, base, more)), key=lambda x: x.gain)
+    return sorted(fitted, key=lambda f: -f.gain)
+
+
+def _as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
+    removed = unexplained(problem, base.point).sum() - unexplained(problem, f.point).sum()
+    return Finalist(f, f.log_evidence - base.log_evidence, float(removed))
 
 
 def search(
@@ -240,255 +231,326 @@ def search(
     progress: Progress = lambda stage, done: None,
     deadline: float = np.inf,
 ) -> Search:
-    """Find the causes: calibrate, screen, fit the finalists, accept the best; again until none earns its place.
+    """Find the causes.
 
     Args:
-      deadline: of `time.monotonic` [s], after which no further round begins and the best so far is the answer.
+      progress: told the stages as they begin.
+      deadline: of `time.monotonic` [s], after which no further stage begins and the best so far is the answer.
     """
-    fitter = Fitter(problem)
-    accept = settings.accept
-    progress("calibrating the joint", 0.05)
+    fitter, accept = Fitter(problem), settings.accept
+    progress("calibrating the joint", 0.02)
     base = calibrate(problem, fitter, settings.calibrate)
-    rounds: list[Round] = []
-    again = False
-    while True:
-        number = len(rounds) + 1
-        progress(f"screening causes, round {number}", min(0.1 + 0.25 * number, 0.8))
+    decisions: list[Decision] = []
+    rivals: list[Rivals] = []
+    first = base
+    for attempt in range(2):
+        progress("screening the library of causes", 0.2 + 0.1 * attempt)
         quiet = quiet_rms(problem, base)
-        tried = [h for h in hypotheses if not _repeats(h, base.model)]
         probe = settings.screen.probe if quiet < settings.screen.quiet else settings.screen.coarse_probe
-        library = Library(problem, base, tried, probe)
+        library = Library(problem, base, hypotheses, probe)
         screened = screen(problem, base, library, settings.screen)
-        progress(f"fitting causes, round {number}", min(0.2 + 0.25 * number, 0.85))
-        fitted = [
-            _finalist(problem, fitter, base, s, accept) for s in finalists(screened, accept, 0.5 * accept.threshold)
-        ]
-        fitted = _race(problem, fitter, base, fitted, accept)
-        first = rounds[0].finalists[0].gain if rounds and rounds[0].finalists else 0.0
-        decisions, chosen = _decide(problem, base, screened, fitted, first, number, accept)
-        late = time.monotonic() > deadline
-        if chosen is None and not again and not late and _doubtful(problem, base, quiet, settings.calibrate):
-            again = True
-            other = afresh(problem, fitter, base, settings.calibrate)
-            if other.log_evidence > base.log_evidence + 1.0:
-                base = other
-                continue
-        rounds.append(
-            Round(
-                base,
-                quiet,
-                screened,
-                tuple(fitted),
-                tuple(decisions),
-            )
-        )
-        if chosen is None or late:
+        progress("fitting the causes that look best", 0.35 + 0.1 * attempt)
+        fitted = _finalists(problem, fitter, base, screened, accept)
+        decisions, chosen = _first(problem, base, screened, fitted, accept)
+        if chosen is not None or attempt or not doubtful(problem, base, quiet, settings.calibrate):
             break
-        progress(f"settling {chosen.name.replace('_', ' ')}", min(0.3 + 0.25 * number, 0.88))
-        theta = hand_over(problem, chosen.fit.theta, chosen.fit.model)
-        base = fitter.fit(chosen.fit.model, theta, iterations=6)
-        if _doubtful(problem, base, quiet_rms(problem, base), settings.calibrate):
-            base = max((base, afresh(problem, fitter, base, settings.calibrate)), key=lambda f: f.log_evidence)
-        if len(base.model) >= accept.most:
-            library = Library(
-                problem, base, [h for h in hypotheses if not _repeats(h, base.model)], settings.screen.probe
-            )
+        other = afresh(problem, fitter, base, settings.calibrate)
+        if other.log_evidence < base.log_evidence + 1.0:
             break
-    return Search(tuple(rounds), base, library, complete=time.monotonic() <= deadline)
-
-
-def _repeats(h: Hypothesis, model: Model) -> bool:
-    """Whether a model has the same cause already: of those that add, with the same whole numbers."""
-    for other in model:
-        if other.cause.name == h.cause.name and (not h.cause.adds or other.fixed == h.fixed):
-            return True
-    return False
-
-
-def _finalist(problem: Problem, fitter: Fitter, base: Fit, s: Screened, settings: AcceptSettings) -> Finalist:
-    f = fitter.fit(
-        (*base.model, s.hypothesis), _start(problem, base, s), near=base, iterations=4, sensors=base.point.noise
+        base = first = other
+    at, late = first, time.monotonic() > deadline
+    if chosen is not None and not late:
+        progress(f"settling {chosen.name.replace('_', ' ')}", 0.5)
+        at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
+        if doubtful(problem, at, quiet_rms(problem, at), settings.calibrate):
+            at = max((at, afresh(problem, fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
+        rivals.append(_rivals_of(chosen, fitted))
+        quiet = quiet_rms(problem, at)
+        progress("screening the library again", 0.6)
+        library = Library(problem, at, _others(hypotheses, at.model), settings.screen.probe)
+    late = time.monotonic() > deadline
+    if not late:
+        progress("selecting further causes", 0.7)
+        more, seen, others = _select(problem, at, library, accept, settings.screen)
+        decisions += seen
+        if more:
+            progress("settling all causes", 0.8)
+            found = _together(problem, fitter, at, library, more)
+            rivals += others
+            found, rivals, dropped = _prune(problem, fitter, found, rivals, accept)
+            decisions += dropped
+            at = found
+    return Search(
+        first,
+        at,
+        library,
+        tuple(rivals),
+        tuple(decisions),
+        (quiet_rms(problem, first), quiet_rms(problem, at)),
+        not late,
     )
-    return _judged(problem, base, f, settings)
 
 
-def _judged(problem: Problem, base: Fit, f: Fit, settings: AcceptSettings) -> Finalist:
-    large = size_of(problem, f) > settings.smallest
-    return Finalist(f, f.log_evidence - base.log_evidence, large and not problem.is_calibration(f.theta, f.model))
+def _others(hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothesis]:
+    """Hypotheses that a model does not have already: of causes that add, those with other whole numbers."""
 
-
-def _race(
-    problem: Problem, fitter: Fitter, base: Fit, fitted: list[Finalist], settings: AcceptSettings
-) -> list[Finalist]:
-    """A close race is decided by fits at their ends."""
-    fitted = sorted(fitted, key=lambda f: -f.gain)
-    if len(fitted) > 1 and fitted[1].gain > max(settings.race * fitted[0].gain, settings.threshold):
-        best = fitted[0].gain
-        rivals = []
-        for f in fitted:
-            if f.gain > settings.race * best:
-                more = fitter.fit(f.fit.model, f.fit.theta, iterations=5, sensors=base.point.noise)
-                f = max((f, _judged(problem, base, more, settings)), key=lambda x: x.gain)
-            rivals.append(f)
-        fitted = sorted(rivals, key=lambda f: -f.gain)
-    return fitted
-
-
-def _decide(problem, base, screened, fitted, first, number, settings) -> tuple[list[Decision], Finalist | None]:
-    """Why each hypothesis was taken or not; and the one that was."""
-    best = fitted[0].gain if fitted else 0.0
-    chosen, decisions = None, []
-    done = {(f.name, *f.fit.model[-1].fixed.items()) for f in fitted}
-    for f in fitted:
-        reason = _objection(problem, base, f, best, first, settings)
-        taken = not reason and chosen is None
-        if taken:
-            chosen = f
-            reason = f"adds {f.gain:.0f} to the log evidence, more than any other"
-        elif not reason:
-            reason = f"adds {f.gain:.0f}, less than {chosen.name.replace('_', ' ')} with {chosen.gain:.0f}"
-        h = f.fit.model[-1]
-        decisions.append(Decision(number, f.name, h.fixed, f.gain, size_of(problem, f.fit), True, taken, reason))
-    for s in screened:
-        if (s.hypothesis.cause.name, *s.hypothesis.fixed.items()) in done:
-            continue
-        if s.gain <= 0.5 * settings.threshold:
-            reason = f"would add {s.gain:.1f} to the log evidence by the linear model, needs {0.5 * settings.threshold:g} to be fitted"
-        elif s.size <= 0.5 * settings.smallest:
-            reason = f"would be {100 * s.size:.1f} % of its ordinary size, less than {50 * settings.smallest:g} %"
-        else:
-            reason = f"would add {s.gain:.0f} by the linear model; {settings.finalists} causes looked better"
-        decisions.append(
-            Decision(number, s.hypothesis.cause.name, s.hypothesis.fixed, s.gain, s.size, False, False, reason)
+    def repeats(h: Hypothesis) -> bool:
+        return any(
+            o.cause.name == h.cause.name and (not h.cause.adds or o.fixed == h.fixed or not h.fixed) for o in model
         )
+
+    return [h for h in hypotheses if not repeats(h)]
+
+
+def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], Finalist | None]:
+    """The first cause: of the finalists that the data speak for, the one that is worth most."""
+    reasons = {id(f): _objection(problem, base, f, settings) for f in fitted}
+    good = [f for f in fitted if not reasons[id(f)]]
+    chosen = max(good, key=lambda f: f.removed, default=None)
+    if chosen is not None:
+        # What explains the same as the best by evidence, and less likely, is no rival by worth.
+        best = max(good, key=lambda f: f.gain)
+        if chosen is not best and chosen.removed < 1.5 * best.removed:
+            chosen = best
+    decisions = []
+    for f in fitted:
+        h, reason = f.fit.model[-1], reasons[id(f)]
+        rms = float(np.sqrt(max(f.removed, 0.0)))
+        if f is chosen:
+            reason = f"adds {f.gain:.0f} to the log evidence and takes {rms:.2g} N·m RMS from the simulation's error"
+        elif not reason:
+            reason = f"explains less than {chosen.name.replace('_', ' ')}; judged again with that in the model"
+        decisions.append(
+            Decision("fit", f.name, h.fixed, f.gain, rms, size_of(problem, f.fit), True, f is chosen, reason)
+        )
+    done = {(f.name, *f.fit.model[-1].fixed.items()) for f in fitted}
+    for s in screened:
+        if (s.hypothesis.cause.name, *s.hypothesis.fixed.items()) not in done:
+            decisions.append(_not_fitted(s, settings, "fit"))
     return decisions, chosen
 
 
-def _objection(problem, base: Fit, f: Finalist, best: float, first: float, settings: AcceptSettings) -> str:
+def _not_fitted(s: Screened, settings: AcceptSettings, stage: str) -> Decision:
+    if s.gain <= 0.5 * settings.threshold:
+        reason = (
+            f"would add {s.gain:.1f} to the log evidence, needs {0.5 * settings.threshold:g} to be looked at closer"
+        )
+    elif s.size <= 0.5 * settings.smallest:
+        reason = f"would be {100 * s.size:.1f} % of its ordinary size, less than {50 * settings.smallest:g} %"
+    else:
+        reason = f"would add {s.gain:.0f} to the log evidence; others looked better"
+    return Decision(
+        stage, s.hypothesis.cause.name, s.hypothesis.fixed, s.gain, float("nan"), s.size, False, False, reason
+    )
+
+
+def _objection(problem: Problem, base: Fit, f: Finalist, settings: AcceptSettings) -> str:
     """Why a finalist is not to be accepted; empty where nothing speaks against it."""
     if f.gain <= settings.threshold:
         return f"adds {f.gain:.1f} to the log evidence, must add more than {settings.threshold:g}"
-    if not f.nameable:
-        size = size_of(problem, f.fit)
-        if size <= settings.smallest:
-            return f"{100 * size:.1f} % of its ordinary size, less than {100 * settings.smallest:g} %"
+    size = size_of(problem, f.fit)
+    if size <= settings.smallest:
+        return f"{100 * size:.1f} % of its ordinary size, less than {100 * settings.smallest:g} %"
+    if problem.is_calibration(f.fit.theta, f.fit.model):
         return "what it changes is within the joint's tolerances: calibration, no cause"
-    if _relieves(problem, base, f.fit, settings.threshold):
-        return ""
-    if f.gain < settings.proxy * best:
-        return f"adds {f.gain:.0f}, less than {100 * settings.proxy:g} % of what another adds: may stand in for it"
-    away = significance(problem, f.fit)
+    relief = 0.5 * (prior_cost(problem, base.theta, base.model) - prior_cost(problem, f.fit.theta, f.fit.model))
+    if f.fit.model[-1].cause.scales and relief > settings.threshold:
+        return ""  # numbers are at odds with what is known of them, not with the data
+    away = significance(problem, with_dispersion(problem, f.fit))
     if away < settings.significant:
         return f"{away:.1f} standard deviations from absent, must be {settings.significant:g}"
-    if f.gain < max(settings.small * first, settings.least_gain):
-        away = significance(problem, with_dispersion(problem, f.fit))
-        if away < settings.significant:
-            return f"{away:.1f} standard deviations from absent as residuals scatter from second to second, must be {settings.significant:g}"
+    return _not_held_out(problem, base, f.fit, f.gain, settings)
+
+
+def _not_held_out(problem: Problem, base: Fit, f: Fit, gain: float, settings: AcceptSettings) -> str:
     share = sum(s.held_out.sum() for s in problem.segments) / max(sum(s.usable.sum() for s in problem.segments), 1)
     if share < 0.02:
         return ""
-    gained = held_out_cost(problem, base, f.fit) - held_out_cost(problem, f.fit, f.fit)
-    needed = settings.held_out_share * 2 * f.gain * share
+    gained = held_out_cost(problem, base, base) - held_out_cost(problem, f, f)
+    needed = settings.held_out_share * 2 * gain * share
     if gained <= needed:
-        return f"gains {gained:.0f} in χ² on data that the fit did not see, must gain {needed:.0f}"
+        return f"gains {gained:.0f} in log likelihood on data that the fit did not see, must gain {needed:.0f}"
     return ""
 
 
-def _relieves(problem: Problem, base: Fit, f: Fit, threshold: float) -> bool:
-    """Whether a cause that scales numbers takes strain from them: they are then at odds with what is known, not with the data."""
-    if not f.model[-1].cause.scales:
-        return False
-    return 0.5 * (prior_cost(problem, base.theta, base.model) - prior_cost(problem, f.theta, f.model)) > threshold
-
-
 def held_out_cost(problem: Problem, f: Fit, under: Fit) -> float:
-    """Robust sum of squares of a fit's residual on held-out samples under the noise of another, less the noise's share."""
+    """Minus twice the log likelihood of held-out residuals of a fit, under the noise of another, less the noise's share."""
     kept = [replace(s, usable=s.held_out) for s in problem.segments]
     pairs = [np.stack([a, b], -1) for a, b in zip(f.point.residual, f.point.noise, strict=True)]
-    rows = whiten(kept, under.noise, pairs).rows
-    return float(np.sum(huber_loss(rows[:, 0], 10.0)) - np.sum(huber_loss(rows[:, 1], 10.0)))
+    white = whiten(kept, under.noise, pairs)
+    rows = white.rows
+    return float(np.sum(huber_loss(rows[:, 0], 10.0)) - np.sum(huber_loss(rows[:, 1], 10.0))) + white.log_determinant
 
 
-def significance(problem: Problem, f: Fit) -> float:
-    """How many of its standard deviations the last effect of a fit is away from absent."""
-    h = f.model[-1]
-    before = problem.records(f.theta[: len(f.theta) - h.size], f.model[:-1])[0][0]
-    absent = h.coordinates(h.cause.centre(before, h.fixed))[h.magnitudes]
-    where = len(f.theta) - h.size + np.asarray(h.magnitudes)
-    away = f.theta[where] - absent
+def significance(problem: Problem, f: Fit, index: int = -1) -> float:
+    """How many of its standard deviations one of a fit's effects is away from absent."""
+    h = f.model[index]
+    block = problem.place(f.model, index % len(f.model))
+    where = block.start + np.asarray(h.magnitudes)
+    away = _away(problem, f, index)[h.magnitudes]
     return float(np.sqrt(max(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away), 0.0)))
 
 
-def _doubtful(problem: Problem, f: Fit, quiet: float, settings: CalibrateSettings) -> bool:
-    """Whether a fit may sit in a local minimum: a number that the data know well is near the end of its tolerance."""
-    n = problem.calibration.size
-    known = np.diag(f.covariance)[:n] < 0.3**2
-    return bool(np.any(known & (np.abs(f.theta[:n]) > settings.stuck))) and quiet > settings.unsettled
+def _rivals_of(chosen: Finalist, fitted: Sequence[Finalist]) -> Rivals:
+    others: dict[str, float] = {}
+    for f in fitted:
+        if f.name != chosen.name:
+            others[f.name] = max(f.gain, others.get(f.name, -np.inf))
+    return Rivals(chosen.name, chosen.gain, tuple(others.items()))
 
 
-def afresh(problem: Problem, fitter: Fitter, f: Fit, settings: CalibrateSettings) -> Fit:
-    """The same model calibrated anew, its effects as they are: numbers that stood in for an effect let go of it."""
-    theta = np.concatenate([np.zeros(problem.size), f.theta[problem.size :]])
-    return fitter.fit(f.model, tared(problem, theta, f.model, settings), iterations=settings.iterations)
+# --- further causes, in the linear model -------------------------------------------------------------------------------
 
 
-def hand_over(problem: Problem, theta: np.ndarray, model: Model) -> np.ndarray:
-    """The same joint with less strain: what a cause that scales numbers can do better than their tolerances, it does.
+def _select(problem: Problem, at: Fit, library: Library, settings: AcceptSettings, screening: ScreenSettings):
+    """Further causes one after the other in the linear model about a fit: the one first that is worth most."""
+    chosen: list[Screened] = []
+    decisions: list[Decision] = []
+    rivals: list[Rivals] = []
+    here, rest = at, library
+    before: list[tuple[Screened, dict[str, float]]] = []
+    seen: dict[tuple, Decision] = {}
+    while len(at.model) + len(chosen) < settings.most + 1:
+        screened = screen(problem, here, rest, screening)
+        gains: dict[str, float] = {}
+        for s in screened:
+            gains[s.hypothesis.cause.name] = max(s.gain, gains.get(s.hypothesis.cause.name, -np.inf))
+        if before:
+            # Rivals of the last one: what it has made superfluous.
+            last, earlier = before[-1]
+            others = tuple(
+                (name, g)
+                for name, g in earlier.items()
+                if name != last.hypothesis.cause.name and g > settings.threshold and gains.get(name, 0.0) < 0.2 * g
+            )
+            rivals.append(Rivals(last.hypothesis.cause.name, last.gain, others))
+        stage = f"select {len(at.model) + len(chosen) + 1}"
+        good: list[tuple[Screened, Worth]] = []
+        for s in screened:
+            key = (s.hypothesis.cause.name, *s.hypothesis.fixed.items())
+            if s.gain <= settings.threshold or s.size <= settings.smallest or s.noise is None:
+                seen[key] = _not_fitted(s, settings, stage)
+                continue
+            w = _worth_of(problem, here, rest, s)
+            if w.share < settings.worth:
+                reason = (
+                    f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square that the "
+                    f"description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
+                )
+                seen[key] = Decision(stage, key[0], s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
+                continue
+            good.append((s, w))
+        if not good or len(at.model) + len(chosen) >= settings.most:
+            break
+        best, w = max(good, key=lambda pair: pair[1].rms)
+        top = max(good, key=lambda pair: pair[0].gain)
+        if top[1].rms > 0.7 * w.rms:
+            best, w = top
+        reason = (
+            f"would add {best.gain:.0f} to the log evidence and take {w.rms:.2g} N·m RMS from the simulation's error"
+        )
+        key = (best.hypothesis.cause.name, *best.hypothesis.fixed.items())
+        seen.pop(key, None)
+        decisions.append(
+            Decision(stage, key[0], best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason)
+        )
+        before.append((best, gains))
+        chosen.append(best)
+        here = _with(problem, here, rest, best)
+        rest = rest.keeping(_others(rest.hypotheses, (best.hypothesis,)))
+    return chosen, [*decisions, *seen.values()], rivals
 
-    Along that path products stay constant, which is straight to first order only: Gauss–Newton does not find the way.
-    """
-    theta = theta.copy()
-    c, at = problem.calibration, problem.size
-    for h in model:
-        slots = _scaled(problem, h, theta[: c.size])
-        if slots:
-            name = h.free[0].name
-            x, u = theta[: c.size], theta[at : at + 1]
-            now = h.values(u)[name]
-            best, chosen = np.inf, None
-            for scale in (now, *(now * np.geomspace(0.6, 1.6, 121))):
-                shares = _shares(problem, slots, x, now / scale)
-                v = h.coordinates({name: scale})
-                low, high = h.limits
-                if shares is None or not low[0] <= v[0] <= high[0]:
-                    continue
-                cost = float(sum(y * y for y in shares.values()) + (v[0] / h.spread[0]) ** 2)
-                if cost < best - 1e-9:
-                    best, chosen = cost, (shares, v)
-            if chosen is not None:
-                for name, y in chosen[0].items():
-                    theta[c.names.index(name)] = y
-                theta[at : at + 1] = chosen[1]
-        at += h.size
-    return theta
+
+def _with(problem: Problem, f: Fit, library: Library, s: Screened) -> Fit:
+    """The linear model about a fit with one more effect in it, its noise learned anew."""
+    h, columns = s.hypothesis, library.of(s.hypothesis)
+    origin = library.origins[library.hypotheses.index(h)]
+    change = s.start[h.magnitudes] - origin[h.magnitudes]
+    full = [np.zeros((*c.shape[:2], h.size)) for c in columns]
+    for whole, c in zip(full, columns, strict=True):
+        whole[..., h.magnitudes] = c
+    residual = [a + J @ s.shift + c @ change for a, J, c in zip(f.point.residual, f.jacobian, columns, strict=True)]
+    low, high = problem.bounds((*f.model, h))
+    theta = np.clip(np.concatenate([f.theta + s.shift, s.start]), low, high)
+    return replace(
+        f, model=(*f.model, h), theta=theta, point=Point(residual, f.point.noise), noise_jacobian=None,
+        jacobian=[np.concatenate([J, w], -1) for J, w in zip(f.jacobian, full, strict=True)],
+        noise=learn(problem.segments, residual, f.point.noise, problem.quantum()),
+    )  # fmt: skip
 
 
-def _scaled(problem: Problem, h: Hypothesis, x: np.ndarray) -> list:
-    """The numbers with tolerances that a cause of one parameter multiplies; none where it does something else."""
-    if not h.cause.scales or len(h.free) != 1 or h.free[0].relative:
-        return []
-    return [s for s in problem.calibration.slots if s.index < 0 and s.field in h.cause.scales]
+def _worth_of(problem: Problem, f: Fit, library: Library, s: Screened) -> Worth:
+    """What a hypothesis would be worth in the linear model about a fit."""
+    after = _with(problem, f, library, s)
+    h = s.hypothesis
+    n = f.jacobian[0].shape[-1]
+    effect = n + np.asarray(h.magnitudes)
+    origin = library.origins[library.hypotheses.index(h)]
+    return worth(problem, after, after.jacobian, effect, np.arange(n), (s.start - origin)[h.magnitudes])
 
 
-def _shares(problem: Problem, slots: list, x: np.ndarray, factor: float) -> dict[str, float] | None:
-    """Calibration variables that make the numbers `factor` times what they are at x; None where tolerances end."""
-    c, joint = problem.calibration, problem.joint
-    ratios = {s.name: factor * c.value(s, x) / s.number.value for s in slots}
-    shared = {s.number.shared for s in slots}
-    found: dict[str, float] = {}
-    common = 1.0
-    if shared != {None}:
-        if len(shared) != 1:
-            return None
-        name = shared.pop()
-        spread = joint.shared_tolerances[name]
-        logs = np.log([ratios[s.name] for s in slots])
-        own = np.array([s.number.tolerance for s in slots])
-        weight = 1 / np.maximum(own, 1e-6) ** 2
-        y = spread * np.sum(weight * logs) / (1 + spread**2 * np.sum(weight))
-        found[f"shared {name}"] = float(y)
-        common = 1 + spread * y
-    for s in slots:
-        if s.number.tolerance:
-            found[s.name] = (ratios[s.name] / common - 1) / s.number.tolerance
-    return found if all(abs(y) <= REACH for y in found.values()) else None
+def _together(problem: Problem, fitter: Fitter, at: Fit, library: Library, chosen: Sequence[Screened]) -> Fit:
+    """All causes fitted together through the replay, from where the linear model puts them."""
+    here, rest = at, library
+    for s in chosen:
+        here = _with(problem, here, rest, s)
+    half = np.concatenate([0.5 * (at.theta + here.theta[: len(at.theta)]), here.theta[len(at.theta) :]])
+    starts = [here.theta, np.concatenate([at.theta, here.theta[len(at.theta) :]]), half]
+    found = problem.residuals(starts, [here.model] * len(starts))
+    costs = [
+        float(
+            np.sum(
+                huber_loss(whiten(problem.segments, here.noise, [r[..., None] for r in rs]).rows[:, 0], SOLVER.huber)
+            )
+        )
+        for rs in found
+    ]
+    start = starts[int(np.nanargmin(costs))]
+    f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6)
+    if np.sum(unexplained(problem, f.point)) < 0.5 * np.sum(unexplained(problem, at.point)):
+        f = fitter.fit(f.model, f.theta, None, 4)  # far from where the common derivatives were taken
+    return f
+
+
+def _is_calibration(problem: Problem, f: Fit, index: int) -> bool:
+    """Whether tolerances can express what one of a fit's effects makes of the joint that the others make."""
+    order = [*(j for j in range(len(f.model)) if j != index), index]
+    parts = problem.split(f.theta, f.model)
+    theta = np.concatenate([f.theta[: problem.size], *(parts[j] for j in order)])
+    return problem.is_calibration(theta, tuple(f.model[j] for j in order))
+
+
+def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings):
+    """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
+    dropped: list[Decision] = []
+    for _ in range(len(f.model)):
+        honest = with_dispersion(problem, f)
+        verdicts = []
+        for i, h in enumerate(f.model):
+            block = problem.place(f.model, i)
+            effect = block.start + np.asarray(h.magnitudes)
+            others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
+            w = worth(problem, f, f.jacobian, effect, others, _away(problem, f, i)[h.magnitudes])
+            size, away = size_of(problem, f, i), significance(problem, honest, i)
+            reason = ""
+            if _is_calibration(problem, f, i):
+                reason = "what it changes is within the joint's tolerances once all causes are fitted together"
+            elif size <= settings.smallest:
+                reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
+            elif away < settings.significant:
+                reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
+            elif w.share < settings.worth:
+                reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error once all causes are fitted together, too little to name"
+            verdicts.append((w, size, reason))
+        bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
+        if not bad:
+            break
+        i = min(reversed(bad), key=lambda i: verdicts[i][0].share)
+        w, size, reason = verdicts[i]
+        h = f.model[i]
+        dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
+        block = problem.place(f.model, i)
+        model = tuple(g for j, g in enumerate(f.model) if j != i)
+        rivals = [r for j, r in enumerate(rivals) if j != i]
+        f = fitter.fit(model, np.delete(f.theta, np.arange(block.start, block.stop)), f, 4)
+    return f, rivals, dropped

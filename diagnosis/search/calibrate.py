@@ -1,0 +1,143 @@
+"""Calibration: the joint without causes, or with those it has, at its most probable numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...models.calibration import Slot
+from ..data.segments import BALANCES
+from ..fit.coordinates import Hypothesis
+from ..fit.residual import REACH, Model, Problem
+from ..fit.solver import Fit, Fitter
+
+
+@dataclass(frozen=True)
+class CalibrateSettings:
+    """How the joint is calibrated before any cause is tried.
+
+    Attributes:
+      tare: values of the link encoder's zero, in its standard deviations, from which the best is where fits start: a
+        milliradian is several newton metres, where nothing is linear.
+      iterations: of Gauss–Newton.
+      stuck: a number that the data know well and that sits so many standard deviations from nominal may stand in for an effect.
+      unsettled: normalised RMS against the sensors' noise from which on a second start is tried.
+    """
+
+    tare: tuple[float, ...] = (-2.4, -1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8, 2.4)
+    iterations: int = 9
+    stuck: float = 0.92 * REACH
+    unsettled: float = 1.35
+
+
+SETTINGS = CalibrateSettings()
+
+
+def calibrate(problem: Problem, fitter: Fitter, settings: CalibrateSettings = SETTINGS) -> Fit:
+    """The joint without causes at its most probable numbers."""
+    return fitter.fit((), tared(problem, problem.start(None, ()), (), settings), iterations=settings.iterations)
+
+
+def tared(problem: Problem, theta: np.ndarray, model: Model, settings: CalibrateSettings) -> np.ndarray:
+    """The same unknowns with the link encoder's zero where the residual is smallest, on a grid."""
+    names = problem.calibration.names
+    if "link_encoder_zero" not in names or not problem.link_measured:
+        return theta
+    at = names.index("link_encoder_zero")
+    step = settings.tare[1] - settings.tare[0]
+    best, tried = theta, [np.r_[theta[:at], x, theta[at + 1 :]] for x in settings.tare]
+    for _ in range(2):  # a grid, and a finer one about its best
+        found = problem.residuals(tried, [model] * len(tried))
+        best = tried[int(np.nanargmin([_roughness(problem, rs) for rs in found]))]
+        tried = [
+            np.r_[best[:at], best[at] + part * step, best[at + 1 :]] for part in (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
+        ]
+    return best
+
+
+def _roughness(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
+    """Sum of the logarithms of median absolute residuals in motion: robust, and without a noise model."""
+    total = 0.0
+    for segment, r in zip(problem.segments, residuals, strict=True):
+        for b in range(len(BALANCES)):
+            use = segment.usable[:, b] & ~segment.at_rest
+            if use.any():
+                total += use.sum() * np.log(np.median(np.abs(r[use, b])) + 1e-12)
+    return float(total)
+
+
+def doubtful(problem: Problem, f: Fit, quiet: float, settings: CalibrateSettings) -> bool:
+    """Whether a fit may sit in a local minimum: a number that the data know well is near the end of its tolerance."""
+    n = problem.calibration.size
+    known = np.diag(f.covariance)[:n] < 0.3**2
+    return bool(np.any(known & (np.abs(f.theta[:n]) > settings.stuck))) and quiet > settings.unsettled
+
+
+def afresh(problem: Problem, fitter: Fitter, f: Fit, settings: CalibrateSettings) -> Fit:
+    """The same model calibrated anew, its effects as they are: numbers that stood in for an effect let go of it."""
+    theta = np.concatenate([np.zeros(problem.size), f.theta[problem.size :]])
+    return fitter.fit(f.model, tared(problem, theta, f.model, settings), iterations=settings.iterations)
+
+
+def hand_over(problem: Problem, theta: np.ndarray, model: Model) -> np.ndarray:
+    """The same joint with less strain: what a cause that scales numbers can do better than their tolerances, it does.
+
+    Along that path products stay constant, which is straight to first order only: Gauss–Newton does not find the way.
+    """
+    theta = theta.copy()
+    c, at = problem.calibration, problem.size
+    for h in model:
+        slots = _scaled(problem, h, theta[: c.size])
+        if slots:
+            name = h.free[0].name
+            x, u = theta[: c.size], theta[at : at + 1]
+            now = h.values(u)[name]
+            best, chosen = np.inf, None
+            for scale in (now, *(now * np.geomspace(0.6, 1.6, 121))):
+                shares = _shares(problem, slots, x, now / scale)
+                v = h.coordinates({name: scale})
+                low, high = h.limits
+                if shares is None or not low[0] <= v[0] <= high[0]:
+                    continue
+                cost = float(sum(y * y for y in shares.values()) + (v[0] / h.spread[0]) ** 2)
+                if cost < best - 1e-9:
+                    best, chosen = cost, (shares, v)
+            if chosen is not None:
+                for name, y in chosen[0].items():
+                    theta[c.names.index(name)] = y
+                theta[at : at + 1] = chosen[1]
+        at += h.size
+    return theta
+
+
+def _scaled(problem: Problem, h: Hypothesis, x: np.ndarray) -> list[Slot]:
+    """The numbers with tolerances that a cause of one parameter multiplies; none where it does something else."""
+    if not h.cause.scales or len(h.free) != 1 or h.free[0].relative:
+        return []
+    return [s for s in problem.calibration.slots if s.index < 0 and s.field in h.cause.scales]
+
+
+def _shares(problem: Problem, slots: list[Slot], x: np.ndarray, factor: float) -> dict[str, float] | None:
+    """Calibration variables that make the numbers `factor` times what they are at x; None where tolerances end."""
+    c, joint = problem.calibration, problem.joint
+    ratios = {s.name: factor * c.value(s, x) / s.number.value for s in slots}
+    shared = {s.number.shared for s in slots}
+    found: dict[str, float] = {}
+    common = 1.0
+    if shared != {None}:
+        if len(shared) != 1:
+            return None
+        name = shared.pop()
+        spread = joint.shared_tolerances[name]
+        logs = np.log([ratios[s.name] for s in slots])
+        own = np.array([s.number.tolerance for s in slots])
+        weight = 1 / np.maximum(own, 1e-6) ** 2
+        y = spread * np.sum(weight * logs) / (1 + spread**2 * np.sum(weight))
+        found[f"shared {name}"] = float(y)
+        common = 1 + spread * y
+    for s in slots:
+        if s.number.tolerance:
+            found[s.name] = (ratios[s.name] / common - 1) / s.number.tolerance
+    return found if all(abs(y) <= REACH for y in found.values()) else None
