@@ -26,7 +26,11 @@ class Strict(BaseModel):
 M = TypeVar("M", bound=BaseModel)
 
 
-class _Loader(yaml.SafeLoader):
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C where there is one: eight times as fast
+_SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+
+
+class _Loader(_SafeLoader):
     """Safe YAML that reads 1e-6 as a number (YAML 1.1 asks for a dot) and refuses duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
@@ -78,6 +82,12 @@ def yaml_value(text: str) -> Any:
         return yaml.load(text, Loader=_Loader)
     except yaml.YAMLError:
         return text
+
+
+def yaml_text(data: Any) -> str:
+    """Data as YAML text: keys in their order, lines up to 120 characters."""
+    text: str = yaml.dump(data, Dumper=_SafeDumper, allow_unicode=True, sort_keys=False, width=120)
+    return text
 
 
 def parse(data: Any, model: type[M], where: str) -> M:

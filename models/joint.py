@@ -8,12 +8,11 @@ from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 import numpy as np
-import yaml
 from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from . import causes, units
 from .errors import InputError, nearest
-from .files import Strict, load, write_into_place
+from .files import Strict, load, write_into_place, yaml_text
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
 
@@ -402,7 +401,7 @@ class Joint(Strict):
         """Write the description as YAML; `load_joint` reads it back."""
         data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
         with write_into_place(path) as temporary:
-            temporary.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120), encoding="utf-8")
+            temporary.write_text(yaml_text(data), encoding="utf-8")
 
 
 PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())

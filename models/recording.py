@@ -19,14 +19,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 import pyarrow.parquet
-import yaml
 from pydantic import model_validator
 
 from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
 from .errors import InputError, nearest
-from .files import Strict, load, write_into_place
+from .files import Strict, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .tables import write_table
@@ -333,7 +332,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     with write_into_place(path) as temporary:
         write_table(temporary, ordered, {name: _unit(name) for name in ordered})
     with write_into_place(path.with_suffix(".yaml")) as temporary:
-        temporary.write_text(yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120), encoding="utf-8")
+        temporary.write_text(yaml_text(data), encoding="utf-8")
     return path
 
 

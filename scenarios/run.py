@@ -43,6 +43,11 @@ class Run:
     simulation: Simulation
     estimates: dict[str, Posterior]
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {
+            name: value for name, value in self.__dict__.items() if name != "signals"
+        }  # they follow from the readings
+
     @property
     def name(self) -> str:
         """The scenario's name."""

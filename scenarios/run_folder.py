@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.errors import InputError
-from ..models.files import folder_into_place, load
+from ..models.files import folder_into_place, load, yaml_text
 from ..models.recording import write_recording
 from ..models.signals import CHANNELS, READINGS, SENSED
 from ..models.tables import read_table, write_table
@@ -55,8 +54,7 @@ def save_run(run: Run, out: Path, views: Sequence[View] = ()) -> Path:
         run.known_joint.write(folder / "known_joint.yaml")
         data = run.scenario.model_dump(mode="json", exclude_none=True)
         data["joint"], data["known_joint"], data["plant"], data["sensors"] = "joint.yaml", "known_joint.yaml", {}, {}
-        text = yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120)
-        (folder / "scenario.yaml").write_text(text, encoding="utf-8")
+        (folder / "scenario.yaml").write_text(yaml_text(data), encoding="utf-8")
         (folder / "run.json").write_text(json.dumps(provenance(run), indent=1), encoding="utf-8")
         for finish in begun:
             if finish is not None:

@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import yaml
 
 from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator
 from ...estimator.tuning_parameters import value_of, with_values
 from ...models.errors import InputError
-from ...models.files import write_into_place
+from ...models.files import write_into_place, yaml_text
 from ..filters import FilterEntry
 from ..run import Run, simulate_scenario
 from ..scenario import Scenario
@@ -310,7 +309,7 @@ def write_tuned(
         "filters": [entry_of(one).model_dump() for one in found],
     }
     text = "# Found by `flexspline tune`. rms: default, tuned [N·m]. `filters` can be copied into a scenario.\n"
-    text += yaml.safe_dump(data, allow_unicode=True, sort_keys=False, width=120)
+    text += yaml_text(data)
     with write_into_place(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
