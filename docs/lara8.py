@@ -16,14 +16,15 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+
 from flexspline.diagnosis.balance import extended, fit_current, fit_eccentricity
+from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.diagnosis.diagnose import Diagnosis, diagnose
-from flexspline.diagnosis.estimate import ESTIMATORS, estimate
-from flexspline.diagnosis.importing import import_recording, load_layout
-from flexspline.diagnosis.motion import smooth
+from flexspline.estimator.motion import smooth
+from flexspline.estimator.offline import estimate_recording
 from flexspline.models import laws
 from flexspline.models.joint import Joint, load_joint, shipped
-from flexspline.sim.recording import Measurement, Recording
+from flexspline.models.recording import Measurement, Recording
 from flexspline.views import style
 
 HERE = Path(__file__).parent
@@ -43,7 +44,19 @@ def extend(recording: Recording, joint: Joint, use: np.ndarray | None = None) ->
     return extended(known, (fit_eccentricity(recording, known, use),), known.name, DESCRIPTION)
 
 
+ESTIMATORS = ("model", "EKF", "AREKF", "RAREKF", "current", "current_smoothed", "payload", "payload_smoothed")
 DIAGNOSED = ("model", "RAREKF", "current", "payload_smoothed")
+
+
+def external_torques(recording: Recording, joint: Joint) -> dict[str, np.ndarray]:
+    """External torque [N·m] by estimator, shape (n,)."""
+    return estimate_recording(recording, joint, ESTIMATORS).external_torque
+
+
+def taken(recording: Recording, samples: np.ndarray) -> Recording:
+    """Some samples of a recording, shape (n,), bool."""
+    columns = {name: values[samples] for name, values in recording.columns.items()}
+    return replace(recording, time=recording.time[samples], columns=columns)
 
 
 def hold_outs(q: np.ndarray) -> dict[str, tuple[np.ndarray, np.ndarray]]:
@@ -69,7 +82,7 @@ def published(recording: Recording, path: Path) -> np.ndarray:
 def feed_forward(recording: Recording, path: Path) -> tuple[np.ndarray, float]:
     """The controller's model: coefficients of sin q, cos q, sgn v, v, a (of its target), rms of the rest [N·m]."""
     log = np.genfromtxt(path, delimiter=",", names=True)
-    time, q, v = recording.time, recording.link_position, log["target_joint_velocity_3"]
+    time, q, v = recording.time, recording["link_position"], log["target_joint_velocity_3"]
     s = smooth(time, v[:, None], 1e-3, 10.0)
     a = np.interp(time, s.time, s.rate[:, 0])
     basis = np.stack([np.sin(q), np.cos(q), np.ones(len(q)), v, a], axis=1)
@@ -81,41 +94,41 @@ def feed_forward(recording: Recording, path: Path) -> tuple[np.ndarray, float]:
 
 def remembered(recording: Recording) -> tuple[float, list[float]]:
     """RMS [N·m] of a rigid payload fitted to the sensor itself: to all of it (the sensor's vibration), and held out."""
-    time, q = recording.time, recording.link_position
-    s = smooth(time, recording.motor_position[:, None], 1e-3, 5.0)
+    time, q = recording.time, recording["link_position"]
+    s = smooth(time, recording["motor_position"][:, None], 1e-3, 5.0)
     v, a = (np.interp(time, s.time, x[:, 0]) / 101 for x in (s.rate, s.acceleration))
     basis, moving = np.stack([np.sin(q), np.cos(q), -a], axis=1), v > 0.05
 
     def rms(fit: np.ndarray, test: np.ndarray) -> float:
-        found, *_ = np.linalg.lstsq(basis[fit & moving], recording.external_torque[fit & moving], rcond=None)
-        return float(np.sqrt(np.mean((recording.external_torque - basis @ found)[test & moving] ** 2)))
+        found, *_ = np.linalg.lstsq(basis[fit & moving], recording["external_torque"][fit & moving], rcond=None)
+        return float(np.sqrt(np.mean((recording["external_torque"] - basis @ found)[test & moving] ** 2)))
 
     return rms(moving, moving), [rms(fit, test) for fit, test in hold_outs(q).values()]
 
 
 def table(recording: Recording, path: Path) -> list[tuple[str, list[float]]]:
     """RMS [N·m] in motion, on samples that the fit did not see: published way, then every estimator."""
-    joint, q = load_joint(recording.joint), recording.link_position
+    joint, q = load_joint(recording.joint), recording["link_position"]
     moving = np.gradient(q, recording.time) > 0.05
     rows = []
     for name, (fit, test) in hold_outs(q).items():
-        found = estimate(recording, extend(recording, joint, fit)).external_torque
+        found = external_torques(recording, extend(recording, joint, fit))
         where = test & moving
         errors = [published(recording, path), *(found[e] for e in ESTIMATORS)]
-        rows.append((name, [float(np.sqrt(np.mean((e - recording.external_torque)[where] ** 2))) for e in errors]))
+        rows.append((name, [float(np.sqrt(np.mean((e - recording["external_torque"])[where] ** 2))) for e in errors]))
     return rows
 
 
 def diagnosed(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[float]]]:
     """What `flexspline diagnose` makes of a part of the sweep by itself, and RMS [N·m] in motion on the rest of it."""
-    joint, q = load_joint(recording.joint), recording.link_position
+    joint, q = load_joint(recording.joint), recording["link_position"]
     moving = np.gradient(q, recording.time) > 0.05
     everything = np.ones(len(q), bool)
     for name, (fit, test) in [("nothing", (everything, everything)), *hold_outs(q).items()]:
-        part = replace(recording, **{c: x[fit] for c, x in recording.columns.items()})
+        part = taken(recording, fit)
         answer = diagnose(Measurement(part.name, Path(), (part,)), joint)
-        found = estimate(recording, answer.extended_joint()).external_torque
-        errors = [(found[e] - recording.external_torque)[test & moving] for e in DIAGNOSED]
+        found = external_torques(recording, answer.extended_joint())
+        errors = [(found[e] - recording["external_torque"])[test & moving] for e in DIAGNOSED]
         yield name, answer, [float(np.sqrt(np.mean(e**2))) for e in errors]
 
 
@@ -131,12 +144,12 @@ def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 
       The whole sweep, and which samples are the second half's, in motion.
     """
     p = joint.record()[0]
-    t, q = recording.time, recording.link_position
-    s = smooth(t, np.column_stack([recording.motor_position / p["N"], q]), 1e-3, 5.0)
+    t, q = recording.time, recording["link_position"]
+    s = smooth(t, np.column_stack([recording["motor_position"] / p["N"], q]), 1e-3, 5.0)
     v, a = (np.interp(t, s.time, x[:, 0]) for x in (s.rate, s.acceleration))
     basis = np.stack([np.sin(q), np.cos(q), -a], axis=1)
-    fitted, *_ = np.linalg.lstsq(basis, recording.external_torque, rcond=None)
-    vibration = recording.external_torque - basis @ fitted
+    fitted, *_ = np.linalg.lstsq(basis, recording["external_torque"], rcond=None)
+    vibration = recording["external_torque"] - basis @ fitted
     inertia = p["Jl"] + p["N"] ** 2 * (p["Jm"] + p["Jw"])
 
     def needed(q, a, external):
@@ -147,7 +160,9 @@ def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 
         error = np.array([laws.link_reading(x, p) for x in q]) - q
         return compliance + p["Kt"] * current / p["Kw0"] / p["N"] - error
 
-    beyond = recording.motor_position / p["N"] - q - torsion(q, needed(q, a, basis @ fitted), recording.motor_current)
+    beyond = (
+        recording["motor_position"] / p["N"] - q - torsion(q, needed(q, a, basis @ fitted), recording["motor_current"])
+    )
 
     time, q, v, a = 2 * t[-1] + 4e-3 - t[::-1], -q[::-1], v[::-1], -a[::-1]
     external = payload * (np.stack([np.sin(q), np.cos(q), -a], axis=1) @ fitted)
@@ -158,15 +173,13 @@ def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 
     noise = 2.3 * np.random.default_rng(0).standard_normal(len(t))
     current = torque + friction + back_driven * p["friction_load"] * np.abs(torque) * on + noise
     motor = p["N"] * (q + torsion(q, torque, current - noise) + beyond[::-1])
-    whole = {
-        "time": np.r_[t, time],
-        "motor_position": np.r_[recording.motor_position, motor],
-        "link_position": np.r_[recording.link_position, q],
-        "motor_current": np.r_[recording.motor_current, current],
-        "external_torque": np.r_[recording.external_torque, external + vibration[::-1]],
-        "position_command": None,
+    columns = {
+        "motor_position": np.r_[recording["motor_position"], motor],
+        "link_position": np.r_[recording["link_position"], q],
+        "motor_current": np.r_[recording["motor_current"], current],
+        "external_torque": np.r_[recording["external_torque"], external + vibration[::-1]],
     }
-    return replace(recording, **whole), np.r_[np.zeros(len(t), bool), v > 0.05]
+    return replace(recording, time=np.r_[t, time], columns=columns), np.r_[np.zeros(len(t), bool), v > 0.05]
 
 
 def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
@@ -176,11 +189,11 @@ def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
     for name, share in (("as much", 1.0), ("half as much", 0.5), ("none", 0.0), ("a wrong gain instead", -1.0)):
         whole, test = mirrored(recording, joint, share)
         n = len(recording.time)
-        second = replace(whole, **{c: x[n:] for c, x in whole.columns.items()})
+        second = taken(whole, np.arange(len(whole.time)) >= n)
         values = []
         for part, where in ((whole, test), (second, test[n:])):
-            found = estimate(part, joint).external_torque
-            errors = [(found[e] - part.external_torque)[where] for e in ("RAREKF", "current", "payload_smoothed")]
+            found = external_torques(part, joint)
+            errors = [(found[e] - part["external_torque"])[where] for e in ("RAREKF", "current", "payload_smoothed")]
             values += [float(np.sqrt(np.mean(e**2))) for e in errors]
         rows.append((name, values))
     return rows
@@ -188,10 +201,10 @@ def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
 
 def figures(recording: Recording, path: Path, folder: Path) -> None:
     """Draw both figures of the page."""
-    joint, q, S = load_joint(recording.joint), recording.link_position, recording.external_torque
+    joint, q, S = load_joint(recording.joint), recording["link_position"], recording["external_torque"]
     fit = q < -1.04
-    known = estimate(recording, extend(recording, joint, fit))
-    nominal = estimate(recording, joint)
+    known = external_torques(recording, extend(recording, joint, fit))
+    nominal = external_torques(recording, joint)
 
     fig, axes = plt.subplots(2, 1, figsize=(8, 7), sharex=True, height_ratios=(3, 2))
     top, bottom = axes
@@ -201,12 +214,12 @@ def figures(recording: Recording, path: Path, folder: Path) -> None:
         ("current", style.EXTERNAL, "current, extended joint", 1.4),
         ("payload", style.TRUTH, "payload observer, extended joint", 1.4),
     ):
-        values = S if name == "sensor" else known.external_torque[name]
+        values = S if name == "sensor" else known[name]
         top.plot(q, values, color=color, lw=width, label=label)
         if name != "sensor":
             bottom.plot(q, values - S, color=color, lw=width)
-    top.plot(q, nominal.external_torque["current"], color=style.MODEL, lw=1.4, label="current, nominal joint")
-    bottom.plot(q, nominal.external_torque["current"] - S, color=style.MODEL, lw=1.4)
+    top.plot(q, nominal["current"], color=style.MODEL, lw=1.4, label="current, nominal joint")
+    bottom.plot(q, nominal["current"] - S, color=style.MODEL, lw=1.4)
     for ax in axes:
         ax.axvline(-1.04, color="black", lw=0.8, ls=":")
         ax.grid(alpha=0.25)
@@ -222,8 +235,8 @@ def figures(recording: Recording, path: Path, folder: Path) -> None:
     whole = extend(recording, joint)
     values = {e.name: e.values for e in whole.effects}
     moving = np.gradient(q, recording.time) > 0.05
-    residual = S - nominal.external_torque["current"]
-    load = np.abs(estimate(recording, whole).torque["current"])
+    residual = S - nominal["current"]
+    load = np.abs(estimate_recording(recording, whole, ["current"]).torque["current"])
     gravity = joint.mount().gravity_moment
     turned = joint.gravity_angle.value + values["gravity_direction"]["angle"]
     direction = gravity * (np.sin(q + turned) - np.sin(q + joint.gravity_angle.value))

@@ -48,8 +48,10 @@ WALKS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
 SHORTEST = 10
 """Samples that a segment must have to be estimated."""
 POSITIONS = ("motor_position", "link_position")
-_CAUSAL = 0.6
-"""Cutoff of the causal estimate from current, which has no lag at an even load, for as much noise as the smoother's bandwidth."""
+_SLOW = 15.0
+"""Bandwidth [Hz] below which the causal estimate from current makes up for its lag: 15 ms, in which a load has gone on."""
+_LED = 0.6
+"""Its cutoff then, in that bandwidth: with the lead as much noise as without it."""
 _TRACK = 20  # grid steps per sample of the zero's tracking
 _MOVING = 2.5  # Stribeck velocities of the motor from which on it is in motion
 
@@ -93,10 +95,10 @@ class Prepared:
         interval = sample_interval(self.signals)
         scaled = estimator.scaled(self.known, interval)
         if isinstance(scaled, PaperFilter):
-            return replace(scaled, W=scaled.W * self.walk)
-        if isinstance(scaled, MotorCurrent):
-            return replace(scaled, cutoff=_CAUSAL * self.bandwidth, lead=1.0)
-        if isinstance(scaled, PayloadObserver):
+            return scaled.with_noise(scaled.W * self.walk, scaled.V)
+        if isinstance(scaled, MotorCurrent) and self.bandwidth < _SLOW:
+            return replace(scaled, cutoff=_LED * self.bandwidth, lead=1.0)
+        if isinstance(scaled, (MotorCurrent, PayloadObserver)):
             return replace(scaled, cutoff=min(scaled.cutoff, self.bandwidth))
         return scaled
 

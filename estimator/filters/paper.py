@@ -163,15 +163,17 @@ class PaperFilter(CausalEstimator):
     def scaled(self, joint: KnownJoint, interval: float) -> PaperFilter:
         """The same filter for a joint sampled every `interval` [s]; for the test joint at 1 kHz itself, to the bit.
 
-        V, P0 and γ² scale with the variance that the joint's sensors leave in the compliance model, W with the square of the
-        rated torque and with the interval, k with the inverse square of the rated torque.
+        V and P0 scale with the variance that the joint's sensors leave in the compliance model, W with the square of the rated
+        torque and with the interval, k with the inverse square of the rated torque.
         """
         noise = torque_variance(joint) / _TEST_JOINT
         torque, step = joint.rated_torque / 16.0, round(interval / 1e-3, 6)
-        return replace(
-            self, V=self.V * noise, P0=self.P0 * noise, W=self.W * torque**2 * step, k=self.k / torque**2,
-            gamma=self.gamma * math.sqrt(noise),
-        )  # fmt: skip
+        scaled = self.with_noise(self.W * torque**2 * step, self.V * noise)
+        return replace(scaled, P0=self.P0 * noise, k=self.k / torque**2)
+
+    def with_noise(self, W: float, V: float) -> PaperFilter:
+        """The same filter with other noise; γ² grows with V + W, which P(k|k-1) stays below, so that it still clears Eq. (18)."""
+        return replace(self, W=W, V=V, gamma=self.gamma * math.sqrt((V + W) / (self.V + self.W)))
 
     def record(self) -> np.ndarray:
         """The numbers for compiled code, shape (1,), of `recursion.SETTINGS`."""

@@ -30,6 +30,7 @@ from ..tuning_parameters import TuningParameter
 
 _DECIMATION = 4  # grid steps per sample
 _ITERATIONS = 10
+_SECOND = 1.5  # cutoff of the second low-pass in that of the first: less lag for what acceleration still must lose
 
 MEMORY_RECORD = np.dtype(
     [
@@ -50,7 +51,7 @@ _memory_at, _settings_at, _out_at = pointer_to(MEMORY_RECORD), pointer_to(SETTIN
 @kernel
 def _lowpass_twice(m, u, interval, cutoff):
     lowpass(m[0], u, interval, cutoff)
-    lowpass(m[1], m[0].value, interval, cutoff)
+    lowpass(m[1], m[0].value, interval, _SECOND * cutoff)
 
 
 @Step

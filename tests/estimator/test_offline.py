@@ -1,0 +1,202 @@
+"""Estimators over recordings of any kind: on a joint in equilibrium and on the independent simulator's recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+
+from flexspline.estimator import get, names
+from flexspline.estimator.estimator import KnownJoint
+from flexspline.estimator.offline import WALKS, estimate_recording, prepare, score, track_zero, write_estimates
+from flexspline.estimator.smoothed import bandwidth, white_noise
+from flexspline.models.errors import InputError
+from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.models.recording import Recording, read_measurement
+
+CHEAP = tuple(name for name in names() if not get(name).costly)
+WITH_ONE_ENCODER = {"current", "current_smoothed", "payload", "payload_smoothed"}
+
+
+@pytest.fixture(scope="module")
+def joint():
+    return load_joint("test-joint")
+
+
+@pytest.fixture(scope="module")
+def sweep(shared):
+    return read_measurement(shared / "data" / "examples" / "exact" / "00" / "sweep.parquet").recordings[0]
+
+
+@pytest.fixture(scope="module")
+def free(shared):
+    return read_measurement(shared / "data" / "examples" / "exact" / "00" / "free.parquet").recordings[0]
+
+
+def part(recording, samples, **columns):
+    """Some samples of a recording, with other columns."""
+    kept = {name: values[samples] for name, values in recording.columns.items()}
+    return replace(recording, time=recording.time[samples], columns={**kept, **columns})
+
+
+def test_the_sensor_columns_are_not_read(sweep, joint):
+    cut = part(sweep, slice(0, 4000))
+    blind = estimate_recording(cut.without("joint_torque"), joint)
+    assert set(blind.torque) == set(names()) and not blind.left_out
+    seeing = estimate_recording(part(cut, slice(0, 4000), joint_torque=7 + cut.time), joint)
+    columns = {**cut.columns, "external_torque": np.full(4000, 3.0)}
+    told = estimate_recording(replace(cut, columns=columns, external="measured"), joint)
+    for name in names():
+        np.testing.assert_array_equal(blind.torque[name], seeing.torque[name])
+        np.testing.assert_array_equal(blind.external_torque[name], told.external_torque[name])
+
+
+def test_an_exact_joint_is_estimated_to_the_sensors_noise(sweep, joint, tmp_path):
+    found = estimate_recording(sweep, joint, CHEAP)
+    scores = score(sweep, found, joint)["joint_torque"]
+    for name in ("model", "EKF", "AREKF", "RAREKF", "current_smoothed"):
+        assert scores[name].rms < 0.25, name  # of 9 N·m
+    assert scores["current"].rms_moving < 0.35
+    assert list(found.columns) == ["time", *(f"torque_{n}" for n in CHEAP), *(f"external_torque_{n}" for n in CHEAP)]
+    assert abs(found.notes[0]["zero"]) < 3e-5 and abs(found.notes[0]["payload_sin"]) < 0.3
+    schema = pq.read_schema(write_estimates(found, tmp_path))
+    assert schema.names == list(found.columns)
+    assert schema.field("torque_EKF").metadata[b"unit"].decode() == "N·m"
+
+
+def test_an_unknown_zero_comes_from_the_current(sweep, joint):
+    moved = part(sweep, slice(None), link_position=sweep["link_position"] + 3e-3)  # 25 N·m in the compliance model
+    found = estimate_recording(moved, joint, ["model", "lowpass"])
+    assert found.notes[0]["zero"] == pytest.approx(3e-3, abs=3e-5)
+    assert score(moved, found, joint)["joint_torque"]["model"].rms < 0.3
+
+
+def test_gaps_and_short_segments(sweep, joint):
+    cut = part(sweep, np.r_[0:5000, 6000:6005, 7000:12000])
+    found = estimate_recording(cut, joint, CHEAP)
+    assert len(found.notes) == 2
+    for values in (*found.torque.values(), *found.external_torque.values()):
+        assert np.isnan(values[5000:5005]).all()
+        assert np.isfinite(np.delete(values, np.s_[5000:5005])).all()
+
+
+def test_a_drift_counts_from_the_recordings_start(free, joint):
+    """Friction that warms up: after a gap it is as warm as the time that has gone by says."""
+    effect = Effect(
+        name="friction_drift", parameters={"amplitude": Estimate(value=1.0), "time_constant": Estimate(value=8.0)}
+    )
+    warm = joint.model_copy(update={"effects": [effect]})
+    whole = estimate_recording(free, warm, ["current_smoothed", "current"])
+    cut = part(free, free.time > 10.0)
+    cut = replace(cut, time=np.r_[0.0, cut.time[1:]])  # the sample before the gap is a segment of its own, too short
+    after = estimate_recording(cut, warm, ["current_smoothed", "current"])
+    middle = slice(3000, 8000)
+    n = len(cut.time)
+    for name in whole.torque:
+        assert np.allclose(whole.torque[name][-n:][middle], after.torque[name][middle], atol=0.05), name
+
+
+def test_a_drive_that_tells_its_torque(free, joint):
+    columns = dict(free.columns)
+    columns["motor_torque"] = columns.pop("motor_current") * joint.numbers["Kt"].value
+    cut = part(replace(free, columns=columns), slice(0, 6000))
+    found = estimate_recording(cut, joint, CHEAP)
+    expected = estimate_recording(part(free, slice(0, 6000)), joint, CHEAP)
+    assert not found.left_out
+    for name in CHEAP:
+        np.testing.assert_allclose(found.torque[name], expected.torque[name], rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("missing", ["link_position", "motor_position"])
+def test_one_encoder(missing, free, joint):
+    """What is made of torsion is left out, with the reason; friction, gravity and payload are found as always."""
+    cut = free.without(missing)
+    found = estimate_recording(cut, joint)
+    assert set(found.torque) == WITH_ONE_ENCODER == set(found.external_torque)
+    for name in set(names()) - WITH_ONE_ENCODER:
+        assert found.left_out[name] == (
+            f"expected the column {missing!r}, the recording has none: torsion cannot be read with one encoder"
+        )
+    with_both = score(free, estimate_recording(free, joint, tuple(WITH_ONE_ENCODER)), joint)["joint_torque"]
+    for name, ours in score(cut, found, joint)["joint_torque"].items():
+        print(name, ours.rms_moving, with_both[name].rms_moving)
+        assert ours.rms_moving < 1.35 * with_both[name].rms_moving
+
+
+def test_neither_current_nor_torque(free, joint):
+    found = estimate_recording(free.without("motor_current"), joint)
+    assert not found.torque and set(found.left_out) == set(names())
+    assert "'motor_current'" in found.left_out["EKF"]
+
+
+def test_an_estimator_that_cannot_is_left_out(free, joint):
+    """At 40 Hz there is no low-pass of 30 Hz; the others go on."""
+    slow = part(free, slice(0, None, 25))
+    found = estimate_recording(slow, joint, ["lowpass", "model", "current"])
+    assert "cutoff" in found.left_out["lowpass"] and set(found.torque) == {"model", "current"}
+    with pytest.raises(InputError, match="did you mean 'lowpass'"):
+        estimate_recording(slow, joint, ["lowpas"])
+
+
+def test_known_effects_of_the_link_encoder(free, joint):
+    """Eccentricity and delay that the description knows change nothing; not known, they cost newton metres."""
+    late = np.interp(free.time - 6e-3, free.time, free["link_position"])
+    wrong = late + 5e-4 * (np.sin(late + 0.4) - np.sin(0.4))
+    spoiled = part(free, slice(None), link_position=wrong)
+    effects = [
+        Effect(name="encoder_delay", parameters={"seconds": Estimate(value=6e-3)}),
+        Effect(
+            name="link_encoder_eccentricity",
+            parameters={"amplitude": Estimate(value=5e-4), "phase": Estimate(value=0.4)},
+        ),
+    ]
+    told = joint.model_copy(update={"effects": effects})
+    chosen = ("model", "EKF", "kalman", "momentum_torsion", "dynamics_ekf")
+    before = score(free, estimate_recording(free, joint, chosen), joint)["joint_torque"]
+    after = score(spoiled, estimate_recording(spoiled, told, chosen), told)["joint_torque"]
+    blind = score(spoiled, estimate_recording(spoiled, joint, chosen), joint)["joint_torque"]
+    for name in chosen:
+        print(name, before[name].rms, after[name].rms, blind[name].rms)
+        assert after[name].rms < 1.3 * before[name].rms
+    assert blind["model"].rms > 1.0
+
+
+def test_walk_and_bandwidth_follow_the_readings(sweep, joint):
+    known = KnownJoint.of(joint, sweep.link)
+    signals = sweep.signals.without("joint_torque").part(slice(0, 12000))
+    ready = prepare(signals, known)
+    assert ready.walk in WALKS and ready.bandwidth == 40.0
+    noisy = signals.with_columns(
+        motor_position=signals["motor_position"] + 5e-3 * np.random.default_rng(1).standard_normal(12000)
+    )
+    assert bandwidth(noisy, known) < 40.0
+    assert ready.ready(get("EKF")).W == pytest.approx(1e-4 * ready.walk)
+    assert ready.ready(get("kalman")) == get("kalman")
+
+
+def test_zero_of_a_joint_that_moves_both_ways(rng):
+    n = 400
+    direction = np.where(np.arange(n) // 100 % 2, -1.0, 1.0)
+    compliance = np.full(n, 1e-4)
+    seen = 2e-4 + compliance * (0.4 * direction + 0.1 * rng.standard_normal(n))
+    zero, std = track_zero(seen, compliance, direction, np.zeros(n), np.full(n, 0.01), 1e-3, 0.0, 0.5, 0.1)
+    assert np.all(np.abs(zero - 2e-4) < 4 * std) and std.max() < 3e-5
+
+
+def test_white_noise_ignores_motion_and_uneven_time(rng):
+    t = np.cumsum(rng.uniform(0.5e-3, 6e-3, 4000))
+    y = 50 * np.sin(2 * t) + 0.01 * rng.standard_normal(4000)
+    assert white_noise(t, y) == pytest.approx(0.01, rel=0.1)
+
+
+def test_a_joint_at_rest(rng, joint):
+    n = 500
+    columns = {
+        "motor_position": np.zeros(n),
+        "link_position": np.zeros(n),
+        "motor_current": 0.01 * rng.standard_normal(n),
+    }
+    found = estimate_recording(Recording("rest", np.arange(n) * 1e-3, columns, link=joint.mount("link")), joint)
+    assert all(np.isfinite(values).all() for values in found.columns.values())
