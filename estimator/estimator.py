@@ -152,6 +152,7 @@ class Estimator(ABC):
     name: str  # how tables call it; also its key in the registry
     causal: ClassVar[bool] = True  # whether the estimate at a sample uses nothing later
     costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
+    innovation_unit: ClassVar[str] = "N·m"  # of its innovations, where it has any
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "link_position", "motor_current")  # channels it reads
     tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # what tuning may change; first what trades noise for delay
     description: ClassVar[str] = ""  # a line for people, with its source

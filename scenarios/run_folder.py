@@ -26,9 +26,10 @@ View = Callable[[Run, Path], Callable[[], object] | None]
 """Adds to a run's folder: a function of (run, folder) that begins, and gives what waits for its end if there is any."""
 _UNITS = {
     "position": "rad", "velocity": "rad/s", "acceleration": "rad/s²", "current": "A", "torque": "N·m", "force": "N",
-    "bristle": "rad", "dahl": "1", "innovation": "N·m", "measurement": "N·m",
-    "variance": "(N·m)²",
+    "torque_rate": "N·m/s", "bristle": "rad", "dahl": "rad", "hysteresis": "rad", "torsion": "rad", "measurement": "N·m",
+    "variance": "(N·m)²", "payload": "N·m", "payload_inertia": "kg·m²", "friction_error": "N·m",
 }  # fmt: skip
+"""Unit of a column whose name has this in it; the longest counts."""
 _NEEDED = ("scenario.yaml", "signals.parquet", "estimates.parquet", "joint.yaml", "known_joint.yaml")
 
 
@@ -111,16 +112,21 @@ def _unit_of(column: str) -> str:
     """SI unit of a column, by its name."""
     if column in CHANNELS:
         return CHANNELS[column].unit
-    return next((unit for word, unit in reversed(_UNITS.items()) if word in column), "1")
+    words = [word for word in _UNITS if word in column]
+    return _UNITS[max(words, key=len)] if words else "1"
 
 
 def _estimate_columns(run: Run) -> tuple[dict[str, np.ndarray], dict[str, str], dict[str, dict[str, str]]]:
     """Columns `quantity_filter`, their units, and which filter and quantity each of them is."""
     columns, units, of = {"time": run.time}, {"time": "s"}, {}
+    estimators = run.scenario.estimators()
     for name, found in run.estimates.items():
+        own = estimators[name].innovation_unit
         for quantity, values in _quantities(found).items():
             column = f"{quantity}_{name}"
             columns[column], units[column] = values, _unit_of(quantity)
+            if "innovation" in quantity:
+                units[column] = own if "variance" not in quantity else f"({own})²" if "·" in own else f"{own}²"
             of[column] = {"filter": name, "quantity": quantity}
         if found.nis is not None and "nis" not in found.columns:  # follows from the others
             columns[f"nis_{name}"], units[f"nis_{name}"] = found.nis, "1"

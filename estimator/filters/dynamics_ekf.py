@@ -42,6 +42,7 @@ class DynamicsEKF(CausalEstimator):
     name: str = "dynamics_ekf"
     process: ProcessNoise = field(default_factory=ProcessNoise)
     costly: ClassVar[bool] = True
+    innovation_unit: ClassVar[str] = "rad"
     tuning: ClassVar[tuple[TuningParameter, ...]] = TUNING
     description: ClassVar[str] = (
         "extended Kalman filter on the joint's own equations of motion (`estimator.joint_model`)"

@@ -77,6 +77,7 @@ class RTSSmoother(Estimator):
     process: ProcessNoise = field(default_factory=ProcessNoise)
     causal: ClassVar[bool] = False
     costly: ClassVar[bool] = True
+    innovation_unit: ClassVar[str] = "rad"
     tuning: ClassVar[tuple[TuningParameter, ...]] = TUNING
     description: ClassVar[str] = (
         "smoother over dynamics_ekf: every estimate from the whole recording (Rauch et al. 1965)"

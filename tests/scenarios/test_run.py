@@ -52,7 +52,8 @@ def test_every_column_has_its_unit(folder):
         "motor_current": "A", "joint_torque": "N·m", "force_x": "N", "torque_y": "N·m", "true_link_velocity": "rad/s",
         "true_bristle": "rad", "model_torque": "N·m", "torque_EKF": "N·m", "variance_EKF": "(N·m)²",
         "innovation_AREKF": "N·m", "innovation_variance_AREKF": "(N·m)²", "robust_RAREKF": "1", "alpha_RAREKF": "1",
-        "nis_EKF": "1", "f_alpha_EKF": "1",
+        "nis_EKF": "1", "f_alpha_EKF": "1", "innovation_1_dynamics_ekf": "rad", "innovation_variance_1_2_dynamics_ekf": "rad²",
+        "external_torque_dynamics_ekf": "N·m", "link_velocity_dynamics_ekf": "rad/s", "torque_slow": "N·m",
     }  # fmt: skip
     assert {name: units[name] for name in expected} == expected
 
