@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import numpy as np
 import typer
-from rich.console import Console
-from rich.markup import escape as markup
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from ..models.errors import InputError
 from ..models.files import write_into_place
-from ._console import console
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def command(
@@ -49,7 +47,8 @@ def command(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # inherited by the processes
-    from ..diagnosis import challenge as challenges
+    from ..diagnosis.trials import challenge as challenges
+    from ._console import console, progress
 
     if sum((two, outside, none)) > 1:
         raise InputError("--two, --outside, --none: expected at most one of them")
@@ -66,13 +65,12 @@ def command(
         only=tuple(cause or ()),
     )
     outcomes = []
-    bars = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("diagnosing draws", total=n * len(scanned))
+    with progress(counting=True) as bar:
+        task = bar.add_task("diagnosing draws", total=n * len(scanned))
         for outcome in challenges.run(asked, n, scanned, jobs or os.cpu_count() or 1):
             outcomes.append(outcome)
             right = sum(o.first_right for o in outcomes)
-            progress.update(task, advance=1, description=f"diagnosing draws, {right} of {len(outcomes)} right")
+            bar.update(task, advance=1, description=f"diagnosing draws, {right} of {len(outcomes)} right")
     outcomes.sort(key=lambda o: (o.index, -o.size))
     _show(console(), asked, outcomes, scanned)
     if out is not None:
@@ -90,8 +88,11 @@ def _sizes(text: str) -> tuple[float, ...]:
     return tuple(sorted(set(found), reverse=True))
 
 
-def _show(terminal: Console, asked, outcomes, sizes) -> None:
-    from ..diagnosis import challenge as challenges
+def _show(terminal: Console, asked: Any, outcomes: Sequence[Any], sizes: Sequence[float]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    from ..diagnosis.trials import challenge as challenges
 
     by_size = {s: [o for o in outcomes if o.size == s] for s in sizes}
     kind = {"one": "one effect", "two": "two effects", "outside": "an effect outside the library", "none": "nothing"}
@@ -106,7 +107,7 @@ def _show(terminal: Console, asked, outcomes, sizes) -> None:
     columns = [challenges.summary(found) for found in by_size.values()]
     for key in dict.fromkeys(k for c in columns for k in c):
         cells = [c.get(key, "–") for c in columns]
-        table.add_row(markup(key), *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
+        table.add_row(escape(key), *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
     terminal.print(table)
     _show_confusion(terminal, challenges.confusion(outcomes))
     rows = challenges.reliability(outcomes)
@@ -123,12 +124,14 @@ def _show(terminal: Console, asked, outcomes, sizes) -> None:
             terminal.print(f"draw {o.index} at size {o.size:g} failed: {o.failure}", style="red", markup=False)
 
 
-def _show_confusion(terminal: Console, confusion) -> None:
+def _show_confusion(terminal: Console, confusion: Mapping[str, Any]) -> None:
+    from rich.table import Table
+
+    from ..diagnosis.trials.outside import OUTSIDE
+
     table = Table(title="confusion: what was hidden, and what was named first")
     for heading in ("hidden", "draws", "named rightly", "named otherwise"):
         table.add_column(heading)
-    from ..diagnosis.challenge import OUTSIDE
-
     for truth, named in confusion.items():
         expected = (
             {"unknown"} if truth in OUTSIDE else {"consistent"} if truth == "nothing" else set(truth.split(" + "))
@@ -139,9 +142,12 @@ def _show_confusion(terminal: Console, confusion) -> None:
     terminal.print(table)
 
 
-def _show_sizes(terminal: Console, outcomes, sizes) -> None:
+def _show_sizes(terminal: Console, outcomes: Sequence[Any], sizes: Sequence[float]) -> None:
     """How small an effect shows: by cause, what was found, and what the Fisher information allows."""
-    from ..diagnosis import challenge as challenges
+    import numpy as np
+    from rich.table import Table
+
+    from ..diagnosis.trials import challenge as challenges
 
     if not any(o.smallest is not None for o in outcomes):
         return
@@ -165,7 +171,7 @@ def _show_sizes(terminal: Console, outcomes, sizes) -> None:
     terminal.print(table)
 
 
-def _write(path: Path, outcomes) -> None:
+def _write(path: Path, outcomes: Sequence[Any]) -> None:
     rows = [o.row() for o in outcomes]
     with write_into_place(path) as temporary:
         if path.suffix == ".json":

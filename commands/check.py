@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
-from rich.table import Table
-from rich.text import Text
 
-from ..diagnosis.coverage import Summary, missing_columns, summarise, undetermined
-from ..models import causes
-from ..sim.recording import COLUMNS, read_measurement
-from ._console import console
+if TYPE_CHECKING:
+    from ..diagnosis.data.coverage import Summary
+    from ..models.recording import Recording
 
 
 def command(
@@ -21,6 +19,14 @@ def command(
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
 ) -> None:
     """Say what is in a measurement, what is missing, and what can therefore not be diagnosed."""
+    from rich.table import Table
+    from rich.text import Text
+
+    from ..diagnosis.data.coverage import missing_columns, summarise, undetermined
+    from ..models import causes
+    from ..models.recording import read_measurement
+    from ._console import console
+
     data = read_measurement(measurement)
     described = data.load_joint(joint)
     summaries = [summarise(recording, described) for recording in data.recordings]
@@ -52,10 +58,16 @@ def command(
     terminal.print(cannot)
 
 
-def _rows(recordings, summaries: list[Summary]):
-    def row(heading, text):
+def _rows(recordings: Sequence[Recording], summaries: Sequence[Summary]) -> Iterator[tuple[str, list[str]]]:
+    from ..models.signals import CHANNELS
+
+    def row(heading: str, text: Callable[[Summary], str]) -> tuple[str, list[str]]:
         return heading, [text(s) for s in summaries]
 
+    def extent(name: str) -> Callable[[Summary], str]:
+        return lambda s: f"{s.ranges[name][0]:.4g} … {s.ranges[name][1]:.4g}" if name in s.ranges else "–"
+
+    turn = 2 * math.pi
     yield row("samples", lambda s: f"{s.samples}")
     yield row("duration [s]", lambda s: f"{s.duration:.2f}")
     yield row("sample rate [Hz]", lambda s: f"{1 / s.interval:.4g}")
@@ -63,19 +75,14 @@ def _rows(recordings, summaries: list[Summary]):
     yield row("time stamps wrong by [ms rms]", lambda s: f"{1e3 * s.late:.2f}" if s.late else "not seen")
     yield row("single samples missing", lambda s: f"{s.missing}")
     yield row("gaps > 0.1 s", lambda s: f"{len(s.gaps)}")
-    for column, unit in COLUMNS.items():
-        if column != "time" and any(column in s.ranges for s in summaries):
-            yield row(
-                f"{column} [{unit}]",
-                lambda s, c=column: "–" if c not in s.ranges else f"{s.ranges[c][0]:.4g} … {s.ranges[c][1]:.4g}",
-            )
+    for name, channel in CHANNELS.items():
+        if name != "time" and any(name in s.ranges for s in summaries):
+            yield row(f"{name} [{channel.unit}]", extent(name))
     yield row("largest motor speed [rad/s]", lambda s: f"{s.motor_speed:.3g}")
     yield row("largest link speed [rad/s]", lambda s: f"{s.link_speed:.3g}")
     yield row("in motion [%]", lambda s: f"{100 * s.moving:.0f}")
     yield row("reversals", lambda s: f"{s.reversals}")
-    yield row(
-        "motor travel forward, backward [rev]", lambda s: f"{s.forward / 2 / np.pi:.1f}, {s.backward / 2 / np.pi:.1f}"
-    )
+    yield row("motor travel forward, backward [rev]", lambda s: f"{s.forward / turn:.1f}, {s.backward / turn:.1f}")
     yield row(
         "load [N·m]", lambda s: f"{s.load[0]:.3g} … {s.load[1]:.3g}" + ("" if s.load_measured else " (from current)")
     )

@@ -7,17 +7,15 @@ import math
 import time
 from contextlib import suppress
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
 
 from ..models.errors import InputError
 from ..models.files import folder_into_place
-from ..sim.recording import read_measurement
-from ._console import console
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def command(
@@ -30,6 +28,12 @@ def command(
     report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
 ) -> None:
     """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
+    from rich.console import Console
+    from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+
+    from ..models.recording import read_measurement
+    from ._console import console
+
     data = read_measurement(measurement)
     described = data.load_joint(joint)
     _apart(measurement, out)
@@ -37,10 +41,10 @@ def command(
     with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("loading")
         from ..diagnosis.diagnose import diagnose
-        from ..diagnosis.gain import estimation, with_gain
+        from ..diagnosis.improvement import estimation, with_gain
 
         if exact:
-            from ..diagnosis.challenge import exactly
+            from ..diagnosis.trials.draw import exactly
 
             described = exactly(described)
         seconds = sum(r.time[-1] - r.time[0] for r in data.recordings)
@@ -93,7 +97,9 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _show(terminal: Console, found, gain) -> None:
+def _show(terminal: Console, found: Any, gain: Any) -> None:
+    from rich.table import Table
+
     from ..views.report import verdict_sentence
 
     terminal.print(f"[bold]{found.verdict}[/]: {verdict_sentence(found)}", highlight=False)

@@ -7,10 +7,6 @@ from typing import Annotated
 
 import typer
 
-from ..diagnosis.importing import import_recording, load_layout
-from ..sim.recording import write_recording
-from ._console import console
-
 
 def command(
     format: Annotated[str, typer.Argument(help="name of a shipped layout (`lara8`), or a mapping file (YAML)")],
@@ -20,8 +16,12 @@ def command(
     name: Annotated[str | None, typer.Option(help="name of the recording; the log's by default")] = None,
 ) -> None:
     """Import a log in another layout as a recording: table and YAML. See docs/importing.md."""
+    from ..diagnosis.data.importing import import_recording, load_layout
+    from ..models.recording import write_recording
+    from ._console import console
+
     recording = import_recording(load_layout(format), file, name=name, joint=joint)
     path = write_recording(recording, out)
     seconds = recording.time[-1] - recording.time[0]
-    columns = ", ".join(recording.columns)
+    columns = ", ".join(["time", *recording.columns])
     console().print(f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}", highlight=False)
