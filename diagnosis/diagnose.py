@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -9,29 +10,48 @@ import numpy as np
 
 from ..models import causes
 from ..models.joint import Effect, Estimate, Joint
-from . import identify, unknown
-from .calibrate import Fit, Problem, robust_loss, with_dispersion
-from .coordinates import hypotheses
-from .evidence import THRESHOLD, Library, Round, Search, level, search
-from .noise import louder
-from .replay import CHANNELS, DECIMATION, HELD_OUT_BLOCK, HELD_OUT_EVERY, STEP, drives
-
-UNITS = {"motor_current": "A", "joint_torque": "N·m", "link": "N·m"}
-LOUD = 1.6
-"""A residual this many times the noise, after every known cause was tried, is an unknown effect."""
-LEFT, LEFT_SHARE = 40.0, 0.01
-"""Log evidence left after a cause, and its share of the cause's own, from which on it may stand in for an unknown effect."""
-UNKNOWN_EXPLAINS = 0.05
-"""Share of the held-out discrepancy that an unknown effect must explain."""
-_NEARLY_ALL = 2 / 3
-"""Share of the causes that could not have shown, from which on a measurement is inconclusive."""
-TEMPER, INEXACT = 5.0, 0.05
-"""The laws are not exact and neither is the noise model: log evidence counts `TEMPER` times less, and less still where
-the last round found something too small to be a cause: `INEXACT` times its log evidence is added."""
+from ..models.recording import Measurement
+from .data import coverage
+from .data.mistakes import Mistake, find_mistakes
+from .data.segments import BALANCES, SETTINGS, UNITS, segments
+from .fit.coordinates import Hypothesis, hypotheses
+from .fit.residual import Problem
+from .fit.solver import Fit, Fitter, with_dispersion
+from .regions import Region, Validity, held_out_regions, validity
+from .search import discrepancy
+from .search.discrepancy import Unknown
+from .search.identifiability import limits
+from .search.stages import Decision, Progress, Search, SearchSettings, search, size_of
+from .search.stages import SETTINGS as SEARCH
+from .search.worth import mean_squares, output_scale, unexplained, worth
 
 
 @dataclass(frozen=True)
-class Parameter:
+class AnswerSettings:
+    """How what was found is told.
+
+    Attributes:
+      temper: by how much log evidence is divided before it becomes a probability: the laws are not exact and neither is the noise
+        model; `inexact` of what other hypotheses still gain is added.
+      surest: largest confidence; beside: of a cause beside which an unknown effect was found.
+      nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
+      far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
+    """
+
+    temper: float = 5.0
+    inexact: float = 0.02
+    surest: float = 0.99
+    beside: float = 0.7
+    nearly_all: float = 2 / 3
+    far: float = 5.0
+    worth: float = 0.02
+
+
+ANSWER = AnswerSettings()
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
     """A parameter of a cause: value, standard deviation, unit."""
 
     value: float
@@ -47,21 +67,23 @@ class Finding:
       name, component: as in the library, or `unknown`.
       confidence: probability that this, and no other cause, is there.
       parameters: of the extended model.
-      explains: share of the held-out discrepancy that it removes.
+      explains: share of the held-out discrepancy that it removes, in mean squares of output torque.
+      worth: root mean square that it alone removes from the simulation's error [N·m at the output].
       description, depends_on: of an unknown effect.
     """
 
     name: str
     component: str
     confidence: float
-    parameters: dict[str, Parameter]
+    parameters: dict[str, ParameterEstimate]
     explains: float
+    worth: float
     description: str = ""
     depends_on: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
-class Moved:
+class ParameterShift:
     """A number that calibration moved within its tolerance."""
 
     nominal: float
@@ -72,8 +94,8 @@ class Moved:
 
 
 @dataclass(frozen=True)
-class Channel:
-    """RMS of one channel on held-out data: calibrated joint, extended joint, and what the sensors' noise explains."""
+class BalanceResidual:
+    """RMS of one balance on held-out data: described and calibrated joint, extended joint, what the sensors' noise explains."""
 
     before: float
     after: float
@@ -86,34 +108,46 @@ class Diagnosis:
     """The answer, with what is needed to show how it came about.
 
     Attributes:
-      verdict: consistent, discrepancy or inconclusive.
-      causes: by how much each explains.
+      verdict: consistent, discrepancy or inconclusive; reason: why, where that is not plain from the causes.
+      causes: by how much each is worth.
       calibration: numbers that moved.
       confusable: pairs of causes that this measurement cannot tell apart.
-      undetermined: causes that it could not have shown at ordinary size.
-      residual: by channel.
+      undetermined: causes that it could not have shown at ordinary size, with the reason.
+      residual: by balance.
+      regions: what the extended joint is worth where a fit has not been, the worst first.
+      valid: where the fit has been.
       extended: the joint with calibration and effects in it.
-      rounds: the search's rounds: loudness, hypotheses tried and what they gained.
-      at, before, after: time [s] and residuals of every stretch, shapes (k,) and (k, 3), for showing.
+      mistakes: in the data.
+      decisions: about every hypothesis that was looked at.
+      problem, search: what was computed; None where mistakes in the data made physics meaningless.
+      before, after: residuals of every segment, shape (k, len(BALANCES)), for showing.
+      estimation: what diagnosis gains for estimation.
+      held_out: how data were kept from the fits.
+      complete: whether there was time for all stages.
+      seconds: that it took.
     """
 
     verdict: str
+    reason: str
     causes: tuple[Finding, ...]
-    calibration: dict[str, Moved]
+    calibration: dict[str, ParameterShift]
     confusable: tuple[tuple[str, str], ...]
-    undetermined: tuple[str, ...]
-    residual: dict[str, Channel]
+    undetermined: dict[str, str]
+    residual: dict[str, BalanceResidual]
+    regions: tuple[Region, ...]
+    valid: Validity | None
     extended: Joint
-    rounds: tuple[Round, ...] = field(repr=False)
-    problem: Problem = field(repr=False)
-    before: list[np.ndarray] = field(repr=False)
-    after: list[np.ndarray] = field(repr=False)
+    mistakes: tuple[Mistake, ...] = ()
+    decisions: tuple[Decision, ...] = field(default=(), repr=False)
+    problem: Problem | None = field(default=None, repr=False)
+    search: Search | None = field(default=None, repr=False)
+    final: Fit | None = field(default=None, repr=False)
+    before: list[np.ndarray] = field(default_factory=list, repr=False)
+    after: list[np.ndarray] = field(default_factory=list, repr=False)
     estimation: dict[str, Any] | None = None
     held_out: str = ""
-
-    def extended_joint(self) -> Joint:
-        """The joint's description with calibration, effects and terms in it."""
-        return self.extended
+    complete: bool = True
+    seconds: float = 0.0
 
     def to_json(self) -> dict[str, Any]:
         """What `diagnosis.json` holds."""
@@ -125,6 +159,7 @@ class Diagnosis:
                 "confidence": round(c.confidence, 3),
                 "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in c.parameters.items()},
                 "explains": round(c.explains, 4),
+                "worth": {"value": c.worth, "unit": "N·m"},
             }
             if c.name == "unknown":
                 entry["description"] = c.description
@@ -132,6 +167,7 @@ class Diagnosis:
             found.append(entry)
         return {
             "verdict": self.verdict,
+            "reason": self.reason,
             "causes": found,
             "calibration": {
                 k: {"nominal": m.nominal, "value": m.value, "std": m.std, "tolerance": m.tolerance, "unit": m.unit}
@@ -143,222 +179,242 @@ class Diagnosis:
                 k: {"before": r.before, "after": r.after, "noise": r.noise, "unit": r.unit}
                 for k, r in self.residual.items()
             },
+            "regions": [r.to_json() for r in self.regions],
             "estimation": self.estimation,
             "held_out": self.held_out,
-        }
+            "mistakes": [m.to_json() for m in self.mistakes],
+            "decisions": [
+                {
+                    "stage": d.stage, "cause": d.cause, "parameters": d.fixed, "gain": _finite(d.gain),
+                    "worth": _finite(d.worth), "size": round(d.size, 4), "taken": d.taken, "reason": d.reason,
+                }
+                for d in self.decisions
+            ],
+            "complete": self.complete,
+        }  # fmt: skip
 
 
-def diagnose(measurement, joint: Joint, most: int = 3) -> Diagnosis:
-    """Diagnose a measurement (`sim.recording.Measurement`) against a joint's description.
+def _finite(x: float) -> float | None:
+    return float(f"{x:.4g}") if np.isfinite(x) else None
+
+
+def diagnose(
+    measurement: Measurement,
+    joint: Joint,
+    settings: SearchSettings = SEARCH,
+    progress: Progress = lambda stage, done: None,
+    seconds: float = np.inf,
+) -> Diagnosis:
+    """Diagnose a measurement against a joint's description.
 
     Args:
-      most: largest number of causes at once.
+      measurement: recordings of the joint.
+      joint: its description; effects in it are known already.
+      progress: told the stages as they begin, with the share that is done.
+      seconds: after which no further stage begins: the answer is the best by then.
     """
-    problem = Problem(*drives(list(measurement.recordings), joint), joint)
-    available = [n for n in causes.of(joint) if problem.has_torque or "joint_torque" not in causes.get(n).needs]
+    begin = time.monotonic()
+    deadline = begin + seconds
+    progress("looking for mistakes in the data", 0.0)
+    mistakes = find_mistakes(measurement, joint)
+    if any(m.severe for m in mistakes):
+        return _meaningless(measurement, joint, mistakes, time.monotonic() - begin)
+    problem = Problem(*segments(list(measurement.recordings), joint), joint)
+    missing = coverage.undetermined(measurement, joint)
+    if not problem.segments:
+        return _nothing(joint, mistakes, missing, time.monotonic() - begin)
     record = problem.calibration.record(np.zeros(problem.calibration.size))
+    available = [n for n in causes.of(joint) if coverage.can_show(n, measurement, problem.link_measured)]
     present = {effect.name: effect.values for effect in joint.effects}
-    tried = [h for name in available for h in hypotheses(causes.get(name), record, present.get(name))]
-    found = search(problem, tried, _quantum(joint), most)
-    first, chosen = found.rounds[0], found.chosen
-    chosen = with_dispersion(problem, found.noise, chosen)
-    term = _unknown(problem, found)
-    after = chosen
-    if term is not None:
-        after = term.fit
-    final_joint = _extended(problem, after, joint)
-    after_residuals = after.state[0]
-    if term is not None:
-        final_joint = unknown.extend(final_joint, term.candidate)
-    findings = _findings(problem, found, after, term, after_residuals)
-    if term is not None and findings[-1].explains < UNKNOWN_EXPLAINS:  # it did not hold on data that it had not seen
-        term, after, after_residuals = None, chosen, chosen.state[0]
-        final_joint = _extended(problem, after, joint)
-        findings = _findings(problem, found, after, None, after_residuals)
-    library = Library(
-        problem, chosen, [h for h in tried if h.cause.name not in {c.cause.name for c in chosen.model}], 0.1
-    )
-    undetermined, alike = identify.limits(problem, found.noise, chosen, library, THRESHOLD)
-    missing = [n for n in causes.of(joint) if n not in available]
-    undetermined = sorted({*undetermined, *missing} - {c.name for c in findings})
-    if len(undetermined) >= _NEARLY_ALL * len(causes.of(joint)):
+    tried = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n))]
+    found = search(problem, tried, settings, progress, deadline)
+    fitter = Fitter(problem)
+    progress("looking for unknown effects", 0.88)
+    unknown = discrepancy.find(problem, fitter, found.base, found.chosen) if time.monotonic() < deadline else None
+    progress("numbers and their uncertainty", 0.94)
+    chosen = found.chosen if unknown is None else unknown.fit
+    final = with_dispersion(problem, fitter.polish(chosen) if unknown is None else chosen)
+    undetermined, alike = _limits(problem, found, final, tried, missing)
+    findings = _findings(problem, found, final, unknown)
+    nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
+    if nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
         findings = [replace(f, confidence=min(f.confidence, 0.5)) if f.name == "unknown" else f for f in findings]
-    confusable = sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found)]})
-    verdict = "discrepancy" if findings else "consistent"
-    if not findings and len(undetermined) >= _NEARLY_ALL * len(causes.of(joint)):
-        verdict = "inconclusive"
+    residual = _balances(problem, found.base, final)
+    verdict, reason = _verdict(problem, findings, residual, nearly_all)
+    progress("regions that a fit has not seen", 0.97)
+    regions = held_out_regions(problem, final)
+    extended = _extended(problem, final, joint, unknown)
+    valid = validity(problem, final)
     return Diagnosis(
         verdict=verdict,
-        causes=tuple(sorted(findings, key=lambda f: -f.explains)),
-        calibration=_moved(problem, after),
-        confusable=tuple(confusable),
-        undetermined=tuple(undetermined),
-        residual=_channels(problem, after, first.base.state[0], after_residuals),
-        extended=final_joint,
-        rounds=found.rounds,
+        reason=reason,
+        causes=tuple(sorted(findings, key=lambda f: -f.worth)),
+        calibration=_shifts(problem, final),
+        confusable=tuple(sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found)]})),
+        undetermined=undetermined,
+        residual=residual,
+        regions=regions,
+        valid=valid,
+        extended=extended.model_copy(update={"valid": valid.for_joint()}) if valid is not None else extended,
+        mistakes=mistakes,
+        decisions=found.decisions,
         problem=problem,
-        before=first.base.state[0],
-        after=after_residuals,
+        search=found,
+        final=final,
+        before=found.base.point.residual,
+        after=final.point.residual,
         held_out=_held_out(problem),
+        complete=found.complete,
+        seconds=time.monotonic() - begin,
     )
+
+
+def _meaningless(measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
+    """The answer while mistakes in the data make physics meaningless."""
+    named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
+    reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
+    everything = {n: "mistakes in the data" for n in causes.of(joint)}
+    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), None, joint, mistakes, seconds=seconds)
+
+
+def _nothing(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:
+    shortest = SETTINGS.shortest
+    reason = f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s"
+    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), None, joint, mistakes, seconds=seconds)
 
 
 def _held_out(problem: Problem) -> str:
     """How data were kept from the fits, and over what the numbers of `residual` are means."""
-    blocks = {d.block for d in problem.drives}
-    means = " to ".join(f"{1e3 * STEP * DECIMATION * b:.0f}" for b in sorted({min(blocks), max(blocks)}))
     return (
-        f"every {HELD_OUT_EVERY}th block of {HELD_OUT_BLOCK:g} s of each recording was kept from every fit; "
-        f"RMS over means of {means} ms, in motion, while rotor and link follow their measured motion"
+        f"every {SETTINGS.held_out_every}th block of {SETTINGS.held_out_block:g} s of each recording was kept from every fit; RMS in "
+        "motion, while what was measured of the motion is followed; `regions`: the ends of the range of angle, speed and load, and "
+        "whole recordings, each kept from a fit of its own"
     )
 
 
-def _quantum(joint: Joint) -> np.ndarray:
-    """What the rotor encoder's quantisation (rms) leaves in each channel where it does not average out, shape (3,)."""
-    rms = joint.sensors.motor_encoder.resolution / np.sqrt(12)
-    value = {name: number.value for name, number in joint.numbers.items()}
-    return np.array([value["Kw0"] * rms / value["Kt"], value["K1"] * rms / value["N"], 0.0])
+def _limits(problem: Problem, found: Search, final: Fit, tried: list[Hypothesis], missing: dict[str, str]):
+    """Causes that could not have shown, with the reason, and pairs that look alike."""
+    weak, alike = limits(problem, found.chosen, found.library)
+    named = {h.cause.name for h in final.model}
+    undetermined = dict(missing)
+    looked = {h.cause.name for h in tried}
+    for name in causes.of(problem.joint):
+        if name not in looked and name not in undetermined:
+            undetermined[name] = "it lives in the torsion, which one encoder does not show"
+    for name in weak:
+        undetermined.setdefault(name, "at ordinary size it would drown in tolerances and noise")
+    return {n: r for n, r in sorted(undetermined.items()) if n not in named}, alike
 
 
-@dataclass(frozen=True)
-class _Unknown:
-    """A term: its candidate, the fit beside it, whether it stands in for all causes, and the evidence for it."""
-
-    candidate: unknown.Candidate
-    fit: Fit
-    alone: bool
-    gain: float
-
-
-def _unknown(problem: Problem, found: Search) -> _Unknown | None:
-    """The nonparametric term, where the library needs several causes for what one explains or leaves something."""
-    count = len(found.chosen.model)
-    left = max(found.rounds[-1].gains, default=0.0) if problem.has_torque else 0.0
-    doubtful = count == 1 and left > max(LEFT, LEFT_SHARE * max(found.rounds[0].gains))
-    if found.loudness < LOUD and count < 2 and not doubtful:
-        return None
-    noise, first = found.rounds_noise, found.rounds[0]
-    # Against the joint without causes: does a term alone do better than the library's whole answer?
-    term = _with_term(problem, found, first.base, first.loudness)
-    if term is not None:
-        common = louder(noise, min(level(problem, noise, term.fit), found.loudness))
-        reference = unknown.score(problem, common, found.chosen if count else first.base)
-        gain = term.score(problem, common, TEMPER) - reference
-        if gain > (TEMPER if count else 2.0) * unknown.PENALTY:
-            return _Unknown(term.candidate, term.fit, True, gain)
-    if not count or found.loudness < LOUD:
-        return None
-    term = _with_term(problem, found, found.chosen, found.loudness)
-    if term is not None and term.gain > 2 * unknown.PENALTY:
-        return _Unknown(term.candidate, term.fit, False, term.gain)
-    return None
-
-
-def _with_term(problem: Problem, found: Search, at: Fit, loudness: float, count: int = 3) -> unknown.Refined | None:
-    """The best term on top of a fit: the few that look best, fitted together with calibration and effects."""
-    noise = found.rounds_noise
-    tried = [c for c in unknown.candidates(problem, louder(noise, loudness), at) if c.gain > unknown.PENALTY]
-    refined = [unknown.refine(problem, noise, at, c, level) for c in tried[:count]]
-    if not refined:
-        return None
-    common = louder(noise, min(level(problem, noise, r.fit) for r in refined))
-    best = max(refined, key=lambda r: r.score(problem, common, TEMPER))
-    narrow = unknown.narrowed(best)
-    if narrow is not None:
-        again = unknown.refine(problem, noise, at, narrow, level)
-        common = louder(noise, min(level(problem, noise, r.fit) for r in (best, again)))
-        best = max((best, again), key=lambda r: r.score(problem, common, TEMPER))
-    return best
-
-
-def _held_out_loss(problem: Problem, noise, residuals: list[np.ndarray]) -> tuple[float, int]:
-    """Robust sum of squares on held-out samples, in units of the noise, and their number."""
-    total, count = 0.0, 0
-    for drive, r, channels in zip(problem.drives, residuals, noise, strict=True):
-        for c in range(3):
-            use = drive.held_out[:, c] & ~drive.at_rest
-            if not use.any():
-                continue
-            ar = channels[c].ar
-            e = r[:, c].copy()
-            for m, a in enumerate(ar):
-                e[m + 1 :] -= a * r[: -m - 1, c]
-            loss, _ = robust_loss(e[use] / channels[c].white, 50.0)
-            total, count = total + loss, count + int(use.sum())
-    return total, count
-
-
-def _findings(problem: Problem, found: Search, after: Fit, term: _Unknown | None, last) -> list[Finding]:
-    """The causes of the chosen model, each with what it explains of held-out data."""
-    chain = [r.base for r in found.rounds if len(r.base.model) <= len(after.model)]
-    if after is not chain[-1] and len(after.model) > len(chain[-1].model):
-        chain.append(after)
-    losses = [_held_out_loss(problem, found.noise, f.state[0])[0] for f in chain]
-    if term is not None:
-        losses.append(_held_out_loss(problem, found.noise, last)[0])
-    floor = min(losses[-1], float(_held_out_loss(problem, found.noise, last)[1]))
-    whole = max(losses[0] - floor, 1e-9)
+def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | None) -> list[Finding]:
+    """The causes of the final model, each with what it is worth."""
+    whole = float(np.sum(unexplained(problem, found.base.point)))
+    held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, final))
+    explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
     findings = []
-    for i, (h, u) in enumerate(zip(after.model, problem.split(after.theta, after.model), strict=True)):
-        start = problem.size + sum(g.size for g in after.model[:i])
-        block = slice(start, start + h.size)
-        values, std = h.values(u), h.deviation(u, after.covariance[block, block])
+    worths = []
+    for i, h in enumerate(final.model):
+        block = problem.place(final.model, i)
+        effect = block.start + np.asarray(h.magnitudes)
+        others = np.setdiff1d(np.arange(len(final.theta)), np.arange(block.start, block.stop))
+        amount = _amount(problem, final, i)[h.magnitudes]
+        worths.append(worth(problem, final, final.jacobian, effect, others, amount))
+    total = max(sum(w.rms**2 for w in worths), 1e-30)
+    for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
+        w = worths[i]
+        share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
+        if unknown is not None and i == len(final.model) - 1:
+            confidence = float(np.clip(1 - np.exp(-unknown.gain / (8 * ANSWER.temper)), 0.3, 0.95))
+            findings.append(
+                Finding(
+                    "unknown", unknown.spline.component, confidence, {}, share, w.rms, discrepancy.describe(unknown),
+                    discrepancy.depends_on(unknown.spline.variable),
+                )
+            )  # fmt: skip
+            continue
+        block = problem.place(final.model, i)
+        values, std = h.values(u), h.deviation(u, final.covariance[block, block])
         parameters = {
-            q.name: Parameter(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
+            q.name: ParameterEstimate(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
             for q in h.cause.parameters
         }
-        share = float(np.clip((losses[i] - losses[i + 1]) / whole, 0.0, 1.0))
-        findings.append(Finding(h.cause.name, h.cause.component, _confidence(found, i, term), parameters, share))
-    if term is not None:
-        share = float(np.clip((losses[-2] - losses[-1]) / whole, 0.0, 1.0))
-        variables = unknown.depends_on(term.candidate.term.variable)
-        confidence = float(np.clip(1 - np.exp(-term.gain / (4 * TEMPER)), 0.3, 0.95))
-        if level(problem, found.rounds_noise, term.fit) > LOUD:  # the term is a part of it at most
-            confidence = min(confidence, 0.6)
-        findings.append(
-            Finding(
-                "unknown", term.candidate.component, confidence, {}, share, unknown.describe(term.candidate), variables
-            )
-        )
+        confidence = _confidence(found, h.cause.name, i, unknown)
+        findings.append(Finding(h.cause.name, h.cause.component, confidence, parameters, share, w.rms))
+    del whole
     return findings
 
 
-def _confidence(found: Search, i: int, term: _Unknown | None) -> float:
-    """Probability of the i-th cause among those tried in its round, and of there being one at all."""
-    names, gains = zip(*found.rounds[i].named, strict=True)
-    gains = np.array(gains)
-    chosen = found.rounds[i + 1].base.model[i].cause.name if i + 1 < len(found.rounds) else names[0]
-    temper = _temper(found)
-    weight = np.exp((gains - gains.max()) / temper)
-    same = np.array([n == chosen for n in names])
-    none = np.exp(-(gains.max() - 0.5 * THRESHOLD) / temper)
-    p = float(weight[same].sum() / (weight.sum() + none))
-    if found.loudness > LOUD and term is None:  # whatever it is, this is not all of it
-        return min(p, 0.5)
-    return min(p, 0.99 if term is None else 0.7)
+def _amount(problem: Problem, f: Fit, index: int) -> np.ndarray:
+    """Coordinates of an effect less those at which it does nothing."""
+    from .search.stages import _away
+
+    return _away(problem, f, index) if f.model[index].free else problem.split(f.theta, f.model)[index]
 
 
-def _temper(found: Search) -> float:
-    """By how much log evidence is to be divided, from what was left that no cause may explain."""
-    last = found.rounds[-1]
-    left = max(last.gains, default=0.0) if len(last.base.model) == len(found.chosen.model) else 0.0
-    return TEMPER + INEXACT * max(left, 0.0)
+def _held_out_squares(problem: Problem, f: Fit) -> float:
+    """Mean square of held-out residuals beyond the sensors' noise, over all balances [N·m]²."""
+    total = 0.0
+    for b in range(len(BALANCES)):
+        squares, noise, count = 0.0, 0.0, 0
+        for segment, r, n in zip(problem.segments, f.point.residual, f.point.noise, strict=True):
+            use = segment.held_out[:, b] & ~segment.at_rest
+            squares, noise, count = squares + np.sum(r[use, b] ** 2), noise + np.sum(n[use, b] ** 2), count + use.sum()
+        if count:
+            total += max(squares - noise, 0.0) / count * output_scale(problem)[b] ** 2
+    return float(total)
+
+
+def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -> float:
+    """Probability of a cause among those that could stand where it does, and of there being one at all."""
+    rivals = found.rivals[index] if index < len(found.rivals) else None
+    if rivals is None:
+        return 0.5
+    best = max([rivals.gain, *(g for _, g in rivals.others)])
+    temper = ANSWER.temper + ANSWER.inexact * min(rivals.gain, 500.0)
+    weights = [np.exp((g - best) / temper) for n, g in rivals.others if n != name and _superseded(found, n)]
+    own = float(np.exp((rivals.gain - best) / temper))
+    none = float(np.exp(-(best - 3.5) / temper))
+    p = own / (own + sum(weights) + none)
+    return float(min(p, ANSWER.surest if unknown is None else ANSWER.beside))
+
+
+def _superseded(found: Search, name: str) -> bool:
+    """Whether a rival is not itself in the model: one that is was no rival."""
+    return all(h.cause.name != name for h in found.chosen.model)
 
 
 def _close(found: Search) -> list[tuple[str, str]]:
-    """Pairs of finalists between which the evidence does not decide."""
+    """Pairs of causes between which the evidence does not decide."""
     pairs = []
-    for r, after in zip(found.rounds, found.rounds[1:], strict=False):
-        chosen = after.base.model[-1].cause.name
-        best = max(gain for _, gain in r.named)
-        for name, gain in r.named:
-            if name != chosen and gain > best - _temper(found):
-                pairs.append((chosen, name))
+    for r in found.rivals:
+        for name, gain in r.others:
+            if gain > r.gain - 3 * (ANSWER.temper + ANSWER.inexact * min(r.gain, 500.0)) and _superseded(found, name):
+                pairs.append((r.cause, name))
     return pairs
 
 
-def _moved(problem: Problem, at: Fit) -> dict[str, Moved]:
+def _verdict(problem: Problem, findings: list[Finding], residual: dict[str, BalanceResidual], nearly_all: bool):
+    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent."""
+    rated = problem.joint.numbers["rated_torque"].value
+    scale = dict(zip(BALANCES, output_scale(problem), strict=True))
+    far = [
+        (name, r) for name, r in residual.items()
+        if r.after > ANSWER.far * r.noise and r.after * scale[name] > ANSWER.worth * rated
+    ]  # fmt: skip
+    left = "; ".join(
+        f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise" for name, r in far
+    )
+    if findings:
+        return "discrepancy", f"beside the causes named, {left}" if far else ""
+    if nearly_all:
+        return "inconclusive", "nearly all causes could not have shown" + (f"; {left}" if far else "")
+    if far:
+        return "inconclusive", f"no known cause explains the residual; {left}"
+    return "consistent", ""
+
+
+def _shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
     """Numbers that differ from nominal by more than the data's own uncertainty."""
     c = problem.calibration
     x = at.theta[: c.size]
@@ -372,7 +428,7 @@ def _moved(problem: Problem, at: Fit) -> dict[str, Moved]:
         prior = float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
         if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
             unit = "" if number.unit == "1" else number.unit
-            moved[slot.name] = Moved(number.value, value, std, tolerance, unit)
+            moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit)
     return moved
 
 
@@ -384,78 +440,78 @@ def _value(c, slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float
     return value, float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
 
 
-def _extended(problem: Problem, at: Fit, joint: Joint) -> Joint:
-    """The joint with calibrated numbers (their nominal kept beside them) and effects."""
+_PLACES = {
+    "link_encoder_zero": ("sensors", "link_encoder", "zero"),
+    "current_offset": ("sensors", "motor_current", "offset"),
+    "torque_sensor_gain": ("sensors", "joint_torque", "gain"),
+    "torque_sensor_offset": ("sensors", "joint_torque", "offset"),
+    "Jl": ("link_tolerances", "inertia"),
+    "Mg": ("link_tolerances", "gravity_moment"),
+    "gravity_angle": ("gravity_angle",),
+}
+"""Where in a joint's description the numbers stand that are not in `numbers`."""
+
+
+def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
+    """The joint with the numbers of a fit, their nominal values and standard deviations kept beside them."""
     c = problem.calibration
     x, covariance = at.theta[: c.size], at.covariance[: c.size, : c.size]
     data = joint.model_dump()
-    places = {
-        "link_encoder_zero": ("sensors", "link_encoder", "zero"),
-        "current_offset": ("sensors", "motor_current", "offset"),
-        "torque_sensor_gain": ("sensors", "joint_torque", "gain"),
-        "torque_sensor_offset": ("sensors", "joint_torque", "offset"),
-        "Jl": ("link_tolerances", "inertia"),
-        "Mg": ("link_tolerances", "gravity_moment"),
-        "gravity_angle": ("gravity_angle",),
-    }
     for slot in c.slots:
         value, std = _value(c, slot, x, covariance)
         if slot.field in ("amplitude", "phase"):
             target = data["kinematic_error"][slot.index][slot.field]
-        elif slot.name in places:
+        elif slot.name in _PLACES:
             target = data
-            for key in places[slot.name]:
+            for key in _PLACES[slot.name]:
                 target = target[key]
         else:
             target = data["numbers"][slot.name]
         nominal = target["value"] if target.get("nominal") is None else target["nominal"]
         target.update(value=value, std=std, nominal=nominal)
-    extended = Joint.model_validate(data)
-    effects = {}
+    found = Joint.model_validate(data)
+    found._path = joint._path
+    return found
+
+
+def _extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -> Joint:
+    """The joint with calibrated numbers (their nominal kept beside them) and effects."""
+    extended = calibrated(problem, at, joint)
+    effects: list[Effect] = []
     for i, (h, u) in enumerate(zip(at.model, problem.split(at.theta, at.model), strict=True)):
-        start = problem.size + sum(g.size for g in at.model[:i])
-        std = h.deviation(u, at.covariance[start : start + h.size, start : start + h.size])
-        effects[h.cause.name] = Effect(
-            name=h.cause.name,
-            parameters={
-                q.name: Estimate(value=h.values(u)[q.name], unit=q.unit, std=std.get(q.name))
-                for q in h.cause.parameters
-            },
-        )
-    kept = [e for e in joint.effects if e.name not in effects or _adds(e.name)]
-    extended = extended.model_copy(update={"effects": [*kept, *effects.values()]})
+        if not h.free:
+            continue
+        block = problem.place(at.model, i)
+        values, std = h.values(u), h.deviation(u, at.covariance[block, block])
+        parameters = {
+            q.name: Estimate(value=values[q.name], unit=q.unit, std=std.get(q.name)) for q in h.cause.parameters
+        }
+        effects.append(Effect(name=h.cause.name, parameters=parameters))
+    names = {e.name for e in effects}
+    kept = [e for e in joint.effects if e.name not in names or causes.get(e.name).adds]
+    extended = extended.model_copy(update={"effects": [*kept, *effects]})
     extended._path = joint._path
-    return extended
+    return discrepancy.extend(extended, unknown) if unknown is not None else extended
 
 
-def _adds(name: str) -> bool:
-    """Whether a second effect of that name adds to the first, instead of replacing it."""
-    return any(q.integer or q.name == "scale" for q in causes.get(name).parameters)
-
-
-def _means(r: np.ndarray, use: np.ndarray, block: int) -> np.ndarray:
-    """Means of a residual over the blocks that count as one (`Drive.block`), of those samples that are used."""
-    starts = np.arange(0, len(r), block)
-    count = np.add.reduceat(use.astype(float), starts)
-    total = np.add.reduceat(np.where(use, r, 0.0), starts)
-    return (total[count > 0.5 * block] / count[count > 0.5 * block]) if np.any(count > 0.5 * block) else r[use]
-
-
-def _channels(problem: Problem, at: Fit, before: list[np.ndarray], after: list[np.ndarray]) -> dict[str, Channel]:
-    """RMS on held-out samples by channel, in motion: at rest friction may be anything up to its level."""
-    names = {"motor_current": "motor_current", "joint_torque": "joint_torque", "link": "link_balance"}
-    once, twice = (problem.residuals([at.theta], [at.model], twin=t)[0] for t in (False, True))
-    noise = [b - a for a, b in zip(once, twice, strict=True)]
+def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResidual]:
+    """RMS on held-out samples by balance, in motion: at rest friction may be anything up to its level."""
     found = {}
-    for c, channel in enumerate(CHANNELS):
-        use = [d.held_out[:, c] & ~d.at_rest for d in problem.drives]
+    for b, name in enumerate(BALANCES):
+        use = [s.held_out[:, b] & ~s.at_rest for s in problem.segments]
         if not any(u.any() for u in use):
-            use = [d.held_out[:, c] for d in problem.drives]
+            use = [s.held_out[:, b] for s in problem.segments]
         if not any(u.any() for u in use):
             continue
         rms = [
-            float(np.sqrt(np.mean(np.concatenate([_means(r[:, c], u, d.block) for r, u, d in stretches]) ** 2)))
-            for stretches in (list(zip(rs, use, problem.drives, strict=True)) for rs in (before, after, noise))
+            float(np.sqrt(np.mean(np.concatenate([r[u, b] for r, u in zip(rs, use, strict=True)]) ** 2)))
+            for rs in (base.point.residual, final.point.residual, final.point.noise)
         ]
-        found[names[channel]] = Channel(*rms, UNITS[channel])
+        found[name] = BalanceResidual(*rms, UNITS[name])
     return found
+
+
+__all__ = [
+    "BalanceResidual", "Diagnosis", "Finding", "ParameterEstimate", "ParameterShift", "calibrated", "diagnose",
+    "mean_squares", "size_of",
+]  # fmt: skip

@@ -18,6 +18,8 @@ SPREAD = 1.2
 """Prior standard deviation of a magnitude, in ordinary sizes: small effects are as likely as ordinary ones."""
 SHAPE_SPREAD = 1.3
 """Prior standard deviation of the other coordinates, in half widths of their ordinary interval."""
+SHAPE_REACH = 2.2
+"""Half widths within which they stay: what is much slower, or much farther away, is another effect."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ class Hypothesis:
     @property
     def limits(self) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest coordinates, shape (size,) each: the parameters' bounds."""
-        low, high = np.full(self.size, -3 * SHAPE_SPREAD), np.full(self.size, 3 * SHAPE_SPREAD)
+        low, high = np.full(self.size, -SHAPE_REACH), np.full(self.size, SHAPE_REACH)
         for i, q in enumerate(self.free):
             if self.polar:
                 low[i], high[i] = -1e3, 1e3

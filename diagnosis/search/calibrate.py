@@ -50,14 +50,14 @@ def tared(problem: Problem, theta: np.ndarray, model: Model, settings: Calibrate
     best, tried = theta, [np.r_[theta[:at], x, theta[at + 1 :]] for x in settings.tare]
     for _ in range(2):  # a grid, and a finer one about its best
         found = problem.residuals(tried, [model] * len(tried))
-        best = tried[int(np.nanargmin([_roughness(problem, rs) for rs in found]))]
+        best = tried[int(np.nanargmin([roughness(problem, rs) for rs in found]))]
         tried = [
             np.r_[best[:at], best[at] + part * step, best[at + 1 :]] for part in (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
         ]
     return best
 
 
-def _roughness(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
+def roughness(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
     """Sum of the logarithms of median absolute residuals in motion: robust, and without a noise model."""
     total = 0.0
     for segment, r in zip(problem.segments, residuals, strict=True):

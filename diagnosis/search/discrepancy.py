@@ -1,21 +1,27 @@
-"""What no known cause explains: a nonparametric term, where it acts and on what it depends.
+"""What no known cause explains: a nonparametric model discrepancy, where it acts and on what it depends.
 
-For every place in the joint (`models.parameters.PLACES`) and every variable (`VARIABLES`) a cubic spline is tried, with
-all calibration variables free: its marginal likelihood, linear about the fitted joint, in closed form. The best few are
-fitted through the replay, coefficients and calibration together (`refine`). The best of these is where the discrepancy
-sits and what it depends on; with its coefficients the joint is extended all the same.
+For every place in the joint (`models.parameters.PLACES`) and every variable (`VARIABLES`) a cubic spline is tried in the
+linear model about a fit, with all other unknowns free: on top of the causes that were found, and in place of some of them. The best few
+are fitted through the replay, coefficients and everything else together. The best of these is where the discrepancy sits and
+what it depends on; with its coefficients the joint is extended all the same.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.interpolate import BSpline
 
-from ..models.joint import Joint, Term
-from ..models.parameters import PLACES, VARIABLES
-from .calibrate import HUBER, Fit, Problem, bounded_step, bounds, robust_loss
-from .noise import Noise, louder, whiten
+from ...models.joint import Discrepancy, Joint
+from ...models.parameters import PLACES, VARIABLES
+from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
+from ..fit.residual import Model, Problem
+from ..fit.solver import SETTINGS as SOLVER
+from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight
+from .screen import plain_noise
+from .worth import mean_squares, unexplained
 
 COMPONENT = {
     "rotor": "motor", "mesh": "transmission", "flexspline": "transmission", "link": "link",
@@ -25,15 +31,6 @@ UNIT = {
     "rotor": "N·m", "mesh": "N·m", "flexspline": "N·m", "link": "N·m",
     "joint_torque": "N·m", "link_position": "rad", "motor_current": "A",
 }  # fmt: skip
-SCALE = {
-    "rotor": 0.02, "mesh": 0.02, "flexspline": 2.0, "link": 3.0,
-    "joint_torque": 0.6, "link_position": 5e-4, "motor_current": 0.15,
-}  # fmt: skip
-"""Prior standard deviation of a coefficient, in the unit of the place."""
-COUNT = {"link_position": 32, "motor_position": 24, "direction_link_position": 32, "motor_position_two_turns": 32}
-_COUNT = 10
-PENALTY = 8.0
-"""Log prior odds of a known cause against an unknown term."""
 _USUAL = {
     "link_position": ("link", "link_position"),
     "motor_position": ("rotor",),
@@ -44,354 +41,470 @@ _USUAL = {
     "direction_link_position": ("mesh",),
 }
 """Where an effect of each variable usually sits: places that the same residual fits are told apart by that alone."""
-UNUSUAL = 8.0
-"""Log prior odds of a usual place against another."""
 _SMALLEST_RANGE = {
-    "link_position": 0.02,
-    "direction_link_position": 0.02,
-    "motor_velocity": 1.0,
-    "load": 0.1,
-    "time": 1.0,
-}
+    "link_position": 0.02, "direction_link_position": 0.02, "motor_velocity": 1.0, "load": 0.1, "time": 1.0,
+}  # fmt: skip
 """A variable that moved less than this has shown nothing."""
+_TURNS = {"motor_position": 2 * np.pi, "motor_position_two_turns": 4 * np.pi}
+
+
+@dataclass(frozen=True)
+class DiscrepancySettings:
+    """How unknown effects are looked for.
+
+    Attributes:
+      share: of the mean square that is left unexplained an effect must explain.
+      worth: root mean square that it must remove, as a share of the rated torque, where the residual is more than noise already
+        without it (a real joint has a little of everything).
+      noise: of the sensors' noise, in the same balance, where it is not.
+      penalty: log prior odds of a known cause against an unknown effect; of a usual place against another.
+      gain: share by which it must be better than the causes that it takes the place of.
+      thin: every so-manieth residual is looked at first.
+      refined: candidates that are fitted through the replay.
+      knots: coefficients of a spline by variable.
+      scale: prior standard deviation of a coefficient by place, for a rated torque of 16 N·m.
+    """
+
+    share: float = 0.3
+    worth: float = 0.01
+    noise: float = 1.0
+    penalty: float = 40.0
+    gain: float = 0.25
+    thin: int = 3
+    refined: int = 3
+    knots: dict[str, int] = field(
+        default_factory=lambda: {
+            "link_position": 32, "motor_position": 24, "direction_link_position": 32, "motor_position_two_turns": 32,
+            "motor_velocity": 10, "load": 10, "time": 10,
+        }
+    )  # fmt: skip
+    scale: dict[str, float] = field(
+        default_factory=lambda: {
+            "rotor": 0.02, "mesh": 0.02, "flexspline": 2.0, "link": 3.0, "joint_torque": 0.6, "link_position": 5e-4,
+            "motor_current": 0.15,
+        }
+    )  # fmt: skip
+
+
+SETTINGS = DiscrepancySettings()
+
+
+@dataclass(frozen=True)
+class Spline:
+    """A discrepancy as a fit sees it: its coefficients are its coordinates, in units of their prior standard deviation.
+
+    It stands in a model beside hypotheses of causes and has what a fit asks of them.
+    """
+
+    place: str
+    variable: str
+    low: float
+    high: float
+    count: int
+    unit: float
+
+    fixed: dict[str, float] = field(default_factory=dict)
+    alternatives: int = 1
+
+    @property
+    def cause(self) -> Spline:
+        """Itself: it applies its own values."""
+        return self
+
+    @property
+    def name(self) -> str:
+        """As causes have one."""
+        return "unknown"
+
+    adds = True
+    scales = ()
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return self.count
+
+    @property
+    def magnitudes(self) -> list[int]:
+        """All coordinates vanish with the effect."""
+        return list(range(self.count))
+
+    @property
+    def free(self) -> list:
+        """It has no named parameters."""
+        return []
+
+    @property
+    def spread(self) -> np.ndarray:
+        """Prior standard deviation of each coordinate, shape (size,)."""
+        return np.ones(self.count)
+
+    @property
+    def limits(self) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates are free."""
+        return np.full(self.count, -1e3), np.full(self.count, 1e3)
+
+    def values(self, u: np.ndarray) -> dict[str, np.ndarray]:
+        """Coefficients in the place's unit."""
+        return {"coefficients": self.unit * np.asarray(u)}
+
+    def apply(self, p: np.void, values: dict[str, np.ndarray]) -> None:
+        """Put the spline into the first free place of a record."""
+        slot = int(np.flatnonzero(p["discrepancy_place"] == 0)[0])
+        p["discrepancy_place"][slot] = PLACES.index(self.place)
+        p["discrepancy_variable"][slot] = VARIABLES.index(self.variable)
+        p["discrepancy_low"][slot], p["discrepancy_high"][slot] = self.low, self.high
+        p["discrepancy_count"][slot] = self.count
+        p["discrepancy_coefficient"][slot, : self.count] = values["coefficients"]
+
+    def basis(self, segment: Segment) -> np.ndarray:
+        """Values of the splines at a segment's residuals, shape (k, count)."""
+        x = _variable(self.variable, segment)
+        B = spline_basis((x - self.low) / (self.high - self.low), self.count)
+        return B * np.tanh(segment.motor_velocity)[:, None] if self.variable.startswith("direction") else B
+
+    def as_discrepancy(self, u: np.ndarray) -> Discrepancy:
+        """As a joint's description states it."""
+        return Discrepancy(
+            place=self.place, variable=self.variable, low=self.low, high=self.high, unit=UNIT[self.place],
+            coefficients=[float(c) for c in self.values(u)["coefficients"]],
+        )  # fmt: skip
+
+    @property
+    def component(self) -> str:
+        """Component of the joint in which it sits. An angle error that returns with the motor is the gear's: no link encoder
+        knows the motor's angle."""
+        return "transmission" if self.kinematic else COMPONENT[self.place]
+
+    @property
+    def kinematic(self) -> bool:
+        """Whether it is an angle error that returns with the motor."""
+        return self.place == "link_position" and self.variable in _TURNS
+
+
+def spline_basis(u: np.ndarray, count: int) -> np.ndarray:
+    """Cubic B-splines on a uniform grid at u in [0, 1], clamped, shape (k, count), as `models.laws` evaluates them."""
+    knots = (np.arange(count + 4) - 3.0) / (count - 3)
+    inside = np.clip(u, 0.0, 1.0)
+    return BSpline.design_matrix(np.minimum(inside, 1.0 - 1e-12), knots, 3).toarray()
+
+
+def _variable(name: str, segment: Segment) -> np.ndarray:
+    if name in _TURNS:
+        return segment.motor_position % _TURNS[name]
+    return {
+        "link_position": segment.link_position, "direction_link_position": segment.link_position,
+        "motor_velocity": segment.motor_velocity, "time": segment.at, "load": segment.load,
+    }[name]  # fmt: skip
+
+
+def _range(name: str, problem: Problem) -> tuple[float, float]:
+    if name in _TURNS:
+        return 0.0, float(_TURNS[name])
+    values = np.concatenate([_variable(name, s) for s in problem.segments])
+    return float(values.min()), float(values.max())
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A term, the log evidence that it adds, and the linear estimate of its coefficients and of the other unknowns."""
+    """A discrepancy in the linear model about a fit.
 
-    term: Term
+    Attributes:
+      spline: where it acts and on what it depends.
+      without: indices of the model's causes in whose place it stands.
+      removed: mean square that it takes from the residual [N·m at the output]².
+      score: by which candidates are ranked: log likelihood under white noise as loud as the residual, with the priors.
+      coordinates, shift: its coefficients, and the change of the other unknowns.
+    """
+
+    spline: Spline
+    without: tuple[int, ...]
+    removed: float
+    score: float
+    coordinates: np.ndarray
+    shift: np.ndarray
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """An unknown effect that was found.
+
+    Attributes:
+      spline: where it acts and on what it depends.
+      fit: of the model with it as its last effect.
+      gain: log evidence over the model without it.
+      replaced: names of the causes in whose place it stands.
+      share: of the mean square left unexplained that it explains.
+    """
+
+    spline: Spline
+    fit: Fit
     gain: float
-    theta: np.ndarray
+    replaced: tuple[str, ...]
+    share: float
 
     @property
-    def component(self) -> str:
-        """Component in which the term sits."""
-        return "transmission" if _kinematic(self.term) else COMPONENT[self.term.place]
+    def discrepancy(self) -> Discrepancy:
+        """As a joint's description states it."""
+        return self.spline.as_discrepancy(self.fit.theta[-self.spline.count :])
 
 
-def _basis(u: np.ndarray, count: int) -> np.ndarray:
-    """Cubic B-splines at u in [0, 1], shape (k, count), as `models.laws` evaluates them."""
-    s = np.clip(u, 0.0, 1.0) * (count - 3)
-    i = np.minimum(s.astype(int), count - 4)
-    t = s - i
-    a = 1.0 - t
-    weights = (a**3, 3 * t**3 - 6 * t**2 + 4, 3 * a**3 - 6 * a**2 + 4, t**3)
-    B = np.zeros((len(u), count))
-    for m, weight in enumerate(weights):
-        B[np.arange(len(u)), i + m] = weight / 6.0
-    return B
-
-
-def _variable(name: str, drive) -> np.ndarray:
-    theta_m, theta_l, velocity = drive.state[:, 0], drive.state[:, 1], drive.state[:, 2]
-    if name in ("link_position", "direction_link_position"):
-        return theta_l
-    if name == "motor_position":
-        return theta_m % (2 * np.pi)
-    if name == "motor_position_two_turns":
-        return theta_m % (4 * np.pi)
-    if name == "motor_velocity":
-        return velocity
-    if name == "time":
-        return drive.at
-    return drive.load
-
-
-def _range(name: str, problem: Problem) -> tuple[float, float]:
-    if name == "motor_position":
-        return 0.0, float(2 * np.pi)
-    if name == "motor_position_two_turns":
-        return 0.0, float(4 * np.pi)
-    values = np.concatenate([_variable(name, d) for d in problem.drives])
-    return float(values.min()), float(values.max())
-
-
-def candidates(problem: Problem, noise: Noise, at: Fit) -> list[Candidate]:
-    """Every term that can be tried on top of a fit, best first."""
-    n = at.jacobian[0].shape[-1]
-    records = problem.records(at.theta, at.model)
-    if not np.any(records[0][0]["term_place"] == 0):  # no room for another
-        return []
-    pieces: list[tuple[str, str, float, float, int]] = []
-    columns: list[list[np.ndarray]] = []
+def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[Spline]:
+    """Every place and variable that this measurement can show."""
+    rated = problem.joint.numbers["rated_torque"].value / 16.0
+    numbers = problem.joint.numbers
+    constant = numbers["N"].value * numbers["Kt"].value
+    found = []
     for variable in VARIABLES:
         low, high = _range(variable, problem)
         if not high - low > _SMALLEST_RANGE.get(variable, 0.0):
             continue
-        count = COUNT.get(variable, _COUNT)
-        bases = _bases(problem, variable, low, high, count)
         for place in PLACES[1:]:
             if place == "joint_torque" and not problem.has_torque:
                 continue
-            pieces.append((place, variable, low, high, count))
-            columns.append(_columns(problem, records, at, place, variable, low, high, count, bases))
-    found = []
-    for piece, column in zip(pieces, columns, strict=True):
-        place, variable, low, high, count = piece
-        stack = whiten(
-            problem.drives,
-            noise,
-            [
-                np.concatenate([r[..., None], j, c], -1)
-                for r, j, c in zip(at.state[0], at.jacobian, column, strict=True)
-            ],
-        )
-        r, X = stack[:, 0], stack[:, 1:]
-        _, weight = robust_loss(r)
-        spread = np.concatenate([problem.spread(at.model), np.full(count, _scale(place, records))])
-        XW = X * weight[:, None]
-        H = XW.T @ X + np.diag(1 / spread**2)
-        g = XW.T @ r + np.concatenate([at.theta / spread[:n] ** 2, np.zeros(count)])
-        gain = 0.5 * (g @ np.linalg.solve(H, g) - g[:n] @ np.linalg.solve(H[:n, :n], g[:n]))
-        scaled = H * spread[:, None] * spread
-        gain -= 0.5 * (np.linalg.slogdet(scaled)[1] - np.linalg.slogdet(scaled[:n, :n])[1])
-        gain -= prior(place, variable)
-        solution = -np.linalg.solve(H, g)
-        term = Term(
-            place=place, variable=variable, low=low, high=high, unit=UNIT[place],
-            coefficients=[float(c) for c in solution[n:]],
-        )  # fmt: skip
-        found.append(Candidate(term, float(gain), at.theta + solution[:n]))
-    return sorted(found, key=lambda c: -c.gain)
-
-
-def prior(place: str, variable: str) -> float:
-    """Minus the log prior of a place and a variable."""
-    return 0.0 if place in _USUAL[variable] else UNUSUAL
-
-
-def _scale(place: str, records) -> float:
-    """Prior standard deviation of a coefficient; of the current what the rotor's would draw, so that neither is favoured."""
-    return SCALE["rotor"] / float(records[0][0]["Kt"]) if place == "motor_current" else SCALE[place]
-
-
-def _bases(problem: Problem, variable: str, low: float, high: float, count: int) -> list[np.ndarray]:
-    bases = []
-    for drive in problem.drives:
-        B = _basis((_variable(variable, drive) - low) / (high - low), count)
-        if variable == "direction_link_position":
-            B *= np.tanh(drive.state[:, 2])[:, None]
-        bases.append(B)
-    return bases
-
-
-def _columns(problem, records, at, place, variable, low, high, count, bases) -> list[np.ndarray]:
-    """Derivatives of the residuals in a term's coefficients."""
-    if place in ("mesh", "flexspline", "link_position"):
-        return _replayed(problem, records, at, place, variable, low, high, count, bases)
-    return _direct(problem, records, place, bases)
-
-
-@dataclass(frozen=True)
-class Refined:
-    """A term fitted together with everything else.
-
-    Attributes:
-      candidate: the term, its coefficients as fitted.
-      fit: calibration and effects beside it.
-      gain: log evidence over the fit that it started from, under the noise that it was judged with.
-    """
-
-    candidate: Candidate
-    fit: Fit
-    gain: float
-    columns: list[np.ndarray]
-    scale: float
-
-    def score(self, problem: Problem, noise: Noise, temper: float) -> float:
-        """Log evidence under a noise, with the prior of place and variable `temper` times as strong."""
-        t = self.candidate.term
-        found = score(problem, noise, self.fit, self.columns, np.array(t.coefficients), self.scale)
-        return found - temper * prior(t.place, t.variable)
-
-
-def score(problem: Problem, noise: Noise, f: Fit, columns=None, coefficients=None, scale: float = 1.0) -> float:
-    """Log evidence (Laplace) of a fit, of a term's coefficients with it; comparable under the same noise."""
-    n = f.jacobian[0].shape[-1]
-    H, _, loss = _normal(problem, noise, f.model, f.theta, f.state[0], f.jacobian, columns, coefficients, scale)
-    spread = problem.spread(f.model)
-    cost = loss + float(np.sum((f.theta / spread) ** 2))
-    if columns is not None:
-        spread = np.concatenate([spread, np.full(len(H) - n, scale)])
-        cost += float(np.sum((coefficients / scale) ** 2))
-    logdet = np.linalg.slogdet(H * spread[:, None] * spread)[1]
-    return -0.5 * (cost + logdet) - sum(np.log(h.alternatives) for h in f.model)
-
-
-def _normal(problem, noise, model, theta, residuals, jacobian, columns, coefficients, scale):
-    """Hessian, gradient (of half the objective) in unknowns and coefficients, and the robust loss."""
-    parts = [[r[..., None], j] for r, j in zip(residuals, jacobian, strict=True)]
-    weight, at = 1 / problem.spread(model) ** 2, theta
-    if columns is not None:
-        for part, c in zip(parts, columns, strict=True):
-            part.append(c)
-        weight = np.concatenate([weight, np.full(len(coefficients), scale**-2)])
-        at = np.concatenate([theta, coefficients])
-    stack = whiten(problem.drives, noise, [np.concatenate(part, -1) for part in parts])
-    r, X = stack[:, 0], stack[:, 1:]
-    loss, w = robust_loss(r, HUBER)
-    XW = X * w[:, None]
-    return XW.T @ X + np.diag(weight), XW.T @ r + weight * at, loss
-
-
-def refine(problem: Problem, noise: Noise, at: Fit, candidate: Candidate, level, rounds: int = 5) -> Refined:
-    """Fit a term's coefficients, calibration and effects together, by Gauss–Newton through the replay.
-
-    Args:
-      at: the fit on top of which the term was found.
-      level: how much louder than `noise` a fit's residual is, a function of problem, noise and fit.
-    """
-    term, n = candidate.term, len(at.theta)
-    place, variable, count = term.place, term.variable, len(term.coefficients)
-    scale = _scale(place, problem.records(at.theta, at.model))
-    bases = _bases(problem, variable, term.low, term.high, count)
-    low, high = (
-        np.concatenate([b, np.full(count, s * np.inf)]) for b, s in zip(bounds(problem, at.model), (-1, 1), strict=True)
-    )
-
-    def with_coefficients(c):
-        moved = term.model_copy(update={"coefficients": [float(x) for x in c]})
-        return Problem(problem.drives, problem.twins, extend(problem.joint, replace(candidate, term=moved))), moved
-
-    x = np.concatenate([at.theta, np.zeros(count)])
-    step = np.clip(np.concatenate([candidate.theta, term.coefficients]), low, high) - x
-    residuals, jacobian = at.state[0], at.jacobian
-    for k in range(rounds + 1):
-        loud = louder(noise, level(problem, noise, replace(at, state=(residuals, None))))
-        best = _objective(problem, loud, at.model, x, residuals, scale)
-        accepted = False
-        for part in (1.0, 0.4, 0.1):
-            tried = np.clip(x + part * step, low, high)
-            extended, _ = with_coefficients(tried[n:])
-            rs = extended.residuals([tried[:n]], [at.model])[0]
-            cost = _objective(problem, loud, at.model, tried, rs, scale)
-            if cost < best:
-                x, residuals, accepted = tried, rs, True
-                break
-        gained = best - cost
-        extended, moved = with_coefficients(x[n:])
-        here = replace(at, theta=x[:n], state=(residuals, None))
-        if (k and (not accepted or gained < 2.0)) or k == rounds:
-            break
-        jacobian = extended.jacobian(x[:n], at.model, residuals)
-        here = replace(here, jacobian=jacobian)
-        columns = _columns(
-            extended, extended.records(x[:n], at.model), here, place, variable, term.low, term.high, count, bases
-        )
-        loud = louder(noise, level(problem, noise, here))
-        H, g, _ = _normal(problem, loud, at.model, x[:n], residuals, jacobian, columns, x[n:], scale)
-        step = bounded_step(H, g, low - x, high - x)
-    loudness = level(problem, noise, here)
-    judged = louder(noise, loudness)
-    H, _, _ = _normal(problem, judged, at.model, x[:n], residuals, jacobian, columns, x[n:], scale)
-    here = replace(
-        here, jacobian=jacobian, twin_jacobian=None, covariance=np.linalg.inv(H)[:n, :n], state=(residuals, None)
-    )
-    evidence = score(problem, judged, here, columns, x[n:], scale) - prior(place, variable)
-    here = replace(here, log_evidence=evidence)
-    gain = evidence - score(problem, judged, at)
-    return Refined(replace(candidate, term=moved, theta=x[:n]), here, gain, columns, scale)
-
-
-def narrowed(refined: Refined) -> Candidate | None:
-    """The same term with its knots where its function varies, None where that is nearly everywhere."""
-    t = refined.candidate.term
-    if t.variable not in ("link_position", "direction_link_position"):
-        return None
-    c = np.array(t.coefficients)
-    change = np.cumsum(np.abs(np.diff(c)))
-    inside = np.flatnonzero((change > 0.08 * change[-1]) & (change < 0.92 * change[-1]))
-    knots = t.low + (np.arange(len(c)) - 1) / (len(c) - 3) * (t.high - t.low)
-    step = knots[1] - knots[0]
-    if not len(inside):
-        return None
-    low, high = max(t.low, knots[inside[0]] - 3 * step), min(t.high, knots[inside[-1] + 1] + 3 * step)
-    if high - low > 0.7 * (t.high - t.low):
-        return None
-    at = low + (np.arange(len(c)) - 1) / (len(c) - 3) * (high - low)
-    values = [float(v) for v in np.interp(at, knots, c)]
-    term = t.model_copy(update={"low": float(low), "high": float(high), "coefficients": values})
-    return replace(refined.candidate, term=term)
-
-
-def _objective(problem, noise, model, x, residuals, scale) -> float:
-    r = whiten(problem.drives, noise, [a[..., None] for a in residuals])[:, 0]
-    spread = np.concatenate([problem.spread(model), np.full(len(x) - len(problem.spread(model)), scale)])
-    total = robust_loss(r)[0] + float(np.sum((x / spread) ** 2))
-    return total if np.isfinite(total) else np.inf
-
-
-def _direct(problem: Problem, records, place: str, bases: list[np.ndarray]) -> list[np.ndarray]:
-    """Derivatives where the term enters a residual as it is."""
-    found = []
-    for drive, record, B in zip(problem.drives, records, bases, strict=True):
-        p = record[0]
-        J = np.zeros((len(B), 3, B.shape[1]))
-        if place == "rotor":
-            J[:, 0] = B / p["Kt"]
-        elif place == "link":
-            J[:, 2] = B * (p["torque_gain"] if len(drive.torque) else drive.stiffness / (p["K1"] + p["K2"] + p["K3"]))
-        elif place == "motor_current":
-            J[:, 0] = -B
-        elif len(drive.torque):
-            J[:, 1] = -B
-            J[:, 2] = -B
-        found.append(J)
+            if place in ("flexspline", "link_position") and not problem.link_measured:
+                continue
+            unit = settings.scale[place]
+            if place in ("rotor", "mesh"):
+                unit *= rated * 100 / numbers["N"].value
+            elif place == "motor_current":  # what the rotor's would draw, so that neither is favoured
+                unit = settings.scale["rotor"] * rated * 100 / numbers["N"].value / numbers["Kt"].value
+            elif place != "link_position":
+                unit *= rated
+            found.append(Spline(place, variable, low, high, settings.knots[variable], unit))
+    del constant
     return found
 
 
-def _replayed(problem, records, at, place, variable, low, high, count, bases) -> list[np.ndarray]:
-    """Derivatives through the replay: every fourth spline at a time, as their supports do not overlap."""
-    tasks = []
-    for colour in range(4):
-        for drive, record in zip(problem.drives, records, strict=True):
-            moved = record.copy()
-            p = moved[0]
-            slot = int(np.flatnonzero(p["term_place"] == 0)[0])
-            p["term_place"][slot], p["term_variable"][slot] = PLACES.index(place), VARIABLES.index(variable)
-            p["term_low"][slot], p["term_high"][slot], p["term_count"][slot] = low, high, count
-            p["term_coefficient"][slot, :count] = _PROBE * SCALE[place] * (np.arange(count) % 4 == colour)
-            tasks.append((drive, moved, at.theta))
-    done = iter(problem.replayed(tasks))
-    found = [np.zeros((len(B), 3, count)) for B in bases]
-    for colour in range(4):
-        for s, drive in enumerate(problem.drives):
-            change = (next(done) - at.state[0][s]) / (_PROBE * SCALE[place])
-            u = np.clip((_variable(variable, drive) - low) / (high - low), 0.0, 1.0)
-            first = np.minimum((u * (count - 3)).astype(int), count - 4)
-            owner = first + (colour - first) % 4
-            found[s][np.arange(len(owner)), :, owner] = change
+def columns_of(problem: Problem, at: Fit, spline: Spline) -> Columns:
+    """Derivatives of the residuals in a spline's coordinates at a fit, shape (k, len(BALANCES), count) a segment."""
+    records = problem.records(at.theta, at.model)
+    if spline.place in ("mesh", "flexspline", "link_position"):
+        return _replayed(problem, at, records, spline)
+    found = []
+    for segment, record in zip(problem.segments, records, strict=True):
+        p, B = record[0], spline.unit * spline.basis(segment)
+        J = np.zeros((len(B), len(BALANCES), spline.count))
+        if spline.place == "rotor":
+            J[:, CURRENT] = B / p["Kt"]
+        elif spline.place == "motor_current":
+            J[:, CURRENT] = -B
+        elif spline.place == "link":
+            softer = segment.stiffness / (p["K1"] + p["K2"] + p["K3"])
+            J[:, LINK] = B * (p["torque_gain"] if segment.has_torque else softer)
+            if not segment.link_measured:
+                J[:, CURRENT] = B / (p["N"] * p["Kt"])
+        elif segment.has_torque:
+            J[:, TORQUE] = -B
+            J[:, LINK] = -B
+        found.append(np.where(segment.balances[:, None], J, 0.0))
     return found
 
 
 _PROBE = 0.05
 
 
-def extend(joint: Joint, candidate: Candidate) -> Joint:
-    """The joint with the term in it."""
-    terms = [*joint.terms, candidate.term]
-    extended = joint.model_copy(update={"terms": terms})
+def _replayed(problem: Problem, at: Fit, records: Sequence[np.ndarray], spline: Spline) -> Columns:
+    """Derivatives through the replay: every fourth spline at a time, as their supports do not overlap."""
+    tasks = []
+    for colour in range(4):
+        for segment, record in zip(problem.segments, records, strict=True):
+            moved = record.copy()
+            spline.apply(moved[0], spline.values(_PROBE * (np.arange(spline.count) % 4 == colour)))
+            tasks.append((segment, moved, at.theta))
+    done = iter(problem.replayed(tasks))
+    found = [np.zeros((len(s.at), len(BALANCES), spline.count)) for s in problem.segments]
+    for colour in range(4):
+        for s, segment in enumerate(problem.segments):
+            change = (next(done) - at.point.residual[s]) / _PROBE
+            x = _variable(spline.variable, segment)
+            u = np.clip((x - spline.low) / (spline.high - spline.low), 0.0, 1.0)
+            first = np.minimum((u * (spline.count - 3)).astype(int), spline.count - 4)
+            owner = first + (colour - first) % 4
+            found[s][np.arange(len(owner)), :, owner] = change
+    return found
+
+
+class _Plain:
+    """The linear model about a fit under white noise as loud as its residual, on every so-manieth sample."""
+
+    def __init__(self, problem: Problem, at: Fit, thin: int):
+        self.problem, self.at, self.thin = problem, at, thin
+        noise = plain_noise(problem, at)
+        self.rms = np.array([s.white for s in noise.sensors[0]])
+        self.rows = self._rows(
+            [np.concatenate([r[..., None], J], -1) for r, J in zip(at.point.residual, at.jacobian, strict=True)]
+        )
+        weight = huber_weight(self.rows[:, 0], SOLVER.huber)
+        self.root = np.sqrt(weight * leverage_weight(self.rows[:, 1 : problem.size + 1], SOLVER.leverage))
+        self.rows *= self.root[:, None]
+        self.spread = problem.spread(at.model)
+
+    def _rows(self, columns: Columns) -> np.ndarray:
+        found = []
+        for segment, x in zip(self.problem.segments, columns, strict=True):
+            for b in range(len(BALANCES)):
+                use = segment.usable[:, b] & ~segment.at_rest
+                found.append(x[use][:: self.thin, b] / self.rms[b])
+        return np.concatenate(found)
+
+    def candidate(self, spline: Spline, columns: Columns, without: tuple[int, ...], penalty: float) -> Candidate:
+        """A spline in the place of some of the model's causes."""
+        problem, at = self.problem, self.at
+        B = self._rows(columns) * self.root[:, None]
+        gone = (
+            np.concatenate([np.arange(*_bounds(problem.place(at.model, i))) for i in without])
+            if without
+            else np.zeros(0, int)
+        )
+        gone = gone.astype(int)
+        kept = np.setdiff1d(np.arange(len(at.theta)), gone)
+        r = self.rows[:, 0] - self.rows[:, 1 + gone] @ at.theta[gone] if len(gone) else self.rows[:, 0]
+        J = self.rows[:, 1 + kept]
+        X = np.concatenate([J, B], -1)
+        precision = np.concatenate([1 / self.spread[kept] ** 2, np.ones(spline.count)])
+        H = X.T @ X + np.diag(precision)
+        g = X.T @ r + precision * np.concatenate([at.theta[kept], np.zeros(spline.count)])
+        solution = -np.linalg.solve(H, g)
+        left = r + X @ solution
+        n = len(kept)
+        bare = r - J @ np.linalg.solve(H[:n, :n], g[:n])
+        scaled = H / np.sqrt(precision)[:, None] / np.sqrt(precision)
+        cost = np.linalg.slogdet(scaled)[1] - np.linalg.slogdet(scaled[:n, :n])[1]
+        score = 0.5 * len(r) * np.log(np.sum(self.rows[:, 0] ** 2) / np.sum(left**2)) - 0.5 * cost
+        if spline.place not in _USUAL[spline.variable]:
+            score -= penalty
+        shift = np.zeros(len(at.theta))
+        shift[kept] = solution[:n]
+        shift[gone] = -at.theta[gone]
+        removed = (np.sum(bare**2) - np.sum(left**2)) / max(len(r), 1)
+        return Candidate(spline, without, float(removed), float(score), solution[n:], shift)
+
+
+def _bounds(block: slice) -> tuple[int, int]:
+    return block.start, block.stop
+
+
+def find(
+    problem: Problem,
+    fitter: Fitter,
+    base: Fit,
+    chosen: Fit,
+    settings: DiscrepancySettings = SETTINGS,
+) -> Unknown | None:
+    """The unknown effect that a measurement shows beside, or in place of, the causes that were found; None where it shows none.
+
+    Args:
+      base: the joint without causes; chosen: with those that were found.
+    """
+    if not np.any(problem.records(chosen.theta, chosen.model)[0][0]["discrepancy_place"] == 0):
+        return None
+    rated = problem.joint.numbers["rated_torque"].value
+    left = float(np.sum(unexplained(problem, chosen.point)))
+    explained = float(np.sum(unexplained(problem, base.point))) - left
+    floor = settings.noise * float(np.sum(mean_squares(problem, chosen.point.noise)))
+    least = max((settings.worth * rated) ** 2, 0.0) if left > floor else np.inf
+    drops = _drops(problem, chosen)
+    if left < least and not (drops and explained > least):
+        return None
+    plain = _Plain(problem, chosen, settings.thin)
+    tried: list[Candidate] = []
+    for spline in splines(problem, settings):
+        columns = columns_of(problem, chosen, spline)
+        tried += [plain.candidate(spline, columns, without, settings.penalty) for without in drops]
+    best: Unknown | None = None
+    for without in drops:
+        ranked = sorted((c for c in tried if c.without == without), key=lambda c: -c.score)
+        for candidate in ranked[: settings.refined]:
+            found = _refined(problem, fitter, chosen, candidate, settings, least)
+            if found is not None and (best is None or found.fit.log_evidence > best.fit.log_evidence):
+                best = found
+        if best is not None and not without:
+            break
+    return best
+
+
+def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
+    """Sets of causes in whose place an unknown effect may stand: none, the one that is worth most, all of its component."""
+    if not chosen.model:
+        return [()]
+    size = [
+        float(np.sum(mean_squares(problem, [
+            J[..., problem.place(chosen.model, i)] @ chosen.theta[problem.place(chosen.model, i)] for J in chosen.jacobian
+        ])))
+        for i in range(len(chosen.model))
+    ]  # fmt: skip
+    order = np.argsort(size)[::-1]
+    top = int(order[0])
+    component = chosen.model[top].cause.component
+    same = tuple(sorted(i for i, h in enumerate(chosen.model) if h.cause.component == component))
+    found = [(), (top,)]
+    for one in (same, tuple(range(len(chosen.model)))):
+        if one not in found:
+            found.append(one)
+    return found
+
+
+def _refined(
+    problem: Problem, fitter: Fitter, chosen: Fit, candidate: Candidate, settings: DiscrepancySettings, least: float
+) -> Unknown | None:
+    """A candidate fitted through the replay; None where it is not worth naming."""
+    kept = [i for i in range(len(chosen.model)) if i not in candidate.without]
+    places = [problem.place(chosen.model, i) for i in kept]
+    index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
+    model: Model = tuple(chosen.model[i] for i in kept)
+    start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
+    near = replace(chosen, jacobian=[J[..., index] for J in chosen.jacobian])
+    f = fitter.fit((*model, candidate.spline), start, near, 4, chosen.point.noise)  # type: ignore[arg-type]
+    gain = f.log_evidence - chosen.log_evidence
+    needed = settings.penalty
+    if candidate.spline.place not in _USUAL[candidate.spline.variable]:
+        needed += settings.penalty
+    if candidate.without:
+        # What takes the place of known causes must be clearly better than they are.
+        needed += settings.penalty
+    if gain <= needed:
+        return None
+    before = float(np.sum(unexplained(problem, chosen.point)))
+    after = float(np.sum(unexplained(problem, f.point)))
+    own = _own(problem, f, candidate.spline)
+    if not candidate.without:
+        share = (before - after) / max(before, 1e-30)
+        if share < settings.share or before - after < least:
+            return None
+    else:
+        share = own / max(own + after, 1e-30)
+        if before - after < settings.gain * before or own < least:
+            return None
+    return Unknown(
+        candidate.spline, f, float(gain), tuple(chosen.model[i].cause.name for i in candidate.without), float(share)
+    )
+
+
+def _own(problem: Problem, f: Fit, spline: Spline) -> float:
+    """Mean square of what a spline at the end of a model adds to the residual [N·m]²."""
+    u = f.theta[-spline.count :]
+    return float(np.sum(mean_squares(problem, [J[..., -spline.count :] @ u for J in f.jacobian])))
+
+
+def extend(joint: Joint, found: Unknown) -> Joint:
+    """The joint with the discrepancy in it."""
+    extended = joint.model_copy(update={"discrepancies": [*joint.discrepancies, found.discrepancy]})
     extended._path = joint._path
     return extended
 
 
-def describe(candidate: Candidate) -> str:
-    """The term in a sentence."""
-    t = candidate.term
-    size = float(np.ptp(_basis(np.linspace(0.0, 1.0, 200), len(t.coefficients)) @ np.array(t.coefficients)))
+def describe(found: Unknown) -> str:
+    """The effect in a sentence."""
+    s, d = found.spline, found.discrepancy
+    values = spline_basis(np.linspace(0.0, 1.0, 200), len(d.coefficients)) @ np.array(d.coefficients)
     what = {
         "rotor": "a torque on the rotor", "mesh": "a friction torque in the mesh", "flexspline": "a flexspline torque",
         "link": "a torque on the link", "joint_torque": "an error of the torque sensor",
-        "link_position": "a kinematic error" if _kinematic(t) else "an error of the link encoder",
+        "link_position": "a kinematic error" if s.kinematic else "an error of the link encoder",
         "motor_current": "an error of the current reading",
-    }[t.place]  # fmt: skip
-    return f"{what} of {size:.2g} {t.unit} that depends on {_words(t.variable)}"
-
-
-def _kinematic(term: Term) -> bool:
-    """Whether an angle error returns with the motor: no link encoder knows the motor's angle, but the gear does."""
-    return term.place == "link_position" and term.variable.startswith("motor_position")
+    }[s.place]  # fmt: skip
+    return f"{what} of {float(np.ptp(values)):.2g} {d.unit} that depends on {_words(s.variable)}"
 
 
 def _words(variable: str) -> str:
@@ -399,8 +512,11 @@ def _words(variable: str) -> str:
 
 
 def depends_on(variable: str) -> tuple[str, ...]:
-    """Names of the measured variables that a term's variable is made of."""
+    """Names of the measured variables that a discrepancy's variable is made of."""
     return {
         "direction_link_position": ("link_position", "direction"),
         "motor_position_two_turns": ("motor_position",),
     }.get(variable, (variable,))
+
+
+__all__ = ["DiscrepancySettings", "Point", "Spline", "Unknown", "depends_on", "describe", "extend", "find"]

@@ -23,7 +23,7 @@ from ..fit.noise import learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Fit, Fitter, Point, huber_loss, prior_cost, with_dispersion
-from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
+from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over, roughness, tared
 from .screen import Library, Screened, ScreenSettings, screen
 from .worth import Worth, unexplained, worth
 
@@ -46,6 +46,8 @@ class AcceptSettings:
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; per_cause: at most of one cause.
       most: causes at once.
+      gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
+        the linear model.
     """
 
     threshold: float = 7.0
@@ -57,6 +59,8 @@ class AcceptSettings:
     finalists: int = 3
     per_cause: int = 2
     most: int = 5
+    gross: float = 60.0
+    coarse: tuple[float, ...] = (-1.5, -0.7, 0.4, 0.7, 1.0, 1.5)
 
 
 @dataclass(frozen=True)
@@ -219,6 +223,31 @@ def _finalists(problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[S
     return sorted(fitted, key=lambda f: -f.gain)
 
 
+def _coarse(problem: Problem, hypotheses: Sequence[Hypothesis], settings: SearchSettings) -> list[tuple[Hypothesis, np.ndarray]]:
+    """Hypotheses with which the uncalibrated joint comes closest, where nothing is linear; where to start each.
+
+    Every one is tried at a few sizes on the joint as it is described; the zero of the link encoder answers.
+    """
+    zero = tared(problem, problem.start(None, ()), (), settings.calibrate)
+    thetas, models = [], []
+    for h in hypotheses:
+        if len(h.magnitudes) != 1:
+            continue
+        for size in settings.accept.coarse:
+            u = np.zeros(h.size)
+            u[h.magnitudes[0]] = size
+            if np.allclose(h.confine(u), u):
+                thetas.append(np.concatenate([zero, u]))
+                models.append((h,))
+    rough = [roughness(problem, rs) for rs in problem.residuals(thetas, models)]
+    found: list[tuple[Hypothesis, np.ndarray]] = []
+    for i in np.argsort(rough):
+        h = models[i][0]
+        if len(found) < 2 and all(g.cause.name != h.cause.name for g, _ in found):
+            found.append((h, tared(problem, thetas[i], models[i], settings.calibrate)))
+    return found
+
+
 def _as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
     removed = unexplained(problem, base.point).sum() - unexplained(problem, f.point).sum()
     return Finalist(f, f.log_evidence - base.log_evidence, float(removed))
@@ -251,6 +280,11 @@ def search(
         screened = screen(problem, base, library, settings.screen)
         progress("fitting the causes that look best", 0.35 + 0.1 * attempt)
         fitted = _finalists(problem, fitter, base, screened, accept)
+        if quiet > settings.accept.gross and not attempt:
+            # So far off that the linear model says little.
+            for h, start in _coarse(problem, hypotheses, settings):
+                f = fitter.fit((h,), start, None, settings.calibrate.iterations, base.point.noise)
+                fitted = sorted([*fitted, _as_finalist(problem, base, f)], key=lambda f: -f.gain)
         decisions, chosen = _first(problem, base, screened, fitted, accept)
         if chosen is not None or attempt or not doubtful(problem, base, quiet, settings.calibrate):
             break
@@ -520,6 +554,14 @@ def _is_calibration(problem: Problem, f: Fit, index: int) -> bool:
     return problem.is_calibration(theta, tuple(f.model[j] for j in order))
 
 
+def _without(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
+    """A fit without one of its effects."""
+    block = problem.place(f.model, index)
+    kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
+    model = tuple(g for j, g in enumerate(f.model) if j != index)
+    return fitter.fit(model, f.theta[kept], f, 4)
+
+
 def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings):
     """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
     dropped: list[Decision] = []
@@ -545,12 +587,12 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
         bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
         if not bad:
             break
-        i = min(reversed(bad), key=lambda i: verdicts[i][0].share)
+        # Of those, the one without which the rest is most probable.
+        trials = [(i, _without(problem, fitter, f, i)) for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]]
+        i, other = max(trials, key=lambda trial: trial[1].log_evidence)
         w, size, reason = verdicts[i]
         h = f.model[i]
         dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
-        block = problem.place(f.model, i)
-        model = tuple(g for j, g in enumerate(f.model) if j != i)
         rivals = [r for j, r in enumerate(rivals) if j != i]
-        f = fitter.fit(model, np.delete(f.theta, np.arange(block.start, block.stop)), f, 4)
+        f = other
     return f, rivals, dropped
