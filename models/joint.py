@@ -236,6 +236,32 @@ class Discrepancy(Strict):
         return self
 
 
+class ValidRange(Strict):
+    """Where the data behind a diagnosed joint have been, smallest and largest of each; nothing is known beyond.
+
+    `loads` are the combinations of direction of motion and direction of load that were seen: `driving` (the motor moves the
+    load), `driven` (the load moves the motor).
+    """
+
+    link_position: Annotated[list[float], Field(min_length=2, max_length=2, description="rad")]
+    link_velocity: Annotated[list[float], Field(min_length=2, max_length=2, description="rad/s")]
+    joint_torque: Annotated[list[float], Field(min_length=2, max_length=2, description="N·m")]
+    loads: list[Literal["driving", "driven"]] = []
+
+    def beyond(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> dict[str, float]:
+        """Shares of samples, shape (n,) each, that lie beyond the range by more than a twentieth of it; empty where none do."""
+        found = {}
+        for name, x in (
+            ("link_position", link_position), ("link_velocity", link_velocity), ("joint_torque", joint_torque),
+        ):  # fmt: skip
+            low, high = getattr(self, name)
+            slack = 0.05 * (high - low)
+            share = float(np.mean((x < low - slack) | (x > high + slack)))
+            if share > 0:
+                found[name] = share
+        return found
+
+
 class Joint(Strict):
     """A joint: its numbers, sensors, mountings, and the effects found in it."""
 
@@ -258,6 +284,8 @@ class Joint(Strict):
     effects: Annotated[list[Effect], Field(max_length=32)] = []
     """They act in the order in which they stand: a factor multiplies what the effects before it have made of a number."""
     discrepancies: Annotated[list[Discrepancy], Field(max_length=N_DISCREPANCIES)] = []
+    valid: ValidRange | None = None
+    """Where the data have been from which a diagnosis made this description; none for one that a person wrote."""
     _path: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
