@@ -6,13 +6,14 @@ State x, shape (SIZE,):
     θw, ωw    wave generator                 [rad], [rad/s], motor side
     z         LuGre bristle                  [rad], motor side
     θl, ωl    link                           [rad], [rad/s]
+    φ, φ'     what hangs on it by a spring   [rad], [rad/s], against the link
     τext      external torque on the link    [N·m], random walk
     d         what mesh friction does beyond the record [N·m, motor side], Ornstein-Uhlenbeck
     κ, κt     relative deviations of stiffness and torque constant from the record [1], constant
     x_h       Dahl state of the flexspline's hysteresis [rad]
 
-An estimator carries the covariance of the *active* ones of these: κ and κt where it is asked to calibrate itself, x_h where
-the record has hysteresis.
+An estimator carries the covariance of the *active* ones of these: κ and κt where it is asked to calibrate itself, φ and
+x_h where the record has a link that is not rigid, or hysteresis.
 
 The model is f (`advance`), h (`read_motor`, `read_link`, both angles; `joint_torque`), and what is random: a record of
 `NOISE`, made by `ProcessNoise`. The equations of motion are `models.dynamics.balance_with`. Between samples the current
@@ -36,11 +37,15 @@ from .tuning_parameters import TuningParameter
 
 STATES = (
     "motor_position", "motor_velocity", "wave_generator_position", "wave_generator_velocity", "bristle",
-    "link_position", "link_velocity", "external_torque", "mesh_torque", "stiffness", "motor_constant", "hysteresis",
+    "link_position", "link_velocity", "flexible_position", "flexible_velocity", "external_torque", "mesh_torque", "stiffness",
+    "motor_constant", "hysteresis",
 )  # fmt: skip
 SIZE = len(STATES)
-MOTOR, MOTOR_RATE, WAVE, WAVE_RATE, BRISTLE, LINK, LINK_RATE, EXTERNAL, MESH, STIFFNESS, CONSTANT, DAHL = range(SIZE)
-STEPS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1e-6, 1e-7, 1e-4, 1e-3, 1e-5, 1e-4, 1e-4, 1e-7])
+(
+    MOTOR, MOTOR_RATE, WAVE, WAVE_RATE, BRISTLE, LINK, LINK_RATE, FLEXIBLE, FLEXIBLE_RATE, EXTERNAL, MESH, STIFFNESS, CONSTANT,
+    DAHL,
+) = range(SIZE)  # fmt: skip
+STEPS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1e-6, 1e-7, 1e-4, 1e-6, 1e-4, 1e-3, 1e-5, 1e-4, 1e-4, 1e-7])
 """Steps of the differences that stand for derivatives, per state: small against its uncertainty, large against rounding."""
 _LONGEST = 0.5e-3  # s: substep
 _TURN = 0.8  # rad of the fastest mode per substep
@@ -108,6 +113,10 @@ class ProcessNoise:
         start[EXTERNAL], start[MESH] = (0.2 * p["T2"]) ** 2, (self.mesh * p["Fc"]) ** 2
         start[STIFFNESS], start[CONSTANT] = self.stiffness**2, self.motor_constant**2
         start[DAHL] = p["hysteresis_extent"] ** 2
+        if p["flexible_share"] > 0.0:
+            pulsation = 2 * np.pi * p["flexible_frequency"]
+            start[FLEXIBLE] = (0.1 * p["T2"] / (p["flexible_share"] * p["Jl"] * pulsation**2)) ** 2
+            start[FLEXIBLE_RATE] = pulsation**2 * start[FLEXIBLE]
         walk[WAVE_RATE] = (self.torque * p["Fc"] / p["Jw"]) ** 2
         walk[BRISTLE] = (self.bristle * p["Fc"] / p["s0"]) ** 2
         walk[EXTERNAL] = (self.external * p["T2"]) ** 2
@@ -121,7 +130,7 @@ class ProcessNoise:
         n["link_variance"] = noise.link_noise**2
         n["motor_step"], n["link_step"] = counts, noise.link_resolution
         n["mesh_time"], n["memory"], (n["low"], n["high"]) = self.mesh_time, self.memory, self.threshold
-        active = [i for i in range(SIZE) if not (i in (STIFFNESS, CONSTANT) and start[i] == 0.0)]
+        active = [i for i in range(SIZE) if i not in (FLEXIBLE, FLEXIBLE_RATE, STIFFNESS, CONSTANT) or start[i] > 0.0]
         if p["hysteresis_torque"] == 0.0:
             active.remove(DAHL)
         activate(n, active)
@@ -184,13 +193,19 @@ def read_link(x, time, p):
 
 @kernel
 def rates(x, current, time, temperature, p, out):
-    """Write the rates of the six mechanical states into `out`, shape (SIZE,); the others' are zero here."""
+    """Write the rates of the mechanical states into `out`, shape (SIZE,); the others' are zero here."""
     state = state_of(x, current, time, temperature)
     t = transmission(x, state, p)
     b = dynamics.balance_with(state, t, dynamics.sliding_friction(state, t.load, p), p)
     out[MOTOR], out[MOTOR_RATE] = x[MOTOR_RATE], b.on_rotor / p.Jm
     out[WAVE], out[WAVE_RATE] = x[WAVE_RATE], (b.on_wave_generator + x[MESH]) / p.Jw
-    out[LINK], out[LINK_RATE] = x[LINK_RATE], (b.on_link + x[EXTERNAL]) / p.Jl
+    out[LINK] = x[LINK_RATE]
+    if p.flexible_share > 0.0:
+        spring, hanging = laws.flexible_torque(x[FLEXIBLE], x[FLEXIBLE_RATE], p), laws.flexible_inertia(p)
+        out[LINK_RATE] = (b.on_link + x[EXTERNAL] + spring) / (p.Jl - hanging)
+        out[FLEXIBLE], out[FLEXIBLE_RATE] = x[FLEXIBLE_RATE], -spring / hanging - out[LINK_RATE]
+    else:
+        out[LINK_RATE] = (b.on_link + x[EXTERNAL]) / p.Jl
 
 
 @kernel
@@ -211,7 +226,10 @@ def substeps(x, dt, p):
     """How many substeps a time `dt` [s] takes: the fastest mode of the springs at their present stiffness."""
     Tw = abs(laws.wave_generator_spring(x[MOTOR] - x[WAVE], p))
     stiffness = p.Kw0 * math.exp(min(p.Cw * Tw, 12.0))  # dTw/dδ of Eq. (3)
-    fastest = max(stiffness * (1.0 / p.Jm + 1.0 / p.Jw), p.K3 * (1.0 / p.Jl + 1.0 / (p.N * p.N * p.Jw)))
+    fastest = max(
+        stiffness * (1.0 / p.Jm + 1.0 / p.Jw),
+        p.K3 * (1.0 / (p.Jl - laws.flexible_inertia(p)) + 1.0 / (p.N * p.N * p.Jw)),
+    )
     wanted = dt * max(1.0 / _LONGEST, math.sqrt(fastest) / _TURN)
     most = _MOST * max(1.0, dt / _LONGEST)
     if not wanted < most:  # a state that has gone astray, or is no number any more

@@ -191,9 +191,14 @@ def own_torque(motion: Motion, joint: KnownJoint, load: np.ndarray) -> np.ndarra
 @kernel
 def _own_torque(since, motor, w, link, v, a, load, record, out):
     p = record[0]
+    angle, rate = 0.0, 0.0
     for i in range(len(out)):
         state = dynamics.drive_state(motor[i], w[i], link[i], v[i], 0.0, 0.0, since[i], 0.0)
-        out[i] = p.Jl * a[i] - dynamics.link_torque(state, load[i], p)
+        out[i] = (p.Jl - laws.flexible_inertia(p)) * a[i] - dynamics.link_torque(state, load[i], p)
+        if p.flexible_share > 0.0:
+            if i > 0:
+                angle, rate = laws.flexible_step(angle, rate, a[i - 1], a[i], since[i] - since[i - 1], p)
+            out[i] -= laws.flexible_torque(angle, rate, p)
 
 
 def torsion_of(motion: Motion, joint: KnownJoint, load: np.ndarray) -> np.ndarray:

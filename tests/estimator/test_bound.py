@@ -108,15 +108,16 @@ def walk(record, seed: int, intensity: float, n: int = 1500):
 def test_joint_bound_is_the_information_recursion(record):
     """Against `posterior_information` with Jacobians of its own and a little noise on every state."""
     time, states, current, command, _, _ = walk(record, 3, 1.0, 121)
-    p, active = record[0], np.arange(8)
+    p, active = record[0], np.r_[0:7, EXTERNAL]
+    at = list(active).index
     F = np.empty((120, 8, 8))
     for k in range(120):
-        for j in active:
-            width = 1e-2 * joint_model.STEPS[j]
+        for j, state in enumerate(active):
+            width = 1e-2 * joint_model.STEPS[state]
             moved = []
             for sign in (1, -1):
                 x, work = states[k].copy(), np.zeros((3, SIZE))
-                x[j] += sign * width
+                x[state] += sign * width
                 steps = joint_model.substeps(states[k], 1e-3, p)
                 joint_model.advance(x, current[k], command[k], time[k], 1e-3, steps, 1.0, 25.0, p, work)
                 moved.append(x[active])
@@ -124,18 +125,18 @@ def test_joint_bound_is_the_information_recursion(record):
     scale = joint_model.STEPS[active]  # units that differ by ten decades
     F = F / scale[:, None] * scale[None, :]
     H = np.zeros((121, 2, 8))
-    H[:, 0, MOTOR], H[:, 1, LINK] = scale[MOTOR], scale[LINK]
+    H[:, 0, at(MOTOR)], H[:, 1, at(LINK)] = joint_model.STEPS[MOTOR], joint_model.STEPS[LINK]
     Q = 1e-10 * np.eye(8)
-    Q[EXTERNAL, EXTERNAL] = 1e-3 / scale[EXTERNAL] ** 2
+    Q[at(EXTERNAL), at(EXTERNAL)] = 1e-3 / joint_model.STEPS[EXTERNAL] ** 2
     start = ProcessNoise().record(KnownJoint(record, NOISE), 1e-3)[0]["start"][active] / scale**2
     J = bound.posterior_information(F, Q, H, np.diag([NOISE.motor_noise**2, NOISE.link_noise**2]), np.diag(1 / start))
     ours = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)
     for k in (20, 60, 120):
         x, gradient = states[k], np.empty(8)
         T = joint_model.joint_torque(x, time[k], p)
-        for j in active:
+        for j, state in enumerate(active):
             y = x.copy()
-            y[j] += joint_model.STEPS[j]
+            y[state] += joint_model.STEPS[state]
             gradient[j] = joint_model.joint_torque(y, time[k], p) - T
         assert ours[k] == pytest.approx(gradient @ np.linalg.solve(J[k], gradient), rel=0.02)
 

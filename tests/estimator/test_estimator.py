@@ -177,7 +177,7 @@ def test_an_estimator_in_python(known, signals):
     assert (found.variance == 0.5).all() and found.innovation_covariance.shape == (2000, 1, 1)
     assert found.nis == pytest.approx(np.full(2000, 0.005))
     assert np.array_equal(found.columns["count"], np.arange(2000))
-    with pytest.raises(FilterDiverged, match="'plain' diverged at step 7, t = 0.007 s"):
+    with pytest.raises(FilterDiverged, match=r"'plain' diverged at step 7, t = 0\.007 s"):
         Plain(fails_at=7).estimate(signals, known)
     out, failed, status = run_step(Plain(fails_at=7).step(known, 1e-3), as_samples(signals, (), known))
     assert (failed, status) == (7, 1) and (out[7:] == 0).all()
