@@ -162,7 +162,10 @@ def test_bad_joint(flexspline, tmp_path, case):
     [
         ("<mujoco><worldbody>", "not a readable MJCF"),
         ("not xml at all", "not a readable MJCF"),
-        ("<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>", "expected the joints rotor, wave_generator, link"),
+        (
+            "<mujoco><worldbody><body><joint/><geom size='1'/></body></worldbody></mujoco>",
+            "expected the joints rotor, wave_generator, link",
+        ),
         ("", "not a readable MJCF"),
     ],
 )
@@ -187,7 +190,10 @@ def test_unreadable_mjcf(flexspline, tmp_path, content, expected):
         (["no_load", "--set", "joint=test-jont"], "did you mean 'test-joint'?"),
         (["no_load", "no_load"], "expected each scenario once, got it twice"),
         (["no_load", "missing.yaml"], "expected a path or one of"),
-        (["no_load", "--set", "filters.0.V=0"], "filters.0: filter 'EKF': V [(N·m)²]: expected a finite number > 0, got 0"),
+        (
+            ["no_load", "--set", "filters.0.V=0"],
+            "filters.0: filter 'EKF': V [(N·m)²]: expected a finite number > 0, got 0",
+        ),
         (["no_load", "--set", "filters.0=lowpas"], "did you mean 'lowpass'?"),
         (["no_load", "--set", "filters=[rts_smoother]", "--set", "feedback=rts_smoother"], "which looks ahead"),
     ],
