@@ -1,43 +1,52 @@
 """What a measurement is, and what it can show at all: before anything is fitted.
 
-The rules are about motion and columns only (has it reversed, how far has it turned, was there a load), so that they
-can be told to a person at once; how well causes can be told apart is a question for diagnosis proper.
+The rules are about motion and channels only (has it reversed, how far has it turned, was there a load), so that they can be told
+to a person at once; how well causes can be told apart is a question for diagnosis proper. What a cause takes stands with the
+cause (`models.causes`: `needs`, `requires`, `torsion`), or follows from the laws.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..models import causes
-from ..models.joint import Joint
-from ..sim.recording import GAP, OPTIONAL, Measurement, Recording
+from ...models import causes, dynamics
+from ...models.causes import Cause
+from ...models.dynamics import State
+from ...models.joint import Joint
+from ...models.recording import GAP, Measurement, Recording
+from ...models.signals import POSITIONS, SENSED
 from .motion import smooth
 from .sampling import timing_error
 
-_MOVES = 2.5  # Stribeck velocities above which the mesh slides
+SLIDING = 2.5
+"""Stribeck velocities above which the mesh slides."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
 _CLIPPED = 0.995  # of the current limit
+_FEWEST = 10  # samples of a segment whose motion can be smoothed
 _TURN = 2 * np.pi
+_DRIVE = ("motor_current", "motor_torque")
 
 
 @dataclass(frozen=True)
-class Summary:
+class RecordingSummary:
     """One recording in numbers.
 
     Attributes:
-      samples, duration [s], interval (median) [s], jitter: rms of the intervals' deviation from it, without missing
-        samples [s].
+      name: of the recording; samples, duration [s], interval (median) [s].
+      jitter: rms of the intervals' deviation from it, without missing samples [s].
       late: by how much the time stamps are wrong, as both encoders have it [s rms]; zero where they do not say so.
       missing: single samples that are missing; gaps: longer ones, begin and end [s].
-      ranges: smallest and largest value by column.
-      motor_speed, link_speed: largest [rad/s].
-      moving: share of the time in which the mesh slides.
+      ranges: smallest and largest value by channel.
+      motor_speed, link_speed: largest [rad/s]; of an encoder that is not there, by the gear ratio.
+      sliding: share of the time in which the mesh slides.
       reversals: changes of direction that last.
       forward, backward: travel of the rotor in each direction [rad].
-      load: smallest and largest joint torque [N·m], as measured, or else as the current asks for.
-      clipped: share of samples at the current limit.
+      load: smallest and largest joint torque [N·m], as measured, or else as the drive's reading asks for.
+      load_measured: whether there was a joint torque sensor.
+      clipped: share of samples at the current limit; None without motor current.
     """
 
     name: str
@@ -51,140 +60,303 @@ class Summary:
     ranges: dict[str, tuple[float, float]]
     motor_speed: float
     link_speed: float
-    moving: float
+    sliding: float
     reversals: int
     forward: float
     backward: float
     load: tuple[float, float]
     load_measured: bool
-    clipped: float
+    clipped: float | None
 
 
-def summarise(recording: Recording, joint: Joint) -> Summary:
-    """Sum up a recording of a joint."""
+@dataclass(frozen=True)
+class Balance:
+    """A torque balance that can be formed.
+
+    Attributes:
+      name: of the residual that it leaves, as in a diagnosis; description: what is held against what.
+      recordings: names of those that have it.
+    """
+
+    name: str
+    description: str
+    recordings: tuple[str, ...]
+
+
+def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
+    """Sum up a recording of a joint, whatever its channels."""
     time = recording.time
     steps = np.diff(time)
     interval = recording.interval
     inside = steps[steps <= GAP]
     regular = inside[inside < 1.6 * interval]
-    motor_speed, link_speed, w = _speeds(recording)
-    moving = np.abs(w) > _MOVES * joint.numbers["vs"].value
-    load = recording.joint_torque
-    if load is None:
-        load = joint.numbers["N"].value * joint.numbers["Kt"].value * recording.motor_current
-    turns = _turns(recording.motor_position)
-    travel = np.diff(recording.motor_position)
+    N = joint.numbers["N"].value
+    rotor, link = _positions(recording, N)
+    w, v = _velocity(recording, rotor), _velocity(recording, link)
+    sliding = np.abs(w) > SLIDING * joint.numbers["vs"].value
+    load = _load(recording, joint)
+    turns = _turning_points(rotor)
+    travel = np.diff(rotor)
+    current = recording.columns.get("motor_current")
     limit = joint.numbers["current_limit"].value
-    return Summary(
+    return RecordingSummary(
         name=recording.name,
         samples=len(time),
         duration=float(time[-1] - time[0]),
         interval=interval,
         jitter=float(np.sqrt(np.mean((regular - interval) ** 2))) if len(regular) else 0.0,
-        late=max(
-            timing_error(time[k], recording.motor_position[k], recording.link_position[k]) for k in recording.stretches
-        ),
+        late=_late(recording),
         missing=max(round(float(inside.sum()) / interval) - len(inside), 0),
         gaps=recording.gaps,
-        ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items() if name != "time"},
-        motor_speed=motor_speed,
-        link_speed=link_speed,
-        moving=float(np.mean(moving)),
+        ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items()},
+        motor_speed=float(np.abs(w).max()),
+        link_speed=float(np.abs(v).max()),
+        sliding=float(np.mean(sliding)),
         reversals=max(len(turns) - 2, 0),
         forward=float(travel[travel > 0].sum()),
         backward=float(-travel[travel < 0].sum()),
         load=(float(np.percentile(load, 0.5)), float(np.percentile(load, 99.5))),
-        load_measured=recording.joint_torque is not None,
-        clipped=float(np.mean(np.abs(recording.motor_current) >= _CLIPPED * limit)),
+        load_measured="joint_torque" in recording,
+        clipped=None if current is None else float(np.mean(np.abs(current) >= _CLIPPED * limit)),
     )
 
 
 def missing_columns(measurement: Measurement) -> list[str]:
-    """Optional columns that no recording has."""
-    return [c for c in OPTIONAL if all(getattr(r, c) is None for r in measurement.recordings)]
+    """Channels that sensors read and that no recording has."""
+    return [name for name in SENSED if all(name not in r for r in measurement.recordings)]
+
+
+def balances(measurement: Measurement) -> tuple[Balance, ...]:
+    """The torque balances that can be formed with the channels there are, none twice."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for recording in measurement.recordings:
+        for key in _balances(recording):
+            found.setdefault(key, []).append(recording.name)
+    return tuple(Balance(name, description, tuple(names)) for (name, description), names in found.items())
+
+
+def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
+    """Name and description of the balances of one recording."""
+    drive = next((name for name in _DRIVE if name in recording), None)
+    said = None if drive is None else drive.replace("_", " ")
+    sensor = "joint_torque" in recording
+    if all(name in recording for name in POSITIONS):
+        if said is not None:
+            yield "motor_current", f"{said} against rotor, friction and what the torsion transmits"
+        if sensor:
+            yield "joint_torque", "joint torque against the torsion between both encoders"
+            yield "link_balance", "joint torque against the link's inertia and gravity"
+        else:
+            yield "link_balance", "torsion between both encoders against the link's inertia and gravity"
+    else:
+        if said is not None:
+            yield "motor_current", f"{said} against rotor, friction and link together"
+        if sensor:
+            yield "joint_torque", "joint torque against the link's inertia and gravity"
 
 
 def undetermined(measurement: Measurement, joint: Joint) -> dict[str, str]:
-    """Causes that this measurement cannot show at ordinary size, with the reason, by the rules of this module."""
-    recordings = measurement.recordings
-    found = [summarise(r, joint) for r in recordings]
-    rated = joint.numbers["rated_torque"].value
-    columns = {c for r in recordings for c in r.columns}
-    reversals = sum(s.reversals for s in found)
-    motor = max(np.ptp(s.ranges["motor_position"]) for s in found)
-    link = max(np.ptp(s.ranges["link_position"]) for s in found)
-    highest = max(s.ranges["link_position"][1] for s in found)
-    load = max(s.load[1] for s in found) - min(s.load[0] for s in found)
-    moved = sum(s.moving * s.duration for s in found)
-    duration = max(s.duration for s in found)
-    speeds = max(s.motor_speed for s in found)
-    known_push = [r for r in recordings if r.external != "unmeasured"]
-    gravity = any(r.link.gravity_moment > 0 for r in known_push)
+    """Causes that this measurement cannot show at ordinary size, each with the first reason found."""
+    found = _Extent.of(measurement, joint)
     reasons: dict[str, str] = {}
+    for name in causes.of(joint):
+        reason = next(_lacking(causes.get(name), found), None)
+        if reason is not None:
+            reasons[name] = reason
+    return reasons
 
-    def say(reason: str, *names: str) -> None:
-        for name in names:
-            reasons.setdefault(name, reason)
 
-    for name in causes.names():
-        for column in causes.get(name).needs:
-            if column not in columns:
-                say(f"there is no column {column}", name)
-    if moved < 0.5:
-        say(
-            "the joint hardly moves",
-            *(n for n in causes.names() if causes.get(n).component in ("motor", "transmission")),
+def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
+    """Whether a cause can show with the channels there are, whatever the motion.
+
+    Args:
+      name: of the cause.
+      measurement: whose recordings have the channels.
+      link_measured: whether some recording has both encoders.
+    """
+    cause = causes.get(name)
+    columns = {column for r in measurement.recordings for column in r.columns}
+    return columns.issuperset(cause.needs) and (link_measured or not cause.torsion)
+
+
+@dataclass(frozen=True)
+class _Extent:
+    """How far a measurement goes in what causes require (`models.causes.base.Requirements`), over all its recordings."""
+
+    joint: Joint
+    columns: frozenset[str]
+    both_encoders: bool
+    sliding: float
+    reversals: int
+    motor_turn: float
+    link_travel: float
+    highest: float
+    load_span: float
+    speed: float
+    duration: float
+    temperature_span: float
+    known_push: bool
+    gravity: bool
+
+    @classmethod
+    def of(cls, measurement: Measurement, joint: Joint) -> _Extent:
+        recordings = measurement.recordings
+        summaries = [summarise(r, joint) for r in recordings]
+        N, rated = joint.numbers["N"].value, joint.numbers["rated_torque"].value
+        ends = [_link_range(s, N) for s in summaries]
+        turns = [_rotor_range(s, N) for s in summaries]
+        warm = [s.ranges["temperature"] for s in summaries if "temperature" in s.ranges]
+        known = [r for r in recordings if r.external != "unmeasured"]
+        return cls(
+            joint=joint,
+            columns=frozenset(name for r in recordings for name in r.columns),
+            both_encoders=any(all(name in r for name in POSITIONS) for r in recordings),
+            sliding=sum(s.sliding * s.duration for s in summaries),
+            reversals=sum(s.reversals for s in summaries),
+            motor_turn=max(high - low for low, high in turns) / _TURN,
+            link_travel=max(high - low for low, high in ends),
+            highest=max(high for _, high in ends),
+            load_span=(max(s.load[1] for s in summaries) - min(s.load[0] for s in summaries)) / rated,
+            speed=max(s.motor_speed for s in summaries) / joint.numbers["vs"].value,
+            duration=max(s.duration for s in summaries),
+            temperature_span=max(high for _, high in warm) - min(low for low, _ in warm) if warm else 0.0,
+            known_push=bool(known),
+            gravity=any(r.link.gravity_moment > 0 for r in known),
         )
-    if reversals == 0:
-        say("the motion never reverses", "hysteresis", "backlash", "friction_asymmetry")
-    if motor < _TURN:
-        say(f"the motor turns {motor:.2g} rad, less than a revolution", "cogging", "kinematic_error")
-    if link < 0.5:
-        say(
-            f"the link turns {link:.2g} rad",
-            "link_encoder_eccentricity", "position_dependent_friction", "cable_spring", "gravity_moment",
-            "gravity_direction",
-        )  # fmt: skip
-    if load < 0.2 * rated:
-        say(
-            f"the load spans {load:.2g} N·m, less than a fifth of the rated torque",
-            "stiffness",
-            "load_dependent_friction",
-        )
-    if duration < 5.0:
-        say(f"the longest recording takes {duration:.2g} s", "friction_drift", "torque_sensor_drift")
-    if speeds < 10 * joint.numbers["vs"].value:
-        say(f"the motor turns at no more than {speeds:.2g} rad/s", "viscous_friction", "rotor_inertia", "encoder_delay")
-    if not known_push:
-        say(
-            "unmeasured pushes may happen in every recording",
-            "gravity_moment", "gravity_direction", "link_inertia", "cable_spring", "hard_stop",
-        )  # fmt: skip
-    if not gravity:
-        say("no recording has a gravity moment", "gravity_moment", "gravity_direction")
-    stop = causes.get("hard_stop").parameters[0].ordinary[0]
-    if highest < stop[0]:
-        say(f"the link goes no further than {highest:.2g} rad, a stop would be beyond {stop[0]:g} rad", "hard_stop")
-    return {name: reasons[name] for name in causes.names() if name in reasons}
 
 
-def _speeds(recording: Recording) -> tuple[float, float, np.ndarray]:
-    """Largest speed of motor and link [rad/s], and the motor's velocity at the samples, shape (n,)."""
-    w = np.zeros(len(recording.time))
-    fastest = [0.0, 0.0]
-    for stretch in recording.stretches:
-        if stretch.stop - stretch.start < 10:
+def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
+    """Why a cause cannot show, the plainest reason first; nothing where it can."""
+    for column in cause.needs:
+        if column not in found.columns:
+            yield f"there is no column {column}"
+    if cause.torsion and not found.both_encoders:
+        yield "it lives in the torsion, which one encoder does not show"
+    if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint):
+        yield "it shows in what the drive needs alone, and there is no motor current"
+    needed = cause.requires
+    if found.sliding < needed.sliding:
+        yield f"the gear slides for {found.sliding:.2g} s, less than {needed.sliding:g} s"
+    if needed.reversal and found.reversals == 0:
+        yield "the motion never reverses"
+    if found.motor_turn < needed.motor_turn:
+        yield f"the motor makes {found.motor_turn:.2g} turns, less than {needed.motor_turn:g}"
+    if found.link_travel < needed.link_travel:
+        yield f"the link turns {found.link_travel:.2g} rad, less than {needed.link_travel:g} rad"
+    if found.highest < needed.link_beyond:
+        yield f"the link goes no further than {found.highest:.2g} rad, not beyond {needed.link_beyond:g} rad"
+    if found.load_span < needed.load_span:
+        yield f"the load spans {100 * found.load_span:.2g} % of the rated torque, less than {100 * needed.load_span:g} %"
+    if found.speed < needed.speed:
+        yield f"the motor goes no faster than {found.speed:.2g} times the Stribeck velocity, it takes {needed.speed:g}"
+    if found.duration < needed.duration:
+        yield f"the longest recording takes {found.duration:.2g} s, less than {needed.duration:g} s"
+    if found.temperature_span < needed.temperature_span:
+        yield f"the temperature changes by {found.temperature_span:.2g} K, less than {needed.temperature_span:g} K"
+    if needed.known_push and not found.known_push:
+        yield "unmeasured pushes may happen in every recording"
+    if needed.gravity and not found.gravity:
+        yield "no recording without unmeasured pushes has a gravity moment"
+
+
+_DRAWS = 3  # of a cause: one may happen to do nothing
+_TRIED = (
+    State(3.0, 40.0, 2.99, 40.0, 0.9, 0.4, 1e-3, 2e-5, 0.5, 4.0, 35.0),
+    State(-95.0, -25.0, -95.02, -25.0, -1.1, -0.25, -1e-3, -3e-5, -0.7, 7.0, 45.0),
+)
+"""States in which it is seen what a cause changes: sliding both ways, loaded, warm, far to either side."""
+
+
+def in_drive_alone(cause: Cause, joint: Joint) -> bool:
+    """Whether a cause changes what current the drive needs, and nothing else that is measured: friction does, and the motor's."""
+    rng = np.random.default_rng(0)
+    before = joint.record()
+    p = before[0]
+    drive = False
+    for _ in range(_DRAWS):
+        after = before.copy()
+        cause.apply(after[0], cause.draw(p, rng))
+        q = after[0]
+        if any(p[name] != q[name] for name in ("Jl", "link_delay", "flexible_share")):
+            return False
+        for state in _TRIED:
+            if not np.allclose(_beside_the_drive(state, p), _beside_the_drive(state, q), rtol=1e-9, atol=0.0):
+                return False
+            drive = drive or not np.isclose(_in_the_drive(state, p), _in_the_drive(state, q), rtol=1e-9, atol=0.0)
+    return drive
+
+
+def _beside_the_drive(state: State, p: np.void) -> list[float]:
+    """Torsion's torque, link's torque and the readings of encoders and torque sensor in a state."""
+    t = dynamics.transmission(state, p)
+    return [
+        t.flexspline_torque, dynamics.link_torque(state, t.load, p), dynamics.read_motor_position(state, p),
+        dynamics.read_link_position(state, t.load, p), dynamics.read_joint_torque(t.flexspline_torque, state, t.load, p),
+    ]  # fmt: skip
+
+
+def _in_the_drive(state: State, p: np.void) -> float:
+    """Torque that current and motion of the drive mean in a state, the current as it is read."""
+    load = dynamics.transmission(state, p).load
+    current = dynamics.actual_motor_current(
+        state.motor_current, state.motor_position, state.link_position, state.motor_velocity, load, state.time, p
+    )
+    sliding = dynamics.sliding_friction(state, load, p)
+    return dynamics.transmitted_torque(state._replace(motor_current=current), 100.0, sliding, load, p)
+
+
+def _positions(recording: Recording, N: float) -> tuple[np.ndarray, np.ndarray]:
+    """Rotor and link angle [rad], shape (n,) each: of an encoder that is not there, by the gear ratio."""
+    motor, link = (recording.columns.get(name) for name in POSITIONS)
+    rotor = motor if motor is not None else N * recording["link_position"]
+    return rotor, link if link is not None else rotor / N
+
+
+def _link_range(s: RecordingSummary, N: float) -> tuple[float, float]:
+    if "link_position" in s.ranges:
+        return s.ranges["link_position"]
+    low, high = s.ranges["motor_position"]
+    return low / N, high / N
+
+
+def _rotor_range(s: RecordingSummary, N: float) -> tuple[float, float]:
+    if "motor_position" in s.ranges:
+        return s.ranges["motor_position"]
+    low, high = s.ranges["link_position"]
+    return N * low, N * high
+
+
+def _load(recording: Recording, joint: Joint) -> np.ndarray:
+    """Joint torque [N·m], shape (n,): measured, or what the drive's reading asks for without friction."""
+    if "joint_torque" in recording:
+        return recording["joint_torque"]
+    N, Kt = joint.numbers["N"].value, joint.numbers["Kt"].value
+    if "motor_torque" in recording:
+        return N * recording["motor_torque"]
+    return N * Kt * recording["motor_current"]
+
+
+def _late(recording: Recording) -> float:
+    """RMS error of the time stamps [s] that both encoders show, of the worst segment."""
+    if any(name not in recording for name in POSITIONS):
+        return 0.0
+    motor, link = (recording[name] for name in POSITIONS)
+    return max(timing_error(recording.time[k], motor[k], link[k]) for k in recording.segments)
+
+
+def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:
+    """Velocity of a position at the samples, shape (n,) [rad/s]; of segments too short to be smoothed, zero."""
+    v = np.zeros(len(position))
+    for part in recording.segments:
+        if part.stop - part.start < _FEWEST:
             continue
-        time = recording.time[stretch]
-        s = smooth(
-            time, np.column_stack([recording.motor_position[stretch], recording.link_position[stretch]]), 2e-3, 20.0
-        )
-        w[stretch] = np.interp(time, s.time, s.rate[:, 0])
-        fastest = [max(a, float(b)) for a, b in zip(fastest, np.abs(s.rate).max(axis=0), strict=True)]
-    return fastest[0], fastest[1], w
+        time = recording.time[part]
+        s = smooth(time, position[part, None], max(2e-3, 0.5 * float(np.median(np.diff(time)))), 20.0)
+        v[part] = np.interp(time, s.time, s.rate[:, 0])
+    return v
 
 
-def _turns(position: np.ndarray) -> list[float]:
+def _turning_points(position: np.ndarray) -> list[float]:
     """Turning points of a motion, ends included: shorter ways than `_REVERSAL` do not count."""
     points = [float(position[0])]
     extreme, direction = float(position[0]), 0
