@@ -31,7 +31,7 @@ def _python_loop(experiment: Experiment) -> None:
     kinds = sensors.sensor_records(experiment.joint, 0.0, CONTROL_PERIOD)
     noise = sensors.noise(experiment.joint, scenario.seed, n, CONTROL_PERIOD)
     assert experiment.fed_back is not None
-    compiled = experiment.fed_back.step(experiment.known, experiment.interval)
+    compiled = experiment.fed_back.step(experiment.known, CONTROL_PERIOD)
     address, memory, known, settings, out = compiled.arrays()
     step, given = _STEP(address), np.full(1, np.nan, SAMPLE)
     addresses = [a.ctypes.data for a in (memory, given, known, settings, out)]

@@ -223,7 +223,7 @@ def _scalar(settings: PaperFilter, y: np.ndarray, time: np.ndarray | None, index
         last = states[step - 1]
         P = settings.L**2 * (last["variance"] + settings.W)
         raise FilterDiverged(settings.name, step, _at(time, step), settings.failure(status, last["torque"], P), index)
-    column = {name: np.ascontiguousarray(states[name]) for name in recursion.STATE.names}
+    column = {name: np.ascontiguousarray(states[name]) for name in recursion.STATE.names or ()}
     square = {name: values[:, None, None] for name, values in column.items()}
     return FilterHistory(
         settings, column["torque"][:, None], square["variance"], column["innovation"][:, None],

@@ -232,8 +232,8 @@ def compliance(motor_position, link_position, motor_torque, calibration: np.ndar
         InputError: shapes that do not fit, values that are not numbers, or a calibration that is no such record.
     """
     try:
-        readings = [np.asarray(a, dtype=np.float64) for a in (motor_position, link_position, motor_torque)]
-        readings = np.broadcast_arrays(*readings)
+        given = [np.asarray(a, dtype=np.float64) for a in (motor_position, link_position, motor_torque)]
+        readings = np.broadcast_arrays(*given)
     except (TypeError, ValueError) as error:
         raise InputError(
             f"compliance model: expected arrays of numbers of one shape for motor position [rad], link position [rad] "

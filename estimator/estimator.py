@@ -239,6 +239,11 @@ class CausalEstimator(Estimator):
         )  # fmt: skip
 
 
+def fields_of(record: np.dtype) -> tuple[str, ...]:
+    """Names of a record's fields, in order."""
+    return record.names or ()
+
+
 def sample_interval(signals: Signals) -> float:
     """Median time between samples [s] to the nanosecond, without what a time since the start has lost by rounding."""
     return round(float(np.median(np.diff(signals.time))), 9)

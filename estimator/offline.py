@@ -300,6 +300,7 @@ def likely_walk(signals: Signals, joint: KnownJoint) -> float:
     interval = sample_interval(signals)
     measured = registry.get("model").estimate(signals, joint).mean
     ekf = registry.get("EKF").scaled(joint, interval)
+    assert isinstance(ekf, PaperFilter)
     return min(WALKS, key=lambda walk: _surprise(run(replace(ekf, W=ekf.W * walk), measured)))
 
 

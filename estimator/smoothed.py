@@ -73,16 +73,12 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float) -> Motion:
     current = signals["motor_current"] if "motor_current" in signals else np.zeros(len(time))
     s = smooth(time, np.column_stack([motor, link, current]), STEP, cutoff)
     temperature = signals["temperature"] if "temperature" in signals else np.full(len(time), p["reference_temperature"])
-    columns = [array[:, i] for i in (0, 1) for array in (s.value, s.rate, s.acceleration)]
+    position, velocity, acceleration = (np.ascontiguousarray(a.T) for a in (s.value, s.rate, s.acceleration))
     heat = np.interp(s.time, time, temperature)
     return Motion(
-        s.time,
-        s.time - time[0] + joint.since(time)[0],
-        *(np.ascontiguousarray(c) for c in columns),
-        np.ascontiguousarray(s.value[:, 2]),
-        heat,
-        cutoff,
-    )
+        s.time, s.time - time[0] + joint.since(time)[0], position[0], velocity[0], acceleration[0], position[1], velocity[1],
+        acceleration[1], position[2], heat, cutoff,
+    )  # fmt: skip
 
 
 def link_positions(signals: Signals, joint: KnownJoint) -> np.ndarray:

@@ -108,7 +108,7 @@ class Experiment:
         p = record[0]
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:
-            feedback = self.fed_back.step(self.known, self.interval)
+            feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
         simulation = simulate(
             model,
             record,
@@ -135,13 +135,6 @@ class Experiment:
                 scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
             )
         return simulation
-
-    @property
-    def interval(self) -> float:
-        """Median time between samples [s], to the bit as an estimator finds it in the signals."""
-        substeps = round(CONTROL_PERIOD / self.scenario.timestep)
-        time = np.arange(len(self.position)) * (substeps * self.scenario.timestep)
-        return float(np.median(np.diff(time)))
 
 
 def signals_of(simulation: Simulation) -> Signals:

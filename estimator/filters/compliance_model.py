@@ -12,7 +12,7 @@ from numba import carray
 from ...models.pointers import pointer_to, record_at
 from ...models.step import Step, sample_at
 from ..compliance import TORSION, measure, torque_variance
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, fields_of
 
 SETTINGS = np.dtype([("variance", np.float64)])
 OUT = np.dtype([(n, np.float64) for n in ("torque", "variance", "torsion", "link_position")])
@@ -37,7 +37,7 @@ class ComplianceModel(CausalEstimator):
     description: ClassVar[str] = "torque from torsion by the compliance model alone (Shi & Liu, Eqs. 1-7)"
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = TORSION
-    outputs: ClassVar[tuple[str, ...]] = OUT.names
+    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         return np.array([(torque_variance(joint),)], SETTINGS)

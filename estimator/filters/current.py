@@ -24,7 +24,7 @@ from ...models import dynamics, laws
 from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
 from ...models.step import Step, sample_at
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
@@ -94,7 +94,7 @@ class MotorCurrent(CausalEstimator):
     description: ClassVar[str] = "motor current less friction and the drive's inertia; needs no second encoder"
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = OUT.names
+    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         cutoff = 2 * math.pi * self.cutoff

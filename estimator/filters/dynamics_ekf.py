@@ -17,7 +17,7 @@ from numba import carray
 from ...models.pointers import floats_at, pointer_to, record_at
 from ...models.step import Step, sample_at
 from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, tell
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..joint_model import TUNING, ProcessNoise
 from ..tuning_parameters import TuningParameter
 
@@ -49,7 +49,7 @@ class DynamicsEKF(CausalEstimator):
     )
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = FILTER
-    outputs: ClassVar[tuple[str, ...]] = OUT.names
+    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.zeros(1, SETTINGS)

@@ -19,7 +19,7 @@ from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
 from ...models.step import Step, sample_at
 from ..compliance import TORSION, measure, torque_variance
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..tuning_parameters import TuningParameter
 
 STATE = np.dtype([(name, np.float64) for name in ("torque", "torque_rate", "P00", "P01", "P11")])
@@ -101,7 +101,7 @@ class TorqueFilter(CausalEstimator):
     description: ClassVar[str] = "Kalman filter of the compliance model's torque and its rate (Bar-Shalom et al. 2001)"
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = OUT.names
+    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         scale, V = float(joint.p["T2"]), torque_variance(joint)

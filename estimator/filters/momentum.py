@@ -39,7 +39,7 @@ from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
 from ...models.step import Step, sample_at
 from ..compliance import TORSION, measure
-from ..estimator import CausalEstimator, KnownJoint
+from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..sensing import motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
@@ -137,7 +137,7 @@ class MomentumObserver(CausalEstimator):
     description: ClassVar[str] = "momentum observers of drive and link (De Luca & Mattone 2003, 2005)"
     compiled: ClassVar[Step] = _observer_step
     remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = OUT.names
+    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.ones(1, SETTINGS)

@@ -36,7 +36,7 @@ from ...models.pointers import pointer_to, record_at
 from ...models.step import Step, sample_at
 from .. import recursion
 from ..compliance import TORSION, measure, measurement_variance, torque_variance
-from ..estimator import CausalEstimator, KnownJoint, SensorNoise
+from ..estimator import CausalEstimator, KnownJoint, SensorNoise, fields_of
 from ..recursion import ALPHAS, RULES, SETTINGS, STATE
 from ..tuning_parameters import TuningParameter
 
@@ -123,7 +123,7 @@ class PaperFilter(CausalEstimator):
     covariance: Literal["unadjusted", "adjusted"] = "unadjusted"
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = OUT.names
+    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def __post_init__(self) -> None:
         label = f"filter {self.name!r}" if self.name else "filter"
@@ -151,12 +151,12 @@ class PaperFilter(CausalEstimator):
             object.__setattr__(self, "name", self.rule)
 
     @property
-    def description(self) -> str:
+    def description(self) -> str:  # type: ignore[override]  # its own for every rule
         """What it is, with its source."""
         return _DESCRIPTIONS[self.rule]
 
     @property
-    def tuning(self) -> tuple[TuningParameter, ...]:
+    def tuning(self) -> tuple[TuningParameter, ...]:  # type: ignore[override]
         """What may be tuned; P0 goes with V."""
         return _TUNING[self.rule]
 
@@ -247,4 +247,8 @@ ESTIMATORS = (
 
 def paper_filters(**changes) -> tuple[PaperFilter, PaperFilter, PaperFilter]:
     """EKF, AREKF and RAREKF with the same numbers; `changes` are fields of `PaperFilter`."""
-    return tuple(PaperFilter(rule=rule, **changes) for rule in ("ekf", "arekf", "rarekf"))
+    return (
+        PaperFilter(rule="ekf", **changes),
+        PaperFilter(rule="arekf", **changes),
+        PaperFilter(rule="rarekf", **changes),
+    )

@@ -22,7 +22,7 @@ from ...models.pointers import pointer_to, record_at
 from ...models.signals import Signals
 from ...models.step import Step, sample_at
 from .. import smoothed
-from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior
+from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior, fields_of
 from ..motion import CUTOFF
 from ..payload_model import INTERVAL, MEMORY, SIZE, Seen, external_torque, forget, noise, prior, update
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
@@ -105,7 +105,7 @@ class PayloadObserver(CausalEstimator):
     description: ClassVar[str] = "observer of a rigid payload from the motor current; blind to contact"
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY_RECORD
-    outputs: ClassVar[tuple[str, ...]] = OUT.names
+    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.zeros(1, SETTINGS)
@@ -142,7 +142,7 @@ class PayloadSmoothed(Estimator):
             x[0] * np.sin(motion.link_position) + x[1] * np.cos(motion.link_position) - x[2] * motion.link_acceleration
         )
         whole = np.ones(len(signals.time))
-        columns = {name: value * whole for name, value in zip(OUT.names[2:6], x, strict=False)}
+        columns = {name: value * whole for name, value in zip(fields_of(OUT)[2:6], x, strict=False)}
         torque, external = motion.at(signals.time, own - external), motion.at(signals.time, external)
         return Posterior(self.name, signals.time, torque, columns=columns, external=external)
 

@@ -16,7 +16,7 @@ from ...models.kernels import kernel
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, tell
 from ..errors import FilterDiverged
-from ..estimator import Estimator, KnownJoint, Posterior, as_samples, sample_interval
+from ..estimator import Estimator, KnownJoint, Posterior, as_samples, fields_of, sample_interval
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
 from ..tuning_parameters import TuningParameter
 from .dynamics_ekf import DynamicsEKF
@@ -88,17 +88,17 @@ class RTSSmoother(Estimator):
         filtered = DynamicsEKF(self.name, self.process)
         settings = filtered.settings(joint, sample_interval(signals))
         n, m = len(samples), int(settings[0]["noise"]["count"])
-        out, predicted = np.zeros((n, len(OUT.names))), np.zeros((n, SIZE))
+        out, predicted = np.zeros((n, len(fields_of(OUT)))), np.zeros((n, SIZE))
         F, covariance, P = np.zeros((n, m, m)), np.zeros((n, m, m)), np.zeros((n, m, m))
         done = forward(samples, settings, joint.record, np.zeros(1, FILTER), out, F, predicted, covariance, P)
         if done < n:
             raise FilterDiverged(
                 self.name, done, float(signals.time[done]), "the estimate is no longer a finite number"
             )
-        states = out[:, OUT.names.index(STATES[0]) :].copy()
+        states = out[:, fields_of(OUT).index(STATES[0]) :].copy()
         torque, variance = out[:, 0].copy(), out[:, 1].copy()
         backward(samples["time"], states, joint.record, settings, F, predicted, covariance, P, torque, variance)
-        out[:, 0], out[:, 1], out[:, OUT.names.index(STATES[0]) :] = torque, variance, states
+        out[:, 0], out[:, 1], out[:, fields_of(OUT).index(STATES[0]) :] = torque, variance, states
         return filtered.posterior(signals.time, out)
 
 
