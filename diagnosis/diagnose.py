@@ -15,15 +15,26 @@ from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .fit.coordinates import Hypothesis, hypotheses
+from .fit.regions import Region, held_out_regions, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, with_dispersion
-from .regions import Region, Validity, held_out_regions, validity
 from .search import discrepancy
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
-from .search.stages import Decision, Progress, Search, SearchSettings, search, size_of
 from .search.stages import SETTINGS as SEARCH
-from .search.worth import mean_squares, output_scale, unexplained, worth
+from .search.stages import (
+    Decision,
+    Progress,
+    Search,
+    SearchSettings,
+    amount_of,
+    quiet_rms,
+    search,
+    significance,
+    size_of,
+    without_effect,
+)
+from .search.worth import mean_squares, output_scale, worth
 
 
 @dataclass(frozen=True)
@@ -33,16 +44,23 @@ class AnswerSettings:
     Attributes:
       temper: by how much log evidence is divided before it becomes a probability: the laws are not exact and neither is the noise
         model; `inexact` of what other hypotheses still gain is added.
+      significant: standard deviations that an effect must be away from absent where the fit ends.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
+      minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the sensors'
+        noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended joint, and told,
+        but none of the causes.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
 
     temper: float = 5.0
     inexact: float = 0.02
+    significant: float = 3.0
     surest: float = 0.99
     beside: float = 0.7
     nearly_all: float = 2 / 3
+    minor: float = 0.12
+    quiet: float = 1.6
     far: float = 5.0
     worth: float = 0.02
 
@@ -81,6 +99,21 @@ class Finding:
     description: str = ""
     depends_on: tuple[str, ...] = ()
 
+    def to_json(self) -> dict[str, Any]:
+        """As it stands in `diagnosis.json`."""
+        entry: dict[str, Any] = {
+            "name": self.name,
+            "component": self.component,
+            "confidence": round(self.confidence, 3),
+            "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in self.parameters.items()},
+            "explains": round(self.explains, 4),
+            "worth": {"value": self.worth, "unit": "N·m"},
+        }
+        if self.name == "unknown":
+            entry["description"] = self.description
+            entry["depends_on"] = list(self.depends_on)
+        return entry
+
 
 @dataclass(frozen=True)
 class ParameterShift:
@@ -109,13 +142,12 @@ class Diagnosis:
 
     Attributes:
       verdict: consistent, discrepancy or inconclusive; reason: why, where that is not plain from the causes.
-      causes: by how much each is worth.
+      causes: by how much each is worth; minor: effects that are there, too small to be called causes.
       calibration: numbers that moved.
       confusable: pairs of causes that this measurement cannot tell apart.
       undetermined: causes that it could not have shown at ordinary size, with the reason.
       residual: by balance.
       regions: what the extended joint is worth where a fit has not been, the worst first.
-      valid: where the fit has been.
       extended: the joint with calibration and effects in it.
       mistakes: in the data.
       decisions: about every hypothesis that was looked at.
@@ -135,8 +167,8 @@ class Diagnosis:
     undetermined: dict[str, str]
     residual: dict[str, BalanceResidual]
     regions: tuple[Region, ...]
-    valid: Validity | None
     extended: Joint
+    minor: tuple[Finding, ...] = ()
     mistakes: tuple[Mistake, ...] = ()
     decisions: tuple[Decision, ...] = field(default=(), repr=False)
     problem: Problem | None = field(default=None, repr=False)
@@ -151,24 +183,11 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """What `diagnosis.json` holds."""
-        found = []
-        for c in self.causes:
-            entry: dict[str, Any] = {
-                "name": c.name,
-                "component": c.component,
-                "confidence": round(c.confidence, 3),
-                "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in c.parameters.items()},
-                "explains": round(c.explains, 4),
-                "worth": {"value": c.worth, "unit": "N·m"},
-            }
-            if c.name == "unknown":
-                entry["description"] = c.description
-                entry["depends_on"] = list(c.depends_on)
-            found.append(entry)
         return {
             "verdict": self.verdict,
             "reason": self.reason,
-            "causes": found,
+            "causes": [c.to_json() for c in self.causes],
+            "minor": [c.to_json() for c in self.minor],
             "calibration": {
                 k: {"nominal": m.nominal, "value": m.value, "std": m.std, "tolerance": m.tolerance, "unit": m.unit}
                 for k, m in self.calibration.items()
@@ -232,10 +251,11 @@ def diagnose(
     progress("looking for unknown effects", 0.88)
     unknown = discrepancy.find(problem, fitter, found.base, found.chosen) if time.monotonic() < deadline else None
     progress("numbers and their uncertainty", 0.94)
-    chosen = found.chosen if unknown is None else unknown.fit
-    final = with_dispersion(problem, fitter.polish(chosen) if unknown is None else chosen)
+    final, found = (
+        _settled(problem, fitter, found) if unknown is None else (with_dispersion(problem, unknown.fit), found)
+    )
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    findings = _findings(problem, found, final, unknown)
+    findings, minor = _findings(problem, found, final, unknown)
     nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
     if nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
@@ -245,7 +265,7 @@ def diagnose(
     progress("regions that a fit has not seen", 0.97)
     regions = held_out_regions(problem, final)
     extended = _extended(problem, final, joint, unknown)
-    valid = validity(problem, final)
+    extended = extended.model_copy(update={"valid": valid_range(problem, final)})
     return Diagnosis(
         verdict=verdict,
         reason=reason,
@@ -255,8 +275,8 @@ def diagnose(
         undetermined=undetermined,
         residual=residual,
         regions=regions,
-        valid=valid,
-        extended=extended.model_copy(update={"valid": valid.for_joint()}) if valid is not None else extended,
+        extended=extended,
+        minor=tuple(sorted(minor, key=lambda f: -f.worth)),
         mistakes=mistakes,
         decisions=found.decisions,
         problem=problem,
@@ -270,18 +290,37 @@ def diagnose(
     )
 
 
+def _settled(problem: Problem, fitter: Fitter, found: Search) -> tuple[Fit, Search]:
+    """The chosen model at its end, without effects that the data do not tell from nothing there; the noise's share taken out."""
+    chosen = found.chosen
+    while True:
+        final = with_dispersion(problem, fitter.polish(chosen))
+        weak = [i for i in range(len(final.model)) if significance(problem, final, i) < ANSWER.significant]
+        if not weak:
+            return final, found
+        i = min(weak, key=lambda i: significance(problem, final, i))
+        h = final.model[i]
+        reason = f"{significance(problem, final, i):.1f} standard deviations from absent where the fit ends"
+        dropped = Decision(
+            "settle", h.cause.name, h.fixed, float("nan"), float("nan"), size_of(problem, final, i), True, False, reason
+        )
+        chosen = without_effect(problem, fitter, final, i)
+        rivals = tuple(r for j, r in enumerate(found.rivals) if j != i)
+        found = replace(found, chosen=chosen, rivals=rivals, decisions=(*found.decisions, dropped))
+
+
 def _meaningless(measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
     """The answer while mistakes in the data make physics meaningless."""
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
     reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
     everything = {n: "mistakes in the data" for n in causes.of(joint)}
-    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), None, joint, mistakes, seconds=seconds)
+    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes, seconds=seconds)
 
 
 def _nothing(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:
     shortest = SETTINGS.shortest
     reason = f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s"
-    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), None, joint, mistakes, seconds=seconds)
+    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), joint, mistakes, seconds=seconds)
 
 
 def _held_out(problem: Problem) -> str:
@@ -307,18 +346,19 @@ def _limits(problem: Problem, found: Search, final: Fit, tried: list[Hypothesis]
     return {n: r for n, r in sorted(undetermined.items()) if n not in named}, alike
 
 
-def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | None) -> list[Finding]:
-    """The causes of the final model, each with what it is worth."""
-    whole = float(np.sum(unexplained(problem, found.base.point)))
+def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | None):
+    """The effects of the final model, each with what it is worth: causes, and minor ones."""
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, final))
     explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
-    findings = []
+    real = quiet_rms(problem, final) > ANSWER.quiet
+    findings: list[Finding] = []
+    minor: list[Finding] = []
     worths = []
     for i, h in enumerate(final.model):
         block = problem.place(final.model, i)
         effect = block.start + np.asarray(h.magnitudes)
         others = np.setdiff1d(np.arange(len(final.theta)), np.arange(block.start, block.stop))
-        amount = _amount(problem, final, i)[h.magnitudes]
+        amount = amount_of(problem, final, i)[h.magnitudes]
         worths.append(worth(problem, final, final.jacobian, effect, others, amount))
     total = max(sum(w.rms**2 for w in worths), 1e-30)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
@@ -340,16 +380,11 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
             for q in h.cause.parameters
         }
         confidence = _confidence(found, h.cause.name, i, unknown)
-        findings.append(Finding(h.cause.name, h.cause.component, confidence, parameters, share, w.rms))
-    del whole
-    return findings
-
-
-def _amount(problem: Problem, f: Fit, index: int) -> np.ndarray:
-    """Coordinates of an effect less those at which it does nothing."""
-    from .search.stages import _away
-
-    return _away(problem, f, index) if f.model[index].free else problem.split(f.theta, f.model)[index]
+        small = real and size_of(problem, final, i) < ANSWER.minor
+        (minor if small else findings).append(
+            Finding(h.cause.name, h.cause.component, confidence, parameters, share, w.rms)
+        )
+    return findings, minor
 
 
 def _held_out_squares(problem: Problem, f: Fit) -> float:
@@ -403,7 +438,8 @@ def _verdict(problem: Problem, findings: list[Finding], residual: dict[str, Bala
         if r.after > ANSWER.far * r.noise and r.after * scale[name] > ANSWER.worth * rated
     ]  # fmt: skip
     left = "; ".join(
-        f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise" for name, r in far
+        f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise"
+        for name, r in far
     )
     if findings:
         return "discrepancy", f"beside the causes named, {left}" if far else ""

@@ -4,24 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from .calibrate import Fit, Problem
-from .evidence import Library
-from .noise import Noise, whiten
+from ..fit.noise import whiten
+from ..fit.residual import Problem
+from ..fit.solver import SETTINGS as SOLVER
+from ..fit.solver import Fit, leverage_weight
+from .screen import Library
+from .stages import AcceptSettings
 
 ALIKE = 9.0
 """Two causes look alike where telling them apart at ordinary size gains less than this in χ²."""
 
 
 def limits(
-    problem: Problem, noise: Noise, at: Fit, library: Library, threshold: float
+    problem: Problem, at: Fit, library: Library, settings: AcceptSettings | None = None
 ) -> tuple[list[str], list[tuple[str, str]]]:
     """Causes that would not show at ordinary size, and pairs that could not be told apart, from the Fisher information.
 
-    The information is what is left after every calibration variable has answered.
+    The information is what is left after every calibration variable has answered, in the noise and discrepancy that were learned.
     """
+    threshold = (settings or AcceptSettings()).threshold
+    if not library.hypotheses:
+        return [], []
     n = at.jacobian[0].shape[-1]
-    columns = [np.concatenate([c[s] for c in library.columns], axis=-1) for s in range(len(problem.drives))]
-    X = whiten(problem.drives, noise, [np.concatenate([j, c], -1) for j, c in zip(at.jacobian, columns, strict=True)])
+    columns = [np.concatenate([c[s] for c in library.columns], axis=-1) for s in range(len(problem.segments))]
+    X = whiten(
+        problem.segments, at.noise, [np.concatenate([j, c], -1) for j, c in zip(at.jacobian, columns, strict=True)]
+    ).rows
+    X = X * np.sqrt(leverage_weight(X[:, : problem.size], SOLVER.leverage))[:, None]
     G = X.T @ X
     H = G[:n, :n] + np.diag(1 / problem.spread(at.model) ** 2)
     information = G[n:, n:] - G[n:, :n] @ np.linalg.solve(H, G[:n, n:])
@@ -41,12 +50,12 @@ def limits(
     alike = []
     for i, a in enumerate(strong):
         for b in strong[i + 1 :]:
-            if _distance(information, blocks[a], blocks[b]) < ALIKE:
+            if distance(information, blocks[a], blocks[b]) < ALIKE:
                 alike.append((a, b))
     return weak, alike
 
 
-def _distance(information: np.ndarray, first: list[slice], second: list[slice]) -> float:
+def distance(information: np.ndarray, first: list[slice], second: list[slice]) -> float:
     """Least χ² by which the first cause at ordinary size differs from what the second can imitate, or vice versa."""
     best = np.inf
     for p in first:

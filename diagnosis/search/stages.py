@@ -150,13 +150,15 @@ def quiet_rms(problem: Problem, f: Fit) -> float:
 
 def size_of(problem: Problem, f: Fit, index: int = -1) -> float:
     """Size of one of a fit's effects, in ordinary sizes from where the joint would be without it."""
-    return float(np.linalg.norm(_away(problem, f, index)[f.model[index].magnitudes]))
+    return float(np.linalg.norm(amount_of(problem, f, index)[f.model[index].magnitudes]))
 
 
-def _away(problem: Problem, f: Fit, index: int) -> np.ndarray:
-    """Coordinates of an effect less those at which it does nothing."""
+def amount_of(problem: Problem, f: Fit, index: int) -> np.ndarray:
+    """Coordinates of one of a fit's effects less those at which it does nothing, shape (size,)."""
     h = f.model[index]
     parts = problem.split(f.theta, f.model)
+    if not h.free:
+        return parts[index]
     kept = [i for i in range(len(f.model)) if i != index % len(f.model)]
     theta = np.concatenate([f.theta[: problem.size], *(parts[i] for i in kept)])
     before = problem.records(theta, tuple(f.model[i] for i in kept))[0][0]
@@ -223,7 +225,9 @@ def _finalists(problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[S
     return sorted(fitted, key=lambda f: -f.gain)
 
 
-def _coarse(problem: Problem, hypotheses: Sequence[Hypothesis], settings: SearchSettings) -> list[tuple[Hypothesis, np.ndarray]]:
+def _coarse(
+    problem: Problem, hypotheses: Sequence[Hypothesis], settings: SearchSettings
+) -> list[tuple[Hypothesis, np.ndarray]]:
     """Hypotheses with which the uncalibrated joint comes closest, where nothing is linear; where to start each.
 
     Every one is tried at a few sizes on the joint as it is described; the zero of the link encoder answers.
@@ -421,7 +425,7 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     h = f.model[index]
     block = problem.place(f.model, index % len(f.model))
     where = block.start + np.asarray(h.magnitudes)
-    away = _away(problem, f, index)[h.magnitudes]
+    away = amount_of(problem, f, index)[h.magnitudes]
     return float(np.sqrt(max(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away), 0.0)))
 
 
@@ -554,7 +558,7 @@ def _is_calibration(problem: Problem, f: Fit, index: int) -> bool:
     return problem.is_calibration(theta, tuple(f.model[j] for j in order))
 
 
-def _without(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
+def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
     """A fit without one of its effects."""
     block = problem.place(f.model, index)
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
@@ -572,7 +576,7 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
             block = problem.place(f.model, i)
             effect = block.start + np.asarray(h.magnitudes)
             others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
-            w = worth(problem, f, f.jacobian, effect, others, _away(problem, f, i)[h.magnitudes])
+            w = worth(problem, f, f.jacobian, effect, others, amount_of(problem, f, i)[h.magnitudes])
             size, away = size_of(problem, f, i), significance(problem, honest, i)
             reason = ""
             if _is_calibration(problem, f, i):
@@ -588,7 +592,9 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
         if not bad:
             break
         # Of those, the one without which the rest is most probable.
-        trials = [(i, _without(problem, fitter, f, i)) for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]]
+        trials = [
+            (i, without_effect(problem, fitter, f, i)) for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
+        ]
         i, other = max(trials, key=lambda trial: trial[1].log_evidence)
         w, size, reason = verdicts[i]
         h = f.model[i]

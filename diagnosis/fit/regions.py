@@ -1,0 +1,200 @@
+"""What an extended joint is worth where its fit has not been: regions of a measurement, each kept from a fit of its own.
+
+Interleaved blocks of time are held out of every fit, but they lie between blocks that were seen. The ends of the range of angle,
+speed and load, and whole recordings, are the rehearsal for motions that nobody measured: for each, the parameters are found
+again without it (in the linear model about the fit, exact to first order) and judged on it, beside the description as it came.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...models.joint import ValidRange
+from ..data.segments import BALANCES, Segment
+from .noise import rows_of, whiten
+from .residual import Problem
+from .solver import SETTINGS as SOLVER
+from .solver import Columns, Fit, bounded_step, huber_weight, leverage_weight, stacked
+
+
+@dataclass(frozen=True)
+class RegionSettings:
+    """Which regions are held out.
+
+    Attributes:
+      end: share of the samples that lie at an end of a range.
+      fewest: samples in motion that a region must have.
+      worse: ratio of RMS errors, extended without the region over described, from which on the extension is worse there.
+    """
+
+    end: float = 0.2
+    fewest: int = 40
+    worse: float = 1.05
+
+
+SETTINGS = RegionSettings()
+
+
+@dataclass(frozen=True)
+class Region:
+    """One region of a measurement.
+
+    Attributes:
+      name: for people. recordings: whether it is a whole recording.
+      samples: residuals in motion in it.
+      described: RMS of the simulation's error there with the description as it came [N·m at the output].
+      extended: with the extended joint, whose fit has seen the region.
+      unseen: with the extended joint fitted without the region.
+    """
+
+    name: str
+    recordings: bool
+    samples: int
+    described: float
+    extended: float
+    unseen: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the extension does worse there than the description, had it not seen the region."""
+        return self.unseen > SETTINGS.worse * self.described
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {
+            "region": self.name, "samples": self.samples, "described": self.described, "extended": self.extended,
+            "unseen": self.unseen, "worse": self.worse, "unit": "N·m",
+        }  # fmt: skip
+
+
+Chosen = Callable[[Segment], np.ndarray]
+"""Which residuals of a segment lie in a region, shape (k,), bool."""
+
+
+def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[str, list[np.ndarray]]:
+    """Residuals of every region by segment: ends of angle, speed and load, directions, whole recordings."""
+    segments = problem.segments
+
+    def end(values: list[np.ndarray], high: bool) -> list[np.ndarray]:
+        moving = np.concatenate([x[s.usable.any(axis=1) & ~s.at_rest] for x, s in zip(values, segments, strict=True)])
+        if not len(moving) or np.ptp(moving) < 1e-9:
+            return [np.zeros(len(x), bool) for x in values]
+        limit = np.quantile(moving, 1 - settings.end if high else settings.end)
+        return [x > limit if high else x < limit for x in values]
+
+    angle = [s.link_position for s in segments]
+    speed = [np.abs(s.motor_velocity) for s in segments]
+    load = [s.load for s in segments]
+    found = {
+        "the smallest angles": end(angle, False),
+        "the largest angles": end(angle, True),
+        "the highest speeds": end(speed, True),
+        "the smallest loads": end(load, False),
+        "the largest loads": end(load, True),
+        "motion forward": [s.motor_velocity > 0 for s in segments],
+        "motion backward": [s.motor_velocity < 0 for s in segments],
+    }
+    names = sorted({s.name for s in segments})
+    if len(names) > 1:
+        for name in names:
+            found[f"recording {name}"] = [np.full(len(s.at), s.name == name) for s in segments]
+    return found
+
+
+def held_out_regions(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) -> tuple[Region, ...]:
+    """Every region, the one where the extension is worth least first."""
+    from ..search.worth import output_scale
+
+    described = problem.residuals([problem.start(None, ())], [()])[0]
+    system = _System(problem, f)
+    scale = output_scale(problem)
+    found = []
+    for name, masks in region_masks(problem, settings).items():
+        use = [
+            (s.usable | s.held_out) & ~s.at_rest[:, None] & mask[:, None]
+            for s, mask in zip(problem.segments, masks, strict=True)
+        ]
+        samples = int(sum(u.any(axis=1).sum() for u in use))
+        rest = int(
+            sum(
+                ((s.usable & ~s.at_rest[:, None]).any(axis=1) & ~m).sum()
+                for s, m in zip(problem.segments, masks, strict=True)
+            )
+        )
+        if samples < settings.fewest or rest < settings.fewest:
+            continue
+        shift = system.without(masks)
+        unseen = [r + J @ shift for r, J in zip(f.point.residual, f.jacobian, strict=True)]
+        rms = [_rms(x, use, scale) for x in (described, f.point.residual, unseen)]
+        found.append(Region(name, name.startswith("recording "), samples, *rms))
+    return tuple(sorted(found, key=lambda r: -(r.unseen / max(r.described, 1e-12))))
+
+
+def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> float:
+    """Root mean square over balances and samples in use [N·m at the output]."""
+    total, count = np.zeros(len(BALANCES)), np.zeros(len(BALANCES))
+    for r, u in zip(residual, use, strict=True):
+        total += np.sum(np.where(u, r * scale, 0.0) ** 2, axis=0)
+        count += np.sum(u, axis=0)
+    formed = count > 0
+    return float(np.sqrt(np.mean(total[formed] / count[formed]))) if formed.any() else 0.0
+
+
+class _System:
+    """The normal equations about a fit, from which rows may be taken."""
+
+    def __init__(self, problem: Problem, f: Fit):
+        self.problem, self.f = problem, f
+        rows = whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows
+        weight = huber_weight(rows[:, 0], SOLVER.huber) * leverage_weight(
+            rows[:, 1 : problem.size + 1], SOLVER.leverage
+        )
+        self.rows = rows * np.sqrt(weight)[:, None]
+        self.precision = 1 / problem.spread(f.model) ** 2
+        low, high = problem.bounds(f.model)
+        self.low, self.high = low - f.theta, high - f.theta
+        self.reference = self._solve(np.ones(len(rows), bool))
+
+    def _solve(self, kept: np.ndarray) -> np.ndarray:
+        part = self.rows[kept]
+        H = part[:, 1:].T @ part[:, 1:] + np.diag(self.precision)
+        g = part[:, 1:].T @ part[:, 0] + self.precision * self.f.theta
+        return bounded_step(H, g, self.low, self.high)
+
+    def without(self, masks: list[np.ndarray]) -> np.ndarray:
+        """By how much the unknowns move, shape (n,), where the residuals of a region are not seen."""
+        inside = []
+        for segment, mask in zip(self.problem.segments, masks, strict=True):
+            starts = np.arange(0, len(mask), segment.block)
+            blocks = np.maximum.reduceat(mask, starts)
+            inside += [blocks] * len(BALANCES)
+        kept = ~np.concatenate(inside)
+        return self._solve(kept) - self.reference
+
+
+def valid_range(problem: Problem, f: Fit) -> ValidRange | None:
+    """Where the data of a fit have been; None where nothing moved."""
+    angle, speed, load, drives = [], [], [], []
+    for s in problem.segments:
+        use = s.usable.any(axis=1)
+        angle.append(s.link_position[use])
+        speed.append(s.state[use, 3])
+        load.append(s.load[use])
+        moving = use & ~s.at_rest
+        drives.append(np.sign(s.load[moving] * s.motor_velocity[moving]))
+    if not sum(len(x) for x in angle):
+        return None
+
+    def ends(x: list[np.ndarray], share: float = 0.002) -> list[float]:
+        return [float(f"{v:.4g}") for v in np.quantile(np.concatenate(x), [share, 1 - share])]
+
+    signs = np.concatenate(drives)
+    loads = [name for name, sign in (("driving", 1), ("driven", -1)) if np.mean(signs == sign) > 0.02]
+    return ValidRange(link_position=ends(angle), link_velocity=ends(speed), joint_torque=ends(load), loads=loads)
+
+
+__all__ = ["Region", "RegionSettings", "held_out_regions", "region_masks", "rows_of", "valid_range"]
