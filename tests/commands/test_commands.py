@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from flexspline.models.joint import known_joints
 
@@ -73,6 +74,36 @@ def test_compare_saves_the_table(flexspline, tmp_path):
             values
         )
     assert "RAREKF" in (tmp_path / "runs" / "comparison.md").read_text()
+
+
+def test_views_are_drawn_beside_the_runs(flexspline, tmp_path):
+    """Two scenarios, drawn in processes of their own: all views are there, and nothing that was handed over is left."""
+    names = ("link_sweep", "external_push")
+    code, _, err = flexspline("compare", *names, "--set", "duration=2", "--out", tmp_path / "runs")
+    assert code == 0, err
+    for name in names:
+        folder = tmp_path / "runs" / name
+        assert {"overview.png", "filters.png", "error.png"} <= {path.name for path in (folder / "figures").iterdir()}
+        assert (folder / "run.rrd").stat().st_size > 10_000 and not (folder / ".run").exists()
+    assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(
+        [*names, "comparison.json", "comparison.md"]
+    )
+
+
+def test_filters_by_name_and_with_parameters(flexspline, tmp_path):
+    """Any estimator of the registry in a scenario from the command line, and fed back."""
+    filters = "filters=[RAREKF, dynamics_ekf, {name: quick, estimator: dynamics_ekf, process.push: 8}]"
+    changes = ["duration=2", filters, "feedback=quick", "filters.0.k=0.1"]
+    words = [word for change in changes for word in ("--set", change)]
+    code, out, err = flexspline("run", "torque_feedback", *words, "--out", tmp_path / "runs", *QUICK)
+    assert code == 0, err
+    for name in ("RAREKF", "dynamics_ekf", "quick"):
+        assert name in out
+    scenario = yaml.safe_load((tmp_path / "runs" / "torque_feedback" / "scenario.yaml").read_text())
+    assert scenario["feedback"] == "quick" and scenario["filters"][1:] == [
+        "dynamics_ekf",
+        {"name": "quick", "estimator": "dynamics_ekf", "process.push": 8.0},
+    ]
 
 
 @pytest.fixture
