@@ -12,7 +12,7 @@ from html import escape
 
 import numpy as np
 
-from .style import thin
+from .series import envelope
 
 MEASURED, BEFORE, AFTER = "#59636E", "#E0533D", "#00875F"
 """Measured; simulated by the calibrated joint; by the extended joint."""
@@ -215,7 +215,7 @@ def overlay(o: Overlay, y: tuple[float, float], width: int = 370) -> str:
     parts = []
     if o.measured is not None:
         values = Axes(x, limits(o.measured, 0.05), f"{o.name}: {o.channel}", "", o.unit, width=width, height=160)
-        i = thin(o.measured, POINTS)
+        i = envelope(o.measured, POINTS // 2)
         values.line(o.time[i], o.measured[i], MEASURED, 2.2, opacity=0.55)
         values.line(o.time[i], (o.measured - o.before)[i], BEFORE, 1.1)
         values.line(o.time[i], (o.measured - o.after)[i], AFTER, 1.1)
@@ -225,7 +225,7 @@ def overlay(o: Overlay, y: tuple[float, float], width: int = 370) -> str:
     residual.stripes(o.held_out)
     residual.band(-2 * o.noise, 2 * o.noise)
     for values, color in ((o.before, BEFORE), (o.after, AFTER)):
-        i = thin(np.nan_to_num(values), POINTS)
+        i = envelope(np.nan_to_num(values), POINTS // 2)
         residual.line(o.time[i], values[i], color, 0.9, opacity=0.85)
     parts.append(residual.svg())
     return f'<div class="stack">{"".join(parts)}</div>'
@@ -415,7 +415,7 @@ def torque_trace(name: str, time: np.ndarray, sensor: np.ndarray, before: np.nda
     x = (float(time[0]), float(time[-1]))
     errors = [before - sensor, after - sensor]
     values = Axes(x, limits(sensor, 0.05), f"{name}: joint torque", "", "N·m", width=552, height=150)
-    i = thin(sensor, POINTS)
+    i = envelope(sensor, POINTS // 2)
     values.line(time[i], sensor[i], MEASURED, 2.2, opacity=0.55)
     values.line(time[i], before[i], BEFORE, 1.0)
     values.line(time[i], after[i], AFTER, 1.0)
@@ -426,6 +426,6 @@ def torque_trace(name: str, time: np.ndarray, sensor: np.ndarray, before: np.nda
         smooth = r[np.isfinite(r)]
         if len(smooth) != len(r):
             continue
-        j = thin(r, POINTS)
+        j = envelope(r, POINTS // 2)
         axes.line(time[j], r[j], color, 0.9, opacity=0.85)
     return f'<div class="stack">{values.svg()}{axes.svg()}</div>'

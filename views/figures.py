@@ -23,7 +23,8 @@ from matplotlib.patches import Rectangle
 from ..estimator import torsions
 from ..models.files import write_into_place
 from ..models.laws import flexspline_torsion, wave_generator_torsion
-from .style import COMMAND, EXTERNAL, MODEL, SENSOR, TRUTH, filter_colors, main_filter, share, thin
+from .series import envelope, share
+from .style import COMMAND, EXTERNAL, MODEL, SENSOR, TRUTH, filter_colors, main_filter
 
 if TYPE_CHECKING:
     from ..scenarios.run import Run
@@ -143,7 +144,7 @@ def stiffness(run: Run) -> Figure:
         "it winds the wave generator."
     )
     figure, (axes,) = _figure(run, "Fig. 3  Stiffness and hysteresis", caption, heights=[1], height=5.2)
-    i = thin(torque, POINTS)
+    i = envelope(torque, POINTS // 2)
     axes.plot(total[i], torque[i], color=TRUTH, lw=1.8, label="joint, hysteresis loop")
     axes.plot(flexspline, grid, color=COMMAND, ls="--", label="flexspline alone, Eq. (2)")
     axes.plot(both, grid, color=MODEL, ls="-", lw=1.6, label="with wave generator, Eqs. (2) + (5)")
@@ -449,7 +450,7 @@ def _mode(run: Run, axes: Axes, names: Sequence[str], fill: str = "") -> None:
     window = round(SHARE_WINDOW / _period(run))
     for name in names:
         values = 100 * share(run.robust(name), window)
-        i = thin(values, POINTS // 4)
+        i = envelope(values, POINTS // 8)
         if name == fill:
             axes.fill_between(run.time[i], values[i], color=colors[name], alpha=0.35, lw=0)
         axes.plot(run.time[i], values[i], color=colors[name], lw=0.9, label=name)
@@ -458,7 +459,7 @@ def _mode(run: Run, axes: Axes, names: Sequence[str], fill: str = "") -> None:
 
 
 def _line(axes: Axes, time: np.ndarray, values: np.ndarray, color: str, label: str | None, **style) -> None:
-    i = thin(values, POINTS)
+    i = envelope(values, POINTS // 2)
     axes.plot(time[i], values[i], color=color, label=label, **style)
 
 

@@ -22,6 +22,7 @@ import rerun.blueprint as rrb
 from ..estimator import torsions
 from ..models.files import write_into_place
 from ..sim import plant
+from .series import envelope, share
 from .style import (
     COMMAND,
     EXTERNAL,
@@ -31,8 +32,6 @@ from .style import (
     TRUTH,
     filter_colors,
     main_filter,
-    share,
-    thin,
 )
 from .tables import comparison_markdown
 
@@ -116,7 +115,7 @@ def send_series(
     stream.log(path, line, static=True, strict=True)
     finite = np.isfinite(values)
     shown = values if finite.all() else np.where(finite, values, np.mean(values[finite]) if finite.any() else 0.0)
-    i = thin(shown, points, keep)
+    i = envelope(shown, points // 2, keep)
     stream.send_columns(
         path, [rr.TimeColumn(TIMELINE, duration=time[i])], rr.Scalars.columns(scalars=values[i]), strict=True
     )
