@@ -22,6 +22,8 @@ import rerun.blueprint as rrb
 from ..estimator import torsions
 from ..models.files import write_into_place
 from ..sim import plant
+from .report import Report, markdown
+from .residuals import overlays
 from .series import envelope, share
 from .style import (
     COMMAND,
@@ -247,6 +249,20 @@ def send_channel(stream: rr.RecordingStream, channel: Channel) -> None:
         send_series(stream, f"{channel.path}/values/{place}", channel.time, values, label, colors[label])
         residual = channel.measured - values
         send_series(stream, f"{channel.path}/residual/{place}", channel.time, residual, label, colors[label])
+
+
+def write_rerun_report(report: Report, path: Path) -> Path:
+    """Write a diagnosis' channels as a recording, measured against simulated, its verdict and tables beside them.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    channels = []
+    for o in (o for row in overlays(report) for o in row):
+        base = o.measured if o.measured is not None else np.zeros(len(o.time))
+        name = f"{o.name} {o.channel.replace('_', ' ')}"
+        channels.append(Channel(name, o.unit, o.time, base, base - o.before, {"extended": base - o.after}))
+    return rerun_measurement(path, f"diagnosis of {report.measurement.name}", channels, markdown(report))
 
 
 # A run

@@ -1,0 +1,278 @@
+"""A diagnosis' residuals, read for showing: over time, and against what they may depend on.
+
+Nothing is computed anew: residuals, motion and noise are those that the diagnosis holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from .report import Report
+
+if TYPE_CHECKING:
+    from ..diagnosis.replay import Drive
+
+CHANNELS = ("motor_current", "joint_torque", "link_balance")
+"""Channels of a residual, in the order of its columns."""
+_LEAST = 200  # samples below which nothing is shown against a variable
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """One channel of one recording; k samples, not finite between its stretches.
+
+    Attributes:
+      name: of the recording.
+      channel: one of `CHANNELS`.
+      unit: of all values.
+      time: since the recording's start [s], shape (k,).
+      measured: shape (k,), or None where only the residual means something.
+      before, after: residuals, shape (k,); not finite where they do not count.
+      noise: rms that the sensors' noise leaves in a residual.
+      held_out: stretches of time that no fit saw [s].
+    """
+
+    name: str
+    channel: str
+    unit: str
+    time: np.ndarray
+    measured: np.ndarray | None
+    before: np.ndarray
+    after: np.ndarray
+    noise: float
+    held_out: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Balance:
+    """A torque balance's residual with what it may depend on, all recordings joined; k samples that count.
+
+    Attributes:
+      channel: one of `CHANNELS`.
+      unit: of residuals and noise.
+      before, after: shape (k,).
+      noise: rms.
+      time, link, motor, velocity, load: [s] since the recording's start, [rad], [rad, motor side], [rad/s, motor side], [N·m].
+      rising: whether the load rises.
+    """
+
+    channel: str
+    unit: str
+    before: np.ndarray
+    after: np.ndarray
+    noise: float
+    time: np.ndarray
+    link: np.ndarray
+    motor: np.ndarray
+    velocity: np.ndarray
+    load: np.ndarray
+    rising: np.ndarray
+
+    def variable(self, key: str) -> np.ndarray:
+        """Values of one of `VARIABLES`, shape (k,)."""
+        return {
+            "time": self.time, "link": self.link, "turn": np.mod(self.motor, 2 * np.pi), "velocity": self.velocity,
+            "load": self.load, "loading": self.load, "direction": np.sign(self.velocity),
+        }[key]  # fmt: skip
+
+    def limits(self, key: str) -> tuple[float, float]:
+        """Range over which a variable is shown: all but its rarest values."""
+        if key == "turn":
+            return 0.0, 2 * np.pi
+        low, high = np.percentile(self.variable(key), [0.2, 99.8])
+        return float(low), max(float(high), float(low) + 1e-9)
+
+    def sides(self, key: str) -> tuple[np.ndarray, np.ndarray]:
+        """Which samples belong to the two lines of a panel: forward and backward, or rising and falling; shape (k,) each."""
+        first = self.rising if key == "loading" else self.velocity > 0
+        return first, ~first
+
+
+VARIABLES = {
+    "time": "time since the start [s]",
+    "link": "link angle [rad]",
+    "turn": "motor angle in one turn [rad]",
+    "velocity": "motor velocity [rad/s]",
+    "load": "load [N·m]",
+    "loading": "load, rising or falling [N·m]",
+    "direction": "direction of motion",
+}
+"""What a residual may depend on, with the unit."""
+BINS = 36
+ORDERS = np.arange(0.5, 14.01, 0.5)
+"""Orders per turn of the motor at which a residual is looked at."""
+
+
+def overlays(report: Report) -> list[list[Overlay]]:
+    """Channels that the measurement has, each with its recordings."""
+    d = report.diagnosis
+    found = []
+    for c, channel in enumerate(CHANNELS):
+        if channel not in d.residual:
+            continue
+        row = []
+        for index, recording in enumerate(report.measurement.recordings):
+            pieces = [s for s, drive in enumerate(d.problem.drives) if drive.recording == index]
+            if any(_counts(d.problem.drives[s], c).any() for s in pieces):
+                row.append(_overlay(report, c, recording.name, pieces))
+        found.append(row)
+    return [row for row in found if row]
+
+
+def _overlay(report: Report, c: int, name: str, pieces: list[int]) -> Overlay:
+    d = report.diagnosis
+    drives = [d.problem.drives[s] for s in pieces]
+    sensed = c == 0 or all(len(drive.torque) for drive in drives)
+    measured, before, after = [], [], []
+    for s, drive in zip(pieces, drives, strict=True):
+        use = _counts(drive, c)
+        if c < 2:  # at rest friction is anything up to its level
+            use &= ~drive.at_rest
+        # What is measured of the link's balance is the torque that the sensor reports.
+        measured.append(drive.measured[:, min(c, 1)])
+        before.append(_averaged(d.before[s][:, c], use, drive.block))
+        after.append(_averaged(d.after[s][:, c], use, drive.block))
+    channel = CHANNELS[c]
+    return Overlay(
+        name,
+        channel,
+        d.residual[channel].unit,
+        _joined([drive.at for drive in drives], instants=True),
+        _joined(measured) if sensed else None,
+        _joined(before),
+        _joined(after),
+        d.residual[channel].noise,
+        tuple(stretch for drive in drives for stretch in _held_out(drive)),
+    )
+
+
+def balances(report: Report) -> list[Balance]:
+    """The torque balances that the measurement has, with at least 200 samples that count."""
+    d = report.diagnosis
+    found = []
+    for c, channel in enumerate(CHANNELS):
+        if channel not in d.residual:
+            continue
+        columns: list[list[np.ndarray]] = [[] for _ in range(8)]
+        for drive, before, after in zip(d.problem.drives, d.before, d.after, strict=True):
+            use = _counts(drive, c) & ~drive.at_rest
+            theta_m, theta_l, w = drive.state.T[:3]
+            rising = np.gradient(uniform_filter1d(drive.load, 3)) > 0
+            r = [_averaged(x[:, c], use, drive.block) for x in (before, after)]
+            for column, x in zip(columns, (*r, drive.at, theta_l, theta_m, w, drive.load, rising), strict=True):
+                column.append(x[use])
+        joined = [np.concatenate(x) for x in columns]
+        if len(joined[0]) > _LEAST:
+            known = d.residual[channel]
+            found.append(Balance(channel, known.unit, joined[0], joined[1], known.noise, *joined[2:]))
+    return found
+
+
+def _counts(drive: Drive, c: int) -> np.ndarray:
+    """Which residuals of a channel count, for a fit or against it; shape (k,)."""
+    return drive.usable[:, c] | drive.held_out[:, c]
+
+
+def _averaged(r: np.ndarray, use: np.ndarray, block: int) -> np.ndarray:
+    """A residual, shape (k,), as a moving mean of what counts as one; not finite where it does not count.
+
+    The noise that the diagnosis states is that of these means.
+    """
+    if block > 1:
+        weight = np.ones(block)
+        total = np.convolve(np.where(use, r, 0.0), weight, mode="same")
+        r = total / np.maximum(np.convolve(use.astype(float), weight, mode="same"), 1.0)
+    return np.where(use, r, np.nan)
+
+
+def _joined(pieces: list[np.ndarray], instants: bool = False) -> np.ndarray:
+    """Stretches of a recording one after the other, a gap between them."""
+    parts = []
+    for i, piece in enumerate(pieces):
+        if i:
+            parts.append(np.array([pieces[i - 1][-1] + 1e-6 if instants else np.nan]))
+        parts.append(piece)
+    return np.concatenate(parts)
+
+
+def _held_out(drive: Drive) -> list[tuple[float, float]]:
+    """Stretches of time [s] that were kept from every fit."""
+    kept = drive.held_out.any(axis=1)
+    fitted = drive.usable.any(axis=1)
+    found: list[tuple[float, float]] = []
+    last = -1  # of the last sample that was fitted or kept
+    for i in np.flatnonzero(kept | fitted):
+        if kept[i]:
+            if found and last >= 0 and kept[last]:
+                found[-1] = (found[-1][0], float(drive.at[i]))
+            else:
+                found.append((float(drive.at[i]), float(drive.at[i])))
+        last = int(i)
+    return found
+
+
+# What a residual depends on
+
+
+def explained(b: Balance, residual: np.ndarray, key: str) -> float:
+    """Share of a residual's mean square that its mean in bins of a variable explains, 0 … 1, less what chance does."""
+    bins = _bins(b, key)
+    count = np.bincount(bins)
+    total = np.bincount(bins, residual)
+    used = count > 20
+    power = float(np.sum(total[used] ** 2 / count[used])) / max(float(np.sum(residual**2)), 1e-30)
+    chance = 8.0 * used.sum() / max(len(residual), 1)  # neighbouring samples are alike
+    return float(np.clip((power - chance) / max(1 - chance, 1e-9), 0.0, 1.0))
+
+
+def _bins(b: Balance, key: str) -> np.ndarray:
+    """Bin of every sample, shape (k,): of the variable, and for angle and load of the direction too."""
+    x = b.variable(key)
+    if key == "direction":
+        return (x > 0).astype(int)
+    low, high = b.limits(key)
+    i = np.clip(((x - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
+    return 2 * i + b.sides(key)[0] if key in ("link", "load", "loading") else i
+
+
+def telling(found: Sequence[Balance]) -> tuple[Balance, str, float] | None:
+    """The balance and variable that give most of the discrepancy away, with the share explained; None without any.
+
+    In terms of what exceeds the noise: a variable that explains everything of a balance that is quiet gives nothing away.
+    """
+    best, told = 0.3, None
+    for b in found:
+        excess = float(np.mean(b.before**2)) / max(b.noise**2, 1e-30)
+        for key in VARIABLES:
+            share = explained(b, b.before, key)
+            if share * excess > best:
+                best, told = share * excess, (b, key, share)
+    return told
+
+
+def means(x: np.ndarray, r: np.ndarray, limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Centres of the bins of a variable, and the mean of a residual in each; shape (BINS,), NaN where there is hardly any."""
+    low, high = limits
+    i = np.clip(((x - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
+    count = np.bincount(i, minlength=BINS)
+    mean = np.bincount(i, r, minlength=BINS) / np.maximum(count, 1)
+    return low + (np.arange(BINS) + 0.5) / BINS * (high - low), np.where(count > 8, mean, np.nan)
+
+
+def orders(motor: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Amplitude of the residual at each of `ORDERS` per turn of the motor, shape (len(ORDERS),), by least squares.
+
+    Args:
+      motor: motor angle [rad], shape (k,).
+      residual: shape (k,).
+    """
+    angle = motor[:, None] * ORDERS
+    X = np.concatenate([np.cos(angle), np.sin(angle), np.ones((len(motor), 1))], axis=1)
+    G = X.T @ X
+    c = np.linalg.solve(G + 1e-9 * np.trace(G) / len(G) * np.eye(len(G)), X.T @ residual)
+    return np.hypot(c[: len(ORDERS)], c[len(ORDERS) : 2 * len(ORDERS)])
