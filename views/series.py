@@ -44,6 +44,22 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
     return np.flatnonzero(kept)
 
 
+def extremes(values: np.ndarray, columns: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lowest and highest value of each column: the outline of a line that fills what it runs through.
+
+    Args:
+      values: shape (n,), finite.
+      columns: of pixels.
+
+    Returns:
+      Index of the middle sample, lowest and highest value of each column, shape (about columns,) each.
+    """
+    n = len(values)
+    start = np.arange(0, n, -(-n // columns))
+    middle = (start + np.append(start[1:], n)) // 2
+    return middle, np.minimum.reduceat(values, start), np.maximum.reduceat(values, start)
+
+
 def share(flags: np.ndarray, samples: int) -> np.ndarray:
     """Moving share of true flags (or mean of values) over a centred window, shape (n,); shorter at both ends.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from flexspline.views.series import envelope, share
+from flexspline.views.series import envelope, extremes, share
 
 
 def test_an_envelope_keeps_ends_peaks_and_what_it_is_told_to(rng):
@@ -42,6 +42,14 @@ def test_a_gap_stays_a_gap(gap):
     inside = (i >= gap.start) & (i < gap.stop)
     assert np.isnan(values[i[inside]]).all() and inside.any()
     assert np.nanmax(values[i]) == np.nanmax(values)
+
+
+def test_extremes_are_of_every_column(rng):
+    values = rng.normal(size=1003)
+    middle, low, high = extremes(values, 100)
+    assert len(middle) == len(low) == len(high) == 92  # columns of 11 samples
+    assert low.min() == values.min() and high.max() == values.max()
+    assert np.all((low <= values[middle]) & (values[middle] <= high))
 
 
 def test_share_of_constant_flags_is_constant_to_the_ends():

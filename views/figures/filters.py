@@ -1,0 +1,53 @@
+"""What the filters thought: innovation with ±√P_Y, normalised innovation squared, working mode."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..series import share
+from .legends import legend
+from .ruling import decades, ruled
+from .sheet import sheet
+from .signals import SHARE_WINDOW, filter_colors, line, mode, period, settled, switching
+
+if TYPE_CHECKING:
+    from ...scenarios.run import Run
+
+_DARK = "#30353B"
+
+
+@ruled
+def filters(run: Run) -> Figure:
+    """What the filters thought: innovation with ±√P_Y, normalised innovation squared, working mode."""
+    names = list(run.filters)
+    colors = filter_colors(names)
+    kept = settled(run)
+    mean = ", ".join(f"{name} {np.mean(run.nis(name)[kept]):.2f}" for name in names)
+    caption = (
+        "Innovation of each filter with ±√P_Y (line), P_Y of Eq. (14), the highest peaks cut off; "
+        "NIS = innovation² / P_Y, moving mean over "
+        f"{SHARE_WINDOW:g} s, is 1 where P_Y is right, below where W and V are cautious. Mean NIS: {mean}."
+    )
+    figure, rows = sheet(f"Filters  ·  {run.name}", caption, [*([1.0] * len(names)), 1.2, 1.1])
+    panels = [axes for (axes,) in rows]
+    limit = 1.2 * max(np.quantile(np.abs(run.innovation(name)[kept]), 0.99) for name in names)
+    nis, below = panels[-2:]
+    window = round(SHARE_WINDOW / period(run))
+    for panel, name in zip(panels, names, strict=False):
+        deviation = np.sqrt(run.innovation_variance(name))
+        line(panel, run.time, run.innovation(name), colors[name], f"{name} innovation", lw=0.6)
+        for sign in (1, -1):
+            line(panel, run.time, sign * deviation, _DARK, "±√P_Y" if sign > 0 else None, lw=0.7)
+        panel.set(ylabel="[N·m]", ylim=(-limit, limit))
+        legend(panel)
+        line(nis, run.time, np.maximum(share(run.nis(name), window), 1e-3), colors[name], name)
+    nis.axhline(1, color=_DARK, lw=0.8, ls="--")
+    nis.set(ylabel="NIS")
+    decades(nis.yaxis)
+    legend(nis)
+    mode(run, below, switching(run))
+    legend(below)
+    return figure
