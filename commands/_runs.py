@@ -31,7 +31,7 @@ def run_all(
 
         views.append(lambda run, folder: save_figures(run, folder / "figures"))
     if recording:
-        from ..views.rerun_view import write_rerun
+        from ..views.rerun import write_rerun
 
         views.append(lambda run, folder: write_rerun(run, folder / "run.rrd"))
     finished = []

@@ -61,7 +61,7 @@ def command(
                 from ..diagnosis.planning import plan
                 from ..views.pages import write_report
                 from ..views.report import Report
-                from ..views.rerun_view import write_rerun_report
+                from ..views.rerun import write_rerun_report
 
                 planned = plan(found, described)
                 shown = Report(data, described, found, gain, planned, time.perf_counter() - begin)

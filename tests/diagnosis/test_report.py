@@ -24,7 +24,7 @@ from flexspline.sim.recording import Measurement, write_recording
 from flexspline.views.glossary import meaning
 from flexspline.views.pages import html
 from flexspline.views.report import Report, markdown, verdict_sentence
-from flexspline.views.rerun_view import write_rerun_report
+from flexspline.views.rerun import write_rerun_report
 from flexspline.views.residuals import overlays
 
 VOID = {"meta", "br"}
