@@ -8,7 +8,7 @@ import os
 import platform
 from importlib import metadata
 
-NAMES = ("closed_loop", "filters", "compiled_loop", "sweep")
+NAMES = ("closed_loop", "filters", "compiled_loop", "sweep", "views")
 NAMED_ONLY = ("convergence",)
 
 
