@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -104,7 +104,7 @@ def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str
         color = contender_color(front.name)
         inside = front.points[:, 0] > -5.0
         x, y = np.maximum(front.points[inside, 0], _LEAST_DELAY), front.points[inside, 1]
-        line = {"marker": ".", "ms": 4} if len(x) > 1 else {"marker": "s", "ms": 5}
+        line: dict[str, Any] = {"marker": ".", "ms": 4} if len(x) > 1 else {"marker": "s", "ms": 5}
         axes.plot(x, y, color=color, lw=1.2, label=front.name, **line)
         for point, marker, size in ((front.default, "o", 6), (front.tuned, "*", 10)):
             if point is not None and np.isfinite(point).all():

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from ..estimator.consistency import Mean
-from ..scenarios.limits import Limits
-from ..scenarios.tuning import Tuned, score
+if TYPE_CHECKING:
+    from ..estimator.consistency import Mean
+    from ..scenarios.limits import Limits
+    from ..scenarios.tuning import Tuned
 
 LIMIT_HEADS = ("estimator", "RMS [N·m]", "/ bound", "NIS", "95 %", "NEES", "95 %", "inside [%]", "ρ outside [%]")
 """Columns of `limit_rows`."""
@@ -21,7 +23,7 @@ TUNED_HEADS = ("filter", "train", "tuned", "test", "tuned", "difference, 95 %", 
 
 def limit_rows(limits: Limits) -> list[tuple[str, ...]]:
     """A row of text per estimator, `LIMIT_HEADS`; the smallest error first."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for e in sorted(limits.estimators, key=lambda e: np.nan_to_num(e.mean_rms, nan=np.inf)):
         rows.append(
             (
@@ -52,13 +54,13 @@ def limits_table(limits: Limits) -> Table:
 def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
     """A row of text per filter, `TUNED_HEADS`; the smallest tuned error first."""
     rows = []
-    for one in sorted(found, key=lambda one: score(one.test_tuned)):
+    for one in sorted(found, key=lambda one: _overall(one.test_tuned)):
         gain = one.gain
         interval = f" [{gain.low:+.4f}, {gain.high:+.4f}]" if math.isfinite(gain.low) else ""
         knobs = ", ".join(
             f"{k.split('.')[-1]} {v:.3g}" + ("!" if k in one.at_bound else "") for k, v in one.values.items()
         )
-        errors = (*one.train, score(one.test_default), score(one.test_tuned))
+        errors = (*one.train, _overall(one.test_default), _overall(one.test_tuned))
         rows.append((one.name, *(number(e, 4) for e in errors), f"{gain.mean:+.4f}{interval}", knobs or "–"))
     return rows
 
@@ -76,6 +78,11 @@ def tuned_table(found: Sequence[Tuned], title: str) -> Table:
     for row in tuned_rows(found):
         table.add_row(*(Text(cell) for cell in row))
     return table
+
+
+def _overall(rms: np.ndarray) -> float:
+    """One number of RMS errors (scenarios, seeds): root mean square over seeds, geometric mean of these, as tuning has it."""
+    return float(np.exp(np.mean(np.log(np.sqrt(np.mean(rms**2, axis=1))))))
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

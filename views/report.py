@@ -43,9 +43,9 @@ def verdict_sentence(d: Diagnosis) -> str:
         return f"This measurement cannot tell: {count} known causes would not have shown in it."
     if not d.causes:
         text = "The joint behaves as its description says, within its tolerances"
-        count = len(d.undetermined)
-        left = f"{count} cause{'s' if count > 1 else ''} could not have shown"
-        return f"{text}; {left}." if count else f"{text}."
+        blind = len(d.undetermined)
+        left = f"{blind} cause{'s' if blind > 1 else ''} could not have shown"
+        return f"{text}; {left}." if blind else f"{text}."
     parts = [f"{title(c)} ({c.component}, {100 * c.confidence:.0f} % sure)" for c in d.causes]
     whole = min(sum(c.explains for c in d.causes), 1.0)
     return (

@@ -1,11 +1,10 @@
-"""A diagnosis' residuals, read for showing: over time, and against what they may depend on.
+"""A diagnosis' residuals, read for showing: over time, and as torque balances with what they may depend on.
 
 Nothing is computed anew: residuals, motion and noise are those that the diagnosis holds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -74,7 +73,7 @@ class Balance:
     rising: np.ndarray
 
     def variable(self, key: str) -> np.ndarray:
-        """Values of one of `VARIABLES`, shape (k,)."""
+        """Values of one of `dependence.VARIABLES`, shape (k,)."""
         return {
             "time": self.time, "link": self.link, "turn": np.mod(self.motor, 2 * np.pi), "velocity": self.velocity,
             "load": self.load, "loading": self.load, "direction": np.sign(self.velocity),
@@ -91,21 +90,6 @@ class Balance:
         """Which samples belong to the two lines of a panel: forward and backward, or rising and falling; shape (k,) each."""
         first = self.rising if key == "loading" else self.velocity > 0
         return first, ~first
-
-
-VARIABLES = {
-    "time": "time since the start [s]",
-    "link": "link angle [rad]",
-    "turn": "motor angle in one turn [rad]",
-    "velocity": "motor velocity [rad/s]",
-    "load": "load [N·m]",
-    "loading": "load, rising or falling [N·m]",
-    "direction": "direction of motion",
-}
-"""What a residual may depend on, with the unit."""
-BINS = 36
-ORDERS = np.arange(0.5, 14.01, 0.5)
-"""Orders per turn of the motor at which a residual is looked at."""
 
 
 def overlays(report: Report) -> list[list[Overlay]]:
@@ -202,8 +186,8 @@ def _joined(pieces: list[np.ndarray], instants: bool = False) -> np.ndarray:
 
 def _held_out(drive: Drive) -> list[tuple[float, float]]:
     """Stretches of time [s] that were kept from every fit."""
-    kept = drive.held_out.any(axis=1)
-    fitted = drive.usable.any(axis=1)
+    kept: np.ndarray = np.any(drive.held_out, axis=1)
+    fitted: np.ndarray = np.any(drive.usable, axis=1)
     found: list[tuple[float, float]] = []
     last = -1  # of the last sample that was fitted or kept
     for i in np.flatnonzero(kept | fitted):
@@ -214,65 +198,3 @@ def _held_out(drive: Drive) -> list[tuple[float, float]]:
                 found.append((float(drive.at[i]), float(drive.at[i])))
         last = int(i)
     return found
-
-
-# What a residual depends on
-
-
-def explained(b: Balance, residual: np.ndarray, key: str) -> float:
-    """Share of a residual's mean square that its mean in bins of a variable explains, 0 … 1, less what chance does."""
-    bins = _bins(b, key)
-    count = np.bincount(bins)
-    total = np.bincount(bins, residual)
-    used = count > 20
-    power = float(np.sum(total[used] ** 2 / count[used])) / max(float(np.sum(residual**2)), 1e-30)
-    chance = 8.0 * used.sum() / max(len(residual), 1)  # neighbouring samples are alike
-    return float(np.clip((power - chance) / max(1 - chance, 1e-9), 0.0, 1.0))
-
-
-def _bins(b: Balance, key: str) -> np.ndarray:
-    """Bin of every sample, shape (k,): of the variable, and for angle and load of the direction too."""
-    x = b.variable(key)
-    if key == "direction":
-        return (x > 0).astype(int)
-    low, high = b.limits(key)
-    i = np.clip(((x - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
-    return 2 * i + b.sides(key)[0] if key in ("link", "load", "loading") else i
-
-
-def telling(found: Sequence[Balance]) -> tuple[Balance, str, float] | None:
-    """The balance and variable that give most of the discrepancy away, with the share explained; None without any.
-
-    In terms of what exceeds the noise: a variable that explains everything of a balance that is quiet gives nothing away.
-    """
-    best, told = 0.3, None
-    for b in found:
-        excess = float(np.mean(b.before**2)) / max(b.noise**2, 1e-30)
-        for key in VARIABLES:
-            share = explained(b, b.before, key)
-            if share * excess > best:
-                best, told = share * excess, (b, key, share)
-    return told
-
-
-def means(x: np.ndarray, r: np.ndarray, limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Centres of the bins of a variable, and the mean of a residual in each; shape (BINS,), NaN where there is hardly any."""
-    low, high = limits
-    i = np.clip(((x - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
-    count = np.bincount(i, minlength=BINS)
-    mean = np.bincount(i, r, minlength=BINS) / np.maximum(count, 1)
-    return low + (np.arange(BINS) + 0.5) / BINS * (high - low), np.where(count > 8, mean, np.nan)
-
-
-def orders(motor: np.ndarray, residual: np.ndarray) -> np.ndarray:
-    """Amplitude of the residual at each of `ORDERS` per turn of the motor, shape (len(ORDERS),), by least squares.
-
-    Args:
-      motor: motor angle [rad], shape (k,).
-      residual: shape (k,).
-    """
-    angle = motor[:, None] * ORDERS
-    X = np.concatenate([np.cos(angle), np.sin(angle), np.ones((len(motor), 1))], axis=1)
-    G = X.T @ X
-    c = np.linalg.solve(G + 1e-9 * np.trace(G) / len(G) * np.eye(len(G)), X.T @ residual)
-    return np.hypot(c[: len(ORDERS)], c[len(ORDERS) : 2 * len(ORDERS)])

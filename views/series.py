@@ -21,7 +21,7 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
     if n <= 2 * columns:
         return np.arange(n)
     kept = np.zeros(n, dtype=bool) if keep is None else np.array(keep, dtype=bool)
-    left = max(columns - np.count_nonzero(kept) // 2, 32)
+    left = max(columns - int(np.count_nonzero(kept)) // 2, 32)
     kept[[0, -1]] = True
     size = -(-n // left)
     whole = n // size * size

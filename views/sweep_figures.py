@@ -66,7 +66,9 @@ def sweep_figure(summaries: Sequence[Summary], study: Study, metric: str, differ
     if not shown or not names:
         return None
     titles = {axis.name: axis.title for axis in study.axes}
-    places = [v for v in dict.fromkeys(s.columns.get(across) for s in summaries) if v is not None] or [None]
+    places: list[Value | None] = [
+        v for v in dict.fromkeys(s.columns.get(across) for s in summaries) if v is not None
+    ] or [None]
     rows = math.ceil(len(panels) / _COLUMNS)
     columns = math.ceil(len(panels) / rows)
     what = f"difference to {study.compared_to}, paired over seeds" if differences else column.meaning
@@ -93,9 +95,10 @@ def sweep_figure(summaries: Sequence[Summary], study: Study, metric: str, differ
     for axes, panel in zip(grid, panels, strict=True):
         for i, name in enumerate(names):
             line = [
-                (k, found(s)) for k, v in enumerate(places) if (s := _at(summaries, name, across, v, panel)) is not None
+                (k, one)
+                for k, v in enumerate(places)
+                if (s := _at(summaries, name, across, v, panel)) is not None and (one := found(s)) is not None
             ]
-            line = [(k, one) for k, one in line if one is not None]
             if not line:
                 continue
             x = np.array([k for k, _ in line]) + _SPREAD * (i - 0.5 * (len(names) - 1)) / max(len(names), 2)

@@ -9,8 +9,9 @@ import rerun as rr
 from flexspline.models.errors import InputError
 from flexspline.sim import plant
 from flexspline.views.rerun import Channel, rerun_measurement, write_rerun
+from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
 from flexspline.views.rerun.recording import recording as opened
-from flexspline.views.rerun.scene import DEGREES_PER_TORQUE, send_geoms, shape_of
+from flexspline.views.rerun.scene import send_geoms, shape_of
 from rerun.chunk import RrdReader
 
 

@@ -59,7 +59,7 @@ def _without_collecting() -> Iterator[None]:
 def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
     from . import error, experiments, filters, hysteresis, overview, zoom
 
-    of_paper = {
+    of_paper: dict[str, tuple[str, Callable[[Run], Figure]]] = {
         "3": ("fig3_stiffness", hysteresis.stiffness),
         "5": ("fig5_no_load", experiments.no_load),
         "7": ("fig7_link_sweep", experiments.link_sweep),

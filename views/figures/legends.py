@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import RendererAgg
@@ -25,7 +26,8 @@ def legend(axes: Axes, *more: Axes, above: float = _ABOVE) -> None:
         found = one.get_legend_handles_labels()
         handles += found[0]
         labels += found[1]
-    figure = axes.figure
+    figure = axes.get_figure(root=True)
+    assert figure is not None
     place = axes.get_position()
     x, y = place.x1 * figure.get_figwidth(), place.y1 * figure.get_figheight() + above
     size = STYLE["legend.fontsize"]
@@ -33,6 +35,7 @@ def legend(axes: Axes, *more: Axes, above: float = _ABOVE) -> None:
         x -= _width(label, size)
         figure.text(x, y, label, fontsize=size, va="center_baseline", transform=figure.dpi_scale_trans)
         ends = [x - _PAD - _SAMPLE, x - _PAD], [y, y]
+        look: dict[str, Any]
         if isinstance(handle, Line2D):
             look = {"color": handle.get_color(), "ls": handle.get_linestyle(), "alpha": handle.get_alpha(), "lw": 2.0}
         else:

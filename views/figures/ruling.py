@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import ParamSpec
+from typing import Any, ParamSpec
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.axis import Axis
+from matplotlib.axis import Axis, XAxis
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
@@ -42,18 +42,22 @@ def rule(axes: Axes) -> None:
     right = axes.yaxis.get_label_position() == "right"
     x, y = (_ticks(axis) for axis in (axes.xaxis, axes.yaxis))
     edge, sign, side = (1.0, 1.0, "left") if right else (0.0, -1.0, "right")
-    small = {
+    small: dict[str, Any] = {
         "fontsize": axes.yaxis.get_tick_params().get("labelsize", STYLE["font.size"]),
         "color": STYLE["xtick.color"],
     }
-    numbers = dict(transform=axes.get_yaxis_transform(), ha=side, va="center_baseline", **small)
+    numbers: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "ha": side, "va": "center_baseline"} | small
     for place, text in y:
         axes.text(edge + sign * 5 / width, place, text, **numbers)
     if not right:
         _grid(axes, [place for place, _ in x], axes.get_xaxis_transform(), upright=True)
         if axes.yaxis.get_tick_params().get("gridOn", True):
             _grid(axes, [place for place, _ in y], axes.get_yaxis_transform(), upright=False)
-    label = {"color": STYLE["axes.labelcolor"], "fontsize": STYLE["axes.labelsize"], "transform": axes.transAxes}
+    label: dict[str, Any] = {
+        "color": STYLE["axes.labelcolor"],
+        "fontsize": STYLE["axes.labelsize"],
+        "transform": axes.transAxes,
+    }
     far = edge + sign * (LEFT - 0.12 if not right else 0.42) * 72 / width
     axes.text(far, 0.5, axes.get_ylabel(), rotation=90, ha="center" if right else "left", va="center", **label)
     if axes.xaxis.get_visible() and not right:
@@ -74,14 +78,19 @@ def _ticks(axis: Axis) -> list[tuple[float, str]]:
 
 def _grid(axes: Axes, places: list[float], transform: Transform, upright: bool) -> None:
     along, across = np.repeat(places, 3), np.tile([0.0, 1.0, np.nan], len(places))
-    style = {"color": STYLE["grid.color"], "lw": STYLE["grid.linewidth"], "zorder": 0.5, "solid_capstyle": "butt"}
+    style: dict[str, Any] = {
+        "color": STYLE["grid.color"],
+        "lw": STYLE["grid.linewidth"],
+        "zorder": 0.5,
+        "solid_capstyle": "butt",
+    }
     axes.add_line(Line2D(*((along, across) if upright else (across, along)), transform=transform, **style))
 
 
 def decades(*several: Axis) -> None:
     """Make axes logarithmic, with a tick per decade and numbers as they are written."""
     for axis in several:
-        axis.axes.set(**{f"{axis.axis_name}scale": "log"})
+        axis.axes.set(**{"xscale" if isinstance(axis, XAxis) else "yscale": "log"})
         axis.set_major_locator(LogLocator(numticks=6))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_locator(NullLocator())

@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from functools import wraps
 from pathlib import Path
-from typing import ParamSpec
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib
 from matplotlib.axes import Axes
@@ -20,7 +20,8 @@ from PIL import Image
 
 from ...models.files import write_into_place
 
-STYLE = {
+_DPI = 150
+STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -40,7 +41,7 @@ STYLE = {
     "legend.frameon": False,
     "legend.fontsize": 8.5,
     "lines.linewidth": 1.1,
-    "figure.dpi": 150,
+    "figure.dpi": _DPI,
     "figure.facecolor": "white",
     "path.simplify": False,  # lines come as envelopes
 }
@@ -52,19 +53,20 @@ LEFT, RIGHT, TOP, GAP, BELOW = 0.82, 0.14, 0.62, 0.34, 0.52
 """Margins [in]: left and right of the panels, above them, between them (a legend's row), and below for an axis label."""
 BETWEEN = 0.78
 """Distance [in] between two panels beside each other."""
-PIXELS = round((WIDTH - LEFT - RIGHT) * STYLE["figure.dpi"])
+PIXELS = round((WIDTH - LEFT - RIGHT) * _DPI)
 """Columns of pixels of a panel that has the whole width."""
 _CAPTION, _LINE = 8.2, 0.165  # size [pt], height of a line [in]
 _COMPRESSION = 3  # of 9: more takes longer for a few per cent
 
 P = ParamSpec("P")
+F = TypeVar("F", Figure, Figure | None)
 
 
-def styled(make: Callable[P, Figure]) -> Callable[P, Figure]:
+def styled(make: Callable[P, F]) -> Callable[P, F]:
     """Draw in this module's style, whatever matplotlib's settings are, and leave them alone."""
 
     @wraps(make)
-    def wrapped(*args: P.args, **kwargs: P.kwargs) -> Figure:
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> F:
         with matplotlib.rc_context(STYLE):
             return make(*args, **kwargs)
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..series import envelope
 
@@ -100,11 +101,11 @@ class Chart:
             d.append(f"M{left:.1f} {top:.1f}H{right:.1f}V{bottom:.1f}H{left:.1f}z")
         self.marks.append(Mark("".join(d), f"area {kind}"))
 
-    def _px(self, x) -> np.ndarray:
+    def _px(self, x: ArrayLike) -> np.ndarray:
         low, high = self.x
         return (np.asarray(x, float) - low) / (high - low) * self.inner[0]
 
-    def _py(self, y) -> np.ndarray:
+    def _py(self, y: ArrayLike) -> np.ndarray:
         low, high = self.y
         return np.clip((high - np.asarray(y, float)) / (high - low) * self.inner[1], -2000, 4000)
 

@@ -6,13 +6,9 @@ what the residuals depend on, what it is worth, what the measurement cannot tell
 
 from __future__ import annotations
 
-import hashlib
-import platform
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
-from datetime import datetime
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,11 +22,11 @@ from ..glossary import meaning, pieces
 from ..report import Report, listed, plain, title, verdict_sentence
 from ..residuals import balances, overlays
 from . import residual_charts
+from .provenance import provenance
 from .rendering import number, percent, render, squeezed, with_std
 
 if TYPE_CHECKING:
     from ...diagnosis.diagnose import Diagnosis, Finding
-    from ...sim.recording import Recording
 
 UNIT = "N·m"
 NOISY = 1.6
@@ -129,7 +125,7 @@ def context(report: Report) -> dict[str, Any]:
         "fitted": d.problem.calibration.size,
         "library": len(causes.of(d.problem.joint)),
         "held_out": d.held_out,
-        "provenance": _provenance(report),
+        "provenance": provenance(report.measurement),
     }
 
 
@@ -251,24 +247,3 @@ def _plan(report: Report) -> dict[str, Any]:
             for i, q in enumerate(plan.questions)
         ],
     }
-
-
-# Where it came from
-
-
-def _provenance(report: Report) -> dict[str, Any]:
-    return {
-        "date": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        "versions": {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy")}
-        | {"Python": platform.python_version()},
-        "data": [(r.name, len(r.time), ", ".join(r.columns), _fingerprint(r)) for r in report.measurement.recordings],
-    }
-
-
-def _fingerprint(recording: Recording) -> str:
-    """First digits of the SHA-256 of a recording's columns: whether two pages speak of the same data."""
-    digest = hashlib.sha256()
-    for name, values in recording.columns.items():
-        digest.update(name.encode())
-        digest.update(np.ascontiguousarray(values, "<f8").tobytes())
-    return digest.hexdigest()[:12]

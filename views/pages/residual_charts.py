@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..residuals import ORDERS, VARIABLES, Balance, Overlay, explained, means, orders, telling
+from ..dependence import ORDERS, VARIABLES, explained, means, orders, telling
+from ..residuals import Balance, Overlay
 from .chart import Chart, limits
 from .rendering import percent
 
@@ -91,7 +92,8 @@ def by_variable(found: list[Balance]) -> list[Group]:
     for b in found:
         accent = most[1] if most is not None and most[0] is b else ""
         rms = [float(np.sqrt(np.mean(x**2))) for x in (b.before, b.after)]
-        groups.append(Group(b.channel, b.unit, [[chart] for chart in _charts(b, accent)], *rms, b.noise))
+        charts = [[chart] for chart in _charts(b, accent)]
+        groups.append(Group(b.channel, b.unit, charts, rms[0], rms[1], b.noise))
     return groups
 
 

@@ -73,7 +73,9 @@ def send_series(
       visible: whether it is shown before one asks for it in the legend.
     """
     peaks = rr.components.AggregationPolicy.MinMax
-    line = rr.SeriesLines(colors=rgb(color), names=name, widths=width, visible_series=visible, aggregation_policy=peaks)
+    line = rr.SeriesLines(
+        colors=rgb(color), names=name, widths=width, visible_series=[visible], aggregation_policy=peaks
+    )
     stream.log(path, line, static=True, strict=True)
     i = envelope(values, points // 2, keep)
     at = [rr.TimeColumn(TIMELINE, duration=time[i])]

@@ -1,4 +1,4 @@
-"""A run as a recording: joint and notes on the left, estimates in the middle, what is behind them on the right."""
+"""A run as a recording: its signals, what the filters thought, and its joint in motion."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
 from ...estimator import compliance
 from ..series import share
-from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors, main_filter
+from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
 from ..tables import comparison_markdown
-from .recording import POINTS, SHARED_TIME, TIMELINE, layout, recording, rgb, send_series, series_view
+from .blueprint import SHARE_WINDOW, run_blueprint
+from .recording import POINTS, TIMELINE, recording, rgb, send_series
 from .scene import reach, send_scene, shape_of
 
 if TYPE_CHECKING:
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 MODE_WINDOW = 0.02
 """Window [s] of the mode lanes: robust where the filter is for at least half of it."""
-SHARE_WINDOW = 0.25
-"""Window [s] of the share of the time in robust mode."""
 
 
 def write_rerun(run: Run, path: Path) -> Path:
@@ -48,67 +46,6 @@ def write_rerun(run: Run, path: Path) -> Path:
         notes = rr.TextDocument(_notes(run), media_type=rr.MediaType.MARKDOWN)
         stream.log("notes", notes, static=True, strict=True)
     return Path(path)
-
-
-def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
-    """The layout of a run: joint and notes on the left, estimates in the middle, what is behind them on the right.
-
-    Args:
-      run: the run.
-      reach: of the link [m], for the camera.
-    """
-    names = [s.name for s in run.settings]
-    main = main_filter(names)
-    joint = rrb.Spatial3DView(
-        name="Joint: torque true (green), estimated, external (pink)",
-        origin="scene",
-        background=[28, 31, 36],
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
-            position=(1.35 * reach, -2.3 * reach, 0.6 * reach),
-            look_target=(0.2 * reach, 0.0, 0.0),
-            eye_up=(0.0, 0.0, 1.0),
-        ),
-    )
-    # The same colours in all panels, so that one legend is enough.
-    innovations = [
-        series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
-        for name in (main, *(name for name in names if name != main))
-    ]
-    pushed = bool(np.any(run.external_torque))
-    behind = [
-        rrb.Tabs(contents=innovations, name="Innovation"),
-        series_view("Torsion and its parts [mrad]", "torsion"),
-        *([series_view("External torque [N·m]", "external_torque", legend=False)] if pushed else []),
-        rrb.Tabs(
-            series_view("Position error [mrad]", "position_error", legend=False),
-            series_view("Position [°]", "position"),
-            series_view("Motor current [A]", "current"),
-            name="Motion",
-        ),
-    ]
-    estimates = [
-        series_view("Joint torque [N·m]", "torque"),
-        series_view("Estimate − truth [N·m]", "error", legend=False, limits=_error_limits(run, main)),
-        series_view(f"Robust mode [% of {SHARE_WINDOW:g} s]", "robust_share", legend=False, limits=(-5, 105)),
-        rrb.StateTimelineView(name="Mode", origin="mode", time_view=SHARED_TIME),
-    ]
-    return layout(
-        rrb.Horizontal(
-            rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
-            rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
-            rrb.Vertical(contents=behind, row_shares=[2, 2.2, *([1.2] if pushed else []), 1.6]),
-            column_shares=[1.05, 1.4, 1.25],
-        ),
-        float(run.time[-1]),
-    )
-
-
-def _error_limits(run: Run, name: str) -> tuple[float, float]:
-    """Of the error panel [N·m]: half as much again as the main filter's largest after the transient."""
-    settled = run.time >= run.scenario.transient
-    limit = 1.5 * float(np.abs((run.estimate(name) - run.truth("joint_torque"))[settled]).max())
-    return -limit, limit
 
 
 def _switching(run: Run) -> list[str]:
@@ -162,7 +99,9 @@ def _send_filters(stream: rr.RecordingStream, run: Run) -> None:
             _send_mode(stream, f"mode/{name}", run.time, robust, round(MODE_WINDOW / period), color)
 
 
-def _send_mode(stream, path: str, time: np.ndarray, robust: np.ndarray, window: int, color: str) -> None:
+def _send_mode(
+    stream: rr.RecordingStream, path: str, time: np.ndarray, robust: np.ndarray, window: int, color: str
+) -> None:
     """Send the mode as a lane: its changes, of the majority in each window."""
     start = np.arange(0, len(robust), max(window, 1))
     majority = np.add.reduceat(robust.astype(int), start) * 2 >= np.diff(np.append(start, len(robust)))

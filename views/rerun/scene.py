@@ -1,17 +1,18 @@
-"""The joint in 3D: its bodies with their motion, torques as arrows around the axis, pushes as forces at the link's tip."""
+"""The joint in 3D: its bodies with their motion, and the torques on them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import mujoco
 import numpy as np
 import rerun as rr
 
 from ...models.errors import InputError
-from ..style import EXTERNAL, TRUTH, filter_colors, main_filter
-from .recording import TIMELINE, rgb
+from ..style import TRUTH, filter_colors, main_filter
+from .arrows import send_arc, send_push
+from .recording import TIMELINE
 
 if TYPE_CHECKING:
     from ...models.joint import Joint
@@ -19,12 +20,6 @@ if TYPE_CHECKING:
 
 FRAME_RATE = 50.0
 """Poses of the 3D scene per second."""
-DEGREES_PER_TORQUE = 12.0
-"""Length of the torque arrows around the axis [°/(N·m)]."""
-FORCE_SCALE = 0.012
-"""Length of the arrow of the external force at the link's tip [m/N]."""
-_LARGEST_ARC = 300.0  # °
-_ARC_POINTS = 25
 
 
 def shape_of(joint: Joint) -> mujoco.MjModel:
@@ -63,11 +58,11 @@ def send_scene(stream: rr.RecordingStream, run: Run, model: mujoco.MjModel) -> N
     axis = model.jnt_axis[model.joint("link").id]
     radius = 2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1
     front = _front(model, axis)
-    _send_arc(stream, "scene/torque_true", time, run.truth("joint_torque")[frames], radius, front, axis, TRUTH)
+    send_arc(stream, "scene/torque_true", time, run.truth("joint_torque")[frames], radius, front, axis, TRUTH)
     color = filter_colors(names)[main]
-    _send_arc(stream, f"scene/torque_{main}", time, run.estimate(main)[frames], 1.16 * radius, front, axis, color)
+    send_arc(stream, f"scene/torque_{main}", time, run.estimate(main)[frames], 1.16 * radius, front, axis, color)
     if tips is not None and np.any(run.external_torque):
-        _send_push(stream, time, run.external_torque[frames], tips, axis)
+        send_push(stream, time, run.external_torque[frames], tips, axis)
 
 
 def _front(model: mujoco.MjModel, axis: np.ndarray) -> float:
@@ -95,14 +90,14 @@ def _poses(model: mujoco.MjModel, run: Run, frames: np.ndarray) -> tuple[np.ndar
     positions = np.empty((len(frames), model.nbody, 3))
     rotations = np.empty((len(frames), model.nbody, 4))
     has_tip = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tip") >= 0
-    tips = np.empty((len(frames), 3)) if has_tip else None
+    tips = np.empty((len(frames), 3))
     for i, angles in enumerate(state):
         data.qpos[:3] = angles
         mujoco.mj_kinematics(model, data)
         positions[i], rotations[i] = data.xpos, data.xquat[:, [1, 2, 3, 0]]
         if has_tip:
             tips[i] = data.site("tip").xpos
-    return positions, rotations, tips
+    return positions, rotations, tips if has_tip else None
 
 
 def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, path: str, lines: bool = False) -> None:
@@ -118,7 +113,8 @@ def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, pat
         # A housing that one can look into is drawn as lines: what moves inside is the point.
         solid = color[3] == 255 and not lines
         fill = rr.components.FillMode.Solid if solid else rr.components.FillMode.DenseWireframe
-        common = {"quaternions": [rotation], "colors": [color[:3]], "fill_mode": fill}
+        common: dict[str, Any] = {"quaternions": [rotation], "colors": [color[:3]], "fill_mode": fill}
+        shape: rr.AsComponents
         if kind == kinds.mjGEOM_CYLINDER:
             shape = rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], centers=[position], **common)
         elif kind == kinds.mjGEOM_CAPSULE:
@@ -146,46 +142,3 @@ def _mesh(model: mujoco.MjModel, geom: int, color: Sequence[int]) -> rr.Mesh3D:
     mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
     points = model.mesh_vert[vertices] @ matrix.reshape(3, 3).T + model.geom_pos[geom]
     return rr.Mesh3D(vertex_positions=points, triangle_indices=model.mesh_face[faces], albedo_factor=list(color))
-
-
-def _send_arc(
-    stream, path: str, time: list, torque: np.ndarray, radius: float, front: float, axis: np.ndarray, color: str
-) -> None:
-    """Send a torque as a curved arrow around the joint's axis that begins above it.
-
-    Args:
-      torque: shape (f,) [N·m].
-      radius, front: of the arc, and its place on the axis [m].
-      axis: of the joint: positive torque turns about it by the right hand.
-      color: `#RRGGBB`.
-    """
-    up = np.array([0.0, 0.0, 1.0])
-    side, front = np.cross(axis, up), front * axis
-    swept = np.radians(np.clip(DEGREES_PER_TORQUE * torque, -_LARGEST_ARC, _LARGEST_ARC))
-    head = np.sign(swept) * np.minimum(np.abs(swept), 0.22)
-    angles = np.linspace(0, 1, _ARC_POINTS) * (swept - head)[:, None]
-
-    def at(angle: np.ndarray) -> np.ndarray:
-        return radius * (np.cos(angle)[..., None] * up + np.sin(angle)[..., None] * side) + front
-
-    strips = at(angles).astype(np.float32)  # (f, points, 3): one array, not one object per frame
-    stream.log(path, rr.LineStrips3D.from_fields(colors=[rgb(color)], radii=[0.003]), static=True, strict=True)
-    stream.send_columns(path, time, rr.LineStrips3D.columns(strips=strips), strict=True)
-    begin, end = at(swept - head), at(swept)
-    point = f"{path}/head"
-    stream.log(point, rr.Arrows3D.from_fields(colors=[rgb(color)], radii=[0.007]), static=True, strict=True)
-    arrows = rr.Arrows3D.columns(origins=begin.astype(np.float32), vectors=(end - begin).astype(np.float32))
-    stream.send_columns(point, time, arrows, strict=True)
-
-
-def _send_push(stream, time: list, torque: np.ndarray, tips: np.ndarray, axis: np.ndarray) -> None:
-    """Send the external torque as the force at the link's tip that makes it."""
-    arm = tips - np.outer(tips @ axis, axis)
-    length = np.linalg.norm(arm, axis=1, keepdims=True)
-    direction = np.cross(axis, arm) / np.maximum(length, 1e-9)
-    vectors = FORCE_SCALE * (torque[:, None] / np.maximum(length, 1e-9)) * direction
-    stream.log(
-        "scene/external", rr.Arrows3D.from_fields(colors=[rgb(EXTERNAL)], radii=[0.007]), static=True, strict=True
-    )
-    columns = rr.Arrows3D.columns(origins=(tips - vectors).astype(np.float32), vectors=vectors.astype(np.float32))
-    stream.send_columns("scene/external", time, columns, strict=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from flexspline.views.residuals import ORDERS, Balance, explained, means, orders, telling
+from flexspline.views.dependence import ORDERS, explained, means, orders, telling
+from flexspline.views.residuals import Balance
 
 
 @pytest.fixture
