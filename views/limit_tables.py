@@ -10,6 +10,8 @@ import numpy as np
 from rich.table import Table
 from rich.text import Text
 
+from .tables import heading, narrow_table
+
 if TYPE_CHECKING:
     from ..estimator.consistency import Mean
     from ..scenarios.limits import Limits
@@ -17,7 +19,10 @@ if TYPE_CHECKING:
 
 LIMIT_HEADS = ("estimator", "RMS [N·m]", "/ bound", "NIS", "95 %", "NEES", "95 %", "inside [%]", "ρ outside [%]")
 """Columns of `limit_rows`."""
-TUNED_HEADS = ("filter", "train", "tuned", "test", "tuned", "difference, 95 %", "knobs")
+TUNED_HEADS = (
+    "filter", "training, default [N·m]", "training, tuned [N·m]", "test, default [N·m]", "test, tuned [N·m]",
+    "difference [N·m], 95 %", "knobs",
+)  # fmt: skip
 """Columns of `tuned_rows`."""
 
 
@@ -37,18 +42,27 @@ def limit_rows(limits: Limits) -> list[tuple[str, ...]]:
 
 
 def limits_table(limits: Limits) -> Table:
-    """A scenario's estimators beside the bound, for the terminal."""
-    table = Table(
-        title=f"{limits.scenario}: {len(limits.seeds)} seeds, bound {limits.bound_rms:.4f} N·m (external torque a random walk of "
+    """A scenario's estimators beside the bound, for the terminal: NIS and NEES above their intervals."""
+    table = narrow_table(
+        f"{limits.scenario}: {len(limits.seeds)} seeds, bound {limits.bound_rms:.4f} N·m (external torque a random walk of "
         f"{limits.intensity:.3g} N·m/√s), bound of the paper's model {limits.torsion_bound_rms:.4f} N·m",
-        caption="NIS, NEES: 1 where a filter knows its covariance, above: it trusts itself too much; inside: share of time in "
-        "which NEES over seeds is in its 95 % interval; ρ outside: lags beyond the band of white innovations, 5 % is white",
+        "times bound: RMS in units of the bound; NIS, NEES with 95 % intervals: 1 where a filter knows its covariance, above: it "
+        "trusts itself too much; inside: share of time in which NEES over seeds is in its interval; ρ outside: lags beyond the "
+        "band of white innovations, 5 % is white",
     )
-    for i, head in enumerate(LIMIT_HEADS):
-        table.add_column(head, justify="left" if i == 0 else "right", no_wrap=True)
-    for row in limit_rows(limits):
-        table.add_row(*(Text(cell) for cell in row))
+    heads = [("estimator", ""), ("RMS", "N·m"), ("times bound", ""), ("NIS 95\u00a0%", ""), ("NEES 95\u00a0%", ""),
+             ("inside", "%"), ("ρ\u00a0outside", "%")]  # fmt: skip
+    for i, (words, unit) in enumerate(heads):
+        text = heading(words, unit, "right" if i else "left")
+        table.add_column(text, justify="right" if i else "left", no_wrap=i > 0, overflow="fold", vertical="top")
+    for name, rms, ratio, nis, nis_interval, nees, nees_interval, inside, outside in limit_rows(limits):
+        cells = name.replace(" (", "\n("), rms, ratio, *_stacked(nis, nis_interval), *_stacked(nees, nees_interval)
+        table.add_row(*(Text(cell) for cell in (*cells, inside, outside)))
     return table
+
+
+def _stacked(value: str, interval: str) -> tuple[str]:
+    return (value if value == "–" else f"{value}\n{interval}",)
 
 
 def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
@@ -66,17 +80,19 @@ def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
 
 
 def tuned_table(found: Sequence[Tuned], title: str) -> Table:
-    """Default and tuned filters on training and test seeds, for the terminal."""
-    table = Table(
-        title=title,
-        caption="RMS error [N·m]; difference: tuned less default on the same test runs, mean and 95 % interval over seeds; "
-        "! at the end of its range",
+    """Default above tuned filters on training and test seeds, for the terminal."""
+    table = narrow_table(
+        title,
+        "RMS error, default above tuned; difference: tuned less default on the same test runs, mean and 95 % interval over "
+        "seeds; ! at the end of its range",
     )
-    for i, head in enumerate(TUNED_HEADS):
-        last = i == len(TUNED_HEADS) - 1
-        table.add_column(head, justify="left" if i == 0 or last else "right", no_wrap=not last)
-    for row in tuned_rows(found):
-        table.add_row(*(Text(cell) for cell in row))
+    heads = [("filter", ""), ("training", "N·m"), ("test", "N·m"), ("difference", "N·m"), ("knobs", "")]
+    for i, (words, unit) in enumerate(heads):
+        text = heading(words, unit, "right" if 0 < i < 4 else "left")
+        table.add_column(text, justify="right" if 0 < i < 4 else "left", no_wrap=0 < i < 4, overflow="fold")
+    for name, *errors, difference, knobs in tuned_rows(found):
+        pairs = ("\n".join(errors[:2]), "\n".join(errors[2:]), difference.replace(" [", "\n["))
+        table.add_row(*(Text(cell) for cell in (name, *pairs, knobs.replace(", ", "\n"))))
     return table
 
 

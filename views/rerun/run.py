@@ -162,13 +162,6 @@ def _notes(run: Run) -> str:
         "",
     ]
     if run.metrics.get("filters"):
-        lines += ["Errors against the noise-free joint torque [N·m]:", "", *_metrics_lines(run)]
+        table = comparison_markdown({run.name: run.metrics}, keys=("rms", "max", "robust_share"))
+        lines += ["Errors against the noise-free joint torque:", "", table]
     return "\n".join(lines)
-
-
-def _metrics_lines(run: Run) -> list[str]:
-    """The narrow part of the comparison: what fits beside the joint."""
-    rows = [
-        line.split("|")[2:5] + line.split("|")[8:9] for line in comparison_markdown({run.name: run.metrics}).split("\n")
-    ]
-    return ["|" + "|".join(cells) + "|" for cells in rows if len(cells) == 4]
