@@ -134,7 +134,9 @@ def sheet(
         )
         for axes in rows[-1]:
             axes.margins(x=0.01)
-            axes.yaxis.set_major_locator(MaxNLocator(6 if height > 1.2 else 4, steps=[1, 2, 2.5, 5, 10]))
+            axes.yaxis.set_major_locator(
+                MaxNLocator(8 if height > 3 else 6 if height > 1.2 else 4, steps=[1, 2, 2.5, 5, 10])
+            )
             axes.xaxis.set_visible(row not in shared)
         above += height + gap
     return figure, rows

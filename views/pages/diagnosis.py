@@ -90,13 +90,10 @@ def context(report: Report) -> dict[str, Any]:
     """What the template is filled with."""
     d = report.diagnosis
     found = balances(report)
-    sensor = d.problem.has_torque
-    channels = [
-        Compared(plain(name), x.unit, x.before, x.after, x.noise) for name, x in d.residual.items()
-    ]  # fmt: skip
-    filters = [
-        Compared(name, UNIT, before, after, report.gain.noise) for name, (before, after) in report.gain.errors.items()
-    ] if report.gain else []  # fmt: skip
+    channels = [Compared(plain(name), x.unit, x.before, x.after, x.noise) for name, x in d.residual.items()]
+    gain = report.gain
+    errors = gain.errors.items() if gain is not None else ()
+    filters = [Compared(name, UNIT, before, after, gain.noise if gain else 0.0) for name, (before, after) in errors]
     moved = list(_moved(d))
     return {
         "name": report.measurement.name,
@@ -105,7 +102,7 @@ def context(report: Report) -> dict[str, Any]:
         "sentence": verdict_sentence(d),
         "recordings": [(r.name, float(r.time[-1] - r.time[0])) for r in report.measurement.recordings],
         "rate": 1 / report.measurement.recordings[0].interval,
-        "sensor": sensor,
+        "sensor": d.problem.has_torque,
         "seconds": report.seconds,
         "head": _head(report, channels, filters, moved),
         "causes": [_cause(report, c) for c in d.causes],
@@ -116,8 +113,8 @@ def context(report: Report) -> dict[str, Any]:
         "balances": residual_charts.by_variable(found),
         "channels": channels,
         "filters": filters,
-        "gain": report.gain,
-        "trace": residual_charts.trace(report.gain) if report.gain else None,
+        "gain": gain,
+        "trace": residual_charts.trace(gain) if gain is not None else None,
         "moved": moved,
         "confusable": [[plain(n) for n in pair] for pair in d.confusable],
         "undetermined": _undetermined(report),
