@@ -8,7 +8,7 @@ import os
 import platform
 from importlib import metadata
 
-NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands")
+NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views")
 NAMED_ONLY = ("convergence",)
 
 

@@ -22,9 +22,9 @@ _MODULES = {
         f"{_ROOM}.scenarios.run",
         "matplotlib.backends.backend_agg",
         "matplotlib.figure",
-        f"{_ROOM}.views.figures",
+        *(f"{_ROOM}.views.figures.{name}" for name in ("error", "experiments", "filters", "overview", "zoom")),
     ),
-    "recording": (f"{_ROOM}.scenarios.run", f"{_ROOM}.views.rerun_view"),
+    "recording": (f"{_ROOM}.scenarios.run", f"{_ROOM}.views.rerun"),
 }
 """What each view loads."""
 
@@ -87,6 +87,6 @@ def _draw(view: str, handed: Path, folder: Path) -> None:
 
         save_figures(run, folder / "figures")
     else:
-        from ..views.rerun_view import write_rerun
+        from ..views.rerun import write_rerun
 
         write_rerun(run, folder / "run.rrd")

@@ -63,7 +63,9 @@ def command(
             if report:
                 progress.update(task, description=f"{data.name}: what to measure next")
                 from ..diagnosis.planning import plan
-                from ..views.report import Report, write_report, write_rerun_report
+                from ..views.pages import write_report
+                from ..views.report import Report
+                from ..views.rerun import write_rerun_report
 
                 planned = plan(found, described)
                 shown = Report(data, described, found, gain, planned, time.perf_counter() - begin)

@@ -1,109 +1,223 @@
-"""What diagnosis gains for estimation: torque error of the filters before and after they know the effect.
+"""What diagnosis gains for estimation: error of estimators before and after they know what was found.
 
-Each filter runs on the recordings twice, with the calibrated joint and with the calibrated joint that has the causes in it
-(the description as it came, where no cause was found), without reading the torque sensor. The error is taken against the sensor,
-in motion and at rest, over the blocks of time that were kept from every fit.
+Each estimator runs on the recordings twice: with the calibrated joint (with the description as it came, where no cause was
+found), and with the calibrated joint that has the causes in it. It reads no torque sensor; against that sensor, or where there is
+none against the external torque that was measured, its error is taken: over the blocks of time that were kept from every fit, and
+in the regions of the measurement (`fit.regions`), there with the parameters of a fit that has not seen the region.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from ..estimator import registry
+from ..estimator.errors import FilterDiverged
+from ..estimator.estimator import KnownJoint
+from ..estimator.offline import SHORTEST, Estimates, estimate_recording, prepare
+from ..models.errors import InputError
 from ..models.joint import Joint
-from ..sim.recording import Measurement, Recording
-from . import diagnose as core
-from .diagnose import Diagnosis
-from .estimate import estimate
-from .replay import HELD_OUT_BLOCK, HELD_OUT_EVERY
+from ..models.recording import Measurement, Recording
+from .data.segments import SETTINGS, Segment
+from .diagnose import Diagnosis, calibrated
+from .fit.regions import _System, region_masks
 
-FILTERS = ("EKF", "AREKF", "RAREKF")
-MAIN = "RAREKF"
+ESTIMATORS = ("EKF", "AREKF", "RAREKF", "current", "payload_smoothed")
+"""By their names in the registry; of the first and of the last kind there is one for every recording that has a current."""
+MAIN = ("RAREKF", "current", "payload_smoothed")
+"""The first of these that a measurement allows is the one that stands for all."""
+TRUTHS = {"joint_torque": "the torque sensor", "external_torque": "the external torque that was measured"}
+"""What estimates are held against, the first that there is; how it is called."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """Joint torque over one recording, shape (n,) each, N·m: time [s], sensor, `MAIN` before and after."""
+    """One recording, shape (n,) each: time since its start [s]; measured, main estimator before and after [N·m]."""
 
     name: str
     time: np.ndarray
-    sensor: np.ndarray
+    measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
 
 
 @dataclass(frozen=True)
-class Gain:
-    """Torque error of the filters on held-out data.
+class RegionError:
+    """RMS error [N·m] of the main estimator in a region, before and after."""
+
+    name: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """Error of estimators on data that no fit saw.
 
     Attributes:
-      errors: filter → (before, after), RMS [N·m] against the torque sensor.
-      noise: of the sensor [N·m rms]: what remains of a perfect estimate.
-      known_before: what the filters knew before, for people.
-      traces: of `MAIN`, by recording.
+      quantity: what is estimated and was measured too, one of `TRUTHS`.
+      main: the estimator that stands for all.
+      errors: estimator → (before, after), RMS [N·m] over the held-out blocks.
+      regions: of the main estimator, the one where it gains least first.
+      noise: of what it is held against [N·m rms]: what remains of a perfect estimate; 0 where it is not stated.
+      known_before: what the estimators knew before, for people.
+      traces: of the main estimator, by recording.
     """
 
+    quantity: str
+    main: str
     errors: dict[str, tuple[float, float]]
+    regions: tuple[RegionError, ...]
     noise: float
     known_before: str
     traces: tuple[Trace, ...] = field(repr=False)
 
+    @property
+    def source(self) -> str:
+        """What estimates are held against, for people."""
+        return TRUTHS[self.quantity]
+
     def to_json(self) -> dict[str, Any]:
         """What `diagnosis.json` holds as `estimation`."""
-        before, after = self.errors[MAIN]
-        return {"filter": MAIN, "before": before, "after": after, "unit": "N·m"}
+        before, after = self.errors[self.main]
+        return {
+            "filter": self.main, "before": before, "after": after, "unit": "N·m", "of": self.quantity,
+            "estimators": {name: {"before": a, "after": b} for name, (a, b) in self.errors.items()},
+            "regions": [{"region": r.name, "before": r.before, "after": r.after} for r in self.regions],
+        }  # fmt: skip
 
 
-def estimation(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> Gain | None:
-    """Torque error of the filters before and after, None without a torque sensor.
+def improvement(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> Improvement | None:
+    """Error of estimators before and after; None where nothing was measured to hold them against, or nothing was computed.
 
     Args:
       joint: the description that diagnosis was given.
     """
-    sensed = [(i, r) for i, r in enumerate(measurement.recordings) if r.joint_torque is not None]
-    if not sensed:
+    quantity = next((name for name in TRUTHS if _sensed(measurement, name)), None)
+    if quantity is None or diagnosis.problem is None or diagnosis.search is None:
         return None
-    before = core._extended(diagnosis.problem, diagnosis.rounds[0].base, joint) if diagnosis.causes else joint
+    before = calibrated(diagnosis.problem, diagnosis.search.base, joint) if diagnosis.causes else joint
+    sensed = _sensed(measurement, quantity)
     with ThreadPoolExecutor(2) as pool:
-        tasks = [pool.submit(estimate, r, known) for _, r in sensed for known in (before, diagnosis.extended)]
+        tasks = [
+            pool.submit(estimate_recording, recording, known, ESTIMATORS)
+            for _, recording in sensed
+            for known in (before, diagnosis.extended)
+        ]
         done = iter([task.result() for task in tasks])
-    squares: dict[str, list[list[np.ndarray]]] = {name: [[], []] for name in FILTERS}
-    traces = []
-    for index, recording in sensed:
-        pair = [next(done), next(done)]
-        kept = held_out(recording, index)
-        for name in FILTERS:
-            for k, estimates in enumerate(pair):
-                error = (estimates.torque[name] - recording.joint_torque)[kept]
-                squares[name][k].append(error[np.isfinite(error)] ** 2)
-        traces.append(
-            Trace(
-                recording.name,
-                recording.time - recording.time[0],
-                recording.joint_torque,
-                *(e.torque[MAIN] for e in pair),
-            )
-        )
-    errors = {
-        name: tuple(float(np.sqrt(np.mean(np.concatenate(parts)))) for parts in both) for name, both in squares.items()
-    }
-    return Gain(
-        errors=errors,
-        noise=joint.sensors.joint_torque.noise,
+    pairs = [(index, recording, next(done), next(done)) for index, recording in sensed]
+    names = [name for name in ESTIMATORS if all(name in _of(e, quantity) for _, _, *es in pairs for e in es)]
+    main = next((name for name in MAIN if name in names), None)
+    if main is None:
+        return None
+    kept = [held_out(recording, index) for index, recording in sensed]
+    return Improvement(
+        quantity=quantity,
+        main=main,
+        errors={name: _errors(pairs, quantity, name, kept) for name in names},
+        regions=_in_regions(diagnosis, pairs, quantity, main),
+        noise=joint.sensors.joint_torque.noise if quantity == "joint_torque" else 0.0,
         known_before="the calibrated joint without the causes" if diagnosis.causes else "the description as it came",
-        traces=tuple(traces),
-    )
+        traces=tuple(
+            Trace(
+                recording.name, recording.time - recording.time[0], recording[quantity], _of(a, quantity)[main],
+                _of(b, quantity)[main],
+            )
+            for _, recording, a, b in pairs
+        ),
+    )  # fmt: skip
+
+
+def _sensed(measurement: Measurement, quantity: str) -> list[tuple[int, Recording]]:
+    """Recordings in which a torque was measured, with their places in the measurement."""
+    return [(i, r) for i, r in enumerate(measurement.recordings) if quantity in r]
+
+
+def _of(estimates: Estimates, quantity: str) -> dict[str, np.ndarray]:
+    return estimates.torque if quantity == "joint_torque" else estimates.external_torque
+
+
+_Pair = tuple[int, Recording, Estimates, Estimates]
+
+
+def _errors(pairs: Sequence[_Pair], quantity: str, name: str, use: Sequence[np.ndarray]) -> tuple[float, float]:
+    """RMS [N·m] before and after over some samples, one mask a recording."""
+    squares: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for (_, recording, *both), kept in zip(pairs, use, strict=True):
+        for k, estimates in enumerate(both):
+            error = (_of(estimates, quantity)[name] - recording[quantity])[kept]
+            squares[k].append(error[np.isfinite(error)] ** 2)
+    before, after = (float(np.sqrt(np.mean(np.concatenate(x)))) if any(map(len, x)) else float("nan") for x in squares)
+    return before, after
+
+
+def _in_regions(diagnosis: Diagnosis, pairs: Sequence[_Pair], quantity: str, name: str) -> tuple[RegionError, ...]:
+    """Errors of an estimator in every region: before, and with the extended joint as a fit without the region has it."""
+    problem, final = diagnosis.problem, diagnosis.final
+    assert problem is not None and final is not None
+    told = {r.name for r in diagnosis.regions}
+    masks = {region: m for region, m in region_masks(problem).items() if region in told}
+    system = _System(problem, final)
+    where = {region: [_samples(problem.segments, m, i, r) for i, r, *_ in pairs] for region, m in masks.items()}
+
+    def unseen(region: str) -> list[Estimates]:
+        theta = final.theta + system.without(masks[region])
+        records = dict(zip((s.recording for s in problem.segments), problem.records(theta, final.model), strict=True))
+        return [
+            _estimate(recording, diagnosis.extended, records[index], name) if use.any() else after
+            for (index, recording, _, after), use in zip(pairs, where[region], strict=True)
+        ]
+
+    with ThreadPoolExecutor(2) as pool:
+        found = dict(zip(masks, pool.map(unseen, masks), strict=True))
+    errors = []
+    for region, estimates in found.items():
+        if any(use.any() for use in where[region]):
+            seen = [(i, r, before, e) for (i, r, before, _), e in zip(pairs, estimates, strict=True)]
+            errors.append(RegionError(region, *_errors(seen, quantity, name, where[region])))
+    return tuple(sorted(errors, key=lambda e: -e.after / max(e.before, 1e-12)))
+
+
+def _samples(segments: Sequence[Segment], masks: Sequence[np.ndarray], index: int, recording: Recording) -> np.ndarray:
+    """Samples of a recording in motion in a region, shape (n,), bool."""
+    found = np.zeros(len(recording.time), bool)
+    since = recording.time - recording.time[0]
+    for segment, mask in zip(segments, masks, strict=True):
+        if segment.recording == index and len(segment.at):
+            nearest = np.clip(np.searchsorted(segment.at, since), 0, len(segment.at) - 1)
+            inside = (since >= segment.at[0]) & (since <= segment.at[-1])
+            found |= inside & (mask & ~segment.at_rest)[nearest]
+    return found
+
+
+def _estimate(recording: Recording, joint: Joint, record: np.ndarray, name: str) -> Estimates:
+    """One estimator over a recording that knows another record, shape (1,), than the joint's own."""
+    known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
+    blind = recording.signals.without(*TRUTHS)
+    torque, external = np.full(len(recording.time), np.nan), np.full(len(recording.time), np.nan)
+    for part in recording.segments:
+        if part.stop - part.start < SHORTEST:
+            continue
+        ready = prepare(blind.part(part), known)
+        try:
+            found = ready.ready(registry.get(name)).estimate(ready.signals, ready.known)
+        except (FilterDiverged, InputError):
+            continue
+        torque[part] = ready.known.as_read(found.mean, ready.signals.time)
+        external[part] = ready.own_torque - found.mean if found.external is None else found.external
+    return Estimates(recording.name, recording.time, {name: torque}, {name: external})
 
 
 def held_out(recording: Recording, index: int) -> np.ndarray:
     """Samples in the blocks of time that no fit saw, shape (n,), bool; `index` of the recording in its measurement."""
-    block = np.floor((recording.time - recording.time[0]) / HELD_OUT_BLOCK).astype(int)
-    return (block + index) % HELD_OUT_EVERY == HELD_OUT_EVERY - 1
+    block = np.floor((recording.time - recording.time[0]) / SETTINGS.held_out_block).astype(int)
+    return (block + index) % SETTINGS.held_out_every == SETTINGS.held_out_every - 1
 
 
-def with_gain(diagnosis: Diagnosis, gain: Gain | None) -> Diagnosis:
-    """The diagnosis with the gain in it."""
-    return replace(diagnosis, estimation=None if gain is None else gain.to_json())
+def with_improvement(diagnosis: Diagnosis, gained: Improvement | None) -> Diagnosis:
+    """The diagnosis with what it gains for estimation in it."""
+    return replace(diagnosis, estimation=None if gained is None else gained.to_json())

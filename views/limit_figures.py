@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from ..models.files import write_into_place
-from ..scenarios.evaluation.limits import Assessment, Limits
-from ..scenarios.evaluation.tuning import Front
-from .figures import STYLE, WIDTH
+from .figures.sheet import LEFT, RIGHT, WIDTH, blank, place, save, styled
 from .style import COMMAND, FILTERS, TRUTH
+
+if TYPE_CHECKING:
+    from ..scenarios.evaluation.limits import Assessment, Limits
+    from ..scenarios.evaluation.tuning import Front
 
 BASELINES = {
     "model": "#C8B68E", "current": "#9AA3AD", "lowpass": "#17BECF", "lowpass_first_order": "#0E7C8A",
@@ -46,6 +45,7 @@ def contender_color(name: str) -> str:
     return FILTERS.get(name) or BASELINES.get(name, "#444A52")
 
 
+@styled
 def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
     """RMS error over time beside the bounds; NIS and NEES with their intervals; autocorrelation of the innovations.
 
@@ -65,76 +65,68 @@ def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
         f"{limits.torsion_bound_rms:.4f} N·m. Bars: 95 % intervals of a filter that knows its covariance; χ², NIS of all "
         "samples, NEES of one error per run. Shaded at the right: 95 % band of white innovations."
     )
-    with matplotlib.rc_context(STYLE):
-        figure, grid = _figure("Error and bound", caption, 8.0, (4.2, 3.4))
-        top = figure.add_subplot(grid[0, :])
-        for one in every:
-            if one.name in names and one.error.size:
-                top.plot(limits.time, one.error, color=contender_color(one.name), lw=0.9, label=one.name)
-        top.plot(limits.time, limits.torsion_bound, color=COMMAND, ls="--", lw=1.6, label="bound, paper's model")
-        top.plot(limits.time, limits.bound, color=TRUTH, lw=2.4, label="bound, joint's dynamics")
-        after = limits.time >= limits.transient
-        floor = 0.5 * min(limits.bound[after].min(), *(e.error[after].min() for e in every if e.error.size), np.inf)
-        top.set(yscale="log", xlabel="time [s]", ylabel="RMS error [N·m]", ylim=(max(floor, 1e-5), None))
-        top.margins(x=0.01)
-        top.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2, fontsize=8)
-        _consistency(figure.add_subplot(grid[1, 0]), every, "nis", "NIS per degree of freedom")
-        _consistency(figure.add_subplot(grid[1, 1]), every, "nees", "NEES")
-        _whiteness(figure.add_subplot(grid[1, 2]), every, limits.band)
+    shown_ones = [e for e in every if e.name in names and e.error.size]
+    rows = -(-(len(shown_ones) + 2) // 4)
+    above = 0.5 + 0.18 * rows
+    rated = max(len(every), 4) * 0.16 + 0.5
+    figure = blank("Error and bound", caption, above + 3.6 + 0.75 + rated + 0.6)
+    top = place(figure, LEFT, above, WIDTH - LEFT - RIGHT, 3.6)
+    top.margins(x=0.01)
+    for one in shown_ones:
+        top.plot(limits.time, one.error, color=contender_color(one.name), lw=0.9, label=one.name)
+    top.plot(limits.time, limits.torsion_bound, color=COMMAND, ls="--", lw=1.6, label="bound, paper's model")
+    top.plot(limits.time, limits.bound, color=TRUTH, lw=2.4, label="bound, joint's dynamics")
+    after = limits.time >= limits.transient
+    floor = 0.5 * min(limits.bound[after].min(), *(e.error[after].min() for e in every if e.error.size), np.inf)
+    top.set(yscale="log", xlabel="time [s]", ylabel="RMS error [N·m]", ylim=(max(floor, 1e-5), None))
+    top.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1.0), borderaxespad=0.2, fontsize=8)
+    below = above + 3.6 + 0.75
+    for column, (which, label) in enumerate((("nis", "NIS per degree of freedom"), ("nees", "NEES"))):
+        axes = place(figure, _NAMES + column * (_NAMES + _SMALL), below, _SMALL, rated)
+        _consistency(axes, every, which, label)
+    left = 2 * (_NAMES + _SMALL) + 0.85
+    _whiteness(place(figure, left, below, WIDTH - RIGHT - left, rated), every, limits.band)
     return figure
 
 
+@styled
 def pareto_figure(fronts: Sequence[Front], scenario: str, seeds: int, title: str = "Noise against delay") -> Figure:
     """Noise in steady state against delay to a push: a curve per filter, its defaults and tuned settings marked."""
     caption = (
         f"{scenario}, {seeds} test seeds. Along a curve a filter's tuning parameters change; only settings are drawn of which no "
         "other of that filter has both less noise and less delay. Circle: default settings; star: tuned for the RMS error. "
-        "Delay: the shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the error's part "
-        "faster than 0.2 s, in steady state. Below and to the left is better."
+        "Delay: the shift of the truth that explains the estimate best around the pushes; noise: standard deviation of the "
+        "error's part faster than 0.2 s, in steady state. Below and to the left is better."
     )
-    with matplotlib.rc_context(STYLE):
-        figure, grid = _figure(title, caption, 6.2, (1.0,))
-        axes = figure.add_subplot(grid[0, :])
-        for front in fronts:
-            color = contender_color(front.name)
-            inside = front.points[:, 0] > -5.0
-            x, y = np.maximum(front.points[inside, 0], _LEAST_DELAY), front.points[inside, 1]
-            line = {"marker": ".", "ms": 4} if len(x) > 1 else {"marker": "s", "ms": 5}
-            axes.plot(x, y, color=color, lw=1.2, label=front.name, **line)
-            for point, marker, size in ((front.default, "o", 6), (front.tuned, "*", 10)):
-                if point is not None and np.isfinite(point).all():
-                    at = max(point[0], _LEAST_DELAY)
-                    axes.plot(at, point[1], marker, ms=size, mfc="white", mec=color, mew=1.4, zorder=5)
-        axes.set(xscale="log", yscale="log", xlabel=f"delay [ms] (less than {_LEAST_DELAY:g} is drawn there)")
-        axes.set_ylabel("noise [N·m]")
-        for axis in (axes.xaxis, axes.yaxis):
-            _plain(axis, (1.0, 2.0))
-        axes.legend(ncols=1, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)
+    figure = blank(title, caption, 0.6 + 5.0 + 0.6)
+    axes = place(figure, LEFT, 0.6, WIDTH - LEFT - _LEGEND, 5.0)
+    for front in fronts:
+        color = contender_color(front.name)
+        inside = front.points[:, 0] > -5.0
+        x, y = np.maximum(front.points[inside, 0], _LEAST_DELAY), front.points[inside, 1]
+        line: dict[str, Any] = {"marker": ".", "ms": 4} if len(x) > 1 else {"marker": "s", "ms": 5}
+        axes.plot(x, y, color=color, lw=1.2, label=front.name, **line)
+        for point, marker, size in ((front.default, "o", 6), (front.tuned, "*", 10)):
+            if point is not None and np.isfinite(point).all():
+                at = max(point[0], _LEAST_DELAY)
+                axes.plot(at, point[1], marker, ms=size, mfc="white", mec=color, mew=1.4, zorder=5)
+    axes.set(xscale="log", yscale="log", xlabel=f"delay [ms] (less than {_LEAST_DELAY:g} is drawn there)")
+    axes.set_ylabel("noise [N·m]")
+    for axis in (axes.xaxis, axes.yaxis):
+        _plain(axis, (1.0, 2.0))
+    axes.legend(ncols=1, loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)
     return figure
 
 
 _LEAST_DELAY = 0.1  # ms
+_NAMES, _SMALL, _LEGEND = 1.45, 1.35, 2.05  # in: estimators' names beside a panel, a small panel, a legend of names
+_DPI = 110
 
 
 def save_figure(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG, moved into place when complete."""
-    with matplotlib.rc_context(STYLE), write_into_place(path) as temporary:
-        figure.savefig(temporary, dpi=110)
-    return path
-
-
-def _figure(title: str, caption: str, height: float, heights: Sequence[float]):
-    lines = textwrap.wrap(caption.replace(" -", " −"), 130)
-    below = 0.165 * len(lines) + 0.16
-    total = height + below
-    figure = Figure(figsize=(WIDTH, total), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.get_layout_engine().set(rect=(0.0, below / total, 1.0, 1.0 - below / total), h_pad=0.06, w_pad=0.08)
-    figure.suptitle(title, x=0.012, ha="left", fontsize=11, fontweight="bold", color="#22262B")
-    figure.text(0.012, 0.1 / total, "\n".join(lines), fontsize=8.2, color="#444A52", va="bottom", linespacing=1.4)
-    several = len(heights) > 1
-    widths = (1.0, 1.0, 1.15) if several else (1.0,)
-    return figure, figure.add_gridspec(len(heights), len(widths), height_ratios=heights, width_ratios=widths)
+    figure.set_dpi(_DPI)
+    return save(figure, path)
 
 
 def _consistency(axes: Axes, estimators: Sequence[Assessment], which: str, label: str) -> None:

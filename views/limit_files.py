@@ -5,13 +5,16 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ..models.files import write_into_place
-from ..scenarios.evaluation.limits import Limits
+
+if TYPE_CHECKING:
+    from ..scenarios.evaluation.limits import Limits
 
 SUMMARY = (
     "scenario", "estimator", "causal", "seeds", "rms", "rms_std", "bound", "ratio", "bound_paper_model", "intensity",

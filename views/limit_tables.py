@@ -4,24 +4,31 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from rich.table import Table
 from rich.text import Text
 
-from ..estimator.consistency import Mean
-from ..scenarios.evaluation.limits import Limits
-from ..scenarios.evaluation.tuning import Tuned, score
+from .tables import heading, narrow_table
+
+if TYPE_CHECKING:
+    from ..estimator.consistency import Mean
+    from ..scenarios.evaluation.limits import Limits
+    from ..scenarios.evaluation.tuning import Tuned
 
 LIMIT_HEADS = ("estimator", "RMS [N·m]", "/ bound", "NIS", "95 %", "NEES", "95 %", "inside [%]", "ρ outside [%]")
 """Columns of `limit_rows`."""
-TUNED_HEADS = ("filter", "train", "tuned", "test", "tuned", "difference, 95 %", "tuning parameters")
+TUNED_HEADS = (
+    "filter", "training, default [N·m]", "training, tuned [N·m]", "test, default [N·m]", "test, tuned [N·m]",
+    "difference [N·m], 95 %", "tuning parameters",
+)  # fmt: skip
 """Columns of `tuned_rows`."""
 
 
 def limit_rows(limits: Limits) -> list[tuple[str, ...]]:
     """A row of text per estimator, `LIMIT_HEADS`; the smallest error first."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for e in sorted(limits.estimators, key=lambda e: np.nan_to_num(e.mean_rms, nan=np.inf)):
         rows.append(
             (
@@ -35,47 +42,63 @@ def limit_rows(limits: Limits) -> list[tuple[str, ...]]:
 
 
 def limits_table(limits: Limits) -> Table:
-    """A scenario's estimators beside the bound, for the terminal."""
-    table = Table(
-        title=f"{limits.scenario}: {len(limits.seeds)} seeds, bound {limits.bound_rms:.4f} N·m (external torque a random walk of "
+    """A scenario's estimators beside the bound, for the terminal: NIS and NEES above their intervals."""
+    table = narrow_table(
+        f"{limits.scenario}: {len(limits.seeds)} seeds, bound {limits.bound_rms:.4f} N·m (external torque a random walk of "
         f"{limits.intensity:.3g} N·m/√s), bound of the paper's model {limits.torsion_bound_rms:.4f} N·m",
-        caption="NIS, NEES: 1 where a filter knows its covariance, above: it trusts itself too much; inside: share of time in "
-        "which NEES over seeds is in its 95 % interval; ρ outside: lags beyond the band of white innovations, 5 % is white",
+        "times bound: RMS in units of the bound; NIS, NEES with 95 % intervals: 1 where a filter knows its covariance, above: it "
+        "trusts itself too much; inside: share of time in which NEES over seeds is in its interval; ρ outside: lags beyond the "
+        "band of white innovations, 5 % is white",
     )
-    for i, head in enumerate(LIMIT_HEADS):
-        table.add_column(head, justify="left" if i == 0 else "right", no_wrap=True)
-    for row in limit_rows(limits):
-        table.add_row(*(Text(cell) for cell in row))
+    heads = [("estimator", ""), ("RMS", "N·m"), ("times bound", ""), ("NIS 95\u00a0%", ""), ("NEES 95\u00a0%", ""),
+             ("inside", "%"), ("ρ\u00a0outside", "%")]  # fmt: skip
+    for i, (words, unit) in enumerate(heads):
+        text = heading(words, unit, "right" if i else "left")
+        table.add_column(text, justify="right" if i else "left", no_wrap=i > 0, overflow="fold", vertical="top")
+    for name, rms, ratio, nis, nis_interval, nees, nees_interval, inside, outside in limit_rows(limits):
+        cells = name.replace(" (", "\n("), rms, ratio, *_stacked(nis, nis_interval), *_stacked(nees, nees_interval)
+        table.add_row(*(Text(cell) for cell in (*cells, inside, outside)))
     return table
+
+
+def _stacked(value: str, interval: str) -> tuple[str]:
+    return (value if value == "–" else f"{value}\n{interval}",)
 
 
 def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
     """A row of text per filter, `TUNED_HEADS`; the smallest tuned error first."""
     rows = []
-    for one in sorted(found, key=lambda one: score(one.test_tuned)):
+    for one in sorted(found, key=lambda one: _overall(one.test_tuned)):
         change = one.difference
         interval = f" [{change.low:+.4f}, {change.high:+.4f}]" if math.isfinite(change.low) else ""
         values = ", ".join(
             f"{k.split('.')[-1]} {v:.3g}" + ("!" if k in one.at_bound else "") for k, v in one.values.items()
         )
-        errors = (*one.train, score(one.test_default), score(one.test_tuned))
+        errors = (*one.train, _overall(one.test_default), _overall(one.test_tuned))
         rows.append((one.name, *(number(e, 4) for e in errors), f"{change.mean:+.4f}{interval}", values or "–"))
     return rows
 
 
 def tuned_table(found: Sequence[Tuned], title: str) -> Table:
-    """Default and tuned filters on training and test seeds, for the terminal."""
-    table = Table(
-        title=title,
-        caption="RMS error [N·m]; difference: tuned less default on the same test runs, mean and 95 % interval over seeds; "
-        "! at the end of its range",
+    """Default above tuned filters on training and test seeds, for the terminal."""
+    table = narrow_table(
+        title,
+        "RMS error, default above tuned; difference: tuned less default on the same test runs, mean and 95 % interval over "
+        "seeds; ! at the end of its range",
     )
-    for i, head in enumerate(TUNED_HEADS):
-        last = i == len(TUNED_HEADS) - 1
-        table.add_column(head, justify="left" if i == 0 or last else "right", no_wrap=not last)
-    for row in tuned_rows(found):
-        table.add_row(*(Text(cell) for cell in row))
+    heads = [("filter", ""), ("training", "N·m"), ("test", "N·m"), ("difference", "N·m"), ("tuning parameters", "")]
+    for i, (words, unit) in enumerate(heads):
+        text = heading(words, unit, "right" if 0 < i < 4 else "left")
+        table.add_column(text, justify="right" if 0 < i < 4 else "left", no_wrap=0 < i < 4, overflow="fold")
+    for name, *errors, difference, values in tuned_rows(found):
+        pairs = ("\n".join(errors[:2]), "\n".join(errors[2:]), difference.replace(" [", "\n["))
+        table.add_row(*(Text(cell) for cell in (name, *pairs, values.replace(", ", "\n"))))
     return table
+
+
+def _overall(rms: np.ndarray) -> float:
+    """One number of RMS errors (scenarios, seeds): root mean square over seeds, geometric mean of these, as tuning has it."""
+    return float(np.exp(np.mean(np.log(np.sqrt(np.mean(rms**2, axis=1))))))
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -1,4 +1,4 @@
-"""What all pictures share: one colour per signal, and fewer points per line without losing its peaks.
+"""What all pictures share: one colour per signal.
 
 The colours (after Okabe and Ito, safe for colour-blind eyes) are legible on white figures and in Rerun's dark viewer.
 """
@@ -6,8 +6,6 @@ The colours (after Okabe and Ito, safe for colour-blind eyes) are legible on whi
 from __future__ import annotations
 
 from collections.abc import Iterable
-
-import numpy as np
 
 TRUTH = "#00A878"
 """Noise-free truth of the plant."""
@@ -42,35 +40,3 @@ def main_filter(names: Iterable[str]) -> str:
     """The filter that a picture of only one shows: the paper's, or else the last."""
     names = list(names)
     return MAIN if MAIN in names else names[-1]
-
-
-def thin(values: np.ndarray, points: int, keep: np.ndarray | None = None) -> np.ndarray:
-    """Indices of the samples that draw a line as well as all do: the lowest and the highest of each bucket.
-
-    Args:
-      values: shape (n,).
-      points: about how many samples to leave, at least those of `keep`.
-      keep: samples that stay whatever they are (the interesting stretches), shape (n,), bool.
-
-    Returns:
-      Increasing indices, first and last sample included.
-    """
-    n = len(values)
-    if n <= points:
-        return np.arange(n)
-    kept = np.zeros(n, dtype=bool) if keep is None else np.array(keep, dtype=bool)
-    kept[[0, -1]] = True
-    size = int(np.ceil(2 * n / max(points - np.count_nonzero(kept), 64)))
-    whole = n // size * size
-    buckets = np.asarray(values)[:whole].reshape(-1, size)
-    start = np.arange(0, whole, size)
-    kept[start + buckets.argmin(axis=1)] = True
-    kept[start + buckets.argmax(axis=1)] = True
-    return np.flatnonzero(kept)
-
-
-def share(flags: np.ndarray, samples: int) -> np.ndarray:
-    """Moving share of true flags over a centred window, shape (n,), from 0 to 1; shorter at both ends."""
-    window = np.ones(min(max(samples, 1), len(flags)))
-    count = np.convolve(np.asarray(flags, dtype=float), window, mode="same")
-    return count / np.convolve(np.ones(len(flags)), window, mode="same")

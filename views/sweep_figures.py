@@ -7,18 +7,15 @@ from __future__ import annotations
 
 import itertools
 import math
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from ..models.files import write_into_place
-from .figures import STYLE, WIDTH
+from .figures.sheet import RIGHT, WIDTH, blank, place, save, styled
 from .style import filter_colors
 from .sweep_tables import metric_column
 
@@ -27,7 +24,9 @@ if TYPE_CHECKING:
     from ..scenarios.studies.study import Study, Value
 
 _COLUMNS = 4
-_HEIGHT = 2.1
+_HEIGHT, _GAP = 2.2, 0.5  # in: of a row of panels, of it between them
+_LEFT, _BETWEEN = 0.85, 0.14  # in
+_LEGEND = 8  # filters in a line of the legend
 _LOGARITHMIC = 15.0  # largest over smallest mean from which on an axis is logarithmic
 _CHARACTERS = 80  # of ticks that stand side by side in a row of panels
 _SPREAD = 0.32  # of the distance between two points, over which the filters stand side by side
@@ -36,20 +35,16 @@ _SPREAD = 0.32  # of the distance between two points, over which the filters sta
 def save_sweep_figures(aggregates: Sequence[Aggregate], study: Study, folder: Path) -> list[Path]:
     """Write all figures of a study as PNG; their paths."""
     paths = []
-    with matplotlib.rc_context(STYLE):
-        for scenario in dict.fromkeys(s.scenario for s in aggregates):
-            here = [s for s in aggregates if s.scenario == scenario]
-            for metric, differences in itertools.product(study.metrics, (False, True)):
-                figure = sweep_figure(here, study, metric, differences)
-                if figure is None:
-                    continue
-                path = folder / f"{scenario}_{metric}{'_difference' if differences else ''}.png"
-                with write_into_place(path) as temporary:
-                    figure.savefig(temporary)
-                paths.append(path)
+    for scenario in dict.fromkeys(s.scenario for s in aggregates):
+        here = [s for s in aggregates if s.scenario == scenario]
+        for metric, differences in itertools.product(study.metrics, (False, True)):
+            figure = sweep_figure(here, study, metric, differences)
+            if figure is not None:
+                paths.append(save(figure, folder / f"{scenario}_{metric}{'_difference' if differences else ''}.png"))
     return paths
 
 
+@styled
 def sweep_figure(
     aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool = False
 ) -> Figure | None:
@@ -61,11 +56,6 @@ def sweep_figure(
       metric: which.
       differences: to the reference, paired, instead of means.
     """
-    with matplotlib.rc_context(STYLE):
-        return _figure(aggregates, study, metric, differences)
-
-
-def _figure(aggregates: Sequence[Aggregate], study: Study, metric: str, differences: bool) -> Figure | None:
     column = metric_column(metric)
     across, panels = layout(aggregates)
     names = [n for n in study.names if not (differences and n == study.compared_to)]
@@ -78,28 +68,39 @@ def _figure(aggregates: Sequence[Aggregate], study: Study, metric: str, differen
     if not shown or not names:
         return None
     titles = {axis.name: axis.title for axis in study.axes}
-    places = [v for v in dict.fromkeys(s.columns.get(across) for s in aggregates) if v is not None] or [None]
+    places: list[Value | None] = [
+        v for v in dict.fromkeys(s.columns.get(across) for s in aggregates) if v is not None
+    ] or [None]
     rows = math.ceil(len(panels) / _COLUMNS)
     columns = math.ceil(len(panels) / rows)
     what = f"difference to {study.compared_to}, paired over seeds" if differences else column.meaning
     runs = sorted({s.runs for s in aggregates})
-    caption = textwrap.fill(
+    caption = (
         f"{study.name}, {aggregates[0].scenario}. {column.heading}: {what}; means over "
-        f"{'–'.join(map(str, dict.fromkeys((runs[0], runs[-1]))))} seeds with 95 % intervals (Student's t).",
-        118,
+        f"{'–'.join(map(str, dict.fromkeys((runs[0], runs[-1]))))} seeds with 95 % intervals (Student's t)."
     )
-    figure = Figure(figsize=(WIDTH, _HEIGHT * rows + 1.15), layout="constrained")
-    FigureCanvasAgg(figure)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).reshape(-1)
+    ticks = [_tick(v) for v in places]
+    slanted = sum(map(len, ticks)) > _CHARACTERS / columns
+    lines = -(-len(names) // _LEGEND)
+    above = 0.55 + 0.18 * lines + 0.25 * max(map(len, panels))
+    foot = 0.6 + (0.075 * max(map(len, ticks)) if slanted else 0.0)
+    figure = blank(f"{column.title}  ·  {aggregates[0].scenario}", caption, above + _HEIGHT * rows - _GAP + foot)
+    width = (WIDTH - _LEFT - RIGHT - _BETWEEN * (columns - 1)) / columns
+    grid: list[Axes] = []
+    for k in range(len(panels)):
+        row, across_ = divmod(k, columns)
+        first = grid[0] if grid else None
+        left = _LEFT + across_ * (width + _BETWEEN)
+        grid.append(place(figure, left, above + row * _HEIGHT, width, _HEIGHT - _GAP, first, first))
+        grid[-1].tick_params(labelleft=across_ == 0, labelbottom=k + columns >= len(panels))
     colors = filter_colors(study.names)
-    for axes, panel in zip(grid, panels, strict=False):
+    for axes, panel in zip(grid, panels, strict=True):
         for i, name in enumerate(names):
             line = [
-                (k, found(s))
+                (k, one)
                 for k, v in enumerate(places)
-                if (s := _at(aggregates, name, across, v, panel)) is not None
+                if (s := _at(aggregates, name, across, v, panel)) is not None and (one := found(s)) is not None
             ]
-            line = [(k, one) for k, one in line if one is not None]
             if not line:
                 continue
             x = np.array([k for k, _ in line]) + _SPREAD * (i - 0.5 * (len(names) - 1)) / max(len(names), 2)
@@ -122,27 +123,25 @@ def _figure(aggregates: Sequence[Aggregate], study: Study, metric: str, differen
         axes.set_title(
             "\n".join(v if isinstance(v, str) else f"{titles.get(k, k)}: {v:g}" for k, v in panel.items()), fontsize=8.5
         )
-        ticks = [_tick(v) for v in places]
-        axes.set_xticks(range(len(places)), ticks, rotation=35 if sum(map(len, ticks)) > _CHARACTERS / columns else 0)
-    for axes in grid[len(panels) :]:
-        axes.set_visible(False)
+        axes.set_xticks(range(len(places)), ticks, rotation=35 if slanted else 0, ha="right" if slanted else "center")
     means = column.scale * np.abs([one.mean for one in shown])
     if differences and means.max() > _LOGARITHMIC * (usual := np.median(means)) > 0:
         grid[0].set_yscale("symlog", linthresh=usual)
     elif not differences and means.min() > 0 and means.max() / means.min() > _LOGARITHMIC:
         grid[0].set_yscale("log")
-    for i, axes in enumerate(grid[: len(panels)]):
+    for i, axes in enumerate(grid):
         if i % columns == 0:
             axes.set_ylabel(f"Δ {column.title}" if differences else column.title)
         if i + columns >= len(panels):
             axes.set_xlabel(titles.get(across, ""))
-            axes.tick_params(labelbottom=True)
     handles, labels = next(
         (h for axes in grid if len((h := axes.get_legend_handles_labels())[0]) == len(names)),
         grid[0].get_legend_handles_labels(),
     )
-    figure.legend(handles, labels, loc="outside upper left", ncols=min(len(names), 8))
-    figure.supxlabel(caption, fontsize=8, x=0.01, ha="left", color="#444A52")
+    corner = (_LEFT / WIDTH, 1 - 0.4 / figure.get_figheight())
+    figure.legend(
+        handles, labels, loc="upper left", bbox_to_anchor=corner, borderaxespad=0, ncols=min(len(names), _LEGEND)
+    )
     return figure
 
 

@@ -6,11 +6,13 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
 from .style import filter_colors
-from .tables import COLUMNS, Column
+from .tables import COLUMNS, RESPONSE, Column, narrow_table
 
 if TYPE_CHECKING:
     from ..scenarios.studies.statistics import Aggregate, Interval
@@ -18,12 +20,19 @@ if TYPE_CHECKING:
 
 BETTER, WORSE = "▾", "▴"
 """Marks of a mean that is lower, or higher, than the reference's: the interval of the paired difference leaves out zero."""
-_NOISE = Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state")
+_UNLIMITED = 10_000  # characters: how wide a table would be with all the room that it wants
+_OWN = (
+    Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state"),
+    # The rows have no truth beside them, so that this is not the response of other tables, which is after the truth.
+    Column(
+        RESPONSE, "90 % of a push", "ms", 1, 1, "made so long after the push's onset, the torque's own time included"
+    ),
+)
 
 
 def metric_column(metric: str) -> Column:
     """Heading, unit and scale of a metric."""
-    return next((c for c in COLUMNS if c.key == metric), _NOISE)
+    return next(c for c in (*_OWN, *COLUMNS) if c.key == metric)
 
 
 def with_interval(value: Interval, scale: float = 1.0) -> str:
@@ -61,28 +70,64 @@ def sweep_rows(aggregates: Sequence[Aggregate]) -> Iterator[tuple[str, dict, dic
         yield s.scenario, s.columns, {o.filter: o for o in at}
 
 
-def sweep_table(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
-    """One metric for the terminal: a row per scenario and point, a column per filter."""
+class FirstThatFits:
+    """The first of several tables that the terminal is wide enough for, or else the last."""
+
+    def __init__(self, *tables: Table):
+        self.tables = tables
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        for table in self.tables[:-1]:
+            if Measurement.get(console, options.update(max_width=_UNLIMITED), table).maximum <= options.max_width:
+                yield table
+                return
+        yield self.tables[-1]
+
+
+def sweep_table(aggregates: Sequence[Aggregate], study: Study, metric: str) -> FirstThatFits:
+    """One metric for the terminal: a row per scenario and point, a column per filter; where that is too wide a row per filter."""
+    return FirstThatFits(_wide(aggregates, study, metric), _long(aggregates, study, metric))
+
+
+def _empty(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
     column = metric_column(metric)
-    against = study.compared_to
-    table = Table(
-        title=f"{study.name}: {column.title}, {column.meaning}",
-        caption=f"mean ± 95 % interval over seeds (Student's t), no ± where it is below the digits shown; {BETTER} below, "
-        f"{WORSE} above {against}: paired over seeds, 95 %",
+    table = narrow_table(
+        f"{study.name}: {column.title}, {column.meaning}",
+        f"mean ± 95 % interval over seeds (Student's t), no ± where it is below the digits shown; {BETTER} below, "
+        f"{WORSE} above {study.compared_to}: paired over seeds, 95 %",
     )
-    axes = list(aggregates[0].columns)
+    for name in ("scenario", *aggregates[0].columns):
+        table.add_column(Text(name), justify="left" if name in ("scenario", "cause") else "right", overflow="fold")
+    return table
+
+
+def _wide(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
+    column, table = metric_column(metric), _empty(aggregates, study, metric)
     colors = filter_colors(study.names)
-    for heading in ("scenario", *axes):
-        table.add_column(heading, justify="left" if heading in ("scenario", "cause") else "right", no_wrap=True)
     for name in study.names:
-        table.add_column(Text(name, style=colors[name]), justify="right", overflow="fold")
+        table.add_column(Text(name, style=colors[name]), justify="right", no_wrap=True)
     before = None
     for scenario, columns, of in sweep_rows(aggregates):
         if before not in (None, scenario):
             table.add_section()
         cells = [Text(_cell(of.get(name), metric, column), style=_style(of.get(name), metric)) for name in study.names]
-        table.add_row(scenario if before != scenario else "", *(_value(columns[a]) for a in axes), *cells)
+        at = (Text(_value(value)) for value in columns.values())
+        table.add_row(Text(scenario if before != scenario else ""), *at, *cells)
         before = scenario
+    return table
+
+
+def _long(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
+    column, table = metric_column(metric), _empty(aggregates, study, metric)
+    colors = filter_colors(study.names)
+    table.add_column("filter", overflow="fold")
+    table.add_column(Text(column.title), justify="right", no_wrap=True)
+    for scenario, columns, of in sweep_rows(aggregates):
+        place = [Text(scenario), *(Text(_value(value)) for value in columns.values())]
+        for i, name in enumerate(study.names):
+            cell = Text(_cell(of.get(name), metric, column), style=_style(of.get(name), metric))
+            first = place if i == 0 else [Text("")] * len(place)
+            table.add_row(*first, Text(name, style=colors[name]), cell, end_section=i + 1 == len(study.names))
     return table
 
 

@@ -1,16 +1,21 @@
-"""Metrics as tables: in the terminal (rich) and in Markdown."""
+"""Metrics as tables: in the terminal (rich), readable at 80 columns, and in Markdown."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
+from rich import box
 from rich.table import Table
 from rich.text import Text
 
 from .style import filter_colors
 
+RESPONSE = "response_ms"
+_SHORT = 7  # characters of a heading's line
 RAW_MODEL = "raw model"
 """How the compliance model without any filter is called in a table."""
 
@@ -42,9 +47,9 @@ class Column:
 COLUMNS = (
     Column("rms", "RMS error", "N·m", 1, 3, "against the true joint torque, after the transient"),
     Column("max", "max error", "N·m", 1, 3, "largest, likewise"),
-    Column("noise_ratio", "noise / model", "", 1, 2, "noise in steady state relative to the raw model's"),
-    Column("delay_ms", "delay", "ms", 1, 1, "to a push"),
-    Column("response_ms", "90 % response", "ms", 1, 1, "to a push"),
+    Column("noise_ratio", "noise ratio", "", 1, 2, "noise in steady state relative to the raw model's"),
+    Column("delay_ms", "delay", "ms", 1, 1, "shift of the truth that explains the estimate best around the pushes"),
+    Column(RESPONSE, "response", "ms", 1, 1, "how long after the truth the estimate has made 90 % of a push"),
     Column("robust_share", "robust", "%", 100, 1, "share of the time in robust mode"),
     Column("mean_nis", "mean NIS", "", 1, 2, "normalised innovation squared; 1 where P_Y is right"),
     Column("rms_to_sensor", "RMS to sensor", "N·m", 1, 3, "against the noisy torque sensor"),
@@ -56,49 +61,84 @@ def comparison_rows(metrics: Mapping[str, Mapping]) -> list[tuple[str, ...]]:
     """Cells of the comparison as text: scenario, filter, then `COLUMNS`.
 
     Args:
-      metrics: a run's metrics by scenario name: `{"filters": {name: {…}}, "model": {…}}`.
+      metrics: a run's metrics by scenario name: `{"filters": {name: {…}}, "model": {…}, "truth": {…}}`.
     """
     rows = []
     for scenario, run in metrics.items():
         entries = {RAW_MODEL: run["model"]} if run.get("model") else {}
         for name, values in (entries | dict(run.get("filters", {}))).items():
-            rows.append((scenario, name, *(column.text(values) for column in COLUMNS)))
+            shown = {**values, RESPONSE: _after_truth(values, run.get("truth", {}))}
+            rows.append((scenario, name, *(column.text(shown) for column in COLUMNS)))
     return rows
 
 
+def _after_truth(values: Mapping, truth: Mapping) -> float | None:
+    """Response after the truth's own [ms]: the metrics have both from the push's onset on."""
+    own, itself = values.get(RESPONSE), truth.get(RESPONSE)
+    return None if own is None or itself is None else own - itself
+
+
 def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque estimates") -> Table:
-    """The comparison for the terminal: a row per scenario and filter, the best of each scenario in bold.
+    """The comparison for the terminal: a row per filter below its scenario, the best of each scenario in bold.
 
     Args:
       metrics: a run's metrics by scenario name.
       title: above the table.
     """
-    table = Table(title=title, caption="errors against the plant's noise-free joint torque; – not defined here")
-    table.add_column("scenario", no_wrap=True)
-    table.add_column("filter", no_wrap=True)
+    table = narrow_table(
+        title,
+        "Errors against the plant's noise-free joint torque; response: after the truth, 90 % of a push; – not defined here",
+    )
+    table.add_column("filter", overflow="fold")
     for column in COLUMNS:
-        table.add_column(column.heading + (f"\n[{column.unit}]" if column.unit else ""), justify="right")
+        table.add_column(heading(column.heading, column.unit), justify="right", no_wrap=True, vertical="bottom")
     rows = comparison_rows(metrics)
     colors = filter_colors(dict.fromkeys(name for _, name, *_ in rows if name != RAW_MODEL))
     for i, (scenario, name, *cells) in enumerate(rows):
-        first = i == 0 or rows[i - 1][0] != scenario
+        if i == 0 or rows[i - 1][0] != scenario:
+            table.add_row(Text(scenario, style="bold"))
         last = i + 1 == len(rows) or rows[i + 1][0] != scenario
         best = _smallest([row for row in rows if row[0] == scenario and row[1] != RAW_MODEL])
         shown = [Text(cell, style="bold" if (name, k) in best else "") for k, cell in enumerate(cells)]
-        label = Text(name, style=colors.get(name, "dim"))
-        table.add_row(Text(scenario if first else ""), label, *shown, end_section=last)
+        table.add_row(Text(f" {name}", style=colors.get(name, "dim")), *shown, end_section=last)
     return table
 
 
-def comparison_markdown(metrics: Mapping[str, Mapping]) -> str:
-    """The comparison as a Markdown table, with the meaning of the columns below it."""
-    heads = ("scenario", "filter", *(column.title for column in COLUMNS))
+def narrow_table(title: str, caption: str) -> Table:
+    """An empty table that spends two characters between its columns and none at its edges."""
+    return Table(
+        title=Text(title),
+        caption=Text(caption),
+        box=box.SIMPLE_HEAD,
+        show_edge=False,
+        pad_edge=False,
+        padding=(0, 1, 0, 0),
+    )
+
+
+def heading(words: str, unit: str = "", justify: Literal["left", "right"] = "right") -> Text:
+    """A heading in short lines, the unit on one of its own; as `Text`, since rich takes `[ms]` for markup."""
+    lines = textwrap.wrap(words, _SHORT, break_long_words=False)
+    return Text("\n".join([*lines, f"[{unit}]"] if unit else lines), justify=justify)
+
+
+def comparison_markdown(metrics: Mapping[str, Mapping], keys: Sequence[str] = ()) -> str:
+    """The comparison as a Markdown table, with the meaning of the columns below it.
+
+    Args:
+      metrics: a run's metrics by scenario name.
+      keys: of the columns to show, without the scenario; all by default.
+    """
+    chosen = [k for k, column in enumerate(COLUMNS) if not keys or column.key in keys]
+    first = ("filter",) if keys else ("scenario", "filter")
+    heads = (*first, *(COLUMNS[k].title for k in chosen))
+    rows = [(*row[2 - len(first) : 2], *(row[2 + k] for k in chosen)) for row in comparison_rows(metrics)]
     lines = [
         "| " + " | ".join(heads) + " |",
-        "|---|---|" + "---:|" * len(COLUMNS),
-        *("| " + " | ".join(row) + " |" for row in comparison_rows(metrics)),
+        "|---" * len(first) + "|" + "---:|" * len(chosen),
+        *("| " + " | ".join(row) + " |" for row in rows),
         "",
-        "; ".join(f"*{column.heading}*: {column.meaning}" for column in COLUMNS) + ".",
+        "; ".join(f"*{COLUMNS[k].heading}*: {COLUMNS[k].meaning}" for k in chosen) + ".",
     ]
     return "\n".join(lines) + "\n"
 

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import re
 from dataclasses import replace
+from html import unescape
 from html.parser import HTMLParser
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import pytest
 from flexspline.diagnosis import challenge as challenges
 from flexspline.diagnosis.challenge import Challenge
-from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.diagnose import Finding, diagnose
 from flexspline.diagnosis.gain import estimation, held_out, with_gain
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
 from flexspline.sim.recording import Measurement, write_recording
-from flexspline.views import diagnosis_figures as figures
-from flexspline.views.report import Report, html, markdown, verdict_sentence, write_rerun_report
+from flexspline.views.glossary import meaning
+from flexspline.views.pages import html
+from flexspline.views.report import Report, markdown, verdict_sentence
+from flexspline.views.rerun import write_rerun_report
+from flexspline.views.residuals import overlays
 
-VOID = {"meta", "br", "path", "rect", "circle"}
+VOID = {"meta", "br"}
 
 
 class Checker(HTMLParser):
@@ -32,7 +38,7 @@ class Checker(HTMLParser):
         self.open, self.links, self.text = [], [], []
 
     def handle_starttag(self, tag, attributes):
-        self.links += [v for k, v in attributes if k in ("src", "href")]
+        self.links += [v for k, v in attributes if k in ("src", "href", "xlink:href", "data", "action")]
         if tag not in VOID:
             self.open.append(tag)
 
@@ -73,27 +79,42 @@ def report(measured) -> Report:
     return Report(measured[1], joint, with_gain(found, gain), gain, plan, 9.0)
 
 
-def test_report_is_one_sound_page_that_refers_to_nothing(report):
-    page = html(report)
+def read(page: str) -> tuple[Checker, str]:
+    """A page that has been looked through, and its text in one line."""
     checker = Checker()
     checker.feed(page)
     checker.close()
-    # html needs no closing tag for li and p; everything that is opened here is closed.
-    assert checker.open in ([], ["html"])
+    return checker, " ".join(" ".join(checker.text).split())
+
+
+def test_report_is_one_sound_page_that_refers_to_nothing(report):
+    page = html(report)
+    checker, _ = read(page)
+    assert checker.open == []
     assert checker.links == []
-    assert "@import" not in page and "url(http" not in page and "<script" not in page
+    assert "@import" not in page and "url(" not in page and "<script" not in page and "http" not in page
     assert len(page.encode()) < 3e6
     assert "bench &lt;1&gt;" in page and "bench <1>" not in page
-    assert "nan" not in re.sub(r"<[^>]*>", " ", page.split("<main>")[1]).lower().split()
-    # Clip paths are of one panel each.
-    names = re.findall(r'<clipPath id="(\w+)"', page)
-    assert len(names) == len(set(names)) > 20
+    assert not {"nan", "inf", "none", "undefined"} & set(
+        re.sub(r"<[^>]*>", " ", page.split("<main>")[1]).lower().split()
+    )
+    assert "NaN" not in page and "nan" not in "".join(re.findall(r' d="([^"]*)"', page))
+
+
+def test_page_is_readable_in_the_dark_on_a_phone_and_on_paper(report):
+    page = html(report)
+    assert '<meta name="viewport" content="width=device-width' in page
+    assert "prefers-color-scheme:dark" in page and "@media print" in page and "@media (max-width" in page
+    # Every colour of the charts is the style sheet's, which has it twice.
+    assert not re.search(r'(fill|stroke|style)="[^"]*#', page)
+    style = page.split("<style>")[1].split("</style>")[0]
+    light, dark = (dict(re.findall(r"--(\w+):(#\w+)", part)) for part in style.split("@media screen")[:2])
+    assert set(re.findall(r"var\(--(\w+)\)", style)) <= set(light)
+    assert {name: dark.get(name) for name in light} and set(light) == set(dark)
 
 
 def test_report_answers_what_a_colleague_asks(report):
-    checker = Checker()
-    checker.feed(html(report))
-    text = " ".join(checker.text)
+    _, text = read(html(report))
     for part in (
         verdict_sentence(report.diagnosis), "Friction asymmetry".lower(), "confidence", "Motor and mesh", "Transmission:",
         "Link:", "link angle", "motor angle in one turn", "motor velocity", "load [N·m]", "direction of motion",
@@ -105,31 +126,115 @@ def test_report_answers_what_a_colleague_asks(report):
     assert verdict_sentence(report.diagnosis) in notes and "| RAREKF |" in notes
 
 
-def test_variable_that_gives_the_cause_away(rng):
-    k = 4000
-    velocity = rng.uniform(-60, 60, k)
-    link = rng.uniform(-1, 1, k)
-    other = {name: rng.uniform(0, 9, k) for name in ("time", "motor", "load")}
-    noise = 0.01 * rng.standard_normal(k)
+def test_page_begins_with_what_was_found_how_sure_and_what_to_do(report):
+    _, text = read(html(replace(report, folder=Path("out dir"))))
+    places = [text.index(part) for part in ("What was found", "How sure", "What to do now", "Measured and simulated")]
+    assert places == sorted(places)
+    head = text[: places[-1]]
+    assert "joint.yaml" in head and "in place of the description" in head
+    assert "flexspline run link_sweep --set joint='out dir'/joint.yaml" in head
+    assert "flexspline estimate '" in head and "bench <1>' --joint 'out dir'/joint.yaml --out" in head
+    assert "flexspline diagnose NEW_MEASUREMENT --joint 'out dir'/joint.yaml" in head
+    assert "DIR" not in head
+    assert "DIR stands for the folder" in read(html(report))[1]
 
-    def balance(before):
-        return figures.Balance(
-            "Motor: x", "A", before, noise, 0.01, link=link, velocity=velocity, rising=rng.random(k) < 0.5, **other
+
+def test_page_ends_with_where_it_comes_from(report):
+    _, text = read(html(report))
+    end = text.split("Where this page comes from")[1]
+    assert f"flexspline {metadata.version('flexspline')}" in end
+    assert re.search(r"Written 20\d\d-\d\d-\d\d", end)
+    assert "sweep 20000" in end and re.search(r"\b[0-9a-f]{12}\b", end)
+
+
+def consistent(report: Report) -> Report:
+    """The same measurement as if nothing had been found in it: calibration alone."""
+    found = replace(report.diagnosis, verdict="consistent", causes=(), rounds=report.diagnosis.rounds[:1])
+    return replace(report, diagnosis=found, gain=replace(report.gain, known_before="the description as it came"))
+
+
+def test_consistent_says_what_calibration_moved_and_what_that_gains(report):
+    _, text = read(html(consistent(report)))
+    head = text.split("Measured and simulated")[0]
+    moved = report.diagnosis.calibration
+    assert f"Calibration moved {len(moved)} number" in head
+    before, after = report.gain.errors["RAREKF"]
+    assert f"goes from {before:.3f} to {after:.3f} N·m" in head and "before, it knew the description as it came" in head
+    blind = replace(consistent(report), gain=None)
+    assert "cannot be said" in read(html(blind))[1].split("Measured and simulated")[0]
+
+
+def test_inconclusive_says_what_to_measure_first(report):
+    names = tuple(causes.of(report.joint))
+    found = replace(report.diagnosis, verdict="inconclusive", causes=(), undetermined=names, confusable=(names[:2],))
+    head, rest = read(html(replace(report, diagnosis=found)))[1].split("Measured and simulated", 1)
+    assert "First measure “link_sweep” : it is expected to decide backlash" in head
+    assert f"Of {len(names)} known causes 0 would have shown at ordinary size; {len(names)} could not" in head
+    assert "1 pair of causes cannot be told apart" in head
+    assert all(name.replace("_", " ") in rest for name in names)
+
+
+def test_unknown_effect_is_shown_with_what_it_depends_on(report):
+    effect = Finding("unknown", "link", 0.6, {}, 0.4, "a torque on the link that depends on θl", ("link_position",))
+    found = replace(report.diagnosis, causes=(effect,))
+    page = html(replace(report, diagnosis=found))
+    assert "An effect that no known cause explains".lower() in read(page)[1].lower()
+    assert 'depends on <abbr title="link angle">θl</abbr>' in page
+    assert "An effect on the link alone does not change a torque estimate" in page
+
+
+def test_every_symbol_of_the_calibration_tells_its_meaning(report):
+    page = unescape(html(report))
+    for name in report.diagnosis.calibration:
+        assert f'<abbr title="{meaning(name)}">{name.replace("_", " ")}</abbr>' in page, name
+        assert f"<td>{meaning(name)}</td>" in page
+
+
+@pytest.fixture(scope="module")
+def without_sensor(report) -> Report:
+    """The same diagnosis as if there had been no torque sensor."""
+    d = report.diagnosis
+    problem = copy.copy(d.problem)
+    problem.has_torque = False
+    problem.drives = [
+        replace(
+            drive, torque=np.empty(0), usable=drive.usable & [True, False, True], held_out=drive.held_out & [True, False, True]
         )
-
-    b, key, share = figures.telling([balance(noise), balance(noise + 0.1 * np.sign(velocity))])
-    assert key in ("direction", "velocity") and share > 0.9
-    assert b.before is not noise
-    _, key, _ = figures.telling([balance(noise + 0.1 * (link > 0.5))])
-    assert key == "link"
-    assert figures.telling([balance(noise)]) is None
+        for drive in d.problem.drives
+    ]  # fmt: skip
+    residual = {name: channel for name, channel in d.residual.items() if name != "joint_torque"}
+    bare = replace(d, problem=problem, residual=residual, estimation=None)
+    return replace(report, diagnosis=bare, gain=None)
 
 
-def test_orders_are_found_by_least_squares():
-    motor = np.linspace(-300, 400, 20000)
-    amplitude = figures.orders(motor, 0.3 * np.sin(2 * motor + 1) + 0.1 * np.cos(0.5 * motor) + 0.05)
-    expected = np.where(figures.ORDERS == 2, 0.3, np.where(figures.ORDERS == 0.5, 0.1, 0.0))
-    np.testing.assert_allclose(amplitude, expected, atol=5e-3)
+def test_no_caption_speaks_of_a_sensor_that_was_not_there(without_sensor):
+    _, text = read(html(without_sensor))
+    body = text.split("What to measure next")[0].lower()
+    assert "without joint torque sensor" in body and "there is no joint torque sensor" in body
+    for phrase in (
+        "as the sensor reads",
+        "the torque that the sensor reports",
+        "against the torque sensor",
+        "sensor's own noise",
+    ):
+        assert phrase not in text.lower(), phrase
+    assert "current and torque are smoothed" not in text
+
+
+def test_measured_curves_end_where_the_measurement_does(report):
+    for o in (o for row in overlays(report) for o in row):
+        drives = [d for d in report.diagnosis.problem.drives]
+        assert o.time[-1] == drives[-1].at[-1]
+        if o.channel == "motor_current":
+            assert o.measured[-1] == drives[-1].measured[-1, 0]
+        assert np.isfinite(o.measured).sum() == sum(len(d.at) for d in drives)
+
+
+def test_views_show_the_noise_that_the_diagnosis_states(report):
+    for o in (o for row in overlays(report) for o in row):
+        assert o.noise == report.diagnosis.residual[o.channel].noise
+        kept = sum(b - a for a, b in o.held_out)
+        assert 0.1 < kept / (o.time[-1] - o.time[0]) < 0.2
 
 
 def test_gain_is_measured_on_what_no_fit_saw(report):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from flexspline.scenarios.run import Run, run_scenario
 from flexspline.scenarios.scenario import load_scenario
 

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import subprocess
+import sys
 
 import matplotlib
 import numpy as np
 import pytest
+from matplotlib.image import imread
+
 from flexspline.models.errors import InputError
 from flexspline.scenarios.run import run_scenario
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views import figures
-from matplotlib.image import imread
+from flexspline.views.figures import experiments, hysteresis, overview, sheet, signals, zoom
 
 GENERAL = {"overview", "filters", "error"}
 
@@ -25,7 +29,7 @@ def test_pushes_give_the_papers_figures_8_and_9(pushed, tmp_path):
     assert set(made) == {"fig8_external_push", "fig9_zoom"} | GENERAL
     assert "Paper:" in caption(made["fig8_external_push"])
     assert "Ours" in caption(made["fig9_zoom"])
-    assert [push.torque for push in figures.zoomed(pushed)] == [5, -5]
+    assert [push.torque for push in zoom.zoomed(pushed)] == [5, -5]
 
 
 def test_figures_are_written_as_pictures_with_something_on_them(bare, tmp_path):
@@ -38,7 +42,7 @@ def test_figures_are_written_as_pictures_with_something_on_them(bare, tmp_path):
 
 
 def test_no_load_shows_the_limit_that_the_paper_states(bare):
-    figure = figures.no_load(bare)
+    figure = experiments.no_load(bare)
     labels = figure.axes[1].get_legend_handles_labels()[1]
     assert "paper: ±0.1 N·m" in labels
     assert "below 0.1 N·m" in caption(figure)
@@ -57,23 +61,62 @@ def test_width_of_a_known_loop():
     phase = np.linspace(0, 4 * np.pi, 4001)
     torque = 10 * np.sin(phase)
     torsion = torque / 8 - 0.2 * np.sign(np.cos(phase))
-    assert figures._half_width(torque, torsion) == pytest.approx(0.2, rel=1e-2)
-    assert figures._half_width(np.abs(torque) + 1, torsion) == 0.0
+    assert hysteresis.half_width(torque, torsion) == pytest.approx(0.2, rel=1e-2)
+    assert hysteresis.half_width(np.abs(torque) + 1, torsion) == 0.0
 
 
 def test_the_style_stays_inside(bare):
     before = dict(matplotlib.rcParams)
-    figures.overview(bare)
+    overview.overview(bare)
     assert dict(matplotlib.rcParams) == before
 
 
-def test_axes_do_not_cover_each_other(pushed):
-    """Labels and legends of the panels stay apart, in the picture's pixels."""
-    figure = figures.external_push(pushed)
-    figure.draw_without_rendering()
+def test_panels_do_not_cover_each_other(pushed):
+    """Labels and legends of the panels stay apart and on the sheet, in the picture's pixels."""
+    figure = experiments.external_push(pushed)
+    figure.canvas.draw()
     boxes = [axes.get_tightbbox() for axes in figure.axes[:3]]
     for upper, lower in itertools.pairwise(boxes):
         assert upper.y0 > lower.y1 - 1
+    assert min(box.x0 for box in boxes) > 0 and max(axes.get_tightbbox().x1 for axes in figure.axes) < figure.bbox.width
+
+
+def test_numbers_stand_at_their_places(pushed):
+    figure = experiments.external_push(pushed)
+    middle = figure.axes[1]
+    texts = [t for t in middle.texts if t.get_text().lstrip("−").replace(".", "").isdigit()]
+    assert len(texts) >= 3
+    for t in texts:
+        assert t.get_position()[1] == pytest.approx(float(t.get_text().replace("−", "-")))
+    assert [t.get_text() for t in middle.texts if "N·m" in t.get_text()] == ["difference [N·m]"]
+    assert "time [s]" in [t.get_text() for t in figure.axes[2].texts]
+
+
+def test_a_noisy_line_is_a_band_that_keeps_its_spikes(rng):
+    _, ((axes,),) = sheet.sheet("t", "c", [2.0])
+    time, values = 1e-3 * np.arange(80_000), rng.normal(size=80_000)
+    values[31_234] = 30.0
+    signals.line(axes, time, values, "#112233", "noise")
+    (band,) = axes.collections
+    corners = band.get_paths()[0].vertices
+    assert corners[:, 1].max() == 30.0 and corners[:, 1].min() == values.min()
+    assert len(corners) < 2.2 * sheet.PIXELS + 10
+    assert axes.get_legend_handles_labels()[1] == ["noise"]
+    signals.line(axes, time, np.sin(time), "#112233", "smooth")
+    assert len(axes.collections) == 1
+    assert len(axes.lines[-1].get_xdata()) <= 2 * sheet.PIXELS + 4
+
+
+def test_nothing_loads_matplotlib_before_a_figure_is_drawn():
+    program = "import sys, flexspline.views.figures, flexspline.views.tables; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", program]).returncode == 0
+
+
+def test_response_is_told_after_the_truth(pushed):
+    text = caption(zoom.push_zoom(pushed))
+    metrics = pushed.metrics
+    late = metrics["filters"]["EKF"]["response_ms"] - metrics["truth"]["response_ms"]
+    assert f"EKF {late:.1f} ms" in text and "after the truth" in text
 
 
 def test_a_folder_that_cannot_be_written_is_refused_in_one_line(bare, tmp_path):
@@ -81,3 +124,15 @@ def test_a_folder_that_cannot_be_written_is_refused_in_one_line(bare, tmp_path):
     with pytest.raises(InputError) as error:
         figures.save_figures(bare, tmp_path / "file" / "figures")
     assert "\n" not in str(error.value)
+
+
+def test_legends_stand_in_a_row_that_ends_with_the_panel(pushed):
+    figure = experiments.external_push(pushed)
+    figure.canvas.draw()
+    top = figure.axes[0].bbox
+    entries = [t for t in figure.texts if t.get_text() in ("torque sensor", "truth", "RAREKF")][:3]
+    boxes = [t.get_window_extent() for t in entries]
+    assert max(box.x1 for box in boxes) == pytest.approx(top.x1, abs=3)
+    assert all(box.y0 > top.y1 for box in boxes)
+    in_order = sorted(boxes, key=lambda box: box.x0)
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(in_order))

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import io
+from dataclasses import replace
+
 import matplotlib.image
 import numpy as np
 import pytest
+from rich.console import Console
+
 from flexspline.estimator import registry
 from flexspline.estimator.consistency import Mean
 from flexspline.scenarios.evaluation.limits import Assessment, Limits
@@ -52,6 +57,43 @@ def test_tuned_rows():
     assert row[0] == "EKF" and row[1:3] == ("0.1000", "0.0500") and row[4] == "0.0600"
     assert row[5].startswith("-0.0500 [") and row[6] == "W 1e-08!"
     assert limit_tables.markdown(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |"
+
+
+def rendered(table, width: int = 80) -> str:
+    out = io.StringIO()
+    Console(file=out, width=width).print(table)
+    text = out.getvalue()
+    assert max(len(line) for line in text.splitlines()) <= width
+    assert "…" not in text
+    return text
+
+
+def test_limits_are_whole_at_80_columns(limits):
+    longest = replace(limits.estimators[0], name="dynamics_ekf_calibrating")
+    text = rendered(limit_tables.limits_table(replace(limits, estimators=(*limits.estimators[:2], longest))))
+    head = text.split("─")[0].split("model 0.0200 N·m")[1].split()
+    assert {"estimator", "RMS", "[N·m]", "times", "bound", "NIS", "NEES", "inside", "ρ", "outside"} <= set(head)
+    assert head.count("[%]") == 2 and " ".join(head).count("95") == 2
+    lines = [line.split() for line in text.splitlines()]
+    assert ["dynamics_ekf_calibrating", "0.0552", "5.52", "0.50", "0.50", "90", "40"] in lines
+    assert ["0.90–1.10", "0.90–1.10"] in lines
+    assert ["(not", "causal)"] in lines
+    assert any(
+        line.split()[:2] == ["lost", "diverged"] for line in rendered(limit_tables.limits_table(limits)).splitlines()
+    )
+
+
+def test_tuned_is_whole_at_80_columns():
+    ekf = registry.get("dynamics_ekf_calibrating")
+    default, better = np.array([[0.1, 0.12]]), np.array([[0.06, 0.061]])
+    one = Tuned(ekf.name, ekf, ekf, {"W": 1e-8, "rho": 0.25}, (0.1, 0.05), 9, default, better, ("W",))
+    text = rendered(limit_tables.tuned_table([one], "external_push: tuned on seeds 1-5"))
+    head = text.split("─")[0].split()
+    assert {"filter", "training", "test", "difference", "tuning"} <= set(head) and head.count("[N·m]") == 3
+    row = limit_tables.tuned_rows([one])[0]
+    flat = " ".join(text.split())
+    for cell in (*row[:5], *row[5].replace("[", "").replace("]", "").replace(",", "").split(), "W 1e-08!", "rho 0.25"):
+        assert cell in flat, cell
 
 
 def test_limits_figure(limits, tmp_path):

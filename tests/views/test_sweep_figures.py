@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import io
 import itertools
 
 import numpy as np
 import pytest
-from flexspline.scenarios.studies.statistics import Interval, Aggregate
+from rich.console import Console
+
+from flexspline.scenarios.studies.statistics import Aggregate, Interval
 from flexspline.scenarios.studies.study import Study
 from flexspline.views.sweep_figures import layout, sweep_figure
-from flexspline.views.sweep_tables import sweep_rows
+from flexspline.views.sweep_tables import sweep_rows, sweep_table
 
 
 def study(axes) -> Study:
@@ -84,3 +87,41 @@ def test_a_filter_that_an_axis_does_not_vary_stands_all_along_it(of_k):
         np.testing.assert_allclose(rarekf, [load, load + 1])
     table = [(columns["load"], columns["k"], set(of)) for _, columns, of in sweep_rows(of_k)]
     assert table == [(load, k, {"EKF", "RAREKF"}) for load, k in itertools.product((3.0, 9.0), (0.0, 1.0))]
+
+
+def rendered(table, width: int) -> list[str]:
+    out = io.StringIO()
+    Console(file=out, width=width).print(table)
+    lines = out.getvalue().splitlines()
+    assert max(map(len, lines)) <= width and "…" not in out.getvalue()
+    return lines
+
+
+@pytest.mark.parametrize("width", [80, 132])
+def test_a_sweep_is_whole_in_narrow_and_in_wide_terminals(width):
+    filters = [{"name": name, "estimator": estimator} for name, estimator in
+               (("EKF", "EKF"), ("AREKF", "AREKF"), ("RAREKF", "RAREKF"), ("my_own_filter", "EKF"))]  # fmt: skip
+    asked = CAUSES.model_validate(
+        {
+            "name": "s", "seeds": {"count": 9}, "scenarios": ["external_push"], "metrics": ["rms", "response_ms"],
+            "filters": filters,
+            "axes": [{"kind": "load", "values": [3, 9]}, {"kind": "set", "name": "level", "key": "plant.K1", "values": [1, 2]}],
+        }
+    )  # fmt: skip
+    one = Interval(0.14524, 0.14494, 0.14554, 9)
+    found = [
+        Aggregate(
+            "external_push", {"load": load, "level": level}, f["name"], 9, 0, {"rms": one, "response_ms": one}, {"rms": one}
+        )
+        for load in (3.0, 9.0) for level in (1.0, 2.0) for f in filters
+    ]  # fmt: skip
+    lines = rendered(sweep_table(found, asked, "rms"), width)
+    text = " ".join(" ".join(lines).split())
+    for part in ("external_push", "load", "level", "RMS error [N·m]", "EKF", "AREKF", "RAREKF", "my_own_filter"):
+        assert part in text, part
+    assert text.count("0.1452 ± 0.0003") == 16
+    many = [line for line in lines if line.count("0.1452 ±") > 1]
+    assert bool(many) == (width > 80)  # a column per filter where there is room, else a row
+    assert "90 % of a push [ms]" in " ".join(
+        " ".join(rendered(sweep_table(found, asked, "response_ms"), width)).split()
+    )

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 import io
 
-from flexspline.views.tables import COLUMNS, RAW_MODEL, comparison_markdown, comparison_rows, comparison_table
 from rich.console import Console
+
+from flexspline.views.sweep_tables import metric_column
+from flexspline.views.tables import (
+    COLUMNS,
+    RAW_MODEL,
+    comparison_markdown,
+    comparison_rows,
+    comparison_table,
+    heading,
+)
 
 METRICS = {
     "push": {
@@ -16,6 +25,7 @@ METRICS = {
                        "robust_share": 0.123, "mean_nis": 1.0, "rms_to_sensor": 0.3},
         },
         "model": {"rms": 1.0, "max": 3.0, "noise_ratio": 1.0, "rms_to_sensor": 1.1},
+        "truth": {"response_ms": 10.0},
     },
     "rest": {"filters": {"EKF": {"rms": 0.1}}},
 }  # fmt: skip
@@ -24,7 +34,7 @@ METRICS = {
 def test_rows_are_scenario_by_filter_with_units_applied():
     rows = comparison_rows(METRICS)
     assert [row[:2] for row in rows] == [("push", RAW_MODEL), ("push", "EKF"), ("push", "RAREKF"), ("rest", "EKF")]
-    assert rows[2] == ("push", "RAREKF", "0.250", "2.000", "0.40", "1.5", "12.3", "12.3", "1.00", "0.300")
+    assert rows[2] == ("push", "RAREKF", "0.250", "2.000", "0.40", "1.5", "2.3", "12.3", "1.00", "0.300")
     assert rows[1][5:9] == ("0.0", "–", "0.0", "–")  # no minus zero, no None, no NaN
 
 
@@ -36,12 +46,58 @@ def test_markdown_has_a_row_each_and_explains_its_columns():
     assert all(column.meaning in lines[-1] for column in COLUMNS)
 
 
-def test_table_prints_every_value_and_marks_the_best():
-    table = comparison_table(METRICS)
+def test_response_is_after_the_truth_and_nothing_else():
+    (column,) = (c for c in COLUMNS if c.heading == "response")
+    assert "after the truth" in column.meaning and column.unit == "ms"
+    without = {"push": {key: value for key, value in METRICS["push"].items() if key != "truth"}}
+    assert comparison_rows(without)[2][2 + COLUMNS.index(column)] == "–"
+    # Rows of a sweep have no truth beside them: theirs is another quantity, of another name.
+    other = metric_column("response_ms")
+    assert other.heading != column.heading and "onset" in other.meaning
+
+
+def test_markdown_of_some_columns():
+    lines = comparison_markdown({"push": METRICS["push"]}, keys=("rms", "robust_share")).splitlines()
+    assert lines[0] == "| filter | RMS error [N·m] | robust [%] |" and lines[4] == "| RAREKF | 0.250 | 12.3 |"
+
+
+def rendered(table, width: int = 80) -> str:
     out = io.StringIO()
-    Console(file=out, width=160).print(table)
+    Console(file=out, width=width).print(table)
     text = out.getvalue()
-    for row in comparison_rows(METRICS):
-        assert all(cell in text for cell in row)
-    rms = {str(cell): str(cell.style) for cell in table.columns[2].cells}
-    assert rms == {"1.000": "", "0.500": "", "0.250": "bold", "0.100": ""}  # not where there is nothing to compare
+    assert max(len(line) for line in text.splitlines()) <= width
+    assert "…" not in text
+    return text
+
+
+def test_comparison_is_whole_at_80_columns():
+    names = ("hysteresis_loop", "external_push")
+    loud = {
+        "rms": 12.345,
+        "max": 123.456,
+        "rms_to_sensor": 12.3,
+        "robust_share": 1.0,
+        "response_ms": 104.2,
+        "mean_nis": 10.0,
+    }
+    found = {name: {**METRICS["push"], "filters": {**METRICS["push"]["filters"], "AREKF": loud}} for name in names}
+    text = rendered(comparison_table(found))
+    head = text.split("─")[0]
+    for column in COLUMNS:
+        assert all(word in head.split() for word in column.heading.split()), column.heading
+        assert head.count(f"[{column.unit}]") >= (1 if column.unit else 0), column.unit
+    assert head.count("[ms]") == 2 and head.count("[N·m]") == 3 and head.count("[%]") == 1
+    for scenario, name, *cells in comparison_rows(found):
+        assert scenario in text
+        assert any(line.split() == [*name.split(), *cells] for line in text.splitlines()), (scenario, name)
+
+
+def test_headings_are_text_not_markup():
+    assert heading("delay", "ms").plain == "delay\n[ms]"
+    assert heading("noise ratio").plain == "noise\nratio"
+
+
+def test_the_best_of_a_scenario_is_marked():
+    table = comparison_table(METRICS)
+    cells = {str(cell): str(cell.style) for cell in table.columns[1].cells if str(cell)}
+    assert cells == {"1.000": "", "0.500": "", "0.250": "bold", "0.100": ""}  # not where there is nothing to compare

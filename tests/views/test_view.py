@@ -11,9 +11,10 @@ import time
 from pathlib import Path
 
 import pytest
+
 from flexspline.commands import view
 from flexspline.models.errors import InputError
-from flexspline.views import rerun_view
+from flexspline.views.rerun import write_rerun
 
 
 @pytest.mark.parametrize("case", ["missing", "empty", "other", "no_recording"])
@@ -47,7 +48,7 @@ def test_it_listens_on_this_computer_only(web, pushed, tmp_path):
         pytest.skip("no /proc/net/tcp")
     if not web and shutil.which("xvfb-run") is None:
         pytest.skip("no xvfb-run")
-    path = rerun_view.write_rerun(pushed, tmp_path / "run.rrd")
+    path = write_rerun(pushed, tmp_path / "run.rrd")
     program = "import sys, pathlib; from flexspline.commands.view import command as view; "
     program += f"view(pathlib.Path(sys.argv[1]), {web})"
     command = [sys.executable, "-c", program, str(path)]

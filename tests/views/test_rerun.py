@@ -6,10 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 import rerun as rr
-from flexspline.models.errors import InputError
-from flexspline.views import rerun_view
-from flexspline.views.rerun_view import Channel
 from rerun.chunk import RrdReader
+
+from flexspline.models.errors import InputError
+from flexspline.sim import plant
+from flexspline.views.rerun import Channel, rerun_measurement, write_rerun
+from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
+from flexspline.views.rerun.recording import recording as opened
+from flexspline.views.rerun.scene import send_geoms, shape_of
 
 
 def series(reader: RrdReader, entity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -26,7 +30,7 @@ def series(reader: RrdReader, entity: str) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def recording(pushed, tmp_path_factory):
-    return rerun_view.write_rerun(pushed, tmp_path_factory.mktemp("rerun") / "run.rrd")
+    return write_rerun(pushed, tmp_path_factory.mktemp("rerun") / "run.rrd")
 
 
 def test_a_run_has_its_entities_and_a_layout(recording, pushed):
@@ -83,7 +87,7 @@ def test_eighty_seconds_stay_below_twenty_megabytes(recording):
 def test_nothing_is_left_where_it_cannot_be_written(pushed, tmp_path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(InputError):
-        rerun_view.write_rerun(pushed, tmp_path / "file" / "run.rrd")
+        write_rerun(pushed, tmp_path / "file" / "run.rrd")
     assert [p.name for p in tmp_path.iterdir()] == ["file"]
 
 
@@ -95,13 +99,43 @@ def test_measured_against_simulated(tmp_path):
         Channel("joint torque", "N·m", time, measured, np.sin(time) + 0.1, {"with backlash": np.sin(time)}),
         Channel("motor current", "A", time, np.cos(time), np.cos(time)),
     ]
-    path = rerun_view.rerun_measurement(tmp_path / "measurement.rrd", "drop", channels, notes="# Drop")
+    path = rerun_measurement(tmp_path / "measurement.rrd", "drop", channels, notes="# Drop")
     reader = RrdReader(path)
     paths = set(reader.store().schema().entity_paths())
     assert {"/channels/joint_torque/values/measured", "/channels/joint_torque/values/with_backlash", "/notes"} <= paths
     _, residual = series(reader, "/channels/joint_torque/residual/simulated")
     assert np.nanmax(np.abs(residual + 0.1)) < 1e-9
     assert np.count_nonzero(np.isnan(residual)) == 100
+
+
+def test_the_shape_is_the_plants(pushed):
+    """Bodies stand where those of the simulated model stand, which the views do not build."""
+    simulated, shown = plant.build(pushed.joint), shape_of(pushed.joint)
+    places = []
+    for model in (simulated, shown):
+        data = mujoco.MjData(model)
+        data.qpos[:3] = 3.0, 2.9, 0.4
+        mujoco.mj_kinematics(model, data)
+        places.append({model.body(b).name: data.xpos[b].copy() for b in range(model.nbody)})
+    assert places[0].keys() == places[1].keys()
+    for name, place in places[0].items():
+        np.testing.assert_allclose(places[1][name], place, atol=1e-12)
+
+
+def test_arrows_of_torque_are_as_long_as_the_torque(recording, pushed):
+    for chunk in RrdReader(recording).stream().to_chunks():
+        if chunk.entity_path == "/scene/torque_true" and not chunk.is_static:
+            batch = chunk.to_record_batch()
+            strips = np.array([row[0] for row in batch.column("LineStrips3D:strips").to_pylist()])
+            times = batch.column("time").to_numpy(zero_copy_only=False).astype("timedelta64[ns]").astype(float) * 1e-9
+            break
+    assert strips.shape[1:] == (25, 3) and len(strips) == len(times)
+    np.testing.assert_allclose(strips[:, 0, 0], 0.0, atol=1e-6)  # they begin above the axis
+    lengths = np.linalg.norm(np.diff(strips, axis=1), axis=2).sum(axis=1)
+    torque = np.interp(times, pushed.time, pushed.truth("joint_torque"))
+    swept = np.maximum(np.radians(DEGREES_PER_TORQUE * np.abs(torque)) - 0.22, 0.0)  # the head is an arrow of its own
+    radius = lengths.max() / swept.max()
+    np.testing.assert_allclose(lengths, radius * swept, atol=0.01 * lengths.max())
 
 
 def test_every_kind_of_geom_is_drawn(tmp_path):
@@ -114,9 +148,9 @@ def test_every_kind_of_geom_is_drawn(tmp_path):
         </body></worldbody></mujoco>"""
     )
     path = tmp_path / "geoms.rrd"
-    with rerun_view.recording(path, "geoms", rr.blueprint.Blueprint(auto_layout=True)) as stream:
-        rerun_view._send_geoms(stream, model, 0, "world")
-        rerun_view._send_geoms(stream, model, 1, "b")
+    with opened(path, "geoms", rr.blueprint.Blueprint(auto_layout=True)) as stream:
+        send_geoms(stream, model, 0, "world")
+        send_geoms(stream, model, 1, "b")
     paths = set(RrdReader(path).store().schema().entity_paths())
     assert {f"/b/{name}" for name in ("box", "ball", "rod", "tin", "egg", "tetra")} <= paths
     assert not any(path.startswith("/world") for path in paths)

@@ -1,0 +1,82 @@
+"""What a residual depends on: the share of it that a variable explains, its means, its orders per turn of the motor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .residuals import Balance
+
+VARIABLES = {
+    "time": "time since the start [s]",
+    "link": "link angle [rad]",
+    "turn": "motor angle in one turn [rad]",
+    "velocity": "motor velocity [rad/s]",
+    "load": "load [N·m]",
+    "loading": "load, rising or falling [N·m]",
+    "direction": "direction of motion",
+}
+"""What a residual may depend on, with the unit."""
+BINS = 36
+ORDERS = np.arange(0.5, 14.01, 0.5)
+"""Orders per turn of the motor at which a residual is looked at."""
+
+
+def explained(b: Balance, residual: np.ndarray, key: str) -> float:
+    """Share of a residual's mean square that its mean in bins of a variable explains, 0 … 1, less what chance does."""
+    bins = _bins(b, key)
+    count = np.bincount(bins)
+    total = np.bincount(bins, residual)
+    used = count > 20
+    power = float(np.sum(total[used] ** 2 / count[used])) / max(float(np.sum(residual**2)), 1e-30)
+    chance = 8.0 * used.sum() / max(len(residual), 1)  # neighbouring samples are alike
+    return float(np.clip((power - chance) / max(1 - chance, 1e-9), 0.0, 1.0))
+
+
+def _bins(b: Balance, key: str) -> np.ndarray:
+    """Bin of every sample, shape (k,): of the variable, and for angle and load of the direction too."""
+    x = b.variable(key)
+    if key == "direction":
+        return (x > 0).astype(int)
+    low, high = b.limits(key)
+    i = np.clip(((x - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
+    return 2 * i + b.sides(key)[0] if key in ("link", "load", "loading") else i
+
+
+def telling(found: Sequence[Balance]) -> tuple[Balance, str, float] | None:
+    """The balance and variable that give most of the discrepancy away, with the share explained; None without any.
+
+    In terms of what exceeds the noise: a variable that explains everything of a balance that is quiet gives nothing away.
+    """
+    best, told = 0.3, None
+    for b in found:
+        excess = float(np.mean(b.before**2)) / max(b.noise**2, 1e-30)
+        for key in VARIABLES:
+            share = explained(b, b.before, key)
+            if share * excess > best:
+                best, told = share * excess, (b, key, share)
+    return told
+
+
+def means(x: np.ndarray, r: np.ndarray, limits: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Centres of the bins of a variable, and the mean of a residual in each; shape (BINS,), NaN where there is hardly any."""
+    low, high = limits
+    i = np.clip(((x - low) / (high - low) * BINS).astype(int), 0, BINS - 1)
+    count = np.bincount(i, minlength=BINS)
+    mean = np.bincount(i, r, minlength=BINS) / np.maximum(count, 1)
+    return low + (np.arange(BINS) + 0.5) / BINS * (high - low), np.where(count > 8, mean, np.nan)
+
+
+def orders(motor: np.ndarray, residual: np.ndarray) -> np.ndarray:
+    """Amplitude of the residual at each of `ORDERS` per turn of the motor, shape (len(ORDERS),), by least squares.
+
+    Args:
+      motor: motor angle [rad], shape (k,).
+      residual: shape (k,).
+    """
+    angle = motor[:, None] * ORDERS
+    X = np.concatenate([np.cos(angle), np.sin(angle), np.ones((len(motor), 1))], axis=1)
+    G = X.T @ X
+    c = np.linalg.solve(G + 1e-9 * np.trace(G) / len(G) * np.eye(len(G)), X.T @ residual)
+    return np.hypot(c[: len(ORDERS)], c[len(ORDERS) : 2 * len(ORDERS)])

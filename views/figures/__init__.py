@@ -1,0 +1,75 @@
+"""Figures of a run: the paper's, ours beside what it states, and general ones.
+
+The paper prints Figs. 3, 5, 7, 8 and 9 without their data, so every caption gives what its text states and what this
+run measured. Errors are against the plant's noise-free joint torque unless a label says otherwise. matplotlib is loaded
+when the first figure is drawn, and keeps its own settings.
+"""
+
+from __future__ import annotations
+
+import gc
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..posteriors import innovating
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from ...scenarios.run import Run
+
+
+def figures_of(run: Run) -> dict[str, Figure]:
+    """The figures that fit a run, by file name: those of the paper that its scenario names, and the general ones."""
+    return {name: make(run) for name, make in _chosen(run).items()}
+
+
+def save_figures(run: Run, folder: Path) -> list[Path]:
+    """Write a run's figures as PNG.
+
+    Args:
+      run: the run.
+      folder: where to; made if need be.
+
+    Returns:
+      Their paths.
+
+    Raises:
+      InputError: the folder cannot be written.
+    """
+    from .sheet import save
+
+    with _without_collecting():
+        return [save(make(run), Path(folder) / f"{name}.png") for name, make in _chosen(run).items()]
+
+
+@contextmanager
+def _without_collecting() -> Iterator[None]:
+    """Without the garbage collector, which a figure's thousands of small objects would call again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
+
+
+def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
+    from . import error, experiments, filters, hysteresis, overview, zoom
+
+    of_paper: dict[str, tuple[str, Callable[[Run], Figure]]] = {
+        "3": ("fig3_stiffness", hysteresis.stiffness),
+        "5": ("fig5_no_load", experiments.no_load),
+        "7": ("fig7_link_sweep", experiments.link_sweep),
+        "8": ("fig8_external_push", experiments.external_push),
+        "9": ("fig9_zoom", zoom.push_zoom),
+    }
+    chosen = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
+    if "fig9_zoom" in chosen and not zoom.zoomed(run):
+        del chosen["fig9_zoom"]
+    thoughts = {"filters": filters.filters} if innovating(run) else {}
+    return chosen | {"overview": overview.overview, **thoughts, "error": error.error}

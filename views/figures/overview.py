@@ -1,0 +1,54 @@
+"""What happened in a run: position and how well it was followed, current, external torque, joint torque."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from ..style import COMMAND, EXTERNAL, SENSOR, TRUTH
+from .legends import legend
+from .ruling import ruled
+from .sheet import sheet
+from .signals import against, line, main, peak, rms, settled, torques
+
+if TYPE_CHECKING:
+    from ...scenarios.run import Run
+
+
+@ruled
+def overview(run: Run) -> Figure:
+    """What happened: position and how well it was followed, current, external torque, joint torque."""
+    name, _ = main(run)
+    external = bool(np.any(run.external_torque))
+    heights = {"position": 1.0, "following": 1.0, "current": 0.9, "external": 0.75, "torque": 1.7}
+    if not external:
+        del heights["external"]
+    link = run.truth("link_position")
+    following = 1e3 * (run.position_command - link)
+    kept = settled(run)
+    caption = (
+        f"{run.scenario.description.replace('`', '')} Feedback of the torque: {run.scenario.feedback}. Position error "
+        f"after {run.scenario.transient:g} s: RMS {rms(following[kept]):.3f}, "
+        f"largest {peak(following[kept]):.3f} mrad. "
+        f"{name} {against(run, name)}."
+    )
+    figure, rows = sheet(f"Overview  ·  {run.name}", caption, list(heights.values()))
+    at = {part: axes for part, (axes,) in zip(heights, rows, strict=True)}
+    line(at["position"], run.time, np.degrees(link), TRUTH, "link")
+    line(at["position"], run.time, np.degrees(run.position_command), COMMAND, "command", ls="--")
+    at["position"].set_ylabel("position [°]")
+    line(at["following"], run.time, following, TRUTH, "command − link")
+    at["following"].set_ylabel("error [mrad]")
+    line(at["current"], run.time, run.reading("motor_current"), SENSOR, "motor current, read", lw=0.7)
+    line(at["current"], run.time, run.truth("motor_current"), TRUTH, "true", lw=0.9)
+    at["current"].set_ylabel("current [A]")
+    if external:
+        line(at["external"], run.time, run.external_torque, EXTERNAL, "external torque on the link")
+        at["external"].set_ylabel("torque [N·m]")
+    torques(run, at["torque"], [name])
+    for axes in at.values():
+        legend(axes)
+    at["torque"].set_xlabel("time [s]")
+    return figure

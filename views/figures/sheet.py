@@ -1,0 +1,157 @@
+"""The sheet that figures are drawn on: one style, panels at fixed places, title above and caption below, PNG.
+
+Margins are fixed lengths, so that nothing needs to be drawn twice to find out how large it is.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Callable, Sequence
+from functools import wraps
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+from PIL import Image
+
+from ...models.files import write_into_place
+
+_DPI = 150
+STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # a fixed place: it is not looked for
+    "axes.labelsize": 9.0,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.edgecolor": "#8A9099",
+    "axes.labelcolor": "#22262B",
+    "xtick.color": "#444A52",
+    "ytick.color": "#444A52",
+    "grid.color": "#E4E7EB",
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "lines.linewidth": 1.1,
+    "figure.dpi": _DPI,
+    "figure.facecolor": "white",
+    "path.simplify": False,  # lines come as envelopes
+}
+"""One style for all figures."""
+
+WIDTH = 8.6
+"""Width of a figure [in]."""
+LEFT, RIGHT, TOP, GAP, BELOW = 0.82, 0.14, 0.62, 0.34, 0.52
+"""Margins [in]: left and right of the panels, above them, between them (a legend's row), and below for an axis label."""
+BETWEEN = 0.78
+"""Distance [in] between two panels beside each other."""
+PIXELS = round((WIDTH - LEFT - RIGHT) * _DPI)
+"""Columns of pixels of a panel that has the whole width."""
+_CAPTION, _LINE = 8.2, 0.165  # size [pt], height of a line [in]
+_COMPRESSION = 3  # of 9: more takes longer for a few per cent
+
+P = ParamSpec("P")
+F = TypeVar("F", Figure, Figure | None)
+
+
+def styled(make: Callable[P, F]) -> Callable[P, F]:
+    """Draw in this module's style, whatever matplotlib's settings are, and leave them alone."""
+
+    @wraps(make)
+    def wrapped(*args: P.args, **kwargs: P.kwargs) -> F:
+        with matplotlib.rc_context(STYLE):
+            return make(*args, **kwargs)
+
+    return wrapped
+
+
+def blank(title: str, caption: str, height: float) -> Figure:
+    """A figure without panels.
+
+    Args:
+      title: above, on the left.
+      caption: below, wrapped.
+      height: of what is to come between the title and the caption [in], measured from the upper edge.
+    """
+    lines = textwrap.wrap(" ".join(caption.split()).replace(" -", " −"), 132)
+    total = height + _LINE * len(lines) + 0.16
+    figure = Figure(figsize=(WIDTH, total))
+    FigureCanvasAgg(figure)
+    figure.text(0.012, 1 - 0.12 / total, title, fontsize=11, fontweight="bold", color="#22262B", va="top")
+    text = "\n".join(lines)
+    figure.text(0.012, 0.1 / total, text, fontsize=_CAPTION, color="#444A52", va="bottom", linespacing=1.4)
+    return figure
+
+
+def place(
+    figure: Figure, left: float, above: float, width: float, height: float, x: Axes | None = None, y: Axes | None = None
+) -> Axes:
+    """Axes at a place [in] from the figure's left and upper edges; `x`, `y`: whose axes they share."""
+    total = figure.get_figheight()
+    at = (left / WIDTH, (total - above - height) / total, width / WIDTH, height / total)
+    return figure.add_axes(at, sharex=x, sharey=y)
+
+
+def sheet(
+    title: str,
+    caption: str,
+    heights: Sequence[float],
+    columns: int = 1,
+    right: float = RIGHT,
+    shared: Sequence[int] | None = None,
+) -> tuple[Figure, list[list[Axes]]]:
+    """A figure with panels below (and beside) each other.
+
+    Args:
+      title: above, on the left.
+      caption: below, wrapped.
+      heights: of the rows of panels [in].
+      columns: panels in a row.
+      right: margin on the right [in], where an axis there needs more.
+      shared: rows that share the horizontal axis with the one below them; all but the last by default.
+
+    Returns:
+      The figure and its panels by row.
+    """
+    shared = range(len(heights) - 1) if shared is None else shared
+    gaps = [*(GAP if row in shared else GAP + BELOW - 0.1 for row in range(len(heights) - 1)), BELOW]
+    figure = blank(title, caption, TOP + sum(heights) + sum(gaps))
+    width = (WIDTH - LEFT - right - BETWEEN * (columns - 1)) / columns
+    rows: list[list[Axes]] = []
+    above = TOP
+    for row, (height, gap) in enumerate(zip(heights, gaps, strict=True)):
+        over = rows[-1] if row and row - 1 in shared else [None] * columns
+        rows.append(
+            [place(figure, LEFT + k * (width + BETWEEN), above, width, height, over[k]) for k in range(columns)]
+        )
+        for axes in rows[-1]:
+            axes.margins(x=0.01)
+            axes.yaxis.set_major_locator(
+                MaxNLocator(8 if height > 3 else 6 if height > 1.2 else 4, steps=[1, 2, 2.5, 5, 10])
+            )
+            axes.xaxis.set_visible(row not in shared)
+        above += height + gap
+    return figure, rows
+
+
+def save(figure: Figure, path: Path) -> Path:
+    """Write a figure as PNG, moved into place when complete.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    with matplotlib.rc_context(STYLE), write_into_place(path) as temporary:
+        canvas = figure.canvas
+        assert isinstance(canvas, FigureCanvasAgg)
+        canvas.draw()
+        pixels = Image.frombytes("RGB", canvas.get_width_height(), canvas.buffer_rgba(), "raw", "RGBX")
+        pixels.save(temporary, format="png", compress_level=_COMPRESSION, dpi=(figure.dpi, figure.dpi))
+    return path

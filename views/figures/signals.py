@@ -1,0 +1,109 @@
+"""What figures of a run share: its signals as lines, and what is said of them in captions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from ..posteriors import modes, settled
+from ..series import envelope, extremes, share
+from ..style import SENSOR, TRUTH, filter_colors, main_filter
+from .sheet import PIXELS
+
+if TYPE_CHECKING:
+    from ...scenarios.run import Run
+
+SHARE_WINDOW = 0.25
+"""Window [s] over which the working mode is shown as a share of the time."""
+_DENSE = 8  # samples per column of pixels, from which on a restless line fills what it runs through
+_RESTLESS = 60.0  # ways through its whole range, from which on a line is restless
+
+
+def line(axes: Axes, time: np.ndarray, values: np.ndarray, color: str, label: str | None = None, **style: Any) -> None:
+    """Draw a series, shape (n,), with two points per column of pixels: as a line, or as the band that a noisy one fills.
+
+    A band is drawn as its outline, which takes a fifth of the time.
+    """
+    i = envelope(values, PIXELS)
+    drawn = values[i]
+    if len(values) < _DENSE * PIXELS or np.abs(np.diff(drawn)).sum() < _RESTLESS * np.ptp(drawn):
+        axes.plot(time[i], drawn, color=color, label=label, **style)
+        return
+    middle, low, high = extremes(values, PIXELS)
+    axes.fill_between(time[middle], low, high, facecolor=color, edgecolor=color, **style)
+    axes.plot([], [], color=color, label=label, **style)  # what the legend shows
+
+
+def torques(run: Run, axes: Axes, names: Sequence[str], truth_on_top: bool = False) -> None:
+    """Sensor, truth and estimates: the truth as a broad band below them, or, where noise would cover it, on top."""
+    colors = filter_colors(run.estimates)
+    line(axes, run.time, run.reading("joint_torque"), SENSOR, "torque sensor", lw=0.7)
+    style = {"lw": 1.0, "zorder": 4} if truth_on_top else {"lw": 2.4, "alpha": 0.75}
+    line(axes, run.time, run.truth("joint_torque"), TRUTH, "truth", **style)
+    for name in names:
+        line(axes, run.time, run.estimate(name), colors[name], name, lw=0.8)
+    axes.set_ylabel("joint torque [N·m]")
+
+
+def mode(run: Run, axes: Axes, names: Sequence[str], fill: str = "") -> None:
+    """Share of the time in robust mode."""
+    colors = filter_colors(run.estimates)
+    window = round(SHARE_WINDOW / period(run))
+    for name in names:
+        values = 100 * share(modes(run, name), window)
+        i = envelope(values, PIXELS)
+        if name == fill:
+            axes.fill_between(run.time[i], values[i], color=colors[name], alpha=0.35, lw=0)
+        axes.plot(run.time[i], values[i], color=colors[name], lw=0.9, label=name)
+    axes.set(ylabel="robust mode\n[% of the time]", xlabel="time [s]", ylim=(0, 105), yticks=[0, 50, 100])
+
+
+def main(run: Run) -> tuple[str, dict[str, str]]:
+    """The filter that a figure of only one shows, and the colours of all."""
+    moding = [name for name, found in run.estimates.items() if found.robust is not None]
+    return main_filter(moding or run.estimates), filter_colors(run.estimates)
+
+
+def period(run: Run) -> float:
+    """Of the samples [s]."""
+    return float(run.time[1] - run.time[0])
+
+
+def rms(values: np.ndarray) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def peak(values: np.ndarray) -> float:
+    """Largest absolute value."""
+    return float(np.abs(values).max())
+
+
+def against(run: Run, name: str) -> str:
+    """`after … s against the truth RMS …, largest … N·m; against the sensor …`."""
+    kept = settled(run)
+    truth = (run.estimate(name) - run.truth("joint_torque"))[kept]
+    sensor = (run.estimate(name) - run.reading("joint_torque"))[kept]
+    return (
+        f"after {run.scenario.transient:g} s against the truth RMS {rms(truth):.3f}, largest {peak(truth):.3f} N·m; "
+        f"against the sensor RMS {rms(sensor):.3f}, largest {peak(sensor):.3f} N·m"
+    )
+
+
+def response(run: Run) -> str:
+    """How long after the truth each filter has made 90 % of a push, and its noise; empty without pushes."""
+    itself = run.metrics.get("truth", {}).get("response_ms")
+    if itself is None:
+        return ""
+    values = {name: (m.get("response_ms"), m.get("noise_ratio")) for name, m in run.metrics.get("filters", {}).items()}
+    parts = [
+        f"{name} {time - itself:.1f} ms" + (f" (noise {noise:.2f})" if noise is not None else "")
+        for name, (time, noise) in values.items()
+        if time is not None
+    ]
+    if not parts:
+        return ""
+    return "; response, 90 % of a push after the truth (noise relative to the raw model): " + ", ".join(parts)

@@ -1,0 +1,133 @@
+"""A chart as SVG paths: data in, geometry out. Colours are classes that the page's style sheet knows, light and dark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from ..series import envelope
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A path, and what it is: classes of the page's style sheet."""
+
+    d: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class Tick:
+    """A place on an axis [px] and its label."""
+
+    at: float
+    text: str
+
+
+@dataclass
+class Chart:
+    """Axes in data units with marks on them, which the template clips to the axes.
+
+    Attributes:
+      x, y: limits of the data.
+      title, xlabel, ylabel: what is shown, with units.
+      accent: whether the chart is framed as the telling one.
+      labels: places and texts of the ticks below, instead of numbers.
+      width, height: of all [px]; it is scaled to its place on the page.
+      marks: what has been drawn.
+    """
+
+    x: tuple[float, float]
+    y: tuple[float, float]
+    title: str = ""
+    xlabel: str = ""
+    ylabel: str = ""
+    accent: bool = False
+    labels: Sequence[tuple[float, str]] = ()
+    width: int = 320
+    height: int = 186
+    marks: list[Mark] = field(default_factory=list)
+
+    left, right, top, bottom = 54, 6, 22, 34
+
+    @property
+    def inner(self) -> tuple[int, int]:
+        """Width and height between the axes [px]."""
+        return self.width - self.left - self.right, self.height - self.top - self.bottom
+
+    @property
+    def xticks(self) -> list[Tick]:
+        """Ticks below, from the axes' left end [px]."""
+        places = self.labels or [(t, _label(t)) for t in ticks(*self.x, max(self.inner[0] // 52, 3))]
+        return [Tick(float(self._px(t)), text) for t, text in places]
+
+    @property
+    def yticks(self) -> list[Tick]:
+        """Ticks at the left, from the axes' upper end [px]."""
+        return [Tick(float(self._py(t)), _label(t)) for t in ticks(*self.y, max(self.inner[1] // 24, 3))]
+
+    def line(self, x: np.ndarray, y: np.ndarray, kind: str) -> None:
+        """A line through points, shape (k,) each, as an envelope of them; values that are not finite leave gaps."""
+        x, y = np.asarray(x, float), np.asarray(y, float)
+        chosen = envelope(y, self.inner[0])
+        pieces, joined = [], False
+        for a, b, drawn in zip(self._px(x[chosen]), self._py(y[chosen]), np.isfinite(y[chosen]), strict=True):
+            if drawn:  # a point alone is a dot
+                pieces.append(f"L{a:.1f} {b:.1f}" if joined else f"M{a:.1f} {b:.1f}h0")
+            joined = drawn
+        self.marks.append(Mark("".join(pieces), f"line {kind}"))
+
+    def dots(self, x: np.ndarray, y: np.ndarray, kind: str) -> None:
+        """Dots at points, shape (k,) each: strokes without length."""
+        d = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in zip(self._px(x), self._py(y), strict=True))
+        self.marks.append(Mark(d, f"dots {kind}"))
+
+    def band(self, low: float, high: float, kind: str) -> None:
+        """A horizontal band over the whole width."""
+        self.boxes([(self.x[0], self.x[1], low, high)], kind)
+
+    def stripes(self, edges: Sequence[tuple[float, float]], kind: str) -> None:
+        """Vertical stripes over the whole height, from x to x."""
+        self.boxes([(a, b, *self.y) for a, b in edges], kind)
+
+    def boxes(self, corners: Sequence[tuple[float, float, float, float]], kind: str) -> None:
+        """Filled boxes, each from x to x and from y to y."""
+        d = []
+        for a, b, low, high in corners:
+            (left, right), (bottom, top) = self._px([a, b]), self._py([low, high])
+            d.append(f"M{left:.1f} {top:.1f}H{right:.1f}V{bottom:.1f}H{left:.1f}z")
+        self.marks.append(Mark("".join(d), f"area {kind}"))
+
+    def _px(self, x: ArrayLike) -> np.ndarray:
+        low, high = self.x
+        return (np.asarray(x, float) - low) / (high - low) * self.inner[0]
+
+    def _py(self, y: ArrayLike) -> np.ndarray:
+        low, high = self.y
+        return np.clip((high - np.asarray(y, float)) / (high - low) * self.inner[1], -2000, 4000)
+
+
+def ticks(low: float, high: float, count: int) -> np.ndarray:
+    """Round numbers within limits, about `count` of them."""
+    raw = (high - low) / count
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(s * power for s in (1, 2, 2.5, 5, 10) if s * power >= raw * 0.999)
+    return np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1) * step
+
+
+def _label(value: float) -> str:
+    return (f"{value:.4g}" if abs(value) > 1e-12 else "0").replace("-", "−").replace("e−0", "e−")
+
+
+def limits(values: np.ndarray, share: float = 0.5, margin: float = 0.08, least: float = 0.0) -> tuple[float, float]:
+    """Limits that hold all but `share` percent of the finite values at either end, and ± `least`."""
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return -1.0, 1.0
+    low, high = np.percentile(values, [share, 100 - share])
+    low, high = min(low, -least), max(high, least)
+    pad = margin * (high - low) if high > low else 1.0
+    return float(low - pad), float(high + pad)

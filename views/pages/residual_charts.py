@@ -1,0 +1,148 @@
+"""Charts of residuals: measured against simulated over time, and residuals against what they may depend on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..dependence import ORDERS, VARIABLES, explained, means, orders, telling
+from ..report import plain
+from ..residuals import Balance, Overlay
+from .chart import Chart, limits
+from .rendering import percent
+
+if TYPE_CHECKING:
+    from ...diagnosis.improvement import Improvement
+
+_DOTS = 600  # samples that stand for a balance's cloud
+
+
+@dataclass(frozen=True)
+class Group:
+    """Charts that belong together; of a channel, with what stands about it in the template under that name."""
+
+    channel: str
+    unit: str
+    charts: list[list[Chart]]
+    before: float = 0.0
+    after: float = 0.0
+    noise: float = 0.0
+    sensed: bool = True
+
+
+def over_time(rows: list[list[Overlay]]) -> list[Group]:
+    """A group per channel: for each recording its values, where there are any, above its residuals."""
+    found = []
+    for row in rows:
+        both = np.concatenate([x for o in row for x in (o.before, o.after)])
+        y = limits(both, 0.3, 0.1, 2.5 * row[0].noise)
+        sensed = any(o.measured is not None for o in row)
+        found.append(Group(row[0].channel, row[0].unit, [_overlay(o, y) for o in row], sensed=sensed))
+    return found
+
+
+def _overlay(o: Overlay, y: tuple[float, float]) -> list[Chart]:
+    x = (float(o.time[0]), float(o.time[-1]))
+    charts = []
+    if o.measured is not None:
+        curves = o.measured, o.measured - o.before, o.measured - o.after
+        values = Chart(x, limits(np.concatenate(curves), 0.05), o.name, ylabel=o.unit, height=166)
+        for curve, kind in zip(curves, ("measured broad", "before", "after"), strict=True):
+            values.line(o.time, curve, kind)
+        charts.append(values)
+    residual = Chart(x, y, "measured − simulated" if charts else o.name, "time [s]", o.unit, height=152)
+    residual.stripes(o.held_out, "held-out")
+    residual.band(-2 * o.noise, 2 * o.noise, "noise")
+    residual.line(o.time, o.before, "before thin")
+    residual.line(o.time, o.after, "after thin")
+    return [*charts, residual]
+
+
+def trace(improvement: Improvement) -> dict[str, Any]:
+    """The main estimator's estimate before and after against the sensor, and its error: of the recording that is loaded most."""
+    t = max(improvement.traces, key=lambda t: float(np.ptp(t.measured)))
+    x = (float(t.time[0]), float(t.time[-1]))
+    values = Chart(x, limits(t.measured, 0.05), plain(improvement.quantity), ylabel="N·m", width=660, height=170)
+    values.line(t.time, t.measured, "measured broad")
+    values.line(t.time, t.before, "before")
+    values.line(t.time, t.after, "after")
+    errors = t.before - t.measured, t.after - t.measured
+    below = Chart(
+        x, limits(np.concatenate(errors), 0.3, 0.1), "estimate − measured", "time [s]", "N·m", width=660, height=152
+    )
+    below.line(t.time, errors[0], "before thin")
+    below.line(t.time, errors[1], "after thin")
+    return {"name": t.name, "charts": [values, below]}
+
+
+def told(found: list[Balance]) -> dict[str, Any] | None:
+    """What gives the discrepancy away: channel, variable, and the share of the residual that it explains before and after."""
+    most = telling(found)
+    if most is None:
+        return None
+    b, key, share = most
+    return {"channel": b.channel, "key": key, "before": share, "after": explained(b, b.after, key)}
+
+
+def by_variable(found: list[Balance]) -> list[Group]:
+    """A group per balance: its residual against everything that it may depend on."""
+    most = telling(found)
+    groups = []
+    for b in found:
+        accent = most[1] if most is not None and most[0] is b else ""
+        rms = [float(np.sqrt(np.mean(x**2))) for x in (b.before, b.after)]
+        charts = [[chart] for chart in _charts(b, accent)]
+        groups.append(Group(b.channel, b.unit, charts, rms[0], rms[1], b.noise))
+    return groups
+
+
+def _charts(b: Balance, accent: str) -> list[Chart]:
+    y = limits(np.concatenate([b.before, b.after]), 0.3, 0.1, 2.5 * b.noise)
+    some = np.random.default_rng(0).choice(len(b.before), min(_DOTS, len(b.before)), replace=False)
+    charts = []
+    for key, label in VARIABLES.items():
+        shares = [percent(explained(b, r, key)) for r in (b.before, b.after)]
+        text = f"explains {shares[0]}, then {shares[1]}"
+        if key == "direction":
+            charts.append(_direction(b, y, text, accent == key))
+            continue
+        x, reach = b.variable(key), b.limits(key)
+        chart = Chart(reach, y, text, label, b.unit, accent == key)
+        chart.band(-2 * b.noise, 2 * b.noise, "noise")
+        chart.dots(x[some], b.before[some], "measured faint")
+        for side, kind in zip(b.sides(key), ("forward", "backward"), strict=True):
+            if side.sum() > 50:
+                chart.line(*means(x[side], b.before[side], reach), f"{kind} mean")
+        chart.line(*means(x, b.after, reach), "after mean")
+        charts.append(chart)
+    charts.insert(3, _orders(b))
+    return charts
+
+
+def _orders(b: Balance) -> Chart:
+    label = "order per turn of the motor"
+    moving = np.flatnonzero(np.abs(b.velocity) > 2.0)[:: max(len(b.velocity) // 6000, 1)]
+    if len(moving) < 200:
+        return Chart((0, 14), (0, 1), "the motor hardly turns", label, b.unit)
+    before, after = (orders(b.motor[moving], r[moving]) for r in (b.before, b.after))
+    top = 1.1 * max(float(before.max()), float(after.max()), b.noise)
+    chart = Chart((0, 14.5), (0.0, top), "orders", label, b.unit)
+    for place, values, kind in ((-0.2, before, "before"), (0.0, after, "after")):
+        boxes = [(o + place, o + place + 0.2, 0.0, float(v)) for o, v in zip(ORDERS, values, strict=True)]
+        chart.boxes(boxes, f"{kind} bar")
+    return chart
+
+
+def _direction(b: Balance, y: tuple[float, float], text: str, accent: bool) -> Chart:
+    labels = ((-0.6, "backward"), (0.6, "forward"))
+    chart = Chart((-1.2, 1.2), y, text, VARIABLES["direction"], b.unit, accent, labels)
+    chart.band(-2 * b.noise, 2 * b.noise, "noise")
+    for x, side in ((-0.6, b.velocity < 0), (0.6, b.velocity > 0)):
+        for offset, r, kind in ((-0.16, b.before, "before"), (0.16, b.after, "after")):
+            if side.sum() > 50:
+                low, high = np.percentile(r[side], [16, 84])
+                chart.line(np.array([x + offset] * 2), np.array([low, high]), f"{kind} spread")
+                chart.dots(np.array([x + offset]), np.array([np.mean(r[side])]), f"{kind} point")
+    return chart

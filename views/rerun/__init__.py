@@ -1,0 +1,12 @@
+"""Recordings for the Rerun viewer: a run with its joint in motion, and measured against simulated channels.
+
+Everything is sent in columns on the timeline `time` [s] as envelopes that keep the peaks; the blueprint is embedded,
+so that a recording opens laid out. Entities of a run: `scene/…` the 3D joint, `torque/…`, `error/…`, `innovation/<filter>/…`,
+`mode/<filter>`, `robust_share/<filter>`, `torsion/…`, `external_torque`, `position/…`, `position_error`, `current/…`.
+"""
+
+from .channels import Channel, rerun_measurement
+from .diagnosis import write_rerun_report
+from .run import write_rerun
+
+__all__ = ["Channel", "rerun_measurement", "write_rerun", "write_rerun_report"]

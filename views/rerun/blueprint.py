@@ -1,0 +1,82 @@
+"""The layout of a run: joint and notes on the left, estimates in the middle, what is behind them on the right."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from ..posteriors import innovating
+from ..style import main_filter
+from .recording import SHARED_TIME, layout, series_view
+
+if TYPE_CHECKING:
+    from ...scenarios.run import Run
+
+SHARE_WINDOW = 0.25
+"""Window [s] of the share of the time in robust mode."""
+
+
+def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
+    """The layout of a run: joint and notes on the left, estimates in the middle, what is behind them on the right.
+
+    Args:
+      run: the run.
+      reach: of the link [m], for the camera.
+    """
+    names = list(run.estimates)
+    main = main_filter(names)
+    joint = rrb.Spatial3DView(
+        name="Joint: torque true (green), estimated, external (pink)",
+        origin="scene",
+        background=[28, 31, 36],
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            position=(1.35 * reach, -2.3 * reach, 0.6 * reach),
+            look_target=(0.2 * reach, 0.0, 0.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
+    )
+    # The same colours in all panels, so that one legend is enough.
+    innovations = [
+        series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
+        for name in (main, *(name for name in names if name != main))
+        if name in innovating(run)
+    ]
+    pushed = bool(np.any(run.external_torque))
+    behind: list[rrb.View | rrb.Container] = [
+        *([rrb.Tabs(contents=innovations, name="Innovation")] if innovations else []),
+        series_view("Torsion and its parts [mrad]", "torsion"),
+        *([series_view("External torque [N·m]", "external_torque", legend=False)] if pushed else []),
+        rrb.Tabs(
+            series_view("Position error [mrad]", "position_error", legend=False),
+            series_view("Position [°]", "position"),
+            series_view("Motor current [A]", "current"),
+            name="Motion",
+        ),
+    ]
+    estimates: list[rrb.View] = [
+        series_view("Joint torque [N·m]", "torque"),
+        series_view("Estimate − truth [N·m]", "error", legend=False, limits=_error_limits(run, main)),
+        series_view(f"Robust mode [% of {SHARE_WINDOW:g} s]", "robust_share", legend=False, limits=(-5, 105)),
+        rrb.StateTimelineView(name="Mode", origin="mode", time_view=SHARED_TIME),
+    ]
+    return layout(
+        rrb.Horizontal(
+            rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
+            rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
+            rrb.Vertical(
+                contents=behind, row_shares=[*([2] if innovations else []), 2.2, *([1.2] if pushed else []), 1.6]
+            ),
+            column_shares=[1.05, 1.4, 1.25],
+        ),
+        float(run.time[-1]),
+    )
+
+
+def _error_limits(run: Run, name: str) -> tuple[float, float]:
+    """Of the error panel [N·m]: half as much again as the main filter's largest after the transient."""
+    settled = run.time >= run.scenario.transient
+    limit = 1.5 * float(np.abs((run.estimate(name) - run.truth("joint_torque"))[settled]).max())
+    return -limit, limit

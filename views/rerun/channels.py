@@ -1,0 +1,90 @@
+"""Measured quantities against what a model says they should have been: values above, residuals below, a tab each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from ..style import SENSOR, TRUTH
+from .recording import layout, recording, send_series, series_view
+
+
+@dataclass(frozen=True)
+class Channel:
+    """A measured quantity beside what a model says it should have been.
+
+    Attributes:
+      name: what it is, e.g. `joint torque`.
+      unit: of values and residual.
+      time: shape (n,) [s].
+      measured, simulated: shape (n,); not finite where it is missing.
+      candidates: further simulations by name (causes that were tried), each shape (n,).
+    """
+
+    name: str
+    unit: str
+    time: np.ndarray
+    measured: np.ndarray
+    simulated: np.ndarray
+    candidates: Mapping[str, np.ndarray] | None = None
+
+    @property
+    def path(self) -> str:
+        """Entity path under `channels/`."""
+        return "channels/" + self.name.replace(" ", "_").replace("/", "_")
+
+
+def rerun_measurement(path: Path, name: str, channels: Sequence[Channel], notes: str = "") -> Path:
+    """Write measured channels against simulated ones as a recording: values above, residuals below, a tab each.
+
+    Args:
+      path: of the `.rrd` file.
+      name: how the viewer calls the recording.
+      channels: what to show.
+      notes: Markdown beside the series; none: no such panel.
+
+    Returns:
+      The path.
+
+    Raises:
+      InputError: the file cannot be written.
+    """
+    root: rrb.Container = rrb.Tabs(contents=[channel_panel(channel) for channel in channels])
+    if notes:
+        root = rrb.Horizontal(root, rrb.TextDocumentView(origin="notes", name="Notes"), column_shares=[3, 1])
+    end = max((float(channel.time[-1]) for channel in channels if len(channel.time)), default=0.0)
+    with recording(path, name, layout(root, end)) as stream:
+        for channel in channels:
+            send_channel(stream, channel)
+        if notes:
+            stream.log("notes", rr.TextDocument(notes, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
+    return Path(path)
+
+
+def channel_panel(channel: Channel) -> rrb.Container:
+    """The panel of a channel: values above, residuals below."""
+    return rrb.Vertical(
+        series_view(f"{channel.name} [{channel.unit}]", f"{channel.path}/values"),
+        series_view(f"measured − simulated [{channel.unit}]", f"{channel.path}/residual"),
+        row_shares=[3, 2],
+        name=channel.name,
+    )
+
+
+def send_channel(stream: rr.RecordingStream, channel: Channel) -> None:
+    """Send a channel's series."""
+    simulations = {"simulated": channel.simulated, **(channel.candidates or {})}
+    # What a candidate improves on is red, and the first candidate green, as in the page.
+    palette = ("#E0533D", TRUTH, "#3D8FE0", "#E8A100", "#9A6FCB") if channel.candidates else (TRUTH,)
+    colors = dict(zip(simulations, palette * len(simulations), strict=False))
+    send_series(stream, f"{channel.path}/values/measured", channel.time, channel.measured, "measured", SENSOR)
+    for label, values in simulations.items():
+        place = label.replace(" ", "_").replace("/", "_")
+        send_series(stream, f"{channel.path}/values/{place}", channel.time, values, label, colors[label])
+        residual = channel.measured - values
+        send_series(stream, f"{channel.path}/residual/{place}", channel.time, residual, label, colors[label])

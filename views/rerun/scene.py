@@ -1,0 +1,144 @@
+"""The joint in 3D: its bodies with their motion, and the torques on them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import mujoco
+import numpy as np
+import rerun as rr
+
+from ...models.errors import InputError
+from ..style import TRUTH, filter_colors, main_filter
+from .arrows import send_arc, send_push
+from .recording import TIMELINE
+
+if TYPE_CHECKING:
+    from ...models.joint import Joint
+    from ...scenarios.run import Run
+
+FRAME_RATE = 50.0
+"""Poses of the 3D scene per second."""
+
+
+def shape_of(joint: Joint) -> mujoco.MjModel:
+    """The joint's bodies and axes as its MJCF has them: for looks and places only, its dynamics are not the joint's.
+
+    Raises:
+      InputError: an MJCF that cannot be read.
+    """
+    try:
+        return mujoco.MjModel.from_xml_path(str(joint.mjcf))
+    except ValueError as error:
+        raise InputError(f"{joint.mjcf}: not a readable MJCF: {' '.join(str(error).split())}") from error
+
+
+def reach(model: mujoco.MjModel) -> float:
+    """Distance of the link's tip from the axis [m]; 0.4 for a model without the site `tip`."""
+    site = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tip")
+    return max(float(np.linalg.norm(model.site_pos[site][[0, 2]])), 0.2) if site >= 0 else 0.4
+
+
+def send_scene(stream: rr.RecordingStream, run: Run, model: mujoco.MjModel) -> None:
+    """Send the joint's bodies with their motion, and the torques as arrows."""
+    stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
+    frames = thin_frames(run.time)
+    time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
+    positions, rotations, tips = _poses(model, run, frames)
+    for body in range(1, model.nbody):
+        name = model.body(body).name or f"body_{body}"
+        # A bare joint has no link: its geoms are drawn as lines, as a pointer.
+        pointer = name == "link" and run.joint.mount(run.scenario.mounting or None).gravity_moment == 0
+        send_geoms(stream, model, body, f"scene/{name}", pointer)
+        columns = rr.Transform3D.columns(translation=positions[:, body], quaternion=rotations[:, body])
+        stream.send_columns(f"scene/{name}", time, columns, strict=True)
+    names = list(run.estimates)
+    main = main_filter(names)
+    axis = model.jnt_axis[model.joint("link").id]
+    radius = 2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1
+    front = _front(model, axis)
+    send_arc(stream, "scene/torque_true", time, run.truth("joint_torque")[frames], radius, front, axis, TRUTH)
+    color = filter_colors(names)[main]
+    send_arc(stream, f"scene/torque_{main}", time, run.estimate(main)[frames], 1.16 * radius, front, axis, color)
+    if tips is not None and np.any(run.external_torque):
+        send_push(stream, time, run.external_torque[frames], tips, axis)
+
+
+def _front(model: mujoco.MjModel, axis: np.ndarray) -> float:
+    """Place on the axis [m] just before all geoms, where nothing hides an arrow."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    faces = [0.0]
+    for geom in range(model.ngeom):
+        along = data.geom_xmat[geom].reshape(3, 3).T @ axis
+        center, half = model.geom_aabb[geom][:3], model.geom_aabb[geom][3:]
+        faces.append(float(data.geom_xpos[geom] @ axis + along @ center + np.abs(along) @ half))
+    return max(faces) + 0.015
+
+
+def thin_frames(time: np.ndarray) -> np.ndarray:
+    """Indices of the samples that the 3D scene shows."""
+    step = max(round(1.0 / FRAME_RATE / float(time[1] - time[0])), 1)
+    return np.arange(0, len(time), step)
+
+
+def _poses(model: mujoco.MjModel, run: Run, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """Positions (f, bodies, 3) [m], quaternions x y z w (f, bodies, 4), and positions of the site `tip`, if any."""
+    data = mujoco.MjData(model)
+    state = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
+    positions = np.empty((len(frames), model.nbody, 3))
+    rotations = np.empty((len(frames), model.nbody, 4))
+    has_tip = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tip") >= 0
+    tips = np.empty((len(frames), 3))
+    for i, angles in enumerate(state):
+        data.qpos[:3] = angles
+        mujoco.mj_kinematics(model, data)
+        positions[i], rotations[i] = data.xpos, data.xquat[:, [1, 2, 3, 0]]
+        if has_tip:
+            tips[i] = data.site("tip").xpos
+    return positions, rotations, tips if has_tip else None
+
+
+def send_geoms(stream: rr.RecordingStream, model: mujoco.MjModel, body: int, path: str, lines: bool = False) -> None:
+    """Send a body's geoms as primitives or meshes in the body's frame; as lines if asked for, or if transparent."""
+    kinds = mujoco.mjtGeom
+    for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
+        kind, size = kinds(int(model.geom_type[geom])), model.geom_size[geom]
+        material = model.geom_matid[geom]
+        rgba = model.mat_rgba[material] if material >= 0 else model.geom_rgba[geom]
+        color = [round(255 * float(c)) for c in rgba]
+        position = model.geom_pos[geom]
+        rotation = model.geom_quat[geom][[1, 2, 3, 0]]
+        # A housing that one can look into is drawn as lines: what moves inside is the point.
+        solid = color[3] == 255 and not lines
+        fill = rr.components.FillMode.Solid if solid else rr.components.FillMode.DenseWireframe
+        common: dict[str, Any] = {"quaternions": [rotation], "colors": [color[:3]], "fill_mode": fill}
+        shape: rr.AsComponents
+        if kind == kinds.mjGEOM_CYLINDER:
+            shape = rr.Cylinders3D(lengths=[2 * size[1]], radii=[size[0]], centers=[position], **common)
+        elif kind == kinds.mjGEOM_CAPSULE:
+            matrix = np.empty(9)
+            mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
+            begin = position - size[1] * matrix.reshape(3, 3)[:, 2]  # Rerun's capsule starts at its first end
+            shape = rr.Capsules3D(lengths=[2 * size[1]], radii=[size[0]], translations=[begin], **common)
+        elif kind == kinds.mjGEOM_BOX:
+            shape = rr.Boxes3D(half_sizes=[size], centers=[position], **common)
+        elif kind in (kinds.mjGEOM_SPHERE, kinds.mjGEOM_ELLIPSOID):
+            half = size if kind == kinds.mjGEOM_ELLIPSOID else np.full(3, size[0])
+            shape = rr.Ellipsoids3D(half_sizes=[half], centers=[position], **common)
+        elif kind == kinds.mjGEOM_MESH:
+            shape = _mesh(model, geom, color)
+        else:
+            continue  # planes and height fields are scenery
+        stream.log(f"{path}/{model.geom(geom).name or f'geom_{geom}'}", shape, static=True, strict=True)
+
+
+def _mesh(model: mujoco.MjModel, geom: int, color: Sequence[int]) -> rr.Mesh3D:
+    mesh = model.geom_dataid[geom]
+    vertices = slice(model.mesh_vertadr[mesh], model.mesh_vertadr[mesh] + model.mesh_vertnum[mesh])
+    faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, model.geom_quat[geom])
+    points = model.mesh_vert[vertices] @ matrix.reshape(3, 3).T + model.geom_pos[geom]
+    return rr.Mesh3D(vertex_positions=points, triangle_indices=model.mesh_face[faces], albedo_factor=list(color))

@@ -1,0 +1,188 @@
+"""A diagnosis' residuals, read for showing: over time, and as torque balances with what they may depend on.
+
+Nothing is computed anew: residuals, motion and noise are those that the diagnosis holds.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from .report import Report
+
+if TYPE_CHECKING:
+    from ..diagnosis.data.segments import Segment
+
+CHANNELS = ("motor_current", "joint_torque", "link_balance")
+"""Channels of a residual, in the order of its columns."""
+_LEAST = 200  # samples below which nothing is shown against a variable
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """One channel of one recording; k samples, not finite between its segments.
+
+    Attributes:
+      name: of the recording.
+      channel: one of `CHANNELS`.
+      unit: of all values.
+      time: since the recording's start [s], shape (k,).
+      measured: shape (k,), or None where only the residual means something.
+      before, after: residuals, shape (k,); not finite where they do not count.
+      noise: rms that the sensors' noise leaves in a residual.
+      held_out: parts of the time that no fit saw [s].
+    """
+
+    name: str
+    channel: str
+    unit: str
+    time: np.ndarray
+    measured: np.ndarray | None
+    before: np.ndarray
+    after: np.ndarray
+    noise: float
+    held_out: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True)
+class Balance:
+    """A torque balance's residual with what it may depend on, all recordings joined; k samples that count.
+
+    Attributes:
+      channel: one of `CHANNELS`.
+      unit: of residuals and noise.
+      before, after: shape (k,).
+      noise: rms.
+      time, link, motor, velocity, load: [s] since the recording's start, [rad], [rad, motor side], [rad/s, motor side], [N·m].
+      rising: whether the load rises.
+    """
+
+    channel: str
+    unit: str
+    before: np.ndarray
+    after: np.ndarray
+    noise: float
+    time: np.ndarray
+    link: np.ndarray
+    motor: np.ndarray
+    velocity: np.ndarray
+    load: np.ndarray
+    rising: np.ndarray
+
+    def variable(self, key: str) -> np.ndarray:
+        """Values of one of `dependence.VARIABLES`, shape (k,)."""
+        return {
+            "time": self.time, "link": self.link, "turn": np.mod(self.motor, 2 * np.pi), "velocity": self.velocity,
+            "load": self.load, "loading": self.load, "direction": np.sign(self.velocity),
+        }[key]  # fmt: skip
+
+    def limits(self, key: str) -> tuple[float, float]:
+        """Range over which a variable is shown: all but its rarest values."""
+        if key == "turn":
+            return 0.0, 2 * np.pi
+        low, high = np.percentile(self.variable(key), [0.2, 99.8])
+        return float(low), max(float(high), float(low) + 1e-9)
+
+    def sides(self, key: str) -> tuple[np.ndarray, np.ndarray]:
+        """Which samples belong to the two lines of a panel: forward and backward, or rising and falling; shape (k,) each."""
+        first = self.rising if key == "loading" else self.velocity > 0
+        return first, ~first
+
+
+def overlays(report: Report) -> list[list[Overlay]]:
+    """Channels that the measurement has, each with its recordings."""
+    d = report.diagnosis
+    found = []
+    for c, channel in enumerate(CHANNELS):
+        if channel not in d.residual:
+            continue
+        row = []
+        for index, recording in enumerate(report.measurement.recordings):
+            pieces = [s for s, segment in enumerate(d.problem.segments) if segment.recording == index]
+            if any(_counts(d.problem.segments[s], c).any() for s in pieces):
+                row.append(_overlay(report, c, recording.name, pieces))
+        found.append(row)
+    return [row for row in found if row]
+
+
+def _overlay(report: Report, c: int, name: str, pieces: list[int]) -> Overlay:
+    d = report.diagnosis
+    segments = [d.problem.segments[s] for s in pieces]
+    sensed = c == 0 or all(segment.has_torque for segment in segments)
+    measured, before, after = [], [], []
+    for s, segment in zip(pieces, segments, strict=True):
+        use = _counts(segment, c)
+        if c < 2:  # at rest friction is anything up to its level
+            use &= ~segment.at_rest
+        # What is measured of the link's balance is the torque that the sensor reports.
+        measured.append(segment.measured[:, min(c, 1)])
+        before.append(np.where(use, d.before[s][:, c], np.nan))
+        after.append(np.where(use, d.after[s][:, c], np.nan))
+    channel = CHANNELS[c]
+    return Overlay(
+        name,
+        channel,
+        d.residual[channel].unit,
+        _joined([segment.at for segment in segments], instants=True),
+        _joined(measured) if sensed else None,
+        _joined(before),
+        _joined(after),
+        d.residual[channel].noise,
+        tuple(part for segment in segments for part in _held_out(segment)),
+    )
+
+
+def balances(report: Report) -> list[Balance]:
+    """The torque balances that the measurement has, with at least 200 samples that count."""
+    d = report.diagnosis
+    found = []
+    for c, channel in enumerate(CHANNELS):
+        if channel not in d.residual:
+            continue
+        columns: list[list[np.ndarray]] = [[] for _ in range(8)]
+        for segment, before, after in zip(d.problem.segments, d.before, d.after, strict=True):
+            use = _counts(segment, c) & ~segment.at_rest
+            theta_m, theta_l, w = segment.state.T[:3]
+            rising = np.gradient(uniform_filter1d(segment.load, 3)) > 0
+            every = (before[:, c], after[:, c], segment.at, theta_l, theta_m, w, segment.load, rising)
+            for column, x in zip(columns, every, strict=True):
+                column.append(x[use])
+        joined = [np.concatenate(x) for x in columns]
+        if len(joined[0]) > _LEAST:
+            known = d.residual[channel]
+            found.append(Balance(channel, known.unit, joined[0], joined[1], known.noise, *joined[2:]))
+    return found
+
+
+def _counts(segment: Segment, c: int) -> np.ndarray:
+    """Which residuals of a channel count, for a fit or against it; shape (k,)."""
+    return segment.usable[:, c] | segment.held_out[:, c]
+
+
+def _joined(pieces: list[np.ndarray], instants: bool = False) -> np.ndarray:
+    """Segments of a recording one after the other, a gap between them."""
+    parts = []
+    for i, piece in enumerate(pieces):
+        if i:
+            parts.append(np.array([pieces[i - 1][-1] + 1e-6 if instants else np.nan]))
+        parts.append(piece)
+    return np.concatenate(parts)
+
+
+def _held_out(segment: Segment) -> list[tuple[float, float]]:
+    """Parts of the time [s] that were kept from every fit."""
+    kept: np.ndarray = np.any(segment.held_out, axis=1)
+    fitted: np.ndarray = np.any(segment.usable, axis=1)
+    found: list[tuple[float, float]] = []
+    last = -1  # of the last sample that was fitted or kept
+    for i in np.flatnonzero(kept | fitted):
+        if kept[i]:
+            if found and last >= 0 and kept[last]:
+                found[-1] = (found[-1][0], float(segment.at[i]))
+            else:
+                found.append((float(segment.at[i]), float(segment.at[i])))
+        last = int(i)
+    return found
