@@ -10,14 +10,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flexspline.diagnosis import challenge as challenges
 from flexspline.diagnosis.challenge import Challenge
-from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.gain import estimation, held_out, with_gain
+from flexspline.sim.recording import Measurement, write_recording
+
+from flexspline.diagnosis import challenge as challenges
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
-from flexspline.sim.recording import Measurement, write_recording
 from flexspline.views import diagnosis_figures as figures
 from flexspline.views.report import Report, html, markdown, verdict_sentence, write_rerun_report
 
