@@ -25,7 +25,6 @@ from ..models import dynamics, laws
 from ..models.dynamics import State
 from ..models.errors import InputError
 from ..models.kernels import kernel
-from ..models.laws import flexspline_spring, kinematic_error, wave_generator_torsion
 from ..models.parameters import PARAMETERS
 from .estimator import KnownJoint
 from .sensing import LOWPASS, RING, line_in_ring, lowpass, motor_current, place_in_ring, temperature
@@ -87,7 +86,7 @@ def measure(m, s, p):
     if p.hysteresis_torque != 0.0:
         lowpass(m.slow, torsion, s.interval, _HYSTERESIS)
         m.dahl = laws.dahl_step(m.dahl, m.slow.rate, s.interval, p)
-    torque = flexspline_spring(torsion, p)
+    torque = laws.flexspline_spring(torsion, p)
     if p.hysteresis_torque != 0.0:
         torque += laws.hysteresis_torque(m.dahl, p)
     if beyond:
@@ -184,7 +183,7 @@ def compliance_torque(motor_position, link_position, motor_torque, p):
         motor_torque: motor torque command [N·m, motor side], which approximates Tw.
         p: parameter record.
     """
-    return flexspline_spring(torsions(motor_position, link_position, motor_torque, p)[3], p)
+    return laws.flexspline_spring(torsions(motor_position, link_position, motor_torque, p)[3], p)
 
 
 @kernel
@@ -194,10 +193,10 @@ def torsions(motor_position, link_position, motor_torque, p):
     Arguments as `compliance_torque`. The kinematic error is a function of θw, which no sensor reads:
     θw = θm - Δθw.
     """
-    total = motor_position / p.N - (link_position - p.link_zero)
-    wave_generator = wave_generator_torsion(motor_torque, p)
-    error = kinematic_error(motor_position - wave_generator, p)
-    return total, wave_generator, error, total - wave_generator / p.N - error
+    link = link_position - p.link_zero
+    flexspline, theta_w = dynamics.measured_torsion(motor_position, link, motor_torque, p)
+    wave_generator = laws.wave_generator_torsion(motor_torque, p)
+    return motor_position / p.N - link, wave_generator, laws.kinematic_error(theta_w, p), flexspline
 
 
 @dataclass(frozen=True)
@@ -257,4 +256,4 @@ def _compliance(motor_position, link_position, motor_torque, calibration, out):
         out[1, i] = wave_generator
         out[2, i] = error
         out[3, i] = flexspline
-        out[4, i] = flexspline_spring(flexspline, p)
+        out[4, i] = laws.flexspline_spring(flexspline, p)

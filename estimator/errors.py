@@ -9,7 +9,7 @@ class FilterDiverged(ArithmeticError):
     Raised instead of letting NaN into a history. The message is one line: filter, step, time [s], reason.
 
     Attributes:
-        filter: name of the filter (`FilterSettings.name`).
+        filter: name of the estimator.
         step: index of the measurement at which it happened.
         time: its time in [s].
         reason: what went wrong.

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -74,7 +74,7 @@ class KnownJoint:
         shared = joint.shared_tolerances.get(friction.shared, 0.0) if friction.shared else 0.0
         found = friction.std / friction.value if friction.std is not None else math.hypot(friction.tolerance, shared)
         zero, share = s.link_encoder.zero, joint.numbers.get("back_driven_friction")
-        wander = [e.parameters["amplitude"].std or 0.0 for e in joint.effects if e.name == "link_encoder_eccentricity"]
+        wander = [e.parameters["amplitude"].std or 0.0 for e in joint.effects if e.name in _LINK_ENCODER]
         return cls(
             joint.record(mounting) if record is None else record,
             SensorNoise(
@@ -94,9 +94,19 @@ class KnownJoint:
         p = self.p
         return p["torque_gain"] * torque + p["torque_offset"] + p["torque_rate"] * self.since(time)
 
+    def told(self, **values: float) -> KnownJoint:
+        """The same with other numbers in the record, by field."""
+        record = self.record.copy()
+        for name, value in values.items():
+            record[0][name] = value
+        return replace(self, record=record)
+
     def since(self, time: np.ndarray) -> np.ndarray:
         """Times [s] since the recording began."""
         return time - (time[0] if self.start is None else self.start)
+
+
+_LINK_ENCODER = ("link_encoder_eccentricity", "link_encoder_error")
 
 
 def _deviation(number: Any) -> float:

@@ -250,9 +250,7 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
         raise InputError(f"recording: expected one of the columns {', '.join(POSITIONS)}, got {sorted(given)}")
     if "motor_current" not in signals and "motor_torque" in signals:
         signals = signals.with_columns(motor_current=signals["motor_torque"] / joint.p["Kt_drive"])
-    if "link_position" in signals and joint.p["link_delay"] > 0:
-        late = np.interp(signals.time + joint.p["link_delay"], signals.time, signals["link_position"])
-        signals, joint = signals.with_columns(link_position=late), _with(joint, link_delay=0.0)
+    signals, joint = smoothed.in_time(signals, joint)
     measured = set(signals)
     if "link_position" not in measured:
         signals = signals.with_columns(link_position=_link_of_motor(signals, joint))
@@ -270,7 +268,7 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     motion = smoothed.smooth_motion(signals, joint, cutoff)
     own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
     payload = observe(signals, joint, motion, own)
-    joint = _with(joint, back_driven_friction=payload[3])
+    joint = joint.told(back_driven_friction=float(payload[3]))
     note |= {"bandwidth": cutoff} | {
         name: float(value)
         for name, value in zip(
@@ -285,14 +283,6 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
         note |= {"zero": float(np.mean(zero)), "zero_std": std}
         walk = likely_walk(signals, joint)
     return Prepared(signals, joint, frozenset(measured), motion.at(signals.time, own), walk, cutoff, note)
-
-
-def _with(joint: KnownJoint, **values: float) -> KnownJoint:
-    """The same with other numbers in the record."""
-    record = joint.record.copy()
-    for name, value in values.items():
-        record[0][name] = value
-    return replace(joint, record=record)
 
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:

@@ -81,11 +81,24 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float) -> Motion:
     )  # fmt: skip
 
 
+def in_time(signals: Signals, joint: KnownJoint) -> tuple[Signals, KnownJoint]:
+    """Signals in which the link encoder is not late any more, and a joint that knows so: what is over can be read earlier."""
+    delay = float(joint.p["link_delay"])
+    if delay == 0.0 or "link_position" not in signals:
+        return signals, joint
+    time = signals.time
+    early = np.interp(time + delay, time, signals["link_position"])
+    end = time > time[-1] - delay  # not read yet: it moves as the rotor does
+    if "motor_position" in signals:
+        motor = signals["motor_position"] / joint.p["N"]
+        early[end] += motor[end] - np.interp(time[-1] - delay, time, motor)
+    return signals.with_columns(link_position=early), joint.told(link_delay=0.0)
+
+
 def link_positions(signals: Signals, joint: KnownJoint) -> np.ndarray:
     """The link's angle [rad] at every sample: its reading without delay, zero, orders and discrepancy."""
-    time, p, reading = signals.time, joint.p, signals["link_position"]
-    if p["link_delay"] > 0:
-        reading = np.interp(time + p["link_delay"], time, reading)
+    signals, joint = in_time(signals, joint)
+    time, reading = signals.time, signals["link_position"]
     found = np.empty(len(time))
     _link_positions(reading, signals["motor_position"], joint.since(time), joint.record, found)
     return found

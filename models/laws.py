@@ -16,6 +16,7 @@ _SMALLEST_FRICTION = 1e-5  # N·m: g(w) stays positive whatever an effect subtra
 # The logarithm of Eqs. (3)-(5) goes on as its tangent from here: 0.29 N·m on the motor side of the test joint, beyond what
 # its motor gives, where the law is so stiff that no practical step would resolve it.
 LOGARITHM_END = 3e-3
+_FORGOTTEN = 40.0  # exp(−40) is nothing beside one
 _BENDING = 20.0  # Stribeck velocities about which viscous friction begins to grow as a power of speed
 
 
@@ -156,7 +157,10 @@ def stribeck_friction(w, theta_l, load, time, temperature, p):
 
     `load`: flexspline torque Tf [N·m]; `time` since the recording's start [s]; `temperature` of gear or motor [°C].
     """
-    g = p.Fc + (p.Fs - p.Fc) * math.exp(-((w / p.vs) ** 2))
+    g = p.Fc
+    x = (w / p.vs) ** 2
+    if x < _FORGOTTEN:
+        g += (p.Fs - p.Fc) * math.exp(-x)
     if p.friction_asymmetry != 0.0:
         g *= 1.0 + (p.friction_asymmetry if w > 0.0 else -p.friction_asymmetry)
     if p.drift_amplitude != 0.0:
@@ -200,6 +204,8 @@ def bristle_rate(z, w, g, p):
 def bristle_step(z, w, g, h, p):
     """Bristle deflection after a time `h` [s] at constant velocity: exact, as the rate is stiff at speed."""
     rate = p.s0 * abs(w) / g
+    if rate * h > _FORGOTTEN:
+        return w / rate
     decay = -math.expm1(-rate * h)
     return z + (w / rate - z) * decay if rate * h > 1e-12 else z + w * h
 
@@ -280,11 +286,8 @@ def flexible_step(angle, rate, before, after, h, p):
 
 @kernel
 def has_discrepancy(p):
-    """Whether the joint has a nonparametric model discrepancy."""
-    for k in range(N_DISCREPANCIES):
-        if p.discrepancy_place[k] != 0.0:
-            return True
-    return False
+    """Whether the joint has a nonparametric model discrepancy: they fill their places in order."""
+    return p.discrepancy_place[0] != 0.0
 
 
 @kernel

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...estimator.motion import smooth
 from ...models import causes, dynamics
 from ...models.causes import Cause
 from ...models.dynamics import State
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
-from .motion import smooth
 from .sampling import timing_error
 
 SLIDING = 2.5

@@ -1,6 +1,6 @@
 """Recordings as the replay takes them: segments of smooth motion on an even grid, with the readings that it must explain.
 
-Every channel of a segment goes through the same linear smoother (`motion`), so that where the joint is linear no smoothing error
+Every channel of a segment goes through the same linear smoother (`estimator.motion`), so that where the joint is linear no smoothing error
 enters the comparison of torques computed from motion with torques that were measured. Each segment has *noise replicates*: the same
 motion and readings with the sensors' stated noise added a second time, drawn anew. The difference between the two tells what the
 noise of the motion does to a residual, at any parameters.
@@ -16,12 +16,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
+from ...estimator.motion import passband, smooth
 from ...models import dynamics, laws
 from ...models.joint import EncoderSpec, Joint, Mounting
 from ...models.kernels import kernel
 from ...models.parameters import REFERENCE_TEMPERATURE
 from ...models.recording import Recording
-from .motion import passband, smooth
 from .sampling import between, clock_times, fresh, timing_error
 
 STEP = 1e-3

@@ -18,6 +18,7 @@ from ..dynamics_filter import FILTER, OUT, filter_step, tell
 from ..errors import FilterDiverged
 from ..estimator import Estimator, KnownJoint, Posterior, as_samples, fields_of, sample_interval
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
+from ..smoothed import in_time
 from ..tuning_parameters import TuningParameter
 from .dynamics_ekf import DynamicsEKF
 
@@ -84,6 +85,7 @@ class RTSSmoother(Estimator):
     )
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        signals, joint = in_time(signals, joint)
         samples = as_samples(signals, self.needs, joint)
         filtered = DynamicsEKF(self.name, self.process)
         settings = filtered.settings(joint, sample_interval(signals))

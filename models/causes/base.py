@@ -32,6 +32,7 @@ class CauseParameter:
       magnitude: whether it grows with the size of the effect; the others say where or how.
       integer: whether only whole numbers make sense.
       period: of an angle [rad], 0 for others.
+      searched: smallest and largest whole number that diagnosis tries, where that is more than what is ordinary.
     """
 
     name: str
@@ -43,6 +44,7 @@ class CauseParameter:
     magnitude: bool = False
     integer: bool = False
     period: float = 0.0
+    searched: tuple[int, int] | None = None
 
 
 TURN = 2 * np.pi

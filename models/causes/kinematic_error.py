@@ -17,7 +17,7 @@ class KinematicError(Cause):
     adds = True
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
-        CauseParameter("order", "1", (1e-3, 64), ((1, 4),), integer=True),
+        CauseParameter("order", "1", (1e-3, 64), ((1, 4),), integer=True, searched=(1, 6)),
         CauseParameter("amplitude", "rad", (0.0, 0.05), ((0.8e-4, 2e-4),), magnitude=True),
         PHASE,
     )

@@ -9,11 +9,12 @@ import math
 from pathlib import Path
 
 import numpy as np
+from flexspline.sim.recording import Measurement, Recording
+from numba import njit
+
 from flexspline.models import causes, laws
 from flexspline.models.calibration import Calibration
 from flexspline.models.joint import Joint
-from flexspline.sim.recording import Measurement, Recording
-from numba import njit
 
 SUBSTEPS = 20
 COUNT = 2 * math.pi / 4096

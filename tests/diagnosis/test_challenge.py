@@ -9,16 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flexspline.diagnosis import challenge as challenges
 from flexspline.diagnosis.challenge import Challenge, Draw, Outcome, Rate
-from flexspline.diagnosis.diagnose import Diagnosis, diagnose
 from flexspline.diagnosis.replay import residual
+from flexspline.sim.recording import Measurement, read_measurement
+
+from flexspline.diagnosis import challenge as challenges
+from flexspline.diagnosis.diagnose import Diagnosis, diagnose
 from flexspline.models import causes
 from flexspline.models.calibration import Calibration
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.scenarios.scenario import Scenario, Waypoint
-from flexspline.sim.recording import Measurement, read_measurement
 
 SEED = 7
 NOMINAL = load_joint("test-joint")

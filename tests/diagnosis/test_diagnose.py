@@ -4,10 +4,11 @@ import json
 
 import numpy as np
 import pytest
+from hidden_joint import measure
+
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
-from hidden_joint import measure
 
 
 @pytest.fixture(scope="module")

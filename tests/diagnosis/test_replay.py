@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from flexspline.diagnosis.motion import smooth
 from flexspline.diagnosis.replay import READ_OUT, _encoder_noise, drives, residual, residuals, transmission
+from hidden_joint import measure
+
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
-from hidden_joint import measure
 
 
 @pytest.fixture(scope="module")

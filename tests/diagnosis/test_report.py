@@ -13,14 +13,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flexspline.diagnosis import challenge as challenges
 from flexspline.diagnosis.challenge import Challenge
-from flexspline.diagnosis.diagnose import Finding, diagnose
 from flexspline.diagnosis.gain import estimation, held_out, with_gain
+from flexspline.sim.recording import Measurement, write_recording
+
+from flexspline.diagnosis import challenge as challenges
+from flexspline.diagnosis.diagnose import Finding, diagnose
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
-from flexspline.sim.recording import Measurement, write_recording
 from flexspline.views.glossary import meaning
 from flexspline.views.pages import html
 from flexspline.views.report import Report, markdown, verdict_sentence

@@ -244,3 +244,16 @@ def test_friction_error_is_absorbed(scenario):
     rms, _ = compare(scenario, 1, ("dynamics_ekf",), {"Fc": 1.5, "Fs": 1.5})
     print(rms)
     assert rms["dynamics_ekf"] < rms["RAREKF"]
+
+
+def test_a_late_link_encoder_costs_the_smoother_nothing(record):
+    """What is over can be read earlier: the same estimate, but for the last samples, which have not come yet."""
+    signals, _ = sample(record, 9)
+    late = signals.with_columns(link_position=np.interp(signals.time - 6e-3, signals.time, signals["link_position"]))
+    known = KnownJoint(record, EXACT)
+    smoother = replace(get("rts_smoother"), process=MATCHED)
+    expected = smoother.estimate(signals, known).mean
+    found = smoother.estimate(late, known.told(link_delay=6e-3)).mean
+    assert np.sqrt(np.mean((found - expected)[200:-100] ** 2)) < 0.02
+    blind = smoother.estimate(late, known).mean
+    assert np.sqrt(np.mean((blind - expected)[200:-100] ** 2)) > 1.0

@@ -96,15 +96,24 @@ def test_a_torque_sensors_gain_is_no_ones_business(name, known, signals):
     assert np.allclose(late.as_read(actual, signals.time) - sensed.as_read(actual, signals.time), 0.2)
 
 
+WITH_EFFECTS = {
+    "link_delay": 6e-3, "hysteresis_torque": 0.5, "friction_load": 0.1, "friction_temperature": -0.01, "motor_eccentricity": 2e-3,
+    "current_offset": 0.05,
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("effects", [{}, WITH_EFFECTS], ids=["plain", "effects"])
 @pytest.mark.parametrize("name", CAUSAL)
-def test_in_the_loop_it_says_what_it_says_afterwards(name):
+def test_in_the_loop_it_says_what_it_says_afterwards(name, effects):
     """The command that the drive gave in the loop follows, to the bit, from the estimates over the signals of that loop."""
-    seed, n, dt = 3, 800, loop.CONTROL_PERIOD
-    known, record = KnownJoint.of(JOINT, MOUNTING), JOINT.record(MOUNTING)
-    position, velocity, push = np.full(n, 0.3), np.zeros(n), np.where(np.arange(n) > 400, 3.0, 0.0)
+    seed, n, dt = 3, 600, loop.CONTROL_PERIOD
+    known = KnownJoint.of(JOINT, MOUNTING).told(**effects)
+    record = known.record
+    position, velocity, push = np.full(n, 0.3), np.zeros(n), np.where(np.arange(n) > 300, 3.0, 0.0)
     controller = Controller(torque_feedback=0.4).record(record[0], dt, True)
     run = loop.simulate(
-        plant.build(JOINT, MOUNTING), record, position, velocity, push, sensors.sensor_records(JOINT, 0.0, dt),
+        plant.build(JOINT, MOUNTING, record=record), record, position, velocity, push,
+        sensors.sensor_records(JOINT, float(record[0]["link_delay"]), dt),
         sensors.noise(JOINT, seed, n, dt), controller, registry.get(name).step(known, dt),
     )  # fmt: skip
     assert run.failed == (n, 0)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from flexspline.diagnosis.motion import smooth
+
+from flexspline.estimator.motion import smooth
 
 
 @pytest.mark.parametrize("irregular", [False, True])
