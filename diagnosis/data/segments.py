@@ -12,6 +12,7 @@ description, and the link moves as the replay simulates it (`Segment.link_measur
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
@@ -90,6 +91,7 @@ class Segment:
       at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
       passband: of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s].
       block: residuals that count as one (`SegmentSettings.block`).
+      step: of the replay [s].
     """
 
     recording: int
@@ -114,6 +116,16 @@ class Segment:
     at_rest: np.ndarray
     passband: float
     block: int = 1
+    step: float = STEP
+
+    @cached_property
+    def coarse(self) -> Segment:
+        """The same segment for a replay of twice the step: good enough for derivatives."""
+        every = {
+            name: np.ascontiguousarray(getattr(self, name)[::2])
+            for name in ("time", "rotor", "link", "torque", "external", "temperature")
+        }
+        return replace(self, **every, step=2 * self.step)
 
     @property
     def motor_position(self) -> np.ndarray:

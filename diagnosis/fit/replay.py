@@ -238,7 +238,7 @@ def transmission(segment: Segment, record: np.ndarray) -> np.ndarray:
     inner = np.empty(len(segment.time), INNER)
     good = _transmission(
         record[0], segment.time, segment.temperature, segment.rotor, segment.link, segment.link_measured, segment.external,
-        segment.passband, STEP, inner,
+        segment.passband, segment.step, inner,
     )  # fmt: skip
     if not good:
         inner.view(np.float64)[:] = np.nan
@@ -253,9 +253,10 @@ def replay(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None
     """
     inner = transmission(segment, record) if inner is None else inner
     out = np.empty((len(segment.at), len(BALANCES)))
+    every = round(STEP * DECIMATION / segment.step)
     _readings(
         record[0], segment.time, segment.temperature, segment.torque, segment.external, segment.stiffness, inner,
-        segment.passband, DECIMATION, WINDOW, out,
+        segment.passband, every, WINDOW[:: DECIMATION // every], out,
     )  # fmt: skip
     return out
 

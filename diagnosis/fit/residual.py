@@ -105,10 +105,15 @@ class Problem:
         return found
 
     def residuals(
-        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False
+        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False, coarse: bool = False
     ) -> list[list[np.ndarray]]:
-        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel."""
+        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel.
+
+        `coarse`: by a replay of twice the step, for derivatives.
+        """
         chosen = self.replicates if replicate else self.segments
+        if coarse:
+            chosen = [s.coarse for s in chosen]
         tasks = [
             (segment, record, theta)
             for theta, model in zip(thetas, models, strict=True)
@@ -130,7 +135,6 @@ class Problem:
         self,
         theta: np.ndarray,
         model: Model,
-        base: Sequence[np.ndarray],
         columns: np.ndarray | None = None,
         replicate: bool = False,
     ) -> list[np.ndarray]:
@@ -139,8 +143,9 @@ class Problem:
         columns = np.arange(n) if columns is None else columns
         step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
         replayed = [j for j in columns if not self.calibration.size <= j < self.size]
-        moved = [theta + step[j] * np.eye(n)[j] for j in replayed]
-        done = dict(zip(replayed, self.residuals(moved, [model] * len(moved), replicate), strict=True))
+        points = [theta, *(theta + step[j] * np.eye(n)[j] for j in replayed)]
+        base, *moved = self.residuals(points, [model] * len(points), replicate, coarse=True)
+        done = dict(zip(replayed, moved, strict=True))
         found = []
         for s, segment in enumerate(self.replicates if replicate else self.segments):
             J = np.zeros((*base[s].shape, len(columns)))

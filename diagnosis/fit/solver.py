@@ -40,7 +40,7 @@ class SolverSettings:
     huber: float = 3.0
     tolerance: float = 0.5
     good: float = 0.7
-    far: float = 1.5
+    far: float = 0.5
     noisy: float = 0.15
     chance: float = 6.0
     leverage: float = 20.0
@@ -292,8 +292,8 @@ class Fitter:
                 columns = (
                     np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
                 )
-                common = _put(common, problem.jacobian(theta, model, residual, columns), columns, problem.size)
-            jacobian = self._with_effects(model, theta, residual, common)
+                common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
+            jacobian = self._with_effects(model, theta, common, jacobian or None)
             noise = learn(problem.segments, residual, replicates, problem.quantum())
             normal = normal_equations(
                 problem, noise, model, theta, Point(residual, replicates), jacobian, None, settings
@@ -324,7 +324,7 @@ class Fitter:
             fresh = near is None and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
             del iteration
         # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
-        jacobian = self._with_effects(model, theta, residual, common)
+        jacobian = self._with_effects(model, theta, common, jacobian or None)
         other = problem.residuals([theta], [model], replicate=True)[0]
         own = [b - a for a, b in zip(residual, other, strict=True)]
         noise = learn(problem.segments, residual, own if sensors is None else sensors, problem.quantum())
@@ -335,11 +335,11 @@ class Fitter:
         problem, settings = self.problem, self.settings
         low, high = problem.bounds(f.model)
         theta, point = f.theta, f.point
-        jacobian = problem.jacobian(theta, f.model, point.residual)
+        jacobian = problem.jacobian(theta, f.model)
         other = [a + b for a, b in zip(point.residual, point.noise, strict=True)]
         extra: Columns | None = None
         if noise_share(problem, f.noise, point) > settings.noisy:
-            again = problem.jacobian(theta, f.model, other, replicate=True)
+            again = problem.jacobian(theta, f.model, replicate=True)
             extra = [b - a for a, b in zip(jacobian, again, strict=True)]
         noise = self._learn(point, jacobian, f.covariance)
         history = list(f.history)
@@ -360,12 +360,18 @@ class Fitter:
                 break
         return self.finish(f.model, theta, point, jacobian, extra, noise, tuple(history))
 
-    def _with_effects(self, model: Model, theta: np.ndarray, residual: Columns, common: Columns) -> Columns:
-        effects = np.arange(self.problem.size, len(theta))
-        if not len(effects):
-            return common
-        own = self.problem.jacobian(theta, model, residual, effects)
-        return [np.concatenate([a, b], -1) for a, b in zip(common, own, strict=True)]
+    def _with_effects(self, model: Model, theta: np.ndarray, common: Columns, known: Columns | None = None) -> Columns:
+        """Derivatives in the common unknowns and in a model's effects; of those that give their own, the `known` ones."""
+        parts = [common]
+        for i, h in enumerate(model):
+            block = self.problem.place(model, i)
+            if not hasattr(h, "derivatives"):
+                parts.append(self.problem.jacobian(theta, model, np.arange(block.start, block.stop)))
+            elif known is not None and known[0].shape[-1] >= block.stop:
+                parts.append([j[..., block] for j in known])
+            else:  # it is linear in them
+                parts.append(h.derivatives(self.problem, theta, model))
+        return common if len(parts) == 1 else [np.concatenate(p, -1) for p in zip(*parts, strict=True)]
 
     def _cost(
         self,

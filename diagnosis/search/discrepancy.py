@@ -71,7 +71,7 @@ class DiscrepancySettings:
     penalty: float = 40.0
     gain: float = 0.25
     thin: int = 3
-    refined: int = 3
+    refined: int = 2
     knots: dict[str, int] = field(
         default_factory=lambda: {
             "link_position": 32, "motor_position": 24, "direction_link_position": 32, "motor_position_two_turns": 32,
@@ -169,6 +169,10 @@ class Spline:
             place=self.place, variable=self.variable, low=self.low, high=self.high, unit=UNIT[self.place],
             coefficients=[float(c) for c in self.values(u)["coefficients"]],
         )  # fmt: skip
+
+    def derivatives(self, problem: Problem, theta: np.ndarray, model: Model) -> Columns:
+        """Derivatives of the residuals in its coordinates, at a model without it or with it."""
+        return columns_of(problem, theta, model, self)
 
     @property
     def component(self) -> str:
@@ -276,11 +280,11 @@ def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[
     return found
 
 
-def columns_of(problem: Problem, at: Fit, spline: Spline) -> Columns:
-    """Derivatives of the residuals in a spline's coordinates at a fit, shape (k, len(BALANCES), count) a segment."""
-    records = problem.records(at.theta, at.model)
+def columns_of(problem: Problem, theta: np.ndarray, model: Model, spline: Spline) -> Columns:
+    """Derivatives of the residuals in a spline's coordinates, shape (k, len(BALANCES), count) a segment."""
+    records = problem.records(theta, model)
     if spline.place in ("mesh", "flexspline", "link_position"):
-        return _replayed(problem, at, records, spline)
+        return _replayed(problem, theta, records, spline)
     found = []
     for segment, record in zip(problem.segments, records, strict=True):
         p, B = record[0], spline.unit * spline.basis(segment)
@@ -304,19 +308,20 @@ def columns_of(problem: Problem, at: Fit, spline: Spline) -> Columns:
 _PROBE = 0.05
 
 
-def _replayed(problem: Problem, at: Fit, records: Sequence[np.ndarray], spline: Spline) -> Columns:
+def _replayed(problem: Problem, theta: np.ndarray, records: Sequence[np.ndarray], spline: Spline) -> Columns:
     """Derivatives through the replay: every fourth spline at a time, as their supports do not overlap."""
-    tasks = []
+    segments = [s.coarse for s in problem.segments]
+    tasks = [(segment, record, theta) for segment, record in zip(segments, records, strict=True)]
     for colour in range(4):
-        for segment, record in zip(problem.segments, records, strict=True):
+        for segment, record in zip(segments, records, strict=True):
             moved = record.copy()
             spline.apply(moved[0], spline.values(_PROBE * (np.arange(spline.count) % 4 == colour)))
-            tasks.append((segment, moved, at.theta))
-    done = iter(problem.replayed(tasks))
+            tasks.append((segment, moved, theta))
+    base, done = problem.replayed(tasks[: len(segments)]), iter(problem.replayed(tasks[len(segments) :]))
     found = [np.zeros((len(s.at), len(BALANCES), spline.count)) for s in problem.segments]
     for colour in range(4):
         for s, segment in enumerate(problem.segments):
-            change = (next(done) - at.point.residual[s]) / _PROBE
+            change = (next(done) - base[s]) / _PROBE
             x = _variable(spline.variable, segment)
             u = np.clip((x - spline.low) / (spline.high - spline.low), 0.0, 1.0)
             first = np.minimum((u * (spline.count - 3)).astype(int), spline.count - 4)
@@ -410,7 +415,7 @@ def find(
     plain = _Plain(problem, chosen, settings.thin)
     tried: list[Candidate] = []
     for spline in splines(problem, settings):
-        columns = columns_of(problem, chosen, spline)
+        columns = columns_of(problem, chosen.theta, chosen.model, spline)
         tried += [plain.candidate(spline, columns, without, settings.penalty) for without in drops]
     best: Unknown | None = None
     for without in drops:

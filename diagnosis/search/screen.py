@@ -53,7 +53,7 @@ class Screened:
       start: coordinates of the hypothesis.
       shift: change of the other unknowns that goes with them.
       noise: that it would leave, where it was judged again.
-      removed: mean square that it would take from the residual [N·m at the output]², likewise.
+      removed: mean square that it alone would take from the residual [N·m at the output]², likewise.
     """
 
     hypothesis: Hypothesis
@@ -95,8 +95,8 @@ class Library:
                 u[j] += probe
                 thetas.append(np.concatenate([at.theta, u]))
                 models.append((*at.model, h))
-        base = at.point.residual
-        done = iter(problem.residuals(thetas, models))
+        base, *moved = problem.residuals([at.theta, *thetas], [at.model, *models], coarse=True)
+        done = iter(moved)
         self.columns: list[Columns] = []
         for h in self.hypotheses:
             parts = [next(done) for _ in h.magnitudes]
@@ -242,8 +242,8 @@ def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: 
         gain = _evidence(problem, at, noise, columns, one, origin) - reference - np.log(h.alternatives)
         best = Screened(h, float(gain), one.start, one.shift, noise)
     change = best.start[here] - origin[here]
-    r = [a + J @ best.shift + c @ change for a, J, c in zip(at.point.residual, at.jacobian, columns, strict=True)]
-    removed = mean_squares(problem, at.point.residual).sum() - mean_squares(problem, r).sum()
+    own = [J @ best.shift + c @ change for J, c in zip(at.jacobian, columns, strict=True)]
+    removed = mean_squares(problem, own).sum()
     return replace(best, removed=float(removed))
 
 

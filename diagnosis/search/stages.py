@@ -186,7 +186,7 @@ def _start(problem: Problem, base: Fit, s: Screened) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Finalist:
-    """A hypothesis fitted on top of a base: its log evidence over the base's, and the mean square that it removes [N·m]²."""
+    """A hypothesis fitted on top of a base: its log evidence over the base's, and the mean square that it alone removes [N·m]²."""
 
     fit: Fit
     gain: float
@@ -253,7 +253,10 @@ def _coarse(
 
 
 def _as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
-    removed = unexplained(problem, base.point).sum() - unexplained(problem, f.point).sum()
+    block = problem.place(f.model, len(f.model) - 1)
+    effect = block.start + np.asarray(f.model[-1].magnitudes)
+    amount = amount_of(problem, f, -1)[f.model[-1].magnitudes]
+    removed = worth(problem, f, f.jacobian, effect, np.arange(block.start), amount).own.sum()
     return Finalist(f, f.log_evidence - base.log_evidence, float(removed))
 
 
