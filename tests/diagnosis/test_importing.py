@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from flexspline.diagnosis.importing import import_recording, known_layouts, load_layout
+
 from flexspline.models.errors import InputError
 
 LAYOUT = {

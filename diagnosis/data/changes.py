@@ -1,0 +1,419 @@
+"""Changes that would mend a measurement, and which of them the agreement of its channels asks for.
+
+A change says what is wrong with a column of the file (a unit, a sign, …) and makes the channels as they would be without. Each has a
+price in log likelihood: nobody makes a mistake without need. The search applies the change that gains most, and looks again; the
+last few best are kept, as a first step may only look good.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...models.joint import EncoderSpec, Joint
+from ...models.recording import Recording
+from ...models.signals import DRIVING, POSITIONS
+from .plausibility import Fit, Motion, Plausibility, motion_of
+
+PRICE = 9.0
+"""Of a mistake, in log likelihood; a number that is free costs `FREE` more."""
+FREE = 5.0
+_ONE_OF_SEVERAL = 4.0  # price of a mistake that not all recordings have
+_SURE = 7.0  # gain beyond its price from which on a change is believed
+_SUSPICIOUS = -0.15  # misfit below which a relation is looked into
+_WORSE = -3.0  # loss in a recording from which on a change is not one of the whole measurement
+_KEPT, _MOST = 3, 3  # states that are kept beside each other, changes on top of each other
+_DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
+_SLOPE = 0.004  # relative: by how much the encoders' ratio may be off at the least to be another gear ratio
+_OFFSETS = 24  # of the angle's zero, that are tried in a turn
+_SMALLEST_OFFSET = 0.015  # rad between the encoders
+_SLOW = 0.05  # s between samples, from which on time may be in other units than seconds
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of one column that would mend it.
+
+    Attributes:
+      name, column: of the mistake; description: of it, for people.
+      factor, offset: as in `mistakes.Mistake`; price: in log likelihood.
+      also: changes of other columns that are the same mistake.
+    """
+
+    name: str
+    column: str
+    description: str
+    factor: float | None = None
+    offset: float | None = None
+    price: float = PRICE
+    also: tuple[Change, ...] = ()
+
+    def apply(self, motion: Motion) -> Motion:
+        """The channels without the mistake; the same where the column is not there."""
+        if self.column in motion or self.name == "swapped":
+            motion = self._own(motion)
+        for one in self.also:
+            motion = one.apply(motion)
+        return motion
+
+    def _own(self, motion: Motion) -> Motion:
+        if self.name == "swapped":
+            return swapped(motion)
+        x = motion.channels[self.column]
+        factor = 1.0 if self.factor is None else self.factor
+        if self.name == "velocity":
+            return motion.with_channels(**{self.column: integrated(motion.time, factor * x, self.offset or 0.0)})
+        if self.name == "gear_ratio" and self.column == "motor_position":
+            factor = 1 / factor
+        if self.name == "sign":
+            factor = -1.0
+        x = factor * x
+        if self.offset is not None:
+            x = x + np.array([self.offset, 0.0, 0.0])
+        return motion.with_channels(**{self.column: x})
+
+
+def swapped(motion: Motion) -> Motion:
+    """Both positions exchanged; the only one under the other's name."""
+    names = [name for name in POSITIONS if name in motion]
+    others = {name: POSITIONS[1 - POSITIONS.index(name)] for name in names}
+    return motion.without(*names).with_channels(**{others[name]: motion.channels[name] for name in names})
+
+
+def integrated(time: np.ndarray, velocity: np.ndarray, start: float) -> np.ndarray:
+    """Position and two derivatives, shape (n, 3), of a channel that holds a velocity; gaps are bridged by the mean."""
+    steps = 0.5 * np.diff(time) * (velocity[1:, 0] + velocity[:-1, 0])
+    position = start + np.concatenate([[0.0], np.cumsum(steps)])
+    return np.column_stack([position, velocity[:, 0], velocity[:, 1]])
+
+
+@dataclass(frozen=True)
+class Found:
+    """A change that a measurement asks for.
+
+    Attributes:
+      change: that mends; recordings: indices of those that have the mistake.
+      confidence: of it; rivals: changes that would mend it as well.
+    """
+
+    change: Change
+    recordings: tuple[int, ...]
+    confidence: float
+    rivals: tuple[Change, ...] = ()
+
+
+@dataclass(frozen=True)
+class _State:
+    """Changes made so far, one after the other, and what became of each recording's channels."""
+
+    motions: tuple[Motion | None, ...]
+    fits: tuple[dict[str, Fit], ...]
+    found: tuple[Found, ...] = ()
+    price: float = 0.0
+
+    @property
+    def score(self) -> float:
+        return sum(_total(fits) for fits in self.fits) - self.price
+
+
+def _total(fits: dict[str, Fit]) -> float:
+    return sum(fit.agreement for fit in fits.values())
+
+
+class Suspicions:
+    """What is wrong with the channels of a measurement as a whole.
+
+    Attributes:
+      motions: the channels of each recording as they would be without; None of a recording too short to tell.
+      fits: the relations between them.
+      second: what one unit of time is [s].
+      found: changes, in the order in which they mend.
+    """
+
+    def __init__(self, recordings: Sequence[Recording], joint: Joint):
+        self.joint = joint
+        self.recordings = tuple(recordings)
+        self._plausible = [Plausibility(joint, r) for r in recordings]
+        self.second, start = self._start()
+        best = self._search(start)
+        self.motions, self.fits, self.found = best.motions, best.fits, best.found
+
+    def _state(self, second: float) -> _State:
+        motions = tuple(motion_of(r, second) for r in self.recordings)
+        return _State(motions, tuple(self._fits(i, m) for i, m in enumerate(motions)))
+
+    def _fits(self, index: int, motion: Motion | None) -> dict[str, Fit]:
+        return {} if motion is None else self._plausible[index].agreement(motion)
+
+    def _start(self) -> tuple[float, _State]:
+        """The unit of time that suits the channels best, where samples are so far apart that it may not be seconds."""
+        state = self._state(1.0)
+        interval = min(r.interval for r in self.recordings)
+        if interval < _SLOW:
+            return 1.0, state
+        best, second = state.score + PRICE + _SURE, 1.0
+        for unit in (1e-3, 1e-6, 1e-9):
+            if 5e-5 < interval * unit < _SLOW:
+                other = self._state(unit)
+                if other.score > best:
+                    best, second, state = other.score, unit, other
+        return second, state
+
+    def _search(self, start: _State) -> _State:
+        beam, best = [start], start
+        for _ in range(_MOST):
+            further: list[_State] = []
+            for state in beam:
+                if self._suspicious(state):
+                    further += self._steps(state)
+            if not further:
+                break
+            beam = sorted(further, key=lambda s: -s.score)[:_KEPT]
+            if beam[0].score <= best.score + _SURE:
+                break
+            best = beam[0]
+        return best
+
+    def _suspicious(self, state: _State) -> bool:
+        return any(fit.misfit < _SUSPICIOUS for fits in state.fits for fit in fits.values())
+
+    def _steps(self, state: _State) -> list[_State]:
+        """All states one change further that are better than this one by more than that change's price."""
+        steps = []
+        for change in self._changes(state):
+            motions = [m if m is None else change.apply(m) for m in state.motions]
+            fits = [
+                f if m is None or m is old else self._fits(i, m)
+                for i, (m, old, f) in enumerate(zip(motions, state.motions, state.fits, strict=True))
+            ]
+            gains = [_total(new) - _total(old) for new, old in zip(fits, state.fits, strict=True)]
+            everywhere = all(gain > _WORSE for gain in gains)
+            chosen = [i for i, g in enumerate(gains) if everywhere or g > change.price + _SURE]
+            price = change.price if everywhere else (change.price + _ONE_OF_SEVERAL) * max(len(chosen), 1)
+            gain = sum(gains[i] for i in chosen) - price
+            if not chosen or gain <= 0:
+                continue
+            found = Found(change, tuple(chosen), 1 / (1 + math.exp(-min(gain, 50.0) / 3)))
+            steps.append(
+                _State(
+                    tuple(m if i in chosen else old for i, (m, old) in enumerate(zip(motions, state.motions, strict=True))),
+                    tuple(f if i in chosen else old for i, (f, old) in enumerate(zip(fits, state.fits, strict=True))),
+                    (*state.found, found),
+                    state.price + price,
+                )
+            )
+        return steps
+
+    def _changes(self, state: _State) -> Iterator[Change]:
+        """Changes that may mend what is left in a state, each column's once."""
+        there = {name for m in state.motions if m is not None for name in m.channels}
+        done = {(f.change.name, f.change.column) for f in state.found}
+        for change in (*self._scales(there), *self._exchanges(there, state), *self._fitted(there, state)):
+            if (change.name, change.column) not in done:
+                yield change
+
+    def _scales(self, there: set[str]) -> Iterator[Change]:
+        """Units and signs."""
+        N, Kt = self.joint.numbers["N"].value, self.joint.numbers["Kt"].value
+        sensors = self.joint.sensors
+        for column, encoder in (("motor_position", sensors.motor_encoder), ("link_position", sensors.link_encoder)):
+            if column in there:
+                yield _sign(column)
+                yield from _angles(column)
+                yield from self._counts(column, encoder)
+        if "position_command" in there:
+            yield _sign("position_command")
+            yield from _angles("position_command")
+            yield _unit("position_command", "rad on the motor side", 1 / N)
+        for column in (*DRIVING, "external_torque"):
+            if column in there:
+                yield _sign(column)
+        if "motor_current" in there:
+            yield _unit("motor_current", "mA", 1e-3)
+            if abs(math.log(Kt)) > 0.7:
+                yield _unit("motor_current", "N·m of the motor", 1 / Kt)
+            if abs(math.log(N * Kt)) > 0.7:
+                yield _unit("motor_current", "N·m at the output", 1 / (N * Kt))
+        if "motor_torque" in there:
+            yield _unit("motor_torque", "mN·m", 1e-3)
+            yield _unit("motor_torque", "N·m at the output", 1 / N)
+            if abs(math.log(Kt)) > 0.7:
+                yield _unit("motor_torque", "A", Kt)
+        for column in ("joint_torque", "external_torque"):
+            if column in there:
+                yield _unit(column, "mN·m", 1e-3)
+
+    def _counts(self, column: str, encoder: EncoderSpec) -> Iterator[Change]:
+        """Counts of the encoder as it is described, or, where every value is a whole number, of any other."""
+        lines = 2 * math.pi / encoder.resolution
+        for times in (1.0, 4.0, 0.25):
+            yield _unit(column, f"counts ({times * lines:g} a turn)", 2 * math.pi / (times * lines))
+        if all(np.array_equal(r[column], np.round(r[column])) for r in self.recordings if column in r):
+            for bits in range(8, 33):
+                if abs(bits - math.log2(lines)) > 0.1:
+                    yield _unit(column, f"counts ({2**bits} a turn)", 2 * math.pi / 2**bits, PRICE + 2)
+
+    def _exchanges(self, there: set[str], state: _State) -> Iterator[Change]:
+        """Positions that are something else: the other side's, a velocity."""
+        N = self.joint.numbers["N"].value
+        positions = [name for name in POSITIONS if name in there]
+        if len(positions) == 2:
+            yield Change("swapped", "", "motor and link position stand under each other's name")
+        else:
+            other = POSITIONS[1 - POSITIONS.index(positions[0])].replace("_", " ")
+            yield Change("swapped", positions[0], f"what stands here is the {other}")
+        for column in positions:
+            side = 1 / N if column == "link_position" else N
+            for said, factor in (("rad/s", 1.0), ("deg/s", _DEGREE), ("rpm", _RPM), ("rad/s of the other side", side)):
+                start = self._start_of(column, factor, state)
+                yield Change(
+                    "velocity", column, f"a velocity ({said}) where the position belongs", None if factor == 1.0 else factor,
+                    start, PRICE + (0.0 if factor == 1.0 else 3.0),
+                )  # fmt: skip
+
+    def _start_of(self, column: str, factor: float, state: _State) -> float:
+        """Where a position starts whose column holds its velocity: as the other encoder or the command has it, or else zero."""
+        N = self.joint.numbers["N"].value
+        side = N if column == "motor_position" else 1.0
+        starts = []
+        for motion in state.motions:
+            if motion is None or column not in motion:
+                continue
+            x = integrated(motion.time, factor * motion.channels[column], 0.0)[:, 0]
+            for name in (*POSITIONS, "position_command"):
+                if name != column and name in motion:
+                    y = motion.channels[name][:, 0] / (N if name == "motor_position" else 1.0)
+                    starts.append(float(np.median(side * y - x)))
+                    break
+        return float(np.median(starts)) if starts else 0.0
+
+    def _fitted(self, there: set[str], state: _State) -> Iterator[Change]:
+        """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
+        if all(name in there for name in POSITIONS):
+            slope = self._slope(state)
+            if slope is not None and abs(slope - 1) > _SLOPE and slope > 0:
+                yield self._gear_ratio("motor_position", slope)
+                yield self._gear_ratio("link_position", slope)
+        yield from self._zeros(there, state)
+
+    def _gear_ratio(self, column: str, slope: float) -> Change:
+        """Another ratio between the encoders; near N ± 1 the one of the other kind of strain wave gear."""
+        N = round(self.joint.numbers["N"].value)
+        for other in (N - 1, N + 1):
+            if abs(slope * N / other - 1) < 1.5e-3:
+                text = f"the motor makes {other} turns for one of the link, not {N}"
+                if column == "motor_position":
+                    return Change("gear_ratio", column, text, other / N, price=PRICE)
+        text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:g}"
+        if column == "motor_position":
+            return Change("gear_ratio", column, text, slope, price=PRICE + FREE)
+        text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
+        return Change("gear_ratio", column, text, slope, price=PRICE + FREE + 3)
+
+    def _slope(self, state: _State) -> float | None:
+        """Turns of the motor over N times those of the link, of all recordings; None where the link hardly moves."""
+        N = self.joint.numbers["N"].value
+        found, weights = [], []
+        for motion in state.motions:
+            if motion is None or not all(name in motion for name in POSITIONS):
+                continue
+            m, l = (motion.channels[name][:, 0] for name in POSITIONS)
+            if np.ptp(l) > 0.02:
+                l, m = l - l.mean(), m / N - m.mean() / N
+                found.append(float(l @ m / (l @ l)))
+                weights.append(float(l @ l))
+        return float(np.average(found, weights=weights)) if found else None
+
+    def _zeros(self, there: set[str], state: _State) -> Iterator[Change]:
+        """Zeros of the angle, of one encoder or of all angles together."""
+        N = self.joint.numbers["N"].value
+        positions = [name for name in POSITIONS if name in there]
+        between = self._median(state, "motor_position", "link_position")
+        if between is not None and abs(between) > _SMALLEST_OFFSET:
+            yield _zero("link_position", between)
+            yield _zero("motor_position", -N * between)
+        command = self._median(state, "position_command", positions[-1])
+        if command is not None and abs(command) > 0.1:
+            yield _zeros(positions, command, N)
+            yield _zero("position_command", -command)
+        angle = self._hanging(state)
+        if angle is not None:
+            yield _zeros(positions, angle, N)
+            if "position_command" in there:
+                yield _zeros([*positions, "position_command"], angle, N)
+
+    def _median(self, state: _State, a: str, b: str) -> float | None:
+        """Median of one position less another on the output side [rad], of all recordings that have both."""
+        N = self.joint.numbers["N"].value
+        found = []
+        for motion in state.motions:
+            if motion is not None and a in motion and b in motion and a != b:
+                x, y = (motion.channels[n][:, 0] / (N if n == "motor_position" else 1.0) for n in (a, b))
+                found.append(x - y)
+        return float(np.median(np.concatenate(found))) if found else None
+
+    def _hanging(self, state: _State) -> float | None:
+        """What all angles would have to be turned by for gravity to suit them best [rad]; None where it hardly matters."""
+        torques = [i for i, fits in enumerate(state.fits) if any(n in fits for n in DRIVING)]
+        weights = [i for i in torques if self._plausible[i].p["Mg"] > 0]
+        if not weights or not any(
+            fit.misfit < _SUSPICIOUS for i in weights for n, fit in state.fits[i].items() if n in DRIVING
+        ):
+            return None
+
+        def agreement(angle: float) -> float:
+            total = 0.0
+            for i in weights:
+                motion = state.motions[i]
+                assert motion is not None
+                turned = _zeros([n for n in POSITIONS if n in motion], angle, self.joint.numbers["N"].value).apply(motion)
+                total += sum(fit.agreement for n, fit in self._plausible[i].torques(turned).items())
+            return total
+
+        tried = 2 * math.pi / _OFFSETS * np.arange(-_OFFSETS // 2 + 1, _OFFSETS // 2 + 1)
+        best = float(tried[int(np.argmax([agreement(x) for x in tried]))])
+        width = 2 * math.pi / _OFFSETS
+        while width > 0.02:
+            width /= 2
+            best = max((best - width, best, best + width), key=agreement)
+        for simple in (0.5 * math.pi, -0.5 * math.pi, math.pi, -math.pi):
+            if abs(best - simple) < 0.2:
+                best = simple
+        return best if abs(best) > 0.1 else None
+
+
+def _sign(column: str) -> Change:
+    return Change("sign", column, "turned round", price=PRICE - 1)
+
+
+def _unit(column: str, said: str, factor: float, price: float = PRICE) -> Change:
+    return Change("unit", column, f"{said} taken for {_SI[column]}", factor, price=price)
+
+
+_SI = {
+    "motor_position": "rad", "link_position": "rad", "position_command": "rad", "motor_current": "A",
+    "motor_torque": "N·m of the motor", "joint_torque": "N·m", "external_torque": "N·m",
+}  # fmt: skip
+
+
+def _angles(column: str) -> Iterator[Change]:
+    yield _unit(column, "degrees", _DEGREE)
+    yield _unit(column, "turns", 2 * math.pi)
+    yield _unit(column, "mrad", 1e-3)
+
+
+def _zero(column: str, offset: float) -> Change:
+    return Change("angle_zero", column, "zero is elsewhere", offset=offset, price=PRICE + FREE)
+
+
+def _zeros(columns: Sequence[str], offset: float, N: float) -> Change:
+    """The same turn of several angles, the link's first."""
+    changes = [
+        _zero(column, offset * (N if column == "motor_position" else 1.0))
+        for column in sorted(columns, key=lambda name: name != "link_position")
+    ]
+    price = PRICE + (0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else FREE)
+    return replace(changes[0], price=price + 2.0 * (len(changes) - 1), also=tuple(changes[1:]))

@@ -1,0 +1,355 @@
+"""How well channels agree with each other and with the joint's description, whatever cause of ordinary size is in it.
+
+Four relations hold between the channels of a joint, however they were recorded:
+
+    encoders       θm/N − θl is the transmission's wind-up: milliradians
+    drive          N Kt i (or N times the motor torque) moves rotor and link, against friction and gravity
+    joint torque   Ts moves the link against gravity
+    command        the link follows its command
+
+Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and all
+causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as pushes, bumps
+and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few milliseconds apart
+say the same thing, so a recording counts as `EFFECTIVE` samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...estimator.motion import smooth
+from ...models.joint import Joint, Number
+from ...models.kernels import kernel
+from ...models.recording import GAP, Recording
+from ...models.signals import POSITIONS
+
+EFFECTIVE = 60.0
+"""Samples that a recording counts as in a relation between its channels."""
+_SAMPLES = 700  # of a recording that are looked at
+_CUTOFF = 6.0  # Hz: of the smoother
+_BIN = 0.01  # s: over which samples are averaged before
+_FREEDOM = 3.0  # of the Student-t distribution
+_SHORTEST = (20, 0.3)  # samples, seconds of a part without gaps
+_EDGE = 0.05  # s at both ends of a part, where the smoother settles
+_CHANNELS = (*POSITIONS, "motor_current", "motor_torque", "joint_torque", "position_command", "external_torque")
+_TEST = 16.0  # N·m: rated torque of the joint for which ordinary sizes in N·m are stated (a payload, a cable, a stop)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A recording's channels, smoothed.
+
+    Attributes:
+      time: since the recording's start [s], shape (n,).
+      channels: value and two derivatives in time by name, shape (n, 3).
+      known_torque: on the link by an arm in motion [N·m], shape (n,); inertia: over that of the mounting [1], shape (n,).
+    """
+
+    time: np.ndarray
+    channels: Mapping[str, np.ndarray]
+    known_torque: np.ndarray
+    inertia: np.ndarray
+
+    def __contains__(self, name: str) -> bool:
+        return name in self.channels
+
+    def with_channels(self, **channels: np.ndarray) -> Motion:
+        """The same with channels replaced."""
+        return replace(self, channels={**self.channels, **channels})
+
+    def without(self, *names: str) -> Motion:
+        """The same without channels."""
+        return replace(self, channels={n: x for n, x in self.channels.items() if n not in names})
+
+    @property
+    def position(self) -> str:
+        """The channel that tells the link's motion: of both encoders the link's."""
+        return "link_position" if "link_position" in self.channels else "motor_position"
+
+
+def motion_of(recording: Recording, second: float = 1.0) -> Motion | None:
+    """Smooth a recording's channels; None where no part without gaps is long enough.
+
+    Args:
+      recording: whose samples were checked one by one already.
+      second: what one unit of its time is [s].
+    """
+    time = second * (recording.time - recording.time[0])
+    interval = float(np.median(np.diff(time)))
+    cuts = np.flatnonzero(np.diff(time) > max(GAP, 5 * interval)) + 1
+    step = max(0.02, interval, float(time[-1]) / _SAMPLES)
+    names = [name for name in _CHANNELS if name in recording]
+    columns = [recording[name] for name in names]
+    if recording.load is not None:
+        columns += [recording.load.torque, recording.relative_inertia]
+    times, found = [], []
+    for part in np.split(np.arange(len(time)), cuts):
+        t = time[part]
+        if len(t) < _SHORTEST[0] or t[-1] - t[0] < _SHORTEST[1]:
+            continue
+        begins = np.arange(len(t))
+        if interval < 0.5 * _BIN:
+            begins = np.flatnonzero(np.diff(np.floor((t - t[0]) / _BIN), prepend=-1.0))
+        count = np.diff(begins, append=len(t))
+        mean = [np.add.reduceat(x[part], begins) / count for x in (time, *columns)]
+        if len(mean[0]) < _SHORTEST[0]:
+            continue
+        s = smooth(mean[0], np.column_stack(mean[1:]), step, _CUTOFF)
+        inside = (s.time >= t[0] + _EDGE) & (s.time <= t[-1] - _EDGE)
+        times.append(s.time[inside])
+        found.append(np.stack([s.value, s.rate, s.acceleration], axis=-1)[inside])
+    if not times:
+        return None
+    values = np.concatenate(found)
+    n = len(values)
+    arm = recording.load is not None
+    return Motion(
+        time=np.concatenate(times),
+        channels={name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)},
+        known_torque=values[:, len(names), 0] if arm else np.zeros(n),
+        inertia=values[:, len(names) + 1, 0] if arm else np.ones(n),
+    )
+
+
+@kernel
+def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
+    """Coefficients within bounds that make y = A β likeliest, by iterated weights and coordinate descent; in place.
+
+    Returns the log likelihood, that of the coefficients' priors included.
+    """
+    n, p = A.shape
+    beta[:] = centre
+    G, g = np.empty((p, p)), np.empty(p)
+    w = np.empty(n)
+    for _ in range(10):
+        for i in range(n):
+            r = y[i]
+            for a in range(p):
+                r -= A[i, a] * beta[a]
+            s2 = sigma[i] * sigma[i]
+            w[i] = weight * (_FREEDOM + 1.0) / (_FREEDOM * s2 + r * r)
+        G[:] = 0.0
+        g[:] = 0.0
+        for i in range(n):
+            for a in range(p):
+                wa = w[i] * A[i, a]
+                g[a] += wa * y[i]
+                for b in range(a + 1):
+                    G[a, b] += wa * A[i, b]
+        for a in range(p):
+            for b in range(a):
+                G[b, a] = G[a, b]
+            G[a, a] += 1.0 / (spread[a] * spread[a])
+            g[a] += centre[a] / (spread[a] * spread[a])
+        for _ in range(60):
+            change = 0.0
+            for a in range(p):
+                s = g[a]
+                for b in range(p):
+                    if b != a:
+                        s -= G[a, b] * beta[b]
+                best = min(max(s / G[a, a], low[a]), high[a])
+                change = max(change, abs(best - beta[a]) / spread[a])
+                beta[a] = best
+            if change < 1e-4:
+                break
+    total = 0.0
+    for i in range(n):
+        r = y[i]
+        for a in range(p):
+            r -= A[i, a] * beta[a]
+        u = r / sigma[i]
+        total -= weight * (0.5 * (_FREEDOM + 1.0) * np.log1p(u * u / _FREEDOM))
+    for a in range(p):
+        u = (beta[a] - centre[a]) / spread[a]
+        total -= 0.5 * u * u
+    return total
+
+
+class _Shapes:
+    """Columns of a relation with bounds and priors of their coefficients."""
+
+    def __init__(self, n: int):
+        self._n = n
+        self._columns: list[np.ndarray] = []
+        self._numbers: list[tuple[float, float, float, float]] = []
+
+    def add(self, shape: np.ndarray | float, low: float, high: float, centre: float = 0.0, spread: float | None = None) -> None:
+        """A shape whose coefficient lies between `low` and `high`, about `centre` (a third of the range by default)."""
+        if high > low:
+            self._columns.append(np.broadcast_to(shape, (self._n,)))
+            self._numbers.append((low, high, centre, (high - low) / 3 if spread is None else spread))
+
+    def fit(self, y: np.ndarray, sigma: np.ndarray, least: float, effective: float) -> Fit:
+        """The best coefficients for readings y, shape (n,); `least`: what `sigma` is where all is known."""
+        A = np.ascontiguousarray(np.column_stack(self._columns))
+        low, high, centre, spread = (np.array(x) for x in zip(*self._numbers, strict=True))
+        beta = np.empty(len(low))
+        misfit = float(_fit(A, y, sigma, low, high, centre, spread, effective / self._n, beta))
+        known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
+        return Fit(misfit + known, misfit / effective, A @ beta, sigma)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A relation at its best coefficients.
+
+    Attributes:
+      agreement: log likelihood.
+      misfit: its part that readings and priors make up, per effective sample: 0 where all is as expected, −0.6 where readings
+        are off by one `sigma`.
+      expected: of the reading, shape (n,); sigma: how far from it is nothing, shape (n,).
+    """
+
+    agreement: float
+    misfit: float
+    expected: np.ndarray
+    sigma: np.ndarray
+
+
+class Plausibility:
+    """A joint's description as what the channels of one recording are held against."""
+
+    def __init__(self, joint: Joint, recording: Recording):
+        self.joint = joint
+        self.p = joint.record(recording.link)[0]
+        self.pushed = recording.external == "unmeasured"
+        self._size = joint.numbers["rated_torque"].value / _TEST
+        self._turned = joint.gravity_angle is not None
+
+    def agreement(self, motion: Motion) -> dict[str, Fit]:
+        """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel."""
+        found = {}
+        if all(name in motion for name in POSITIONS):
+            found["encoders"] = self._encoders(motion)
+        if "position_command" in motion:
+            found["command"] = self._command(motion)
+        return found | self.torques(motion)
+
+    def torques(self, motion: Motion) -> dict[str, Fit]:
+        """The relations of torques alone."""
+        found = {}
+        for name in ("motor_current", "motor_torque"):
+            if name in motion:
+                found[name] = self._drive(motion, name)
+        if "joint_torque" in motion:
+            found["joint_torque"] = self._joint_torque(motion)
+        return found
+
+    def link(self, motion: Motion) -> np.ndarray:
+        """The link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
+        values = motion.channels[motion.position]
+        return values if motion.position == "link_position" else values / self.p["N"]
+
+    def _tolerance(self, symbol: str) -> float:
+        """Relative standard deviation of a number of the description, of a reading of the drive that of Kt."""
+        number: Number = self.joint.numbers[symbol]
+        shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
+        return float(np.hypot(np.hypot(number.tolerance, shared), number.deviation / max(number.value, 1e-12)))
+
+    def _encoders(self, motion: Motion) -> Fit:
+        p = self.p
+        theta, v = motion.channels["link_position"][:, 0], motion.channels["link_position"][:, 1]
+        zero = self.joint.sensors.link_encoder.zero
+        wound = self.joint.numbers["rated_torque"].value / p["K1"]
+        friction = p["Fc"] / (p["Kw0"] * p["N"]) + 3e-4
+        off = max(0.01, 5 * zero.deviation if zero is not None else 0.0)
+        shapes = _Shapes(len(theta))
+        shapes.add(1.0, p["link_zero"] - off, p["link_zero"] + off, float(p["link_zero"]), off / 2)
+        shapes.add(theta, -2 * wound - 1e-3, 2 * wound + 1e-3)
+        shapes.add(np.sin(theta), -2e-3, 2e-3)
+        shapes.add(np.cos(theta), -2e-3, 2e-3)
+        shapes.add(v, p["link_delay"] - 2e-3, p["link_delay"] + 1.3e-2, float(p["link_delay"]), 8e-3)
+        shapes.add(np.tanh(p["N"] * v / p["vs"]), -4 * friction, 4 * friction)
+        y = motion.channels["motor_position"][:, 0] / p["N"] - theta
+        sigma = 2e-4 + 0.15 * wound + (self.joint.sensors.motor_encoder.resolution / p["N"])
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, EFFECTIVE)
+
+    def _command(self, motion: Motion) -> Fit:
+        x = self.link(motion)
+        shapes = _Shapes(len(x))
+        shapes.add(1.0, -0.1, 0.1)
+        shapes.add(x[:, 0], -0.05, 0.05)
+        shapes.add(x[:, 1], -0.02, 0.5, 0.0, 0.2)
+        sigma = 0.03 + 0.02 * float(np.ptp(x[:, 0]))
+        y = motion.channels["position_command"][:, 0] - x[:, 0]
+        return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * EFFECTIVE)
+
+    def _gravity(self, shapes: _Shapes, theta: np.ndarray, scale: tuple[float, float]) -> None:
+        """Shapes of what the link's own weight, a payload, a cable and a stop ask for [N·m]; `scale`: of the reading."""
+        p, size = self.p, self._size
+        weight, payload = float(p["Mg"]), 4.5 * max(size, 1.0)
+        turned = (0.25 if self._turned else 0.03) * weight + 0.3 * payload
+        low, high = scale
+        shapes.add(
+            np.sin(theta + p["gravity_angle"]), 0.75 * weight * low, (1.25 * weight + payload) * high, weight,
+            0.25 * weight + 0.5 * payload,
+        )  # fmt: skip
+        shapes.add(np.cos(theta + p["gravity_angle"]), -turned * high, turned * high, 0.0, turned / 2)
+        cable = max(float(p["cable_stiffness"]), 0.0)
+        shapes.add(theta, 0.0, (2.0 * size + 2 * cable) * high, cable, 1.0 * size)
+        for angle in (0.6, 0.8, 1.0):
+            shapes.add(np.maximum(theta - angle, 0.0), 0.0, 45.0 * max(size, 1.0) * high, 0.0, 15.0 * max(size, 1.0))
+
+    def _known(self, shapes: _Shapes, motion: Motion) -> np.ndarray:
+        """Torque that is known to push the link, which the joint need not give; a measured one with a gain near one [N·m]."""
+        if "external_torque" in motion and not self.pushed:
+            shapes.add(-motion.channels["external_torque"][:, 0], 0.6, 1.5, 1.0, 0.3)
+        return -motion.known_torque
+
+    def _drive(self, motion: Motion, name: str) -> Fit:
+        p, size = self.p, self._size
+        N = float(p["N"])
+        theta, v, a = self.link(motion).T
+        unsure = min(3 * self._tolerance("Kt"), 0.5)
+        scale = (0.8 * (1 - unsure), 1.25 * (1 + unsure))
+        low, high = scale
+        rotor = N * N * float(p["Jm"] + p["Jw"])
+        inertia = float(p["Jl"]) * motion.inertia + rotor
+        friction = N * float(p["Fc"])
+        loose = 1 + min(3 * self._tolerance("Fc"), 2.0)
+        viscous = N * N * float(p["bw"] + p["bm"]) + float(p["bl"])
+        sliding = np.tanh(N * v / p["vs"])
+        offset = 0.2 * N * float(p["Kt"]) + 0.5 * friction
+        shapes = _Shapes(len(theta))
+        self._gravity(shapes, theta, scale)
+        shapes.add(inertia * a, 0.4 * low, 3.0 * high, 1.0, 0.6)
+        shapes.add(rotor * a, 0.0, 1.5 * high, 0.0, 0.8)
+        shapes.add(a, 0.0, 0.2 * size, 0.0, 0.1 * size)
+        shapes.add(friction * sliding, 0.4 * low / loose, 2.8 * high * loose, 1.0, 0.8 * loose)
+        shapes.add(viscous * v, 0.0, 8.0 * high, 1.0, 2.0)
+        shapes.add(1.0, -offset, offset, N * float(p["Kt"] * p["current_offset"]), offset / 3)
+        load = np.abs(p["Mg"] * np.sin(theta + p["gravity_angle"]) + p["Jl"] * motion.inertia * a)
+        shapes.add(load * sliding, -0.1, 0.6, float(p["friction_load"]), 0.2)
+        driven = np.sign(np.sin(theta + p["gravity_angle"]) * v) < 0
+        shapes.add(load * sliding * driven, -0.6, 0.6, 0.0, 0.2)
+        for order in (1.0, 2.0, 3.0):
+            for wave in (np.sin(order * theta), np.cos(order * theta)):
+                shapes.add(friction * sliding * wave, -0.8 * high, 0.8 * high, 0.0, 0.3)
+        for seconds in (6.0, 15.0):
+            shapes.add(friction * sliding * np.exp(-motion.time / seconds), 0.0, 2.0 * high, 0.0, 0.7)
+        known = self._known(shapes, motion)
+        y = N * motion.channels[name][:, 0] * (float(p["Kt"]) if name == "motor_current" else 1.0)
+        # At rest friction may be anything up to its level.
+        resting = np.exp(-((N * v / (2 * p["vs"])) ** 2))
+        sigma = 0.025 * self.joint.numbers["rated_torque"].value * (1.5 if self.pushed else 1.0)
+        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, EFFECTIVE)
+
+    def _joint_torque(self, motion: Motion) -> Fit:
+        size, rated = self._size, self.joint.numbers["rated_torque"].value
+        theta, _, a = self.link(motion).T
+        inertia = float(self.p["Jl"]) * motion.inertia
+        shapes = _Shapes(len(theta))
+        self._gravity(shapes, theta, (0.8, 1.25))
+        shapes.add(inertia * a, 0.4, 3.0, 1.0, 0.5)
+        shapes.add(a, 0.0, 0.2 * size, 0.0, 0.1 * size)
+        shapes.add(1.0, -0.06 * rated, 0.06 * rated, float(self.p["torque_offset"]), 0.02 * rated)
+        drift = 0.004 * rated
+        shapes.add(motion.time, -drift, drift, float(self.p["torque_rate"]), drift / 3)
+        known = self._known(shapes, motion)
+        sigma = 0.02 * rated * (1.5 if self.pushed else 1.0)
+        y = motion.channels["joint_torque"][:, 0] - known
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, EFFECTIVE)
