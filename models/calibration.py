@@ -30,6 +30,19 @@ class Slot:
     index: int
     number: Number
 
+    def put(self, p: np.void, value: float, mounting: Mounting) -> None:
+        """Put a value of the number into a record's place, in a mounting."""
+        if self.field == "Jl":
+            p["Jl"] = mounting.inertia * value
+        elif self.field == "Mg":
+            p["Mg"] = mounting.gravity_moment * value
+        elif self.field == "gravity_angle":
+            p["gravity_angle"] = mounting.gravity_angle + value
+        elif self.index < 0:
+            p[self.field] = value
+        else:
+            p[self.field][self.index] = value
+
 
 class Calibration:
     """The calibration variables of a joint.
@@ -41,7 +54,7 @@ class Calibration:
 
     def __init__(self, joint: Joint):
         self.joint = joint
-        self.slots = [s for s in _slots(joint) if s.number.tolerance or s.number.deviation or s.number.shared]
+        self.slots = [s for s in slots(joint) if s.number.tolerance or s.number.deviation or s.number.shared]
         own = [s.name for s in self.slots if s.number.tolerance or s.number.deviation]
         shared = [f"shared {name}" for name in joint.shared_tolerances]
         self.names = own + shared
@@ -73,19 +86,8 @@ class Calibration:
         """Parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or without."""
         mounting = self.joint.mount() if mounting is None else mounting
         record = self.joint.bare_record(mounting)
-        p = record[0]
         for slot in self.slots:
-            value = self.value(slot, x)
-            if slot.field == "Jl":
-                p["Jl"] = mounting.inertia * value
-            elif slot.field == "Mg":
-                p["Mg"] = mounting.gravity_moment * value
-            elif slot.field == "gravity_angle":
-                p["gravity_angle"] = mounting.gravity_angle + value
-            elif slot.index < 0:
-                p[slot.field] = value
-            else:
-                p[slot.field][slot.index] = value
+            slot.put(record[0], self.value(slot, x), mounting)
         if effects:
             self.joint.apply_effects(record)
         return record
@@ -118,7 +120,8 @@ def _factor(change: float) -> float:
     return 1 + change if change > _LEAST - 1 else _LEAST * float(np.exp((change + 1 - _LEAST) / _LEAST))
 
 
-def _slots(joint: Joint) -> list[Slot]:
+def slots(joint: Joint) -> list[Slot]:
+    """Every number of a joint that a record has, by the names that diagnosis reports."""
     found = [Slot(symbol, symbol, -1, number) for symbol, number in joint.numbers.items()]
     for i, order in enumerate(joint.kinematic_error):
         found.append(Slot(f"A{order.order:g}", "amplitude", i, order.amplitude))

@@ -28,6 +28,7 @@ M = TypeVar("M", bound=BaseModel)
 
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C where there is one: eight times as fast
 _SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+_LIST = "tag:yaml.org,2002:seq"
 
 
 class _Loader(_SafeLoader):
@@ -84,9 +85,20 @@ def yaml_value(text: str) -> Any:
         return text
 
 
+class Line(list):
+    """A list that YAML text has in one line, however long."""
+
+
+class _Dumper(_SafeDumper):
+    """The dumper that knows a `Line`."""
+
+
+_Dumper.add_representer(Line, lambda dumper, data: dumper.represent_sequence(_LIST, data, flow_style=True))
+
+
 def yaml_text(data: Any) -> str:
     """Data as YAML text: keys in their order, lines up to 120 characters."""
-    text: str = yaml.dump(data, Dumper=_SafeDumper, allow_unicode=True, sort_keys=False, width=120)
+    text: str = yaml.dump(data, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=120)
     return text
 
 

@@ -12,7 +12,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_vali
 
 from . import causes, units
 from .errors import InputError, nearest
-from .files import Strict, load, write_into_place, yaml_text
+from .files import Line, Strict, load, write_into_place, yaml_text
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
 
@@ -248,7 +248,9 @@ class ValidRange(Strict):
     joint_torque: Annotated[list[float], Field(min_length=2, max_length=2, description="N·m")]
     loads: list[Literal["driving", "driven"]] = []
 
-    def beyond(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> dict[str, float]:
+    def beyond(
+        self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray
+    ) -> dict[str, float]:
         """Shares of samples, shape (n,) each, that lie beyond the range by more than a twentieth of it; empty where none do."""
         found = {}
         for name, x in (
@@ -259,6 +261,36 @@ class ValidRange(Strict):
             share = float(np.mean((x < low - slack) | (x > high + slack)))
             if share > 0:
                 found[name] = share
+        return found
+
+
+class Uncertainty(Strict):
+    """How well a diagnosis knows what it found, all of it together.
+
+    `factor` has the rows of a lower triangular L whose L Lᵀ is the covariance of `names`, in their units: numbers by the names
+    that `models.calibration` gives them (`Kt`, `A2`, `link_encoder_zero`), parameters of effects (`effects.0.ratio`) and
+    coefficients of discrepancies (`discrepancies.0.3`). What is not among them is as well known as its own `std` or tolerance
+    says. `discrepancy` is the rms, in the balance's unit, of what the description could not hold in the data; `beyond`, how many
+    times as large it is a whole range beyond the range of validity.
+    """
+
+    names: list[str]
+    factor: list[list[float]]
+    discrepancy: dict[Literal["motor_current", "joint_torque", "link_balance"], Annotated[float, Field(ge=0)]] = {}
+    beyond: Annotated[float, Field(ge=1)] = 1.0
+
+    @model_validator(mode="after")
+    def _triangular(self) -> Uncertainty:
+        if [len(row) for row in self.factor] != list(range(1, len(self.names) + 1)):
+            raise ValueError(f"factor: expected the {len(self.names)} rows of a lower triangle, a row a name")
+        return self
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """L, shape (n, n)."""
+        found = np.zeros((len(self.names), len(self.names)))
+        for i, row in enumerate(self.factor):
+            found[i, : i + 1] = row
         return found
 
 
@@ -286,6 +318,8 @@ class Joint(Strict):
     discrepancies: Annotated[list[Discrepancy], Field(max_length=N_DISCREPANCIES)] = []
     valid: ValidRange | None = None
     """Where the data have been from which a diagnosis made this description; none for one that a person wrote."""
+    uncertainty: Uncertainty | None = None
+    """How well that diagnosis knows what it found; none for a description that a person wrote."""
     _path: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
@@ -428,6 +462,9 @@ class Joint(Strict):
     def write(self, path: Path) -> None:
         """Write the description as YAML; `load_joint` reads it back."""
         data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
+        if self.uncertainty is not None:
+            data["uncertainty"]["names"] = Line(self.uncertainty.names)
+            data["uncertainty"]["factor"] = [Line(row) for row in self.uncertainty.factor]
         with write_into_place(path) as temporary:
             temporary.write_text(yaml_text(data), encoding="utf-8")
 

@@ -1,0 +1,415 @@
+"""What diagnosis makes of draws, and how often it is right.
+
+A cause that is named is *there* where it was hidden, or where it is one of the imperfections of a real draw
+(`imperfections.NAMEABLE`). Shares carry Wilson's 95 % intervals. Core time is what a diagnosis took of one process's cores.
+"""
+
+from __future__ import annotations
+
+import itertools
+import multiprocessing
+import os
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any
+
+import numpy as np
+from scipy.stats import binomtest
+
+from ...models import causes
+from ...models.errors import InputError
+from ...models.joint import Joint, load_joint
+from ...scenarios.scenario import load_scenario
+from ..diagnose import Diagnosis, Finding, diagnose
+from ..fit.coordinates import Hypothesis, hypotheses
+from ..fit.noise import whiten
+from ..fit.solver import stacked
+from .draw import Challenge, HiddenEffect, draw
+from .imperfections import NAMEABLE
+
+DETECTED = 3.33
+"""Standard deviations at which an effect is found 9 times in 10 while 2 % of the alarms are false (Gaussian)."""
+ALARM = 0.5
+"""Confidence from which on a cause that is not there is a false alarm on a real joint."""
+SURE = 0.9
+"""Confidence from which on a cause is stated as a fact."""
+CONFIDENCES = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
+_SIXTH = 6.0  # order of the kinematic error that imperfections have
+_PROBE = 0.05  # of an effect, in ordinary sizes, by which its derivative is taken
+
+
+# --- one draw, diagnosed ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What diagnosis made of a draw.
+
+    Attributes:
+      index, size: of the draw; real: whether it had a real joint's imperfections.
+      hidden: name → parameters; component: of the first; description of it.
+      verdict, causes, minor: as in `diagnosis.json`.
+      deviations: of every parameter of every cause that was named rightly: "cause.parameter" → error in standard deviations,
+        and as a share of the true value (of the ordinary range for an angle or a place).
+      smallest: size, in units of this draw's own at size 1, that the Fisher information allows to find 9 times in 10.
+      core_time: that diagnosis took of the cores [s]; seconds: by the clock.
+      failure: message of an exception, empty without one.
+    """
+
+    index: int
+    size: float
+    real: bool
+    hidden: dict[str, dict[str, float]]
+    component: str
+    description: str
+    verdict: str = "failed"
+    causes: tuple[dict[str, Any], ...] = ()
+    minor: tuple[dict[str, Any], ...] = ()
+    deviations: dict[str, tuple[float, float]] | None = None
+    smallest: float | None = None
+    core_time: float = float("nan")
+    seconds: float = float("nan")
+    failure: str = ""
+
+    @property
+    def named(self) -> list[str]:
+        """Names of the causes found, first the one that is worth most."""
+        return [c["name"] for c in self.causes]
+
+    def is_there(self, cause: dict[str, Any]) -> bool:
+        """Whether a cause as in `diagnosis.json` is really there: hidden, or an imperfection of this joint."""
+        if cause["name"] in self.hidden:
+            return True
+        if not self.real or cause["name"] not in NAMEABLE:
+            return False
+        return cause["name"] != "kinematic_error" or cause["parameters"]["order"]["value"] == _SIXTH
+
+    @property
+    def first_right(self) -> bool:
+        """Whether the first cause is one of the hidden ones (or, where nothing is hidden, that there is no false alarm)."""
+        if not self.hidden:
+            return not self.failure and not self.false_alarm
+        return bool(self.named) and self.named[0] in self.hidden
+
+    @property
+    def component_right(self) -> bool:
+        """Whether the first cause's component is that of a hidden effect."""
+        if not self.causes or not self.hidden:
+            return not self.causes and not self.hidden
+        components = {self.component} if "unknown" in self.hidden else {causes.get(n).component for n in self.hidden}
+        return self.causes[0]["component"] in components
+
+    @property
+    def all_named(self) -> bool:
+        """Whether all hidden effects are named."""
+        return set(self.hidden) <= set(self.named)
+
+    @property
+    def unknown_in_place(self) -> bool:
+        """Whether the first cause is called unknown and put into the right component."""
+        return bool(self.named) and self.named[0] == "unknown" and self.component_right
+
+    @property
+    def false_alarm(self) -> bool:
+        """Whether something is named that is not there: on a real joint with confidence `ALARM` at least."""
+        least = ALARM if self.real else 0.0
+        return any(c["confidence"] >= least and not self.is_there(c) for c in self.causes)
+
+    def row(self) -> dict[str, Any]:
+        """As plain data, for JSON and Parquet."""
+        return {
+            "index": self.index, "size": self.size, "real": self.real, "hidden": self.hidden, "component": self.component,
+            "description": self.description, "verdict": self.verdict, "causes": list(self.causes), "minor": list(self.minor),
+            "first_right": self.first_right, "component_right": self.component_right, "all_named": self.all_named,
+            "false_alarm": self.false_alarm,
+            "deviations": {k: list(v) for k, v in (self.deviations or {}).items()}, "smallest": self.smallest,
+            "core_time": self.core_time, "seconds": self.seconds, "failure": self.failure,
+        }  # fmt: skip
+
+
+def attempt(challenge: Challenge, index: int, size: float = 1.0) -> Outcome:
+    """Draw, diagnose, compare."""
+    drawn = draw(challenge, index, size)
+    hidden = {e.name: e.values for e in drawn.effects}
+    head: dict[str, Any] = {
+        "index": index, "size": size, "real": challenge.real, "hidden": hidden,
+        "component": drawn.effects[0].component if hidden else "",
+        "description": "; ".join(e.description for e in drawn.effects),
+    }  # fmt: skip
+    clock, core = time.perf_counter(), time.process_time()
+    try:
+        found = diagnose(drawn.measurement, drawn.nominal)
+    except Exception as error:  # a draw that breaks diagnosis is a result, not the end of the challenge
+        head |= {"failure": f"{type(error).__name__}: {error}"}
+        return Outcome(**head, core_time=time.process_time() - core, seconds=time.perf_counter() - clock)
+    head |= {"core_time": time.process_time() - core, "seconds": time.perf_counter() - clock}
+    smallest = None
+    if challenge.hidden in ("one", "two"):
+        limit = smallest_size(found, drawn.nominal, drawn.effects[0])
+        smallest = None if limit is None else limit * size
+    answer = found.to_json()
+    return Outcome(
+        **head, verdict=found.verdict, causes=tuple(answer["causes"]), minor=tuple(answer["minor"]),
+        deviations=deviations(drawn.effects, found), smallest=smallest,
+    )  # fmt: skip
+
+
+def deviations(effects: Sequence[HiddenEffect], found: Diagnosis) -> dict[str, tuple[float, float]]:
+    """Errors of the parameters of causes that were named rightly: in standard deviations, and relative."""
+    errors = {}
+    for effect in effects:
+        cause = _named(effect, found)
+        if cause is None:
+            continue
+        for q in causes.get(cause.name).parameters:
+            if q.integer:
+                continue
+            p, true = cause.parameters[q.name], effect.values[q.name]
+            error = p.value - true
+            scale = abs(true)
+            if q.period:
+                error = (error + 0.5 * q.period) % q.period - 0.5 * q.period
+                scale = 1.0
+            elif not q.magnitude:
+                scale = max(scale, q.ordinary[-1][1] - q.ordinary[0][0])
+            errors[f"{cause.name}.{q.name}"] = (
+                float(abs(error) / p.std) if p.std > 0 else float(np.inf if error else 0.0),
+                float(abs(error) / scale) if scale else float(np.inf),
+            )
+    return errors
+
+
+def _named(effect: HiddenEffect, found: Diagnosis) -> Finding | None:
+    """The cause that names an effect, of several the one with its whole numbers; None where there is none."""
+    same = [c for c in found.causes if c.name == effect.name != "unknown"]
+    if not same:
+        return None
+    whole = [q.name for q in causes.get(effect.name).parameters if q.integer]
+    return max(same, key=lambda c: all(c.parameters[name].value == effect.values[name] for name in whole))
+
+
+def smallest_size(found: Diagnosis, nominal: Joint, effect: HiddenEffect) -> float | None:
+    """Size of an effect, in units of its own, that is `DETECTED` standard deviations: Fisher information's limit.
+
+    The information about the size is what is left after every calibration variable, within its tolerance, has answered, in the
+    noise and model discrepancy that were learned. None where nothing was computed.
+    """
+    if found.problem is None or found.search is None or found.final is None:
+        return None
+    problem, base = found.problem, found.search.base
+    h = matching(nominal, effect)
+    u = coordinates(h, effect.values)
+    length = float(np.linalg.norm(u[h.magnitudes]))
+    if not length > 0:
+        return np.inf
+    step = u.copy()
+    step[h.magnitudes] *= _PROBE / length
+    moved = problem.residuals([np.concatenate([base.theta, step])], [(h,)])[0]
+    column = [(m - r)[..., None] * (length / _PROBE) for m, r in zip(moved, base.point.residual, strict=True)]
+    n = problem.size
+    X = whiten(problem.segments, found.final.noise, stacked([c[..., 0] for c in column], base.jacobian)).rows
+    G = X.T @ X
+    H = G[1:, 1:] + np.eye(n)
+    information = float(G[0, 0] - G[0, 1:] @ np.linalg.solve(H, G[1:, 0]))
+    return float(DETECTED / np.sqrt(max(information, 1e-12)))
+
+
+def matching(nominal: Joint, effect: HiddenEffect) -> Hypothesis:
+    """The hypothesis that an effect of the library is an instance of."""
+    whole = {q.name: effect.values[q.name] for q in causes.get(effect.name).parameters if q.integer}
+    for h in hypotheses(causes.get(effect.name), nominal.record()):
+        if all(h.fixed.get(k) == v for k, v in whole.items()):
+            return h
+    raise InputError(f"{effect.name}: no hypothesis with {whole}")
+
+
+def coordinates(h: Hypothesis, values: dict[str, float]) -> np.ndarray:
+    """All coordinates of parameter values in a hypothesis, shape (size,): the inverse of `Hypothesis.values`."""
+    u = h.coordinates(values)
+    if h.polar:
+        return u
+    for i, q in enumerate(h.free):
+        if not q.magnitude:
+            start, value = h.start[q.name], values[q.name]
+            u[i] = (np.log(value / start) if q.ordinary[0][0] > 0 else value - start) / h.scale[q.name]
+    return u
+
+
+# --- many draws ------------------------------------------------------------------------------------------------------
+
+
+def run(
+    challenge: Challenge, count: int, sizes: Sequence[float] = (1.0,), jobs: int = 1, first: int = 0
+) -> Iterator[Outcome]:
+    """Outcomes of draws first … first + count − 1 at every size, as they come, on `jobs` processes, which end with this one.
+
+    Raises:
+      InputError: a joint, scenario or cause that does not exist; before anything is drawn.
+    """
+    nominal = load_joint(challenge.joint)
+    challenge.pool()
+    for name in challenge.scenarios:
+        nominal.mount(load_scenario(name)[0].mounting or None)
+    tasks = [(challenge, i, size) for i in range(first, first + count) for size in sizes]
+    if jobs <= 1:
+        for task in tasks:
+            yield attempt(*task)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_end_with_parent) as pool:
+        pending = [pool.submit(attempt, *task) for task in tasks]
+        try:
+            for future in as_completed(pending):
+                yield future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Let this process end as soon as the one that began it has, however that ended."""
+    parent = multiprocessing.parent_process()
+
+    def wait() -> None:
+        if parent is not None:
+            parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@dataclass(frozen=True)
+class Rate:
+    """A share of right answers with its 95 % interval (Wilson)."""
+
+    right: int
+    of: int
+
+    @property
+    def share(self) -> float:
+        """Share, NaN of none."""
+        return self.right / self.of if self.of else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Lower and upper end of the 95 % interval."""
+        if not self.of:
+            return 0.0, 1.0
+        ci = binomtest(self.right, self.of).proportion_ci(0.95, "wilson")
+        return float(ci.low), float(ci.high)
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return (
+            f"{100 * self.share:.0f} % ({self.right}/{self.of}; {100 * low:.0f}–{100 * high:.0f})" if self.of else "–"
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {"right": self.right, "of": self.of, "interval": list(self.interval)}
+
+
+def rate(outcomes: Sequence[Outcome], what: Callable[[Outcome], bool]) -> Rate:
+    """Share of outcomes of which `what` is true."""
+    return Rate(sum(bool(what(o)) for o in outcomes), len(outcomes))
+
+
+def summary(outcomes: Sequence[Outcome]) -> dict[str, Rate | float]:
+    """The rates of one size; times and parameter errors as medians."""
+    hidden = [o for o in outcomes if o.hidden]
+    quiet = [o for o in outcomes if not o.hidden]
+    outside = [o for o in hidden if "unknown" in o.hidden]
+    found: dict[str, Rate | float] = {}
+    if quiet:
+        found["false alarms"] = rate(quiet, lambda o: o.false_alarm)
+    if hidden:
+        found["first cause right"] = rate(hidden, lambda o: o.first_right)
+        found["component right"] = rate(hidden, lambda o: o.component_right)
+        found["nothing found"] = rate(hidden, lambda o: not o.causes)
+        found["a cause named that is not there"] = rate(hidden, lambda o: o.false_alarm)
+    if outside:
+        found["called unknown, component right"] = rate(outside, lambda o: o.unknown_in_place)
+    if any(len(o.hidden) > 1 for o in hidden):
+        found["both named"] = rate(hidden, lambda o: o.all_named)
+    errors = [v for o in hidden for v in (o.deviations or {}).values()]
+    if errors:
+        found["parameters within 3 std"] = Rate(sum(s <= 3 for s, _ in errors), len(errors))
+        found["parameters within 3 std and 15 %"] = Rate(sum(s <= 3 and r <= 0.15 for s, r in errors), len(errors))
+        found["median parameter error [std]"] = float(np.median([s for s, _ in errors]))
+        found["median parameter error [%]"] = float(100 * np.median([r for _, r in errors]))
+    sure = [o.is_there(c) for o in outcomes for c in o.causes if c["confidence"] >= SURE]
+    if sure:
+        found[f"of causes named at ≥ {SURE:g}: are there"] = Rate(sum(sure), len(sure))
+    if any(o.failure for o in outcomes):
+        found["failed"] = rate(outcomes, lambda o: bool(o.failure))
+    found["core time, median [s]"] = float(np.median([o.core_time for o in outcomes]))
+    found["core time, worst [s]"] = float(np.max([o.core_time for o in outcomes]))
+    return found
+
+
+def confusion(outcomes: Sequence[Outcome]) -> dict[str, Counter[str]]:
+    """What was hidden → what was named first, counted; `nothing` where there was none."""
+    table: dict[str, Counter[str]] = {}
+    for o in sorted(outcomes, key=lambda o: o.index):
+        truth = " + ".join(o.hidden) or "nothing"
+        if "unknown" in o.hidden:
+            truth = o.description.split(":")[0]
+        table.setdefault(truth, Counter())[o.named[0] if o.named else o.verdict] += 1
+    return table
+
+
+def reliability(outcomes: Sequence[Outcome]) -> list[tuple[float, float, float, Rate]]:
+    """Calibration of confidence, over all named causes: from, to, mean confidence, share that is there."""
+    named = [(c["confidence"], o.is_there(c)) for o in outcomes for c in o.causes]
+    rows = []
+    for low, high in itertools.pairwise(CONFIDENCES):
+        inside = [(c, right) for c, right in named if low <= c < high or (high == 1.0 and c == 1.0)]
+        if inside:
+            rows.append(
+                (low, high, float(np.mean([c for c, _ in inside])), Rate(sum(r for _, r in inside), len(inside)))
+            )
+    return rows
+
+
+def found_nine_in_ten(outcomes: Sequence[Outcome]) -> float | None:
+    """Smallest size at which, and above which, nine in ten first causes are right; between sizes on the log scale.
+
+    None where not even the largest size reaches that.
+    """
+    shares = [
+        (size, rate([o for o in outcomes if o.size == size], lambda o: o.first_right).share)
+        for size in sorted({o.size for o in outcomes}, reverse=True)
+    ]
+    best = None
+    for i, (size, share) in enumerate(shares):
+        if share >= 0.9:
+            best = size
+            continue
+        if best is not None and i:
+            above = shares[i - 1][1]
+            weight = (above - 0.9) / max(above - share, 1e-9)
+            best = float(np.exp((1 - weight) * np.log(best) + weight * np.log(size)))
+        break
+    return best
+
+
+def report(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Everything above as plain data, by size."""
+
+    def plain(x: Rate | float) -> Any:
+        return x.to_json() if isinstance(x, Rate) else x
+
+    return {
+        "sizes": {
+            f"{size:g}": {k: plain(v) for k, v in summary([o for o in outcomes if o.size == size]).items()}
+            for size in sorted({o.size for o in outcomes}, reverse=True)
+        },
+        "confusion": {truth: dict(named) for truth, named in confusion(outcomes).items()},
+        "reliability": [
+            {"from": low, "to": high, "mean": mean, **share.to_json()} for low, high, mean, share in reliability(outcomes)
+        ],
+        "draws": [o.row() for o in outcomes],
+    }  # fmt: skip

@@ -1,0 +1,79 @@
+"""What is not known of a joint, as joints: each one standard deviation off along one of independent directions.
+
+A description leaves open what its tolerances say; one that a diagnosis has written says how well it knows its numbers, effects
+and discrepancies, and how they hang together (`joint.Uncertainty`). What depends on the joint, a simulated channel or an
+estimate, is then uncertain by the root of the sum of squares of its changes along these directions (to first order, each
+change taken over a whole standard deviation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from . import causes
+from .calibration import Calibration, slots
+from .joint import Joint, Mounting
+
+
+def directions(joint: Joint, mounting: Mounting | None = None) -> list[np.ndarray]:
+    """Parameter records, shape (1,) each, of a joint in a mounting: one standard deviation off in each independent direction."""
+    return [_moved(joint, mounting, changes) for changes in _changes(joint)]
+
+
+def _changes(joint: Joint) -> list[dict[str, float]]:
+    """Changes of quantities by name that make one direction each."""
+    stated = joint.uncertainty
+    found: list[dict[str, float]] = []
+    told: set[str] = set()
+    if stated is not None:
+        told = set(stated.names)
+        for column in stated.matrix.T:
+            found.append({name: float(x) for name, x in zip(stated.names, column, strict=True) if x})
+    for slot in slots(joint):
+        if slot.name not in told and slot.number.std:
+            found.append({slot.name: slot.number.std})
+            told.add(slot.name)
+    for i, effect in enumerate(joint.effects):
+        for name, estimate in effect.parameters.items():
+            if f"effects.{i}.{name}" not in told and estimate.std:
+                found.append({f"effects.{i}.{name}": estimate.std})
+    # What nobody has measured is as open as its tolerance; a shared one moves all that share it and that nobody has measured.
+    calibration = Calibration(joint)
+    at = np.zeros(calibration.size)
+    for j in range(calibration.size):
+        x = at.copy()
+        x[j] = 1.0
+        open_ = [s for s in calibration.slots if s.name not in told]
+        moved = {s.name: calibration.value(s, x) - calibration.value(s, at) for s in open_}
+        found.append({name: change for name, change in moved.items() if change})
+    return [changes for changes in found if changes]
+
+
+def _moved(joint: Joint, mounting: Mounting | None, changes: Mapping[str, float]) -> np.ndarray:
+    """The joint's record, shape (1,), with some quantities changed."""
+    mounting = joint.mount() if mounting is None else mounting
+    record = joint.bare_record(mounting)
+    for slot in slots(joint):
+        if slot.name in changes:
+            slot.put(record[0], slot.number.value + changes[slot.name], mounting)
+    effects = []
+    for i, effect in enumerate(joint.effects):
+        parameters = dict(effect.parameters)
+        for q in causes.get(effect.name).parameters:
+            change = changes.get(f"effects.{i}.{q.name}", 0.0)
+            if change:
+                value = float(np.clip(parameters[q.name].value + change, *q.bounds))
+                parameters[q.name] = parameters[q.name].model_copy(update={"value": value})
+        effects.append(effect.model_copy(update={"parameters": parameters}))
+    discrepancies = [
+        one.model_copy(
+            update={
+                "coefficients": [c + changes.get(f"discrepancies.{i}.{k}", 0.0) for k, c in enumerate(one.coefficients)]
+            }
+        )
+        for i, one in enumerate(joint.discrepancies)
+    ]
+    joint.model_copy(update={"effects": effects, "discrepancies": discrepancies}).apply_effects(record)
+    return record
