@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import time
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -16,6 +15,9 @@ from ..models.files import folder_into_place
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+    from ..diagnosis.diagnose import Diagnosis
+    from ..diagnosis.improvement import Improvement
 
 
 def command(
@@ -41,7 +43,7 @@ def command(
     with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("loading")
         from ..diagnosis.diagnose import diagnose
-        from ..diagnosis.improvement import estimation, with_gain
+        from ..diagnosis.improvement import improvement, with_improvement
 
         if exact:
             from ..diagnosis.trials.draw import exactly
@@ -51,28 +53,24 @@ def command(
         progress.update(
             task, description=f"{data.name}: diagnosing {seconds:.0f} s in {len(data.recordings)} recording(s)"
         )
-        begin = time.perf_counter()
         found = diagnose(data, described)
         progress.update(task, description=f"{data.name}: estimating torque before and after")
-        gain = estimation(data, described, found)
-        found = with_gain(found, gain)
+        gained = improvement(data, described, found)
+        found = with_improvement(found, gained)
         with folder_into_place(out) as folder:
             answer = json.dumps(finite(found.to_json()), indent=1, ensure_ascii=False, allow_nan=False)
             (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
-            found.extended_joint().write(folder / "joint.yaml")
+            found.extended.write(folder / "joint.yaml")
             if report:
-                progress.update(task, description=f"{data.name}: what to measure next")
-                from ..diagnosis.planning import plan
                 from ..views.pages import write_report
                 from ..views.report import Report
                 from ..views.rerun import write_rerun_report
 
-                planned = plan(found, described)
-                shown = Report(data, described, found, gain, planned, time.perf_counter() - begin)
                 progress.update(task, description=f"{data.name}: writing the report")
+                shown = Report(data, described, found, gained, None, out)
                 write_report(shown, folder / "report.html")
                 write_rerun_report(shown, folder / "report.rrd")
-    _show(console(), found, gain)
+    _show(console(), found, gained)
     names = ["diagnosis.json", "joint.yaml", *(["report.html", "report.rrd"] if report else [])]
     console().print(f"{out}: {', '.join(names)}", highlight=False)
 
@@ -99,7 +97,7 @@ def finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _show(terminal: Console, found: Any, gain: Any) -> None:
+def _show(terminal: Console, found: Diagnosis, gained: Improvement | None) -> None:
     from rich.table import Table
 
     from ..views.report import verdict_sentence
@@ -121,9 +119,9 @@ def _show(terminal: Console, found: Any, gain: Any) -> None:
         table.add_column(heading, justify="right" if heading != "unit" else "left")
     for name, r in found.residual.items():
         table.add_row(name.replace("_", " "), f"{r.before:.4g}", f"{r.after:.4g}", f"{r.noise:.4g}", r.unit)
-    if gain is not None:
-        for name, (before, after) in gain.errors.items():
-            table.add_row(f"torque estimate, {name}", f"{before:.4g}", f"{after:.4g}", f"{gain.noise:.4g}", "N·m")
+    if gained is not None:
+        for name, (before, after) in gained.errors.items():
+            table.add_row(f"torque estimate, {name}", f"{before:.4g}", f"{after:.4g}", f"{gained.noise:.4g}", "N·m")
     terminal.print(table)
     if found.calibration:
         terminal.print(f"calibration moved {len(found.calibration)} numbers within their tolerance", highlight=False)

@@ -22,7 +22,7 @@ class Report:
 
     Attributes:
       measurement, joint: what was measured, and the description that diagnosis was given.
-      diagnosis, improvement, plan: what came out.
+      diagnosis, improvement, plan: what came out; no plan where none was asked for or nothing was computed.
       folder: where the report lies, as one would type it; `DIR` where that is not known.
     """
 
@@ -30,7 +30,7 @@ class Report:
     joint: Joint
     diagnosis: Diagnosis
     improvement: Improvement | None
-    plan: Plan
+    plan: Plan | None = None
     folder: Path | None = None
 
 

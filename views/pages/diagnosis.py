@@ -202,10 +202,11 @@ def _commands(report: Report) -> dict[str, str]:
 
 def _best(report: Report) -> dict[str, Any] | None:
     """The motion that is expected to decide most, if any is expected to decide anything."""
-    best = report.plan.proposals[0] if report.plan.proposals else None
-    if best is None or not report.plan.answered(best):
+    plan = report.plan
+    best = plan.proposals[0] if plan is not None and plan.proposals else None
+    if plan is None or best is None or not plan.answered(best):
         return None
-    return {"motion": best, "decides": listed([q.text for q in report.plan.answered(best)])}
+    return {"motion": best, "decides": listed([q.text for q in plan.answered(best)])}
 
 
 # Causes
@@ -275,8 +276,10 @@ def _moved(report: Report) -> Iterator[Moved]:
         )
 
 
-def _plan(report: Report) -> dict[str, Any]:
+def _plan(report: Report) -> dict[str, Any] | None:
     plan = report.plan
+    if plan is None:
+        return None
     return {
         "needs_sensor": listed([plain(n) for n in plan.needs_sensor]),
         "best": _best(report),
