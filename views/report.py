@@ -29,7 +29,7 @@ class Report:
     measurement: Measurement
     joint: Joint
     diagnosis: Diagnosis
-    improvement: Improvement | None
+    improvement: Improvement | None = None
     plan: Plan | None = None
     folder: Path | None = None
 

@@ -6,6 +6,7 @@ what the residuals depend on, what it is worth, what the measurement cannot tell
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ from .rendering import number, percent, render, squeezed, with_std
 if TYPE_CHECKING:
     from ...diagnosis.data.mistakes import Mistake
     from ...diagnosis.diagnose import Diagnosis, Finding
+    from ...diagnosis.search.stages import Decision
 
 UNIT = "N·m"
 NOISY = 1.6
@@ -111,7 +113,7 @@ def context(report: Report) -> dict[str, Any]:
         "head": _head(report, channels, estimators, moved),
         "causes": [_cause(report, c) for c in d.causes],
         "minor": [_cause(report, c) for c in d.minor],
-        "decisions": list(_decisions(d)),
+        "decisions": _decisions(d),
         "overlays": residual_charts.over_time(overlays(report)),
         "told": residual_charts.told(found),
         "balances": residual_charts.by_variable(found),
@@ -237,22 +239,29 @@ def _cause(report: Report, c: Finding) -> dict[str, Any]:
 _STAGES = {"fit": "first cause", "select": "further causes", "settle": "once all are fitted together"}
 
 
-def _decisions(d: Diagnosis) -> Iterator[dict[str, Any]]:
-    """What became of every hypothesis, stage by stage; those that were taken first."""
-    order = list(dict.fromkeys(x.stage for x in d.decisions))
-    for x in sorted(
-        d.decisions, key=lambda x: (order.index(x.stage), not x.taken, -x.gain if x.gain == x.gain else 0.0)
-    ):
-        stage, _, index = x.stage.partition(" ")
-        yield {
-            "stage": _STAGES.get(stage, stage) + (f", number {index}" if index else ""),
+def _decisions(d: Diagnosis) -> list[dict[str, Any]]:
+    """What became of every hypothesis: those that were taken first, of a cause's others the best of each stage.
+
+    A later stage that decides as an earlier one did stands in the same row.
+    """
+    best: dict[tuple[str, str, str | None], list[Decision]] = {}
+    for x in d.decisions:
+        best.setdefault((x.stage, x.cause, str(x.fixed) if x.taken else None), []).append(x)
+    rows: dict[tuple[str, ...], dict[str, Any]] = {}
+    for alike in best.values():
+        x = max(alike, key=lambda x: x.gain if np.isfinite(x.gain) else -np.inf)
+        row = {
             "cause": plain(x.cause) + "".join(f" ({k} {v:g})" for k, v in x.fixed.items()),
+            "others": len(alike) - 1,
             "gain": f"{x.gain:.0f}".replace("-", "−") if np.isfinite(x.gain) else "–",
             "worth": f"{number(x.worth, 2)}" if np.isfinite(x.worth) else "–",
-            "fitted": x.fitted,
             "taken": x.taken,
-            "reason": x.reason,
+            "reason": re.sub(r"(?<![\w.])-(?=\d)", "−", x.reason),
         }
+        kept = rows.setdefault(tuple(map(str, row.values())), row | {"stages": [], "order": x.gain})
+        stage, _, index = x.stage.partition(" ")
+        kept["stages"].append(_STAGES.get(stage, stage) + (f", number {index}" if index else ""))
+    return sorted(rows.values(), key=lambda row: (not row["taken"], -np.nan_to_num(row["order"])))
 
 
 # Calibration, limits, plan
