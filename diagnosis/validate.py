@@ -1,7 +1,9 @@
 """How well a joint's description predicts a measurement. Nothing is fitted.
 
 The described joint is driven with the measured motion (`fit.replay`); what its sensors should then have read stands beside what
-they read, at the samples of the recording. Errors are taken in motion: at rest friction may be anything up to its level.
+they read, at the samples of the recording. Of two encoders both ends are driven, for current and torques; the link encoder's
+reading is simulated with the rotor alone driven, where no push of unknown size moved the link. Errors are taken in motion: at
+rest friction may be anything up to its level.
 
 Every simulated channel has a 95 % band, in which the channel without its sensor's noise lies if the description is right about
 itself: the root of the sum of squares of
@@ -13,20 +15,25 @@ itself: the root of the sum of squares of
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
-from ..models import laws
-from ..models.joint import Joint
+from ..models import dynamics
+from ..models.dynamics import State
+from ..models.errors import InputError
+from ..models.joint import EncoderSpec, Joint, ValidRange
+from ..models.kernels import kernel
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
 from .data.mistakes import Mistake, find_mistakes
-from .data.segments import BALANCES, CURRENT, LINK, STEP, TORQUE, Segment, segments
-from .fit.replay import _readings, parallel, transmission
+from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
+from .fit.replay import parallel, readings, transmission
 
 SIGMAS = 1.96
 """Standard deviations of a 95 % band."""
@@ -34,14 +41,18 @@ BINS = 4
 """Regions into which the range of angle, speed and load is cut."""
 FEWEST = 20
 """Samples in motion that a region must have."""
+_AROUND = 500  # steps, half a second, over which the noise of the motion is averaged
+_BATCH = 8  # directions that are replayed at once
+_BALANCE_OF = {"motor_current": CURRENT, "motor_torque": CURRENT, "joint_torque": TORQUE, "external_torque": LINK}
 
 
 @dataclass(frozen=True)
 class ChannelError:
-    """Error of a simulated channel in motion: rms, and what sensors' noise alone would leave, both in `unit`; share of the
-    samples whose reading lies in the band widened by the sensor's own noise; number of samples."""
+    """Error of a simulated channel in motion: rms, its mean part, and what sensors' noise alone would leave, all in `unit`; share
+    of the samples whose reading lies in the band widened by the sensor's own noise; number of samples."""
 
     rms: float
+    mean: float
     noise: float
     unit: str
     inside: float
@@ -49,7 +60,14 @@ class ChannelError:
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in `validation.json`."""
-        return {"rms": self.rms, "noise": self.noise, "unit": self.unit, "inside": self.inside, "samples": self.samples}
+        return {
+            "rms": self.rms,
+            "mean": self.mean,
+            "noise": self.noise,
+            "unit": self.unit,
+            "inside": self.inside,
+            "samples": self.samples,
+        }
 
 
 @dataclass(frozen=True)
@@ -88,7 +106,9 @@ class Channels:
       name: of the recording.
       time: shape (n,) [s].
       measured, simulated, deviation: by channel, shape (n,); the last is half a band over `SIGMAS`.
+      noise: what the sensors' noise leaves of `measured` − `simulated`, rms by channel, shape (n,).
       moving: which samples count, shape (n,), bool.
+      angle, velocity, load: of the link, shape (n,) [rad], [rad/s], [N·m].
       units: by channel.
     """
 
@@ -97,7 +117,11 @@ class Channels:
     measured: dict[str, np.ndarray]
     simulated: dict[str, np.ndarray]
     deviation: dict[str, np.ndarray]
+    noise: dict[str, np.ndarray]
     moving: np.ndarray
+    angle: np.ndarray
+    velocity: np.ndarray
+    load: np.ndarray
     units: dict[str, str]
 
     @property
@@ -158,17 +182,257 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
     Args:
       measurement: recordings of the joint.
       joint: its description.
+
+    Raises:
+      InputError: a measurement of which no part without gaps is long enough to be simulated.
     """
-    recordings, parts = [], []
-    for recording in measurement.recordings:
-        channels, inside = _simulated(recording, joint)
-        recordings.append(channels)
-        parts += inside
+    recordings = tuple(_simulated(recording, joint) for recording in measurement.recordings)
+    if not any(np.isfinite(x).any() for r in recordings for x in r.simulated.values()):
+        raise InputError(
+            f"{measurement.path}: expected half a second without gaps, with a channel to simulate, got none"
+        )
     return Validation(
         joint=joint.name,
-        residual=_residual(recordings, parts, joint),
-        regions=tuple(_regions(parts, joint)),
-        beyond=_beyond(parts, joint),
+        residual=_residual(recordings),
+        regions=tuple(_regions(recordings, joint.valid)),
+        beyond=_beyond(recordings, joint.valid),
         mistakes=find_mistakes(measurement, joint),
-        recordings=tuple(recordings),
+        recordings=recordings,
     )
+
+
+# --- one recording simulated -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is simulated of one segment at its n steps; by channel the values and the variances of what they may be off by."""
+
+    segment: Segment
+    values: dict[str, np.ndarray]
+    variance: dict[str, np.ndarray]
+    motion_noise: dict[str, np.ndarray]
+
+    def at(self, since: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Values at the steps or the residuals of the segment, at times since the recording's start, NaN beyond its ends."""
+        time = self.segment.time if len(values) == len(self.segment.time) else self.segment.at
+        return np.interp(since, time, values, left=np.nan, right=np.nan)
+
+
+def _simulated(recording: Recording, joint: Joint) -> Channels:
+    """A recording's channels, measured and simulated."""
+    parts = _parts(recording, joint, [name for name in _BALANCE_OF if name in recording])
+    of = {name: [part for part in parts if name in part.values] for name in _BALANCE_OF}
+    if {"motor_position", "link_position"} <= set(recording.columns) and recording.external != "unmeasured":
+        of["link_position"] = _parts(recording.without("link_position"), joint, ["link_position"])
+    measured = {name: recording[name] for name in CHANNELS if of.get(name)}
+    since = recording.time - recording.time[0]
+    simulated, deviation, noise = {}, {}, {}
+    for name in measured:
+        simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
+        variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
+        motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
+        deviation[name] = np.sqrt(variance + motion)
+        noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
+    angle, velocity, load, moving = (
+        _joined(parts, since, [of_part(part.segment) for part in parts])
+        for of_part in (
+            lambda s: s.link_position, lambda s: s.state[:, 3], lambda s: s.load, lambda s: _counts(s).astype(float),
+        )
+    )  # fmt: skip
+    return Channels(
+        name=recording.name, time=recording.time, measured=measured, simulated=simulated, deviation=deviation,
+        noise=noise, moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
+        units={name: CHANNELS[name].unit for name in measured},
+    )  # fmt: skip
+
+
+def _joined(parts: Sequence[_Part], since: np.ndarray, values: Sequence[np.ndarray]) -> np.ndarray:
+    """Values of all segments at a recording's samples, shape (n,); NaN between them."""
+    found = np.full(len(since), np.nan)
+    for part, x in zip(parts, values, strict=True):
+        here = part.at(since, x)
+        found = np.where(np.isfinite(here), here, found)
+    return found
+
+
+def _counts(segment: Segment) -> np.ndarray:
+    """Residuals in motion after the unknown initial state of the friction is forgotten, shape (k,), bool."""
+    return (segment.usable | segment.held_out).any(axis=1) & ~segment.at_rest
+
+
+def _sensor_noise(joint: Joint, name: str) -> float:
+    """Noise of a channel's own sensor, rms, counts and steps included."""
+    spec = joint.sensors.of(CHANNELS[name])
+    step = spec.resolution if isinstance(spec, EncoderSpec) else getattr(spec, "step", 0.0)
+    return float(np.hypot(getattr(spec, "noise", 0.0), step / np.sqrt(12)))
+
+
+def _parts(recording: Recording, joint: Joint, names: Sequence[str]) -> list[_Part]:
+    """The segments of a recording, each with those of the channels `names` that can be simulated in it."""
+    record = joint.record(recording.link)
+    moved = directions(joint, recording.link)
+    found = []
+    for one, replicate in zip(*segments([recording], joint), strict=True):
+        kept = [name for name in names if _can(one, recording, name)]
+
+        def channels(task: tuple[Segment, np.ndarray], kept: list[str] = kept) -> dict[str, np.ndarray]:
+            return _channels(*task, kept)
+
+        base, noisy = parallel(channels, [(one, record), (replicate, record)])
+        variance = {name: (_stretch(one, joint) * _discrepancy(joint, name)) ** 2 for name in kept}
+        for first in range(0, len(moved), _BATCH):
+            for changed in parallel(channels, [(one, other) for other in moved[first : first + _BATCH]]):
+                for name in kept:
+                    if np.isfinite(changed[name]).all():  # one beyond reason says nothing
+                        variance[name] += (changed[name] - base[name]) ** 2
+        resting = np.interp(one.time, one.at, one.at_rest)
+        for name in kept:
+            if _BALANCE_OF.get(name) == CURRENT:
+                variance[name] += resting * _friction_at_rest(joint, name) ** 2
+        noise = {name: uniform_filter1d((noisy[name] - base[name]) ** 2, _AROUND, mode="nearest") for name in kept}
+        found.append(_Part(one, base, variance, noise))
+    return found
+
+
+def _can(segment: Segment, recording: Recording, name: str) -> bool:
+    """Whether a channel can be simulated in a segment."""
+    if name == "external_torque":
+        return recording.external == "measured" and segment.link_measured
+    return name == "link_position" or bool(segment.balances[_BALANCE_OF[name]])
+
+
+def _channels(segment: Segment, record: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
+    """Channels as their sensors should have read them at a segment's steps, shape (n,) each."""
+    p = record[0]
+    inner = transmission(segment, record)
+    out = readings(segment, record, inner)
+    found = {}
+    for name in names:
+        if name == "motor_torque":
+            found[name] = out[:, CURRENT] * p["Kt_drive"]
+        elif name == "external_torque":  # what is left of the balance beside the torque that was measured
+            scale = p["torque_gain"] if segment.has_torque else segment.stiffness / (p["K1"] + p["K2"] + p["K3"])
+            found[name] = segment.external - out[:, LINK] / scale
+        elif name == "link_position":
+            reading = np.empty(len(segment.time))
+            _link_readings(p, segment.time, segment.temperature, inner, reading)
+            found[name] = np.interp(segment.time - p["link_delay"], segment.time, reading)
+        else:
+            found[name] = out[:, _BALANCE_OF[name]]
+    return found
+
+
+@kernel
+def _link_readings(p, time, temperature, inner, out):
+    for i in range(len(time)):
+        s = inner[i]
+        state = State(
+            s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, s.link_position,
+            s.link_velocity, s.bristle, s.dahl, 0.0, time[i], temperature[i],
+        )  # fmt: skip
+        out[i] = dynamics.read_link_position(state, s.load, p)
+
+
+def _discrepancy(joint: Joint, name: str) -> float:
+    """What the description could not hold in the data that it was fitted to, rms in the channel's unit."""
+    stated = joint.uncertainty
+    if stated is None:
+        return 0.0
+    known = dict(stated.discrepancy)
+    value = {symbol: number.value for symbol, number in joint.numbers.items()}
+    if name == "motor_torque":
+        return known.get("motor_current", 0.0) * value["Kt"]
+    if name == "external_torque":
+        return known.get("link_balance", 0.0)
+    if name == "link_position":
+        return max(known.get("link_balance", 0.0), known.get("joint_torque", 0.0)) / value["K1"]
+    return known.get(name, 0.0)
+
+
+def _friction_at_rest(joint: Joint, name: str) -> float:
+    """Standard deviation of friction at rest, which may be anything up to its level, in the unit of current or motor torque."""
+    level = joint.numbers["Fs"].value / np.sqrt(3)
+    return float(level if name == "motor_torque" else level / joint.numbers["Kt"].value)
+
+
+def _stretch(segment: Segment, joint: Joint) -> np.ndarray:
+    """By how much what the description cannot hold grows beyond the range of validity, shape (n,)."""
+    valid, stated = joint.valid, joint.uncertainty
+    if valid is None or stated is None:
+        return np.ones(len(segment.time))
+    far = valid.distance(segment.link_position, segment.state[:, 3], segment.load)
+    return 1 + (stated.beyond - 1) * np.interp(segment.time, segment.at, far)
+
+
+# --- what is told ----------------------------------------------------------------------------------------------------
+
+
+def _residual(recordings: Sequence[Channels]) -> dict[str, ChannelError]:
+    """Error of every channel over all recordings."""
+    found = {}
+    for name in CHANNELS:
+        having = [r for r in recordings if name in r.measured]
+        use = [r.moving & np.isfinite(r.simulated[name]) for r in having]
+        if not any(u.any() for u in use):
+            continue
+
+        def joined(x: Callable[[Channels], np.ndarray], having=having, use=use) -> np.ndarray:
+            return np.concatenate([x(r)[u] for r, u in zip(having, use, strict=True)])
+
+        error = joined(lambda r, name=name: r.measured[name] - r.simulated[name])
+        noise = joined(lambda r, name=name: r.noise[name])
+        half = SIGMAS * np.hypot(joined(lambda r, name=name: r.deviation[name]), noise)
+        inside = float(np.mean(np.abs(error) <= half))
+        found[name] = ChannelError(
+            _rms(error), float(np.mean(error)), _rms(noise), CHANNELS[name].unit, inside, len(error)
+        )
+    return found
+
+
+def _regions(recordings: Sequence[Channels], valid: ValidRange | None) -> Iterator[ValidationRegion]:
+    """Errors by region of angle, speed, load and direction."""
+    if not any(r.moving.any() for r in recordings):
+        return
+    variables: tuple[tuple[str, str, Callable[[Channels], np.ndarray]], ...] = (
+        ("angle", "rad", lambda r: r.angle), ("speed", "rad/s", lambda r: np.abs(r.velocity)), ("load", "N·m", lambda r: r.load),
+        ("direction", "", lambda r: np.sign(r.velocity)),
+    )  # fmt: skip
+    for by, unit, of in variables:
+        moving = np.concatenate([of(r)[r.moving] for r in recordings])
+        edges = np.linspace(moving.min(), moving.max(), BINS + 1) if by != "direction" else np.array([-1.0, 0.0, 1.0])
+        for k, (low, high) in enumerate(pairwise(edges)):
+            last = k == len(edges) - 2
+            use = [r.moving & (of(r) >= low) & ((of(r) <= high) if last else (of(r) < high)) for r in recordings]
+            samples = int(sum(u.sum() for u in use))
+            if samples < FEWEST:
+                continue
+            rms = {}
+            for name in CHANNELS:
+                errors = [
+                    (r.measured[name] - r.simulated[name])[u & np.isfinite(r.simulated[name])]
+                    for r, u in zip(recordings, use, strict=True) if name in r.measured
+                ]  # fmt: skip
+                if any(map(len, errors)):
+                    rms[name] = _rms(np.concatenate(errors))
+            outside = np.concatenate([_distance(r, valid)[u] > 0 for r, u in zip(recordings, use, strict=True)])
+            yield ValidationRegion(by, float(low), float(high), unit, samples, rms, float(np.mean(outside)))
+
+
+def _distance(r: Channels, valid: ValidRange | None) -> np.ndarray:
+    return np.zeros(len(r.time)) if valid is None else valid.distance(r.angle, r.velocity, r.load)
+
+
+def _beyond(recordings: Sequence[Channels], valid: ValidRange | None) -> dict[str, float]:
+    """Shares of the samples in motion that are beyond the range of validity."""
+    if valid is None:
+        return {}
+    motion = (
+        np.concatenate([x(r)[r.moving] for r in recordings])
+        for x in (lambda r: r.angle, lambda r: r.velocity, lambda r: r.load)
+    )
+    return valid.beyond(*motion)
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x**2))) if len(x) else float("nan")

@@ -251,17 +251,37 @@ class ValidRange(Strict):
     def beyond(
         self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray
     ) -> dict[str, float]:
-        """Shares of samples, shape (n,) each, that lie beyond the range by more than a twentieth of it; empty where none do."""
+        """Shares of samples in motion, shape (n,) each, beyond the range: by variable those that are beyond by more than a
+        twentieth of it, and by name those of a combination of motion and load that was not seen; empty where there are none."""
         found = {}
         for name, x in (
             ("link_position", link_position), ("link_velocity", link_velocity), ("joint_torque", joint_torque),
         ):  # fmt: skip
-            low, high = getattr(self, name)
-            slack = 0.05 * (high - low)
-            share = float(np.mean((x < low - slack) | (x > high + slack)))
+            share = float(np.mean(self._past(name, x) > _SLACK)) if len(x) else 0.0
             if share > 0:
                 found[name] = share
+        sign = np.sign(np.asarray(link_velocity) * joint_torque)
+        for name, which in (("driving", 1.0), ("driven", -1.0)):
+            share = float(np.mean(sign == which)) if len(sign) else 0.0
+            if self.loads and name not in self.loads and share > _SLACK:
+                found[name] = share
         return found
+
+    def distance(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> np.ndarray:
+        """How far samples, shape (n,) each, lie beyond the range: the largest of their distances in whole ranges, shape (n,)."""
+        past = [
+            self._past("link_position", link_position), self._past("link_velocity", link_velocity),
+            self._past("joint_torque", joint_torque),
+        ]  # fmt: skip
+        return np.max(past, axis=0)
+
+    def _past(self, name: str, x: np.ndarray) -> np.ndarray:
+        low, high = getattr(self, name)
+        return np.maximum(np.maximum(low - x, x - high), 0.0) / max(high - low, 1e-9)
+
+
+_SLACK = 0.05
+"""Part of a range by which a sample may be beyond it and still count as seen."""
 
 
 class Uncertainty(Strict):
@@ -382,6 +402,11 @@ class Joint(Strict):
         if path.is_absolute() or ".." in path.parts or ":" in model or path.suffix != ".xml":
             raise ValueError(f"expected an MJCF file (.xml) in the joint file's folder, got {model!r}")
         return model
+
+    @property
+    def path(self) -> Path:
+        """The file that it was read from; an empty path where there is none."""
+        return self._path
 
     @property
     def mjcf(self) -> Path:

@@ -261,6 +261,17 @@ def replay(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None
     return out
 
 
+def readings(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
+    """What `replay` predicts at every one of its steps instead of means over them, shape (n, len(BALANCES))."""
+    inner = transmission(segment, record) if inner is None else inner
+    out = np.empty((len(segment.time), len(BALANCES)))
+    _readings(
+        record[0], segment.time, segment.temperature, segment.torque, segment.external, segment.stiffness, inner,
+        segment.passband, 1, np.ones(1), out,
+    )  # fmt: skip
+    return out
+
+
 def residual(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
     """Measured minus predicted current [A] and torque [N·m], and the link balance [N·m], shape (k, len(BALANCES))."""
     out = replay(segment, record, inner)

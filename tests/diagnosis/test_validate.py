@@ -1,0 +1,146 @@
+"""A description held against a measurement: on joints drawn anew, with channels taken away, and from the command line."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
+from flexspline.diagnosis.validate import validate
+from flexspline.models.errors import InputError
+from flexspline.models.joint import ValidRange, load_joint
+from flexspline.models.recording import Measurement, write_recording
+from flexspline.models.tables import read_table
+
+SEED = 11
+
+
+@cache
+def sweep() -> tuple[Draw, Measurement]:
+    """A joint with exactly its nominal numbers, and its sweep."""
+    drawn = draw(Challenge(seed=SEED, hidden="none", exact=True, scenarios=("link_sweep",)), 0)
+    print(f"seed {SEED}")
+    return drawn, drawn.measurement
+
+
+def test_right_description_leaves_the_noise():
+    drawn, measurement = sweep()
+    found = validate(measurement, drawn.nominal)
+    assert set(found.residual) == {"motor_current", "joint_torque", "link_position"}
+    for name, error in found.residual.items():
+        # The rotor encoder's counts are a little louder than white at the speeds at which they beat with the samples.
+        assert 0.7 * error.noise < error.rms < 1.4 * error.noise, name
+        assert error.inside > 0.9, name
+    assert found.beyond == {}
+
+
+def test_wrong_description_shows_where_it_is_wrong():
+    drawn, measurement = sweep()
+    data = drawn.nominal.model_dump()
+    data["numbers"]["bw"]["value"] *= 15
+    found = validate(measurement, type(drawn.nominal).model_validate(data))
+    right = validate(measurement, drawn.nominal)
+    assert found.residual["motor_current"].rms > 2 * right.residual["motor_current"].rms
+    speeds = [r.rms["motor_current"] for r in found.regions if r.by == "speed"]
+    assert speeds == sorted(speeds) and len(speeds) > 2, "viscous friction shows with speed"
+
+
+@pytest.mark.parametrize("missing", ["link_position", "motor_position", "joint_torque", "motor_current"])
+def test_any_channels(missing):
+    drawn, measurement = sweep()
+    bare = replace(measurement, recordings=tuple(r.without(missing) for r in measurement.recordings))
+    found = validate(bare, drawn.nominal)
+    expected = {"motor_current", "joint_torque"} - {missing}
+    assert set(found.residual) >= expected and missing not in found.residual
+    if missing in ("link_position", "motor_position"):
+        assert found.residual["motor_current"].rms < 0.03, "rotor and link together, 10 mA of it noise"
+
+
+def test_bands_hold_numbers_within_their_tolerances():
+    drawn, measurement = sweep()
+    nominal = load_joint("test-joint")
+    data = nominal.model_dump()
+    for name in ("Fc", "Fs", "K1"):
+        number = data["numbers"][name]
+        number["value"] *= 1 + 1.9 * number["tolerance"]
+    found = validate(measurement, type(nominal).model_validate(data))
+    right = validate(measurement, drawn.nominal)
+    for name, error in found.residual.items():
+        assert error.inside > 0.95 and error.rms > 1.1 * right.residual[name].rms, name
+
+
+def test_what_is_beyond_is_told():
+    drawn, measurement = sweep()
+    valid = ValidRange(link_position=[-0.5, 0.5], link_velocity=[-2, 2], joint_torque=[-20, 20], loads=["driven"])
+    found = validate(measurement, drawn.nominal.model_copy(update={"valid": valid}))
+    assert set(found.beyond) == {"link_position", "driving"}
+    assert 0.2 < found.beyond["link_position"] < 0.9 and found.beyond["driving"] > 0.9, "it only lifts the link"
+    outer = [r.beyond for r in found.regions if r.by == "angle"]
+    assert outer[0] == 0.0 and outer[-1] == 1.0
+
+
+def test_a_second_is_too_short_or_refused():
+    drawn, measurement = sweep()
+    short = replace(measurement, recordings=tuple(r.at(slice(0, 20)) for r in measurement.recordings))
+    with pytest.raises(InputError, match="half a second"):
+        validate(short, drawn.nominal)
+
+
+def test_command_writes_what_the_specification_says(tmp_path, flexspline):
+    _, measurement = sweep()
+    write_recording(measurement.recordings[0], tmp_path / "data")
+    code, out, err = flexspline("validate", tmp_path / "data", "--joint", "test-joint", "--out", tmp_path / "out")
+    assert (code, err) == (0, ""), err
+    assert "motor current" in out
+    found = json.loads((tmp_path / "out" / "validation.json").read_text())
+    entry = found["residual"]["motor_current"]
+    assert entry["unit"] == "A" and entry["rms"] > 0 and entry["noise"] > 0
+    assert {r["by"] for r in found["regions"]} == {"angle", "speed", "load", "direction"}
+    name = measurement.recordings[0].name
+    columns, notes = read_table(tmp_path / "out" / f"{name}.parquet")
+    assert len(columns["time"]) == len(measurement.recordings[0].time)
+    for channel in found["residual"]:
+        assert notes[f"{channel}_simulated"]["unit"] == found["residual"][channel]["unit"]
+        good = np.isfinite(columns[f"{channel}_simulated"])
+        assert good.mean() > 0.95
+        assert np.all(columns[f"{channel}_low"][good] <= columns[f"{channel}_high"][good])
+        np.testing.assert_array_equal(columns[channel], measurement.recordings[0][channel])
+
+
+def test_output_over_the_measurement_is_refused(tmp_path, flexspline):
+    _, measurement = sweep()
+    write_recording(measurement.recordings[0], tmp_path)
+    code, _, err = flexspline("validate", tmp_path, "--out", tmp_path)
+    assert code == 2 and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("example", ["toleranced/03", "bare/00"])
+def test_examples(shared, example):
+    import flexspline as fs
+
+    folder = shared / "data" / "examples" / example
+    found = fs.validate(folder)
+    assert found.residual and all(np.isfinite(e.rms) for e in found.residual.values())
+
+
+def test_lara8_from_its_layout(shared, tmp_path, flexspline):
+    log = shared / "data" / "lara8" / "joint3_outbound.csv"
+    assert flexspline("import", "lara8", log, "--out", tmp_path / "data")[0] == 0
+    code, _, err = flexspline("validate", tmp_path / "data", "--out", tmp_path / "out")
+    assert code == 0, err
+    found = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert set(found["residual"]) == {"motor_current", "external_torque", "link_position"}
+    known = load_joint("lara8-joint3-extended")
+    assert known.effects
+    code, _, err = flexspline(
+        "validate", tmp_path / "data", "--joint", "lara8-joint3-extended", "--out", tmp_path / "extended"
+    )
+    assert code == 0, err
+    extended = json.loads((tmp_path / "extended" / "validation.json").read_text())
+    assert extended["residual"]["motor_current"]["rms"] < 0.8 * found["residual"]["motor_current"]["rms"]
+    assert Path(tmp_path / "extended" / "joint3_outbound.parquet").is_file()
