@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -32,7 +33,27 @@ def switching(run: Run) -> list[str]:
     return [name for name in run.estimates if 0 < np.mean(modes(run, name)[kept]) < 1]
 
 
-def innovating(run: Run) -> list[str]:
-    """Filters of one measurement that state an innovation and its variance."""
-    found = run.estimates.items()
-    return [name for name, one in found if one.innovation is not None and one.innovation.shape[1] == 1]
+@dataclass(frozen=True)
+class Innovation:
+    """What a filter of one measurement was surprised by; n samples.
+
+    Attributes:
+      values: in the filter's unit, shape (n,).
+      deviation: standard deviation √P_Y that it expected, shape (n,).
+      nis: normalised innovation squared, shape (n,).
+    """
+
+    values: np.ndarray
+    deviation: np.ndarray
+    nis: np.ndarray
+
+
+def innovations(run: Run) -> dict[str, Innovation]:
+    """Innovations of the filters of one measurement that state them with their variance."""
+    found = {}
+    for name, one in run.estimates.items():
+        nis = one.nis
+        if one.innovation is None or one.innovation_covariance is None or nis is None or one.innovation.shape[1] != 1:
+            continue
+        found[name] = Innovation(one.innovation[:, 0], np.sqrt(one.innovation_covariance[:, 0, 0]), nis)
+    return found

@@ -94,15 +94,15 @@ class Balance:
 
 def overlays(report: Report) -> list[list[Overlay]]:
     """Channels that the measurement has, each with its recordings."""
-    d = report.diagnosis
+    d, segments = report.diagnosis, _segments(report)
     found = []
     for c, channel in enumerate(CHANNELS):
         if channel not in d.residual:
             continue
         row = []
         for index, recording in enumerate(report.measurement.recordings):
-            pieces = [s for s, segment in enumerate(d.problem.segments) if segment.recording == index]
-            if any(_counts(d.problem.segments[s], c).any() for s in pieces):
+            pieces = [s for s, segment in enumerate(segments) if segment.recording == index]
+            if any(_counts(segments[s], c).any() for s in pieces):
                 row.append(_overlay(report, c, recording.name, pieces))
         found.append(row)
     return [row for row in found if row]
@@ -110,7 +110,7 @@ def overlays(report: Report) -> list[list[Overlay]]:
 
 def _overlay(report: Report, c: int, name: str, pieces: list[int]) -> Overlay:
     d = report.diagnosis
-    segments = [d.problem.segments[s] for s in pieces]
+    segments = [_segments(report)[s] for s in pieces]
     sensed = c == 0 or all(segment.has_torque for segment in segments)
     measured, before, after = [], [], []
     for s, segment in zip(pieces, segments, strict=True):
@@ -143,7 +143,7 @@ def balances(report: Report) -> list[Balance]:
         if channel not in d.residual:
             continue
         columns: list[list[np.ndarray]] = [[] for _ in range(8)]
-        for segment, before, after in zip(d.problem.segments, d.before, d.after, strict=True):
+        for segment, before, after in zip(_segments(report), d.before, d.after, strict=True):
             use = _counts(segment, c) & ~segment.at_rest
             theta_m, theta_l, w = segment.state.T[:3]
             rising = np.gradient(uniform_filter1d(segment.load, 3)) > 0
@@ -155,6 +155,12 @@ def balances(report: Report) -> list[Balance]:
             known = d.residual[channel]
             found.append(Balance(channel, known.unit, joined[0], joined[1], known.noise, *joined[2:]))
     return found
+
+
+def _segments(report: Report) -> list[Segment]:
+    """Of the measurement; none where nothing was computed."""
+    problem = report.diagnosis.problem
+    return [] if problem is None else problem.segments
 
 
 def _counts(segment: Segment, c: int) -> np.ndarray:

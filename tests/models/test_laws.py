@@ -233,9 +233,9 @@ def test_discrepancy_is_a_cubic_b_spline(p, rng):
     """Uniform grid, clamped outside [low, high]; against SciPy's."""
     coefficients = rng.standard_normal(9)
     low, high = -3.0, 5.0
-    p["discrepancy_place"][1], p["discrepancy_variable"][1] = PLACES.index("mesh"), VARIABLES.index("motor_velocity")
-    p["discrepancy_low"][1], p["discrepancy_high"][1], p["discrepancy_count"][1] = low, high, 9
-    p["discrepancy_coefficient"][1, :9] = coefficients
+    p["discrepancy_place"][0], p["discrepancy_variable"][0] = PLACES.index("mesh"), VARIABLES.index("motor_velocity")
+    p["discrepancy_low"][0], p["discrepancy_high"][0], p["discrepancy_count"][0] = low, high, 9
+    p["discrepancy_coefficient"][0, :9] = coefficients
     assert laws.has_discrepancy(p)
     spacing = (high - low) / (9 - 3)
     spline = BSpline(low + spacing * np.arange(-3, 10), coefficients, 3)

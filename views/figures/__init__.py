@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..posteriors import innovating
+from ..posteriors import innovations
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -71,5 +71,5 @@ def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
     chosen = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
     if "fig9_zoom" in chosen and not zoom.zoomed(run):
         del chosen["fig9_zoom"]
-    thoughts = {"filters": filters.filters} if innovating(run) else {}
+    thoughts = {"filters": filters.filters} if innovations(run) else {}
     return chosen | {"overview": overview.overview, **thoughts, "error": error.error}

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from ..posteriors import innovating, settled, switching
+from ..posteriors import innovations, settled, switching
 from ..series import share
 from ..style import filter_colors
 from .legends import legend
@@ -24,28 +24,27 @@ _DARK = "#30353B"
 @ruled
 def filters(run: Run) -> Figure:
     """What the filters thought: innovation with ±√P_Y, normalised innovation squared, working mode."""
-    names = innovating(run)
+    found = innovations(run)
     colors = filter_colors(run.estimates)
     kept = settled(run)
-    mean = ", ".join(f"{name} {np.mean(run.estimates[name].nis[kept]):.2f}" for name in names)
+    mean = ", ".join(f"{name} {np.mean(one.nis[kept]):.2f}" for name, one in found.items())
     caption = (
         "Innovation of each filter with ±√P_Y (line), P_Y of Eq. (14), the highest peaks cut off; "
         "NIS = innovation² / P_Y, moving mean over "
-        f"{SHARE_WINDOW:g} s, is 1 where P_Y is right, below where W and V are cautious. Mean NIS: {mean}."
+        f"{SHARE_WINDOW:g} s, is 1 where P_Y is right, below where W and V are conservative. Mean NIS: {mean}."
     )
-    figure, rows = sheet(f"Filters  ·  {run.name}", caption, [*([1.0] * len(names)), 1.2, 1.1])
+    figure, rows = sheet(f"Filters  ·  {run.name}", caption, [*([1.0] * len(found)), 1.2, 1.1])
     panels = [axes for (axes,) in rows]
-    limit = 1.2 * max(np.quantile(np.abs(run.estimates[name].innovation[:, 0][kept]), 0.99) for name in names)
+    limit = 1.2 * max(np.quantile(np.abs(one.values[kept]), 0.99) for one in found.values())
     nis, below = panels[-2:]
     window = round(SHARE_WINDOW / period(run))
-    for panel, name in zip(panels, names, strict=False):
-        deviation = np.sqrt(run.estimates[name].innovation_covariance[:, 0, 0])
-        line(panel, run.time, run.estimates[name].innovation[:, 0], colors[name], f"{name} innovation", lw=0.6)
+    for panel, (name, one) in zip(panels, found.items(), strict=False):
+        line(panel, run.time, one.values, colors[name], f"{name} innovation", lw=0.6)
         for sign in (1, -1):
-            line(panel, run.time, sign * deviation, _DARK, "±√P_Y" if sign > 0 else None, lw=0.7)
+            line(panel, run.time, sign * one.deviation, _DARK, "±√P_Y" if sign > 0 else None, lw=0.7)
         panel.set(ylabel="[N·m]", ylim=(-limit, limit))
         legend(panel)
-        line(nis, run.time, np.maximum(share(run.estimates[name].nis, window), 1e-3), colors[name], name)
+        line(nis, run.time, np.maximum(share(one.nis, window), 1e-3), colors[name], name)
     nis.axhline(1, color=_DARK, lw=0.8, ls="--")
     nis.set(ylabel="NIS")
     decades(nis.yaxis)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun.blueprint as rrb
 
-from ..posteriors import innovating
+from ..posteriors import innovations
 from ..style import main_filter
 from .recording import SHARED_TIME, layout, series_view
 
@@ -39,14 +39,15 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
         ),
     )
     # The same colours in all panels, so that one legend is enough.
-    innovations = [
+    stated = innovations(run)
+    surprises = [
         series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
         for name in (main, *(name for name in names if name != main))
-        if name in innovating(run)
+        if name in stated
     ]
     pushed = bool(np.any(run.external_torque))
     behind: list[rrb.View | rrb.Container] = [
-        *([rrb.Tabs(contents=innovations, name="Innovation")] if innovations else []),
+        *([rrb.Tabs(contents=surprises, name="Innovation")] if surprises else []),
         series_view("Torsion and its parts [mrad]", "torsion"),
         *([series_view("External torque [N·m]", "external_torque", legend=False)] if pushed else []),
         rrb.Tabs(
@@ -67,7 +68,7 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
             rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
             rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
             rrb.Vertical(
-                contents=behind, row_shares=[*([2] if innovations else []), 2.2, *([1.2] if pushed else []), 1.6]
+                contents=behind, row_shares=[*([2] if surprises else []), 2.2, *([1.2] if pushed else []), 1.6]
             ),
             column_shares=[1.05, 1.4, 1.25],
         ),

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 
 from ...estimator import compliance
-from ..posteriors import innovating, modes, switching
+from ..posteriors import innovations, modes, switching
 from ..series import share
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
 from ..tables import comparison_markdown
@@ -81,12 +81,12 @@ def _send_torques(stream: rr.RecordingStream, run: Run) -> None:
 def _send_filters(stream: rr.RecordingStream, run: Run) -> None:
     near = _interesting(run)
     period = float(run.time[1] - run.time[0])
+    found = innovations(run)
     for name, color in filter_colors(run.estimates).items():
-        found, place = run.estimates[name], f"innovation/{name}"
-        if name in innovating(run):
-            deviation = np.sqrt(found.innovation_covariance[:, 0, 0])
-            innovation = found.innovation[:, 0]
-            send_series(stream, f"{place}/innovation", run.time, innovation, "innovation", color, 1.0, near)
+        place = f"innovation/{name}"
+        if name in found:
+            deviation = found[name].deviation
+            send_series(stream, f"{place}/innovation", run.time, found[name].values, "innovation", color, 1.0, near)
             for sign, label in ((1, "+√P_Y"), (-1, "−√P_Y")):
                 part = "upper" if sign > 0 else "lower"
                 send_series(stream, f"{place}/{part}", run.time, sign * deviation, label, SENSOR, 1.5, near)
