@@ -43,12 +43,16 @@ def run_all(
     views = [name for name, wanted in (("figures", figures), ("recording", recording)) if wanted]
     with drawing(views, len(names)) as begin:
         from ..scenarios.run import run_scenario
-        from ..scenarios.run_folder import save_run
+        from ..scenarios.run_folder import check_run_folder, save_run
+        from ..scenarios.scenario import source_of
 
         loaded = load_all(names, changes, seed)
-        for scenario, folder in loaded:  # what cannot run is known before the first one does
+        for name, (scenario, folder) in zip(
+            names, loaded, strict=True
+        ):  # what cannot run is known before the first does
             for joint in scenario.load_joint(folder):
                 joint.mount(scenario.mounting or None)
+            check_run_folder(scenario, source_of(name), out / scenario.name, out)
         cores = os.cpu_count() or 1
         at_once = min(cores, len(loaded))
         with progress() as bar, ThreadPoolExecutor(at_once, thread_name_prefix="run") as pool:
@@ -57,7 +61,7 @@ def run_all(
             def one(scenario: Scenario, folder: Path) -> tuple[Run, Path]:
                 run = run_scenario(scenario, folder, max(1, cores // at_once))
                 bar.update(task, advance=1, description=f"{scenario.name}: writing")
-                saved = save_run(run, out / scenario.name, begin)
+                saved = save_run(run, out / scenario.name, begin, out)
                 bar.update(task, advance=1)
                 return run, saved
 

@@ -36,6 +36,7 @@ def command(
     scripted scenario it is a yardstick: a filter that adapts may fall below it. With `--walk` it may not.
     """
     from ..models.errors import InputError
+    from ..models.output import check_output, output_folder
     from ..scenarios.evaluation.limits import assess, fitted_intensity, matched
     from ..scenarios.filters import estimators
     from ..views.limit_tables import limits_table
@@ -44,6 +45,9 @@ def command(
 
     chosen = estimators(filter_ or ())
     loaded = load_all(scenarios or PAPER, changes)
+    if out is not None:
+        names = [f"{s.name}/{file}" for s, _ in loaded for file in ("limits.parquet", "limits.png")]
+        check_output(out, "bound", writes=["summary.csv", *names])
     terminal, found = console(), []
     with progress() as bar:
         task = bar.add_task("", total=seeds * len(loaded))
@@ -61,13 +65,12 @@ def command(
     for limits in found:
         terminal.print(limits_table(limits))
     if out is not None:
-        from ..models.files import write_into_place
         from ..views.limit_figures import limits_figure, save_figure
         from ..views.limit_files import write_limits, write_summary
 
-        for limits in found:
-            write_limits(limits, out / limits.scenario / "limits.parquet")
-            save_figure(limits_figure(limits), out / limits.scenario / "limits.png")
-        with write_into_place(out / "summary.csv") as path:
-            write_summary(found, path)
+        with output_folder(out, "bound") as folder:
+            for limits in found:
+                write_limits(limits, folder / limits.scenario / "limits.parquet")
+                save_figure(limits_figure(limits), folder / limits.scenario / "limits.png")
+            write_summary(found, folder / "summary.csv")
         terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario", highlight=False)

@@ -5,20 +5,44 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..models.errors import InputError
-from ..models.files import write_into_place
+from ..models.output import check_output, output_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..diagnosis.trials.score import Outcome
+
+
+class Hidden(str, Enum):
+    """What may be hidden."""
+
+    none = "none"
+    one = "one"
+    two = "two"
+    outside = "outside"
+
+
+_KINDS = {"one": "one effect", "none": "nothing", "two": "two effects", "outside": "an effect outside the library"}
+
 
 def command(
-    n: Annotated[int, typer.Option("--n", min=1, help="number of draws (at each size)")] = 24,
+    draws: Annotated[int, typer.Option(min=1, help="number of draws of each kind (at each size)")] = 24,
+    hidden: Annotated[
+        list[Hidden] | None,
+        typer.Option(
+            help="what is hidden: nothing, one effect, two, one outside the library. Repeatable; all by default."
+        ),
+    ] = None,
+    real: Annotated[
+        bool, typer.Option("--real", help="every recording has the small imperfections that every real joint has")
+    ] = False,
     seed: Annotated[int, typer.Option(min=0, help="of every random stream")] = 1,
     joint: Annotated[str, typer.Option(help="name of, or path to, the nominal joint")] = "test-joint",
     scenario: Annotated[
@@ -34,48 +58,54 @@ def command(
     no_sensor: Annotated[
         bool, typer.Option("--no-sensor", help="no joint torque; irregular 250 Hz with samples missing")
     ] = False,
-    two: Annotated[bool, typer.Option("--two", help="hide two effects at once")] = False,
-    outside: Annotated[bool, typer.Option("--outside", help="hide effects that are not in the library")] = False,
-    none: Annotated[bool, typer.Option("--none", help="hide nothing: false alarms")] = False,
     jobs: Annotated[int | None, typer.Option(min=1, help="processes; all cores by default")] = None,
-    out: Annotated[Path | None, typer.Option(help="write every draw to this file, .json or .parquet")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="write every draw and all tables to this file, .json or .parquet")
+    ] = None,
 ) -> None:
     """Hide effects in simulated joints, diagnose the recordings, and say how often it was right.
 
     Joints are drawn within their tolerances and motions anew; diagnosis sees only recordings and the nominal joint. With
     `--sizes` and `--scenario` this tells *before* measuring how small an effect a planned experiment would reveal.
     """
+    if out is not None:
+        if out.suffix not in (".json", ".parquet"):
+            raise InputError(f"--out {out}: expected a file .json or .parquet")
+        check_output(out.parent, "challenge", writes=[out.name])
+    scanned = _sizes(sizes) if sizes else (size,)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # inherited by the processes
-    from ..diagnosis.trials import challenge as challenges
+    from ..diagnosis.trials import score
+    from ..diagnosis.trials.draw import Challenge
     from ._console import console, progress
 
-    if sum((two, outside, none)) > 1:
-        raise InputError("--two, --outside, --none: expected at most one of them")
-    if out is not None and out.suffix not in (".json", ".parquet"):
-        raise InputError(f"--out {out}: expected a file .json or .parquet")
-    scanned = _sizes(sizes) if sizes else (size,)
-    asked = challenges.Challenge(
-        joint=joint,
-        seed=seed,
-        hidden="two" if two else "outside" if outside else "none" if none else "one",
-        exact=exact,
-        sensor=not no_sensor,
-        scenarios=tuple(scenario or ()),
-        only=tuple(cause or ()),
-    )
-    outcomes = []
-    with progress(counting=True) as bar:
-        task = bar.add_task("diagnosing draws", total=n * len(scanned))
-        for outcome in challenges.run(asked, n, scanned, jobs or os.cpu_count() or 1):
+    kinds = list(dict.fromkeys(h.value for h in hidden)) if hidden else _kinds(cause)
+    asked = [
+        Challenge(
+            joint=joint, seed=seed, hidden=kind, exact=exact, real=real, sensor=not no_sensor, scenarios=tuple(scenario or ()),
+            only=tuple(cause or ()),
+        )
+        for kind in kinds
+    ]  # fmt: skip
+    outcomes: list[Outcome] = []
+    with progress(counting=True, remaining=True) as bar:
+        task = bar.add_task("diagnosing draws", total=draws * len(scanned) * len(asked))
+        for outcome in score.run(asked, draws, scanned, jobs or os.cpu_count() or 1):
             outcomes.append(outcome)
             right = sum(o.first_right for o in outcomes)
             bar.update(task, advance=1, description=f"diagnosing draws, {right} of {len(outcomes)} right")
-    outcomes.sort(key=lambda o: (o.index, -o.size))
-    _show(console(), asked, outcomes, scanned)
+    outcomes.sort(key=lambda o: (kinds.index(o.kind), o.index, -o.size))
+    how = f"{joint}, {'known exactly' if exact else 'within tolerance'}{', with real imperfections' if real else ''}"
+    how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}; seed {seed}"
+    _show(console(), how, outcomes, scanned)
     if out is not None:
         _write(out, outcomes)
         console().print(f"{out}", highlight=False)
+
+
+def _kinds(cause: Sequence[str] | None) -> list[str]:
+    """What is hidden where nothing is said: all kinds; one effect where a cause was named."""
+    return ["one"] if cause else list(_KINDS)
 
 
 def _sizes(text: str) -> tuple[float, ...]:
@@ -88,40 +118,49 @@ def _sizes(text: str) -> tuple[float, ...]:
     return tuple(sorted(set(found), reverse=True))
 
 
-def _show(terminal: Console, asked: Any, outcomes: Sequence[Any], sizes: Sequence[float]) -> None:
+def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
+    from rich.table import Table
+
+    from ..diagnosis.trials import score
+
+    largest = [o for o in outcomes if o.size == max(sizes)]
+    table = Table(title=how, caption="95 % intervals (Wilson); targets: on real joints")
+    for heading in ("", "result", "target"):
+        table.add_column(heading, justify="left" if not heading else "right")
+    for row in score.rows(largest):
+        value = row.value if isinstance(row.value, score.Rate) else f"{row.value:.1f}"
+        target = f"{100 * row.target:.0f} %" if isinstance(row.value, score.Rate) else f"{row.target:g}"
+        table.add_row(row.name, str(value), f"{'≤' if row.at_most else '≥'} {target}{'' if row.met else '  missed'}")
+    terminal.print(table)
+    for kind in dict.fromkeys(o.kind for o in outcomes):
+        _show_kind(terminal, kind, [o for o in outcomes if o.kind == kind], sizes)
+    _show_reliability(terminal, outcomes)
+    for o in outcomes:
+        if o.failure:
+            terminal.print(
+                f"{o.kind}, draw {o.index} at size {o.size:g} failed: {o.failure}", style="red", markup=False
+            )
+
+
+def _show_kind(terminal: Console, kind: str, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
+    """All numbers of one kind of draws, by size."""
     from rich.markup import escape
     from rich.table import Table
 
-    from ..diagnosis.trials import challenge as challenges
+    from ..diagnosis.trials import score
 
-    by_size = {s: [o for o in outcomes if o.size == s] for s in sizes}
-    kind = {"one": "one effect", "two": "two effects", "outside": "an effect outside the library", "none": "nothing"}
-    how = "exact joint" if asked.exact else "joint within tolerance"
-    sensor = "" if asked.sensor else ", no torque sensor, irregular 250 Hz"
-    table = Table(
-        title=f"{kind[asked.hidden]} hidden; {how}{sensor}; seed {asked.seed}", caption="95 % intervals (Wilson)"
-    )
+    table = Table(title=f"{_KINDS[kind]} hidden")
     table.add_column("")
     for s in sizes:
-        table.add_column("" if asked.hidden == "none" else f"size {s:g}", justify="right")
-    columns = [challenges.summary(found) for found in by_size.values()]
+        table.add_column("" if kind == "none" else f"size {s:g}", justify="right")
+    columns = [score.summary([o for o in outcomes if o.size == s]) for s in sizes]
     for key in dict.fromkeys(k for c in columns for k in c):
         cells = [c.get(key, "–") for c in columns]
         table.add_row(escape(key), *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
     terminal.print(table)
-    _show_confusion(terminal, challenges.confusion(outcomes))
-    rows = challenges.reliability(outcomes)
-    if rows:
-        table = Table(title="confidence: of the causes named, how many are there")
-        for heading in ("confidence", "mean", "right"):
-            table.add_column(heading, justify="right")
-        for low, high, mean, share in rows:
-            table.add_row(f"{low:g}–{high:g}", f"{mean:.2f}", str(share))
-        terminal.print(table)
-    _show_sizes(terminal, outcomes, sizes)
-    for o in outcomes:
-        if o.failure:
-            terminal.print(f"draw {o.index} at size {o.size:g} failed: {o.failure}", style="red", markup=False)
+    _show_confusion(terminal, score.confusion(outcomes))
+    if kind == "one":
+        _show_sizes(terminal, outcomes, sizes)
 
 
 def _show_confusion(terminal: Console, confusion: Mapping[str, Any]) -> None:
@@ -142,18 +181,35 @@ def _show_confusion(terminal: Console, confusion: Mapping[str, Any]) -> None:
     terminal.print(table)
 
 
-def _show_sizes(terminal: Console, outcomes: Sequence[Any], sizes: Sequence[float]) -> None:
+def _show_reliability(terminal: Console, outcomes: Sequence[Outcome]) -> None:
+    """Whether confidence is what it says."""
+    from rich.table import Table
+
+    from ..diagnosis.trials import score
+
+    found = score.reliability(outcomes)
+    if not found:
+        return
+    table = Table(title="confidence: of the causes named, how many are there")
+    for heading in ("confidence", "mean", "there"):
+        table.add_column(heading, justify="right")
+    for low, high, mean, share in found:
+        table.add_row(f"{low:g}–{high:g}", f"{mean:.2f}", str(share))
+    terminal.print(table)
+
+
+def _show_sizes(terminal: Console, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
     """How small an effect shows: by cause, what was found, and what the Fisher information allows."""
     import numpy as np
     from rich.table import Table
 
-    from ..diagnosis.trials import challenge as challenges
+    from ..diagnosis.trials import score
 
     if not any(o.smallest is not None for o in outcomes):
         return
     table = Table(
         title="how small an effect this experiment reveals, in ordinary sizes",
-        caption=f"Fisher: {challenges.DETECTED} standard deviations of the size, calibration free within tolerance",
+        caption=f"Fisher: {score.DETECTED} standard deviations of the size, calibration free within tolerance",
     )
     table.add_column("cause")
     for s in sizes:
@@ -163,25 +219,30 @@ def _show_sizes(terminal: Console, outcomes: Sequence[Any], sizes: Sequence[floa
     names = list(dict.fromkeys(next(iter(o.hidden)) for o in outcomes if o.hidden))
     for name in [*sorted(names), "all"]:
         mine = [o for o in outcomes if o.hidden and (name == "all" or next(iter(o.hidden)) == name)]
-        cells = [challenges.rate([o for o in mine if o.size == s], lambda o: o.first_right) for s in sizes]
-        best = challenges.found_nine_in_ten(mine)
+        cells = [score.rate([o for o in mine if o.size == s], lambda o: o.first_right) for s in sizes]
+        best = score.found_nine_in_ten(mine)
         limit = np.median([o.smallest for o in mine if o.smallest is not None and np.isfinite(o.smallest)] or [np.nan])
         shown = "–" if best is None else f"{best:.2g}" if best > min(sizes) else f"≤ {best:.2g}"
         table.add_row(name, *(f"{c.right}/{c.of}" for c in cells), shown, f"{limit:.2g}", end_section=name == "all")
     terminal.print(table)
 
 
-def _write(path: Path, outcomes: Sequence[Any]) -> None:
-    rows = [o.row() for o in outcomes]
-    with write_into_place(path) as temporary:
+def _write(path: Path, outcomes: Sequence[Outcome]) -> None:
+    from ..diagnosis.trials import score
+
+    with output_folder(path.parent, "challenge") as folder:
+        temporary = folder / path.name
         if path.suffix == ".json":
-            temporary.write_text(json.dumps(rows, indent=1, ensure_ascii=False), encoding="utf-8")
+            from .diagnose import finite
+
+            text = json.dumps(finite(score.report(outcomes)), indent=1, ensure_ascii=False, allow_nan=False)
+            temporary.write_text(text + "\n", encoding="utf-8")
             return
         import pyarrow as pa
         import pyarrow.parquet as pq
 
         flat = [
-            {k: json.dumps(v, ensure_ascii=False) if isinstance(v, (dict, list)) else v for k, v in row.items()}
-            for row in rows
+            {k: json.dumps(v, ensure_ascii=False) if isinstance(v, (dict, list)) else v for k, v in o.row().items()}
+            for o in outcomes
         ]
         pq.write_table(pa.Table.from_pylist(flat), temporary, compression="zstd")

@@ -22,18 +22,18 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
 ) -> None:
     """Compare the filters: error, noise, delay, response time, robust share, NIS."""
+    from ..models.output import output_folder
     from ._console import console
     from ._runs import PAPER, run_all
 
-    runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
-    from ..models.files import write_into_place
-    from ..views.tables import comparison_markdown, comparison_table
+    with output_folder(out, "compare", writes=("comparison.json", "comparison.md")) as folder:
+        runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
+        from ..views.tables import comparison_markdown, comparison_table
 
-    metrics = {run.name: run.metrics for run, _ in runs}
-    with write_into_place(out / "comparison.json") as path:
-        path.write_text(json.dumps(metrics, indent=1, ensure_ascii=False), encoding="utf-8")
-    with write_into_place(out / "comparison.md") as path:
-        path.write_text(comparison_markdown(metrics), encoding="utf-8")
+        metrics = {run.name: run.metrics for run, _ in runs}
+        text = json.dumps(metrics, indent=1, ensure_ascii=False)
+        (folder / "comparison.json").write_text(text, encoding="utf-8")
+        (folder / "comparison.md").write_text(comparison_markdown(metrics), encoding="utf-8")
     terminal = console()
     terminal.print(comparison_table(metrics))
     terminal.print(

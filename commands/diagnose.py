@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import math
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..models.errors import InputError
-from ..models.files import folder_into_place
+from ..models.output import check_output, output_folder
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,7 +36,7 @@ def command(
 
     data = read_measurement(measurement)
     described = data.load_joint(joint)
-    _apart(measurement, out)
+    check_output(out, "diagnose", inputs=[*data.files, measurement, described.path], whole=True)
     bars = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     with Progress(*bars, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task("loading")
@@ -57,7 +55,7 @@ def command(
         progress.update(task, description=f"{data.name}: estimating torque before and after")
         gained = improvement(data, described, found)
         found = with_improvement(found, gained)
-        with folder_into_place(out) as folder:
+        with output_folder(out, "diagnose", whole=True) as folder:
             answer = json.dumps(finite(found.to_json()), indent=1, ensure_ascii=False, allow_nan=False)
             (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
             found.extended.write(folder / "joint.yaml")
@@ -73,19 +71,6 @@ def command(
     _show(console(), found, gained)
     names = ["diagnosis.json", "joint.yaml", *(["report.html", "report.rrd"] if report else [])]
     console().print(f"{out}: {', '.join(names)}", highlight=False)
-
-
-class _Unused(Exception):
-    """Leaves a folder that was opened to see whether it can be written."""
-
-
-def _apart(measurement: Path, out: Path) -> None:
-    """See before the work begins whether the output can be written, and elsewhere than to the measurement."""
-    folder = measurement if measurement.is_dir() else measurement.parent
-    if out.resolve() == folder.resolve():
-        raise InputError(f"--out {out}: expected another folder than the measurement's")
-    with suppress(_Unused), folder_into_place(out):
-        raise _Unused  # it can be written; nothing is left behind
 
 
 def finite(value: Any) -> Any:

@@ -27,7 +27,7 @@ def command(
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
     from ..estimator import registry
     from ..estimator.offline import estimate_recording, score, write_estimates
-    from ..models.files import write_into_place
+    from ..models.output import check_output, made_from, output_folder
     from ..models.recording import read_measurement
     from ._console import console
 
@@ -35,31 +35,35 @@ def command(
     described = data.load_joint(joint)
     for name in filter_ or ():
         registry.get(name)
-    for recording in data.recordings:
-        if recording.source and (out / f"{recording.name}.parquet").resolve() == Path(recording.source).resolve():
-            raise InputError(f"{out}: expected another folder than the measurement's, its recordings would be replaced")
+    if out.resolve() == data.folder.resolve():
+        raise InputError(f"--out {out}: expected another folder than the measurement's")
+    maker = made_from("estimate", measurement)
+    stems = [recording.name for recording in data.recordings]
+    written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
+    check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
     terminal = console()
     report: dict[str, dict[str, Any]] = {}
-    for recording in data.recordings:
-        found = estimate_recording(recording, described, filter_)
-        for name in filter_ or ():
-            if name in found.left_out:
-                raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.left_out[name]}")
-        path = write_estimates(found, out)
-        scores = score(recording, found, described)
-        report[recording.name] = {
-            "joint": described.name,
-            "notes": found.notes,
-            "left_out": found.left_out,
-            **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
-        }
-        terminal.print(f"{path}", highlight=False)
-        if scores:
-            terminal.print(_table(recording.name, recording.external, scores))
-        for name, why in found.left_out.items():
-            terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
-    with write_into_place(out / "metrics.json") as temporary:
-        temporary.write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    with output_folder(out, maker) as folder:
+        for recording in data.recordings:
+            found = estimate_recording(recording, described, filter_)
+            for name in filter_ or ():
+                if name in found.left_out:
+                    raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.left_out[name]}")
+            path = out / write_estimates(found, folder).name
+            scores = score(recording, found, described)
+            report[recording.name] = {
+                "joint": described.name,
+                "notes": found.notes,
+                "left_out": found.left_out,
+                **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
+            }
+            terminal.print(f"{path}", highlight=False)
+            if scores:
+                terminal.print(_table(recording.name, recording.external, scores))
+            for name, why in found.left_out.items():
+                terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
+        text = json.dumps(report, indent=1, ensure_ascii=False)
+        (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
     terminal.print(f"{out / 'metrics.json'}", highlight=False)
 
 

@@ -26,7 +26,7 @@ def command(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one joint a thread is enough
-    from ..models.files import write_into_place
+    from ..models.output import check_output, output_folder
     from ..scenarios.studies.dataset import Dataset
     from ..scenarios.studies.design import Design
     from ..scenarios.studies.statistics import aggregate, write_csv
@@ -41,6 +41,7 @@ def command(
     terminal = console()
     design = Design.of(asked, folder)
     dataset = Dataset.open(out, design, versions())
+    check_output(out, "sweep", writes=("summary.csv", "summary.md"))
     with progress(counting=True, remaining=True) as bar:
         task = bar.add_task(f"{asked.name}: runs", total=design.runs, completed=dataset.done())
         try:
@@ -55,13 +56,13 @@ def command(
             raise
         bar.update(task, description=f"{asked.name}: summary", total=None)
         found = list(aggregate(dataset))
-        write_csv(found, design, out / "summary.csv")
-        with write_into_place(out / "summary.md") as path:
-            path.write_text(sweep_markdown(found, asked), encoding="utf-8")
-        if figures:
-            from ..views.sweep_figures import save_sweep_figures
+        with output_folder(out, "sweep") as new:
+            write_csv(found, design, new / "summary.csv")
+            (new / "summary.md").write_text(sweep_markdown(found, asked), encoding="utf-8")
+            if figures:
+                from ..views.sweep_figures import save_sweep_figures
 
-            save_sweep_figures(found, asked, out / "figures")
+                save_sweep_figures(found, asked, new / "figures")
     terminal.print(sweep_table(found, asked, asked.metrics[0]))
     failed = sum(s.failed for s in found)
     if failed:

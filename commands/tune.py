@@ -37,7 +37,7 @@ def command(
     both = sorted(set(training) & set(testing))
     if both:
         raise InputError(f"--test: expected other seeds than those of --train, got {both[0]} in both")
-    from ..models.files import write_into_place
+    from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
     from ..scenarios.filters import estimators
     from ..views.limit_tables import TUNED_HEADS, markdown, tuned_rows, tuned_table
@@ -48,9 +48,11 @@ def command(
     loaded = load_all(scenarios or PAPER, changes)
     groups = [loaded] if together else [[one] for one in loaded]
     terminal = console()
-    for group in groups:
+    folders = [out if together or len(groups) == 1 else out / group[0][0].name for group in groups]
+    for folder in folders:
+        check_output(folder, "tune", writes=("tuned.yaml", "tuned.md", "pareto.png"), within=out)
+    for group, folder in zip(groups, folders, strict=True):
         names = [scenario.name for scenario, _ in group]
-        folder = out if together or len(groups) == 1 else out / names[0]
         fronts, found = [], []
         with progress() as bar:
             task = bar.add_task(f"{', '.join(names)}: simulating", total=len(chosen))
@@ -64,13 +66,14 @@ def command(
                 bar.advance(task)
         title = f"{', '.join(names)}: tuned on seeds {train}, tested on {test}"
         terminal.print(tuned_table(found, title))
-        tuning.write_tuned(found, names, training, testing, folder / "tuned.yaml")
-        with write_into_place(folder / "tuned.md") as path:
-            path.write_text(f"# {title}\n\n{markdown(TUNED_HEADS, tuned_rows(found))}\n", encoding="utf-8")
-        if pushed:
-            from ..views.limit_figures import pareto_figure, save_figure
+        with output_folder(folder, "tune", within=out) as new:
+            tuning.write_tuned(found, names, training, testing, new / "tuned.yaml")
+            text = f"# {title}\n\n{markdown(TUNED_HEADS, tuned_rows(found))}\n"
+            (new / "tuned.md").write_text(text, encoding="utf-8")
+            if pushed:
+                from ..views.limit_figures import pareto_figure, save_figure
 
-            save_figure(pareto_figure(fronts, pushed[0].name, len(testing)), folder / "pareto.png")
+                save_figure(pareto_figure(fronts, pushed[0].name, len(testing)), new / "pareto.png")
         terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}", highlight=False)
 
 

@@ -6,6 +6,9 @@ import difflib
 from collections.abc import Iterable
 from pathlib import Path
 
+LARGEST_TEXT = 10_000_000
+"""Bytes of a text file that a person wrote; the largest that we write is a tenth of that."""
+
 
 class InputError(ValueError):
     """Input that cannot be used: a file, a field, a command-line value.
@@ -13,6 +16,14 @@ class InputError(ValueError):
     The message is one line: where it is (file, field), what was expected and what came. Commands print it
     and exit with code 2; libraries may catch it.
     """
+
+    def __init__(self, message: str):
+        super().__init__(one_line(message))
+
+
+def one_line(text: str) -> str:
+    """Text in one line that does nothing to a terminal: what names and cells hold is shown, not obeyed."""
+    return "".join(c if c.isprintable() else " " if c in "\n\t" else f"\\x{ord(c):02x}" for c in text)
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
@@ -23,10 +34,14 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def read_text(path: Path, what: str) -> str:
     """Read a text file; an unreadable one raises `InputError` that names it and says what it should be."""
-    if path.exists() and not path.is_file():  # a folder; or a pipe, which may never end
-        raise InputError(f"{path}: cannot read {what}: not a file")
     try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise InputError(f"{path}: cannot read {what}: {reason}") from error
+        if path.exists() and not path.is_file():  # a folder; or a pipe, which may never end
+            raise InputError(f"{path}: cannot read {what}: not a file")
+        if path.exists() and path.stat().st_size > LARGEST_TEXT:
+            raise InputError(f"{path}: cannot read {what}: expected at most {LARGEST_TEXT} bytes")
+        return path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise InputError(f"{path}, line {line}: cannot read {what}: not UTF-8 text") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot read {what}: {error.strerror}") from error

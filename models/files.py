@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
+import math
 import re
-import shutil
-import tempfile
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,6 +13,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .errors import InputError, nearest, read_text
+from .output import described, write_whole
 
 
 class Strict(BaseModel):
@@ -24,11 +23,14 @@ class Strict(BaseModel):
 
 
 M = TypeVar("M", bound=BaseModel)
+_NAME = re.compile(r"[^\s./\\:][^/\\:]{0,99}")
 
 
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C where there is one: eight times as fast
 _SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _LIST = "tag:yaml.org,2002:seq"
+_DEEPEST, _LARGEST = 40, 1_000_000
+"""Levels and values of a YAML file; what people write has ten levels and a few hundred values."""
 
 
 class _Loader(_SafeLoader):
@@ -38,6 +40,10 @@ class _Loader(_SafeLoader):
         seen = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node, deep=True)
+            if not isinstance(key, Hashable):
+                raise yaml.constructor.ConstructorError(
+                    None, None, f"expected a word for a key, got {_shown(key)}", key_node.start_mark
+                )
             if key in seen:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key {key!r} stands twice", key_node.start_mark
@@ -69,19 +75,51 @@ def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
 
 def read_yaml(path: Path, what: str) -> Any:
     """Parse a YAML file; anything wrong with it raises `InputError` naming file and line."""
+    text = read_text(path, what)
     try:
-        return yaml.load(read_text(path, what), Loader=_Loader)
+        return _loaded(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
         raise InputError(f"{path}{where}: not YAML: {getattr(error, 'problem', None) or error}") from error
+    except (
+        ValueError,
+        TypeError,
+        OverflowError,
+        AttributeError,
+    ) as error:  # a date that is none, a number of 5000 digits
+        raise InputError(f"{path}: not YAML: {error}") from error
+
+
+def _loaded(text: str) -> Any:
+    depth = 0
+    for event in yaml.parse(text, Loader=_Loader):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            raise yaml.MarkedYAMLError(
+                problem=f"expected at most {_DEEPEST} levels, got more", problem_mark=event.start_mark
+            )
+    data = yaml.load(text, Loader=_Loader)
+    if _size(data, {}) > _LARGEST:
+        raise yaml.YAMLError(f"expected at most {_LARGEST} values, got more by its aliases")
+    return data
+
+
+def _size(data: Any, known: dict[int, float]) -> float:
+    """Number of values, those behind aliases as often as they are named; infinite where one holds itself."""
+    if not isinstance(data, (dict, list)):
+        return 1
+    if id(data) not in known:
+        known[id(data)] = math.inf
+        known[id(data)] = 1 + sum(_size(x, known) for x in (data.values() if isinstance(data, dict) else data))
+    return known[id(data)]
 
 
 def yaml_value(text: str) -> Any:
     """A value as a YAML file would hold it; text that is not YAML is text."""
     try:
-        return yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError:
+        return _loaded(text)
+    except (yaml.YAMLError, ValueError, TypeError, OverflowError, AttributeError):
         return text
 
 
@@ -158,46 +196,29 @@ def _shown(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
+def check_name(name: str, where: str) -> str:
+    """A name that becomes that of a file or folder: it must not lead anywhere.
+
+    Raises:
+      InputError: separators, control characters, a dot at the begin, or more than 100 characters.
+    """
+    if not _NAME.fullmatch(name) or not name.isprintable():
+        raise InputError(
+            f"{where}: expected a name of at most 100 letters, digits and signs, without slashes and not beginning with a "
+            f"dot or a blank, got {_shown(name)}"
+        )
+    return name
+
+
 @contextmanager
 def write_into_place(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; move it into place when the block ends well, remove it when not."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    """Yield a temporary path beside `path`; move it into place when the block ends well, remove it when not.
 
-
-@contextmanager
-def folder_into_place(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `path`; move it into place when the block ends well, remove it when not.
-
-    An older folder of the same name is replaced only when it is empty or was made by this function.
+    Raises:
+      InputError: it cannot be written (no such rights, a full disk); one line.
     """
-    marker = ".flexspline"
     try:
-        if path.exists() and not path.is_dir():
-            raise InputError(f"{path}: expected a folder to write to, got a file")
-        if path.is_dir() and any(path.iterdir()) and not (path / marker).exists():
-            raise InputError(f"{path}: expected an empty or new folder, got one with other files in it")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+        with write_whole(path) as temporary:
+            yield temporary
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
-    try:
-        yield temporary
-        (temporary / marker).touch()
-        os.chmod(temporary, 0o755)
-        if path.exists():
-            shutil.rmtree(path)
-        os.replace(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
+        raise InputError(f"{path}: cannot be written: {described(error)}") from error

@@ -25,8 +25,9 @@ from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
 from .errors import InputError, nearest
-from .files import Strict, load, write_into_place, yaml_text
+from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
+from .output import recover
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .tables import write_table
 
@@ -199,12 +200,22 @@ class Measurement:
     path: Path
     recordings: tuple[Recording, ...]
 
+    @property
+    def folder(self) -> Path:
+        """The folder in which its files lie."""
+        return self.path if self.path.is_dir() else self.path.parent
+
+    @property
+    def files(self) -> list[Path]:
+        """The files that it was read from: tables and their YAML files."""
+        tables = [Path(recording.source) for recording in self.recordings if recording.source]
+        return [file for table in tables for file in (table, table.with_suffix(".yaml"))]
+
     def load_joint(self, option: str | Path | None = None) -> Joint:
         """Load the joint that the recordings name, or the one of the command line, which wins."""
         if option is not None:
             return load_joint(option)
-        folder = self.path if self.path.is_dir() else self.path.parent
-        return load_joint(self.recordings[0].joint, beside=folder)
+        return load_joint(self.recordings[0].joint, beside=self.folder)
 
 
 def read_measurement(path: str | Path) -> Measurement:
@@ -216,6 +227,7 @@ def read_measurement(path: str | Path) -> Measurement:
     path = Path(path)
     if not path.exists():
         raise InputError(f"{path}: expected a recording ({' or '.join(SUFFIXES)}) or a folder of several, not found")
+    recover(path if path.is_dir() else path.parent)
     if not path.is_dir():
         recording = read_recording(path)
         return Measurement(recording.name, path, (recording,))
@@ -307,9 +319,14 @@ def _in_arm(recording: Recording, sidecar: Sidecar, angles: dict[str, np.ndarray
 def write_recording(recording: Recording, folder: str | Path) -> Path:
     """Write a recording as Parquet (units in the columns' metadata) and YAML; return the table's path.
 
-    The arm of a recording goes with it, as an MJCF of masses and joints beside it.
+    The arm of a recording goes with it, as an MJCF of masses and joints beside it. Files of these names are replaced, one after
+    the other; in one step, and no others than one's own, where `folder` is that of an `output.output_folder`.
+
+    Raises:
+      InputError: a name that is none of a file, or a folder that cannot be written to.
     """
     folder = Path(folder)
+    check_name(recording.name, "recording: name")
     ordered = {"time": recording.time, **{n: recording.columns[n] for n in CHANNELS if n in recording.columns}}
     arm = recording.arm
     if arm is not None:

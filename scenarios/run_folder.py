@@ -14,7 +14,8 @@ import numpy as np
 
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.errors import InputError
-from ..models.files import folder_into_place, load, yaml_text
+from ..models.files import load, yaml_text
+from ..models.output import check_output, output_folder, recover
 from ..models.recording import write_recording
 from ..models.signals import CHANNELS, READINGS, SENSED
 from ..models.tables import read_table, write_table
@@ -30,10 +31,11 @@ _UNITS = {
     "variance": "(N·m)²", "payload": "N·m", "payload_inertia": "kg·m²", "friction_error": "N·m",
 }  # fmt: skip
 """Unit of a column whose name has this in it; the longest counts."""
+_MAKER = "run"
 _NEEDED = ("scenario.yaml", "signals.parquet", "estimates.parquet", "joint.yaml", "known_joint.yaml")
 
 
-def save_run(run: Run, out: Path, views: Sequence[View] = ()) -> Path:
+def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | None = None) -> Path:
     """Write a run folder; nothing is left behind where that fails.
 
     Holds `<name>.parquet` with its YAML (a measurement), `signals.parquet`, `estimates.parquet`, `metrics.json`,
@@ -43,8 +45,12 @@ def save_run(run: Run, out: Path, views: Sequence[View] = ()) -> Path:
       run: what to save.
       out: the folder.
       views: what else is to be in it.
+      within: a folder that `out` must not lead out of.
+
+    Raises:
+      InputError: it cannot be written, or holds files that are not a run's.
     """
-    with folder_into_place(out) as folder:
+    with output_folder(out, _MAKER, whole=True, within=within) as folder:
         begun = [view(run, folder) for view in views]
         write_recording(run.as_recording(), folder)
         signals = signal_columns(run)
@@ -63,8 +69,23 @@ def save_run(run: Run, out: Path, views: Sequence[View] = ()) -> Path:
     return out
 
 
+def check_run_folder(scenario: Scenario, source: Path, out: Path, within: Path) -> None:
+    """Refuse, before a scenario is run, a folder that its run cannot be written to.
+
+    Args:
+      scenario: that is to run; source: its file; out: the folder; within: a folder that `out` must not lead out of.
+
+    Raises:
+      InputError: it cannot be written, holds files that are not a run's, or those that are to be read.
+    """
+    joints = scenario.load_joint(source.parent)
+    read = [source, *(path for joint in joints for path in (joint.path, joint.mjcf))]
+    check_output(out, _MAKER, inputs=read, whole=True, within=within)
+
+
 def load_run(folder: Path) -> Run:
     """Read a run folder back; `InputError` where it is none."""
+    recover(folder)
     for name in _NEEDED:
         if not (folder / name).is_file():
             raise InputError(f"{folder}: expected a run folder, found no {name}")

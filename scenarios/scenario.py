@@ -257,6 +257,11 @@ def shipped_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
+def source_of(source: str | Path) -> Path:
+    """The file of a scenario, by the name of a shipped one or by its path; `InputError` where there is none."""
+    return find(source, shipped_scenarios(), "scenario")
+
+
 def load_scenario(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario, Path]:
@@ -273,7 +278,7 @@ def load_scenario(
     Raises:
       InputError: no such scenario, or one that is wrong; one line.
     """
-    path = find(source, shipped_scenarios(), "scenario")
+    path = source_of(source)
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")

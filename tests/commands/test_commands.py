@@ -86,7 +86,7 @@ def test_views_are_drawn_beside_the_runs(flexspline, tmp_path):
         assert {"overview.png", "filters.png", "error.png"} <= {path.name for path in (folder / "figures").iterdir()}
         assert (folder / "run.rrd").stat().st_size > 10_000 and not (folder / ".run").exists()
     assert sorted(path.name for path in (tmp_path / "runs").iterdir()) == sorted(
-        [*names, "comparison.json", "comparison.md"]
+        [*names, ".flexspline", "comparison.json", "comparison.md"]
     )
 
 

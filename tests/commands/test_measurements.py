@@ -50,7 +50,7 @@ def test_check_says_what_cannot_show(flexspline, tmp_path):
 def test_estimate_scores_and_writes(flexspline, measurement, tmp_path):
     code, out, _ = flexspline("estimate", measurement, "--out", tmp_path / "e")
     assert code == 0
-    assert sorted(p.name for p in (tmp_path / "e").iterdir()) == ["metrics.json", "slow.parquet"]
+    assert sorted(p.name for p in (tmp_path / "e").iterdir()) == [".flexspline", "metrics.json", "slow.parquet"]
     report = json.loads((tmp_path / "e" / "metrics.json").read_text())["slow"]
     columns = set(pq.read_table(tmp_path / "e" / "slow.parquet").column_names)
     for name in registry.names():

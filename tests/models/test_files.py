@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import os
+import time
 from contextlib import contextmanager
 
 import pytest
 
 from flexspline.models.errors import InputError
-from flexspline.models.files import folder_into_place, write_into_place
+from flexspline.models.files import check_name, read_yaml, write_into_place
+from flexspline.models.output import output_folder
 
 NOBODY = 65534
+
+
+def whole_folder(path):
+    return output_folder(path, "run", whole=True)
 
 
 @contextmanager
@@ -29,7 +36,7 @@ def without_rights(folder):
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs POSIX rights")
-@pytest.mark.parametrize("write", [write_into_place, folder_into_place])
+@pytest.mark.parametrize("write", [write_into_place, whole_folder])
 @pytest.mark.parametrize("below", ["x", "x/y"])
 def test_a_folder_without_rights_is_one_line(tmp_path, write, below):
     closed = tmp_path / "closed"
@@ -44,7 +51,7 @@ def test_a_folder_without_rights_is_one_line(tmp_path, write, below):
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="needs POSIX rights")
 def test_a_folder_that_cannot_be_listed_is_one_line(tmp_path):
     (tmp_path / "mine").mkdir()
-    with without_rights(tmp_path / "mine"), pytest.raises(InputError), folder_into_place(tmp_path / "mine"):
+    with without_rights(tmp_path / "mine"), pytest.raises(InputError), whole_folder(tmp_path / "mine"):
         raise AssertionError("not reached")
 
 
@@ -60,14 +67,71 @@ def test_written_when_complete(tmp_path):
     assert [p.name for p in (tmp_path / "a").iterdir()] == ["b.txt"]
 
 
-def test_folder_is_replaced_as_a_whole_or_not_at_all(tmp_path):
-    with folder_into_place(tmp_path / "run") as folder:
-        (folder / "one").touch()
-    with pytest.raises(ZeroDivisionError), folder_into_place(tmp_path / "run") as folder:
-        (folder / "two").touch()
-        1 / 0  # noqa: B018
-    assert {p.name for p in (tmp_path / "run").iterdir()} == {"one", ".flexspline"}
-    with folder_into_place(tmp_path / "run") as folder:
-        (folder / "three").touch()
-    assert {p.name for p in (tmp_path / "run").iterdir()} == {"three", ".flexspline"}
-    assert [p.name for p in tmp_path.iterdir()] == ["run"]
+def test_rights_follow_the_umask(tmp_path):
+    before = os.umask(0o027)
+    try:
+        with write_into_place(tmp_path / "a.txt") as path:
+            path.write_text("x")
+        with output_folder(tmp_path / "out", "run", whole=True) as folder:
+            (folder / "b.txt").write_text("x")
+    finally:
+        os.umask(before)
+    rights = {
+        p.name: p.stat().st_mode & 0o777 for p in (tmp_path / "a.txt", tmp_path / "out", tmp_path / "out" / "b.txt")
+    }
+    assert rights == {"a.txt": 0o640, "out": 0o750, "b.txt": 0o640}
+
+
+def test_what_killed_processes_left_goes_and_what_living_ones_hold_stays(tmp_path):
+    (tmp_path / ".a.txt.0123abcd.txt").write_text("left")
+    (tmp_path / ".a.txt.notes.txt").write_text("somebody's")
+    with write_into_place(tmp_path / "a.txt") as one, write_into_place(tmp_path / "a.txt") as other:
+        one.write_text("1")
+        assert one.exists()
+        other.write_text("2")
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".a.txt.notes.txt", "a.txt"]
+    assert (tmp_path / "a.txt").read_text() == "1"
+
+
+LEVEL = "&{0} [*{1}, *{1}, *{1}, *{1}, *{1}, *{1}, *{1}, *{1}, *{1}, *{1}]"
+BOMB = "a: &a [1, 1, 1, 1]\n" + "".join(f"{b}: {LEVEL.format(b, a)}\n" for a, b in itertools.pairwise("abcdefghijk"))
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("[" * 100_000, "40 levels"), ("- " * 200 + "a", "40 levels"), (BOMB, "1000000 values"),
+        ("a: &a [*a]", "1000000 values"), ("? [1]\n: 2", "a word for a key"), ("a: 2024-13-45", "month"),
+        ("a: " + "1" * 5000, "digits"), ("a: !!float x", "could not convert"), ("\x01", "control characters"),
+        ("a: !!python/name:os.system", "constructor"), ("a: [", "not YAML"),
+    ],
+    ids=["brackets", "dashes", "aliases", "itself", "key", "date", "digits", "float", "control", "python", "open"],
+)  # fmt: skip
+def test_text_that_is_no_yaml_is_one_line(tmp_path, text, expected):
+    (tmp_path / "a.yaml").write_text(text)
+    began = time.perf_counter()
+    with pytest.raises(InputError, match=expected) as caught:
+        read_yaml(tmp_path / "a.yaml", "a file")
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+    assert time.perf_counter() - began < 2
+
+
+def test_text_in_another_encoding_is_named_by_line(tmp_path):
+    (tmp_path / "a.yaml").write_bytes("name: x\nunit: °C\n".encode("latin-1"))
+    with pytest.raises(InputError, match=r"a\.yaml, line 2: .*not UTF-8"):
+        read_yaml(tmp_path / "a.yaml", "a file")
+
+
+@pytest.mark.parametrize("name", ["../a", "/a", "a/b", "a\\b", ".a", "", "a\nb", "c:a", "a" * 101, " a"])
+def test_names_lead_nowhere(name):
+    with pytest.raises(InputError, match="expected a name"):
+        check_name(name, "--name")
+
+
+@pytest.mark.parametrize("name", ["a", "log 1 (Kopie)", "Prüfstand-3.2", "a[bold]b"])
+def test_ordinary_names_are_welcome(name):
+    assert check_name(name, "--name") == name
+
+
+def test_messages_are_one_line_and_do_nothing_to_a_terminal():
+    assert str(InputError("a\nb\x1b[31mc")) == "a b\\x1b[31mc"
