@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from enum import Enum
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,10 +17,11 @@ from ..models.output import check_output, output_folder
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..diagnosis.trials.draw import Hidden as Kind
     from ..diagnosis.trials.score import Outcome
 
 
-class Hidden(str, Enum):
+class Hidden(StrEnum):
     """What may be hidden."""
 
     none = "none"
@@ -29,7 +30,12 @@ class Hidden(str, Enum):
     outside = "outside"
 
 
-_KINDS = {"one": "one effect", "none": "nothing", "two": "two effects", "outside": "an effect outside the library"}
+_KINDS: dict[Kind, str] = {
+    "one": "one effect",
+    "none": "nothing",
+    "two": "two effects",
+    "outside": "an effect outside the library",
+}
 
 
 def command(
@@ -79,7 +85,8 @@ def command(
     from ..diagnosis.trials.draw import Challenge
     from ._console import console, progress
 
-    kinds = list(dict.fromkeys(h.value for h in hidden)) if hidden else _kinds(cause)
+    given = list(dict.fromkeys(hidden or ()))
+    kinds: list[Kind] = [h.value for h in given] if given else ["one"] if cause else list(_KINDS)
     asked = [
         Challenge(
             joint=joint, seed=seed, hidden=kind, exact=exact, real=real, sensor=not no_sensor, scenarios=tuple(scenario or ()),
@@ -103,11 +110,6 @@ def command(
         console().print(f"{out}", highlight=False)
 
 
-def _kinds(cause: Sequence[str] | None) -> list[str]:
-    """What is hidden where nothing is said: all kinds; one effect where a cause was named."""
-    return ["one"] if cause else list(_KINDS)
-
-
 def _sizes(text: str) -> tuple[float, ...]:
     try:
         found = tuple(float(part) for part in text.split(","))
@@ -119,6 +121,7 @@ def _sizes(text: str) -> tuple[float, ...]:
 
 
 def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
+    from rich.markup import escape
     from rich.table import Table
 
     from ..diagnosis.trials import score
@@ -130,7 +133,9 @@ def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Seque
     for row in score.rows(largest):
         value = row.value if isinstance(row.value, score.Rate) else f"{row.value:.1f}"
         target = f"{100 * row.target:.0f} %" if isinstance(row.value, score.Rate) else f"{row.target:g}"
-        table.add_row(row.name, str(value), f"{'≤' if row.at_most else '≥'} {target}{'' if row.met else '  missed'}")
+        table.add_row(
+            escape(row.name), str(value), f"{'≤' if row.at_most else '≥'} {target}{'' if row.met else '  missed'}"
+        )
     terminal.print(table)
     for kind in dict.fromkeys(o.kind for o in outcomes):
         _show_kind(terminal, kind, [o for o in outcomes if o.kind == kind], sizes)
@@ -142,7 +147,7 @@ def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Seque
             )
 
 
-def _show_kind(terminal: Console, kind: str, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
+def _show_kind(terminal: Console, kind: Kind, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
     """All numbers of one kind of draws, by size."""
     from rich.markup import escape
     from rich.table import Table

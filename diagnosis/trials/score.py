@@ -29,7 +29,7 @@ from ..diagnose import Diagnosis, Finding, diagnose
 from ..fit.coordinates import Hypothesis, hypotheses
 from ..fit.noise import whiten
 from ..fit.solver import stacked
-from .draw import Challenge, HiddenEffect, draw
+from .draw import Challenge, Hidden, HiddenEffect, draw
 from .imperfections import NAMEABLE
 
 DETECTED = 3.33
@@ -38,6 +38,8 @@ ALARM = 0.5
 """Confidence from which on a cause that is not there is a false alarm on a real joint."""
 SURE = 0.9
 """Confidence from which on a cause is stated as a fact."""
+PARAMETER_LIMIT = 3.0
+"""Standard deviations within which a parameter counts as right."""
 CONFIDENCES = (0.0, 0.5, 0.7, 0.9, 0.97, 1.0)
 _SIXTH = 6.0  # order of the kinematic error that imperfections have
 _PROBE = 0.05  # of an effect, in ordinary sizes, by which its derivative is taken
@@ -51,6 +53,7 @@ class Outcome:
     """What diagnosis made of a draw.
 
     Attributes:
+      kind: what was hidden: one, two, outside, none.
       index, size: of the draw; real: whether it had a real joint's imperfections.
       hidden: name → parameters; component: of the first; description of it.
       verdict, causes, minor: as in `diagnosis.json`.
@@ -61,6 +64,7 @@ class Outcome:
       failure: message of an exception, empty without one.
     """
 
+    kind: Hidden
     index: int
     size: float
     real: bool
@@ -123,7 +127,8 @@ class Outcome:
     def row(self) -> dict[str, Any]:
         """As plain data, for JSON and Parquet."""
         return {
-            "index": self.index, "size": self.size, "real": self.real, "hidden": self.hidden, "component": self.component,
+            "kind": self.kind, "index": self.index, "size": self.size, "real": self.real, "hidden": self.hidden,
+            "component": self.component,
             "description": self.description, "verdict": self.verdict, "causes": list(self.causes), "minor": list(self.minor),
             "first_right": self.first_right, "component_right": self.component_right, "all_named": self.all_named,
             "false_alarm": self.false_alarm,
@@ -137,7 +142,7 @@ def attempt(challenge: Challenge, index: int, size: float = 1.0) -> Outcome:
     drawn = draw(challenge, index, size)
     hidden = {e.name: e.values for e in drawn.effects}
     head: dict[str, Any] = {
-        "index": index, "size": size, "real": challenge.real, "hidden": hidden,
+        "kind": challenge.hidden, "index": index, "size": size, "real": challenge.real, "hidden": hidden,
         "component": drawn.effects[0].component if hidden else "",
         "description": "; ".join(e.description for e in drawn.effects),
     }  # fmt: skip
@@ -244,18 +249,22 @@ def coordinates(h: Hypothesis, values: dict[str, float]) -> np.ndarray:
 
 
 def run(
-    challenge: Challenge, count: int, sizes: Sequence[float] = (1.0,), jobs: int = 1, first: int = 0
+    asked: Challenge | Sequence[Challenge], count: int, sizes: Sequence[float] = (1.0,), jobs: int = 1, first: int = 0
 ) -> Iterator[Outcome]:
-    """Outcomes of draws first … first + count − 1 at every size, as they come, on `jobs` processes, which end with this one.
+    """Outcomes of draws first … first + count − 1 of every challenge at every size, as they come, on `jobs` processes.
+
+    These end with this one, however it ends.
 
     Raises:
       InputError: a joint, scenario or cause that does not exist; before anything is drawn.
     """
-    nominal = load_joint(challenge.joint)
-    challenge.pool()
-    for name in challenge.scenarios:
-        nominal.mount(load_scenario(name)[0].mounting or None)
-    tasks = [(challenge, i, size) for i in range(first, first + count) for size in sizes]
+    challenges = (asked,) if isinstance(asked, Challenge) else tuple(asked)
+    for challenge in challenges:
+        nominal = load_joint(challenge.joint)
+        challenge.pool()
+        for name in challenge.scenarios:
+            nominal.mount(load_scenario(name)[0].mounting or None)
+    tasks = [(c, i, size) for c in challenges for i in range(first, first + count) for size in sizes]
     if jobs <= 1:
         for task in tasks:
             yield attempt(*task)
@@ -350,6 +359,64 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Rate | float]:
     return found
 
 
+@dataclass(frozen=True)
+class Row:
+    """A line of the answer to "how often is it right".
+
+    Attributes:
+      name: for people.
+      value: share with its interval, or seconds.
+      target: share or seconds that is asked for on real joints (`challenge --real`).
+      at_most: whether the target is an upper one.
+    """
+
+    name: str
+    value: Rate | float
+    target: float
+    at_most: bool = False
+
+    @property
+    def met(self) -> bool:
+        """Whether the target is met."""
+        value = self.value.share if isinstance(self.value, Rate) else self.value
+        return value <= self.target if self.at_most else value >= self.target
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        value = self.value.to_json() if isinstance(self.value, Rate) else {"seconds": self.value}
+        return {"name": self.name, **value, "target": self.target, "at_most": self.at_most}
+
+
+def rows(outcomes: Sequence[Outcome]) -> list[Row]:
+    """What diagnosis must be good at, over outcomes of every kind; rows of which there is no outcome are left out.
+
+    A diagnosis that failed counts as wrong in every row.
+    """
+    of = {kind: [o for o in outcomes if o.kind == kind] for kind in ("one", "none", "two", "outside")}
+    errors = [s for o in of["one"] for s, _ in (o.deviations or {}).values()]
+    sure = [o.is_there(c) for o in outcomes for c in o.causes if c["confidence"] >= SURE]
+    found = [
+        Row("one effect: first cause right", rate(of["one"], lambda o: o.first_right), 0.92),
+        Row("one effect: parameters within 3 std", Rate(sum(s <= PARAMETER_LIMIT for s in errors), len(errors)), 0.95),
+        Row(
+            "nothing hidden: a cause named that is not there",
+            rate(of["none"], lambda o: bool(o.failure) or any(c["confidence"] >= ALARM and not o.is_there(c) for c in o.causes)),
+            0.04, at_most=True,
+        ),
+        Row(f"causes named at ≥ {SURE:g}: are there", Rate(sum(sure), len(sure)), 0.97),
+        Row("two effects: both named", rate(of["two"], lambda o: o.all_named), 0.75),
+        Row("outside the library: right component", rate(of["outside"], lambda o: o.component_right), 0.80),
+    ]  # fmt: skip
+    found = [r for r in found if isinstance(r.value, Rate) and r.value.of]
+    times = [o.core_time for o in outcomes]
+    if times:
+        found += [
+            Row("core time, median [s]", float(np.median(times)), 20.0, at_most=True),
+            Row("core time, worst [s]", float(np.max(times)), 60.0, at_most=True),
+        ]
+    return found
+
+
 def confusion(outcomes: Sequence[Outcome]) -> dict[str, Counter[str]]:
     """What was hidden → what was named first, counted; `nothing` where there was none."""
     table: dict[str, Counter[str]] = {}
@@ -403,6 +470,7 @@ def report(outcomes: Sequence[Outcome]) -> dict[str, Any]:
         return x.to_json() if isinstance(x, Rate) else x
 
     return {
+        "rows": [row.to_json() for row in rows(outcomes)],
         "sizes": {
             f"{size:g}": {k: plain(v) for k, v in summary([o for o in outcomes if o.size == size]).items()}
             for size in sorted({o.size for o in outcomes}, reverse=True)
