@@ -1,4 +1,4 @@
-"""`flexspline view`: a run in the Rerun viewer."""
+"""`flexspline view`: a run, or a diagnosis, in the Rerun viewer."""
 
 from __future__ import annotations
 
@@ -14,22 +14,27 @@ from ..models.errors import InputError
 
 ADDRESS = "127.0.0.1"
 """What the viewer listens on: this computer only."""
-RECORDING = "run.rrd"
+RECORDINGS = ("run.rrd", "report.rrd")
+"""Of a run and of a diagnosis, in their folders."""
 _MAGIC = b"RRF"
 
 
 def command(
-    run: Annotated[Path, typer.Argument(help="Run folder, or an .rrd recording.", metavar="RUN")],
+    run: Annotated[
+        Path, typer.Argument(help="Folder of a run or a diagnosis, or an .rrd recording.", metavar="FOLDER")
+    ],
     web: Annotated[bool, typer.Option("--web", help="In the browser, instead of a window.")] = False,
 ) -> None:
-    """Open a run in the Rerun viewer, which listens on 127.0.0.1 only; Ctrl-C ends it."""
+    """Open a run or a diagnosis in the Rerun viewer, which listens on 127.0.0.1 only and sends no usage data; Ctrl-C ends it."""
     recording = find_recording(run)
     if not web and sys.platform.startswith("linux") and not (_set("DISPLAY") or _set("WAYLAND_DISPLAY")):
         raise InputError("view: expected a display for the viewer's window, found none; use --web")
     words = viewer_command(recording, web)
     if os.name == "posix":
-        os.execv(words[0], words)  # the viewer takes this process's place, so that what ends one ends the other
-    raise typer.Exit(subprocess.call(words))
+        os.execve(
+            words[0], words, viewer_environment()
+        )  # the viewer takes this process's place, so that what ends one ends the other
+    raise typer.Exit(subprocess.call(words, env=viewer_environment()))
 
 
 def viewer_command(recording: Path, web: bool = False) -> list[str]:
@@ -43,20 +48,35 @@ def viewer_command(recording: Path, web: bool = False) -> list[str]:
     return [*words, "--web-viewer", "--web-viewer-port", "0"] if web else words
 
 
+def viewer_environment() -> dict[str, str]:
+    """This process's environment, with which Rerun collects no usage data, whatever the user's settings of it are.
+
+    By default it does; as on a machine for continuous integration, it collects and sends none.
+    """
+    return {name: value for name, value in os.environ.items() if name != "FORCE_RERUN_ANALYTICS"} | {"CI": "1"}
+
+
 def find_recording(run: Path) -> Path:
-    """The Rerun recording of a run folder, or the recording itself.
+    """The Rerun recording in a folder: of a run, of a diagnosis, or the only one; or the recording itself.
 
     Raises:
       InputError: there is none, or it is not a Rerun recording.
     """
     if not run.exists():
-        raise InputError(f"{run}: expected a run folder or an .rrd recording, found nothing")
-    recording = run / RECORDING if run.is_dir() else run
+        raise InputError(f"{run}: expected a folder of a run or a diagnosis, or an .rrd recording, found nothing")
+    recording = run
+    if run.is_dir():
+        there = [run / name for name in RECORDINGS if (run / name).is_file()] or sorted(run.glob("*.rrd"))
+        if not there:
+            below = sorted(path.parent.name for path in run.glob("*/*.rrd"))
+            hint = f" (there is one in {', '.join(below)} below it)" if below else ""
+            raise InputError(f"{run}: expected a folder with {' or '.join(RECORDINGS)}, found none in it{hint}")
+        if len(there) > 1:
+            raise InputError(f"{run}: expected one recording, found {', '.join(path.name for path in there)}: name one")
+        recording = there[0]
     try:
         with open(recording, "rb") as file:
             magic = file.read(len(_MAGIC))
-    except FileNotFoundError as error:
-        raise InputError(f"{run}: expected a run folder with {RECORDING}, found none in it") from error
     except OSError as error:
         raise InputError(f"{recording}: cannot be read: {error.strerror}") from error
     if magic != _MAGIC:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
 
 import flexspline as fs
 from flexspline.diagnosis.data.mistakes import Mistake
@@ -317,9 +318,14 @@ def test_improvement_is_measured_on_what_no_fit_saw(report):
     assert improvement(without_sensor(report).measurement, report.joint, report.diagnosis) is None
 
 
-def test_rerun_recording_is_written(report, tmp_path):
+def test_rerun_shows_the_joint_in_motion_beside_its_channels(report, tmp_path):
     path = write_rerun_report(report, tmp_path / "report.rrd")
-    assert path.read_bytes()[:3] == b"RRF"
+    paths = set(RrdReader(path).store().schema().entity_paths())
+    place = "/recordings/sweep"
+    assert {f"{place}/scene/link", f"{place}/scene/torque_measured", f"{place}/scene/torque_extended"} <= paths
+    for channel in report.diagnosis.residual:
+        assert {f"{place}/{channel}/{x}" for x in ("values/measured", "values/extended", "residual/simulated")} <= paths
+    assert "/notes" in paths
     assert path.stat().st_size < 20e6
 
 

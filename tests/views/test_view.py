@@ -23,19 +23,29 @@ def test_what_cannot_be_opened_is_refused_in_one_line(case, tmp_path):
     if case != "missing":
         place.mkdir()
     if case == "empty":
-        (place / view.RECORDING).write_bytes(b"")
+        (place / "run.rrd").write_bytes(b"")
     if case == "other":
-        (place / view.RECORDING).write_text("not a recording")
+        (place / "run.rrd").write_text("not a recording")
     with pytest.raises(InputError) as error:
         view.find_recording(place)
     assert "\n" not in str(error.value)
     assert str(place) in str(error.value)
 
 
+@pytest.mark.parametrize("name", ["run.rrd", "report.rrd", "mine.rrd"])
+def test_folders_of_runs_and_diagnoses_open(name, tmp_path):
+    (tmp_path / "one").mkdir()
+    path = tmp_path / "one" / name
+    path.write_bytes(b"RRF2")
+    assert view.find_recording(path.parent) == path == view.find_recording(path)
+    with pytest.raises(InputError, match="there is one in one below it"):
+        view.find_recording(tmp_path)
+
+
 def test_without_a_display_it_says_what_to_do(tmp_path, monkeypatch):
     if not sys.platform.startswith("linux"):
         pytest.skip("Linux only")
-    (tmp_path / view.RECORDING).write_bytes(b"RRF2")
+    (tmp_path / "run.rrd").write_bytes(b"RRF2")
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     with pytest.raises(InputError, match="--web"):

@@ -27,17 +27,7 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
     """
     names = list(run.estimates)
     main = main_filter(names)
-    joint = rrb.Spatial3DView(
-        name="Joint: torque true (green), estimated, external (pink)",
-        origin="scene",
-        background=[28, 31, 36],
-        line_grid=rrb.LineGrid3D(visible=False),
-        eye_controls=rrb.EyeControls3D(
-            position=(1.35 * reach, -2.3 * reach, 0.6 * reach),
-            look_target=(0.2 * reach, 0.0, 0.0),
-            eye_up=(0.0, 0.0, 1.0),
-        ),
-    )
+    joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", reach)
     # The same colours in all panels, so that one legend is enough.
     stated = innovations(run)
     surprises = [
@@ -73,6 +63,21 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
             column_shares=[1.05, 1.4, 1.25],
         ),
         float(run.time[-1]),
+    )
+
+
+def joint_view(name: str, origin: str, reach: float) -> rrb.Spatial3DView:
+    """The joint in 3D, seen from the front; `reach` of its link [m]."""
+    return rrb.Spatial3DView(
+        name=name,
+        origin=origin,
+        background=[28, 31, 36],
+        line_grid=rrb.LineGrid3D(visible=False),
+        eye_controls=rrb.EyeControls3D(
+            position=(1.35 * reach, -2.3 * reach, 0.6 * reach),
+            look_target=(0.2 * reach, 0.0, 0.0),
+            eye_up=(0.0, 0.0, 1.0),
+        ),
     )
 
 

@@ -13,6 +13,9 @@ import rerun.blueprint as rrb
 from ..style import SENSOR, TRUTH
 from .recording import layout, recording, send_series, series_view
 
+BEFORE, AFTER = "#E0533D", TRUTH
+"""A simulation, and one that is better: the colours of the page."""
+
 
 @dataclass(frozen=True)
 class Channel:
@@ -24,6 +27,7 @@ class Channel:
       time: shape (n,) [s].
       measured, simulated: shape (n,); not finite where it is missing.
       candidates: further simulations by name (causes that were tried), each shape (n,).
+      below: entity path that it stands below, with a slash at its end.
     """
 
     name: str
@@ -32,11 +36,12 @@ class Channel:
     measured: np.ndarray
     simulated: np.ndarray
     candidates: Mapping[str, np.ndarray] | None = None
+    below: str = "channels/"
 
     @property
     def path(self) -> str:
-        """Entity path under `channels/`."""
-        return "channels/" + self.name.replace(" ", "_").replace("/", "_")
+        """Entity path."""
+        return self.below + self.name.replace(" ", "_").replace("/", "_")
 
 
 def rerun_measurement(path: Path, name: str, channels: Sequence[Channel], notes: str = "") -> Path:
@@ -80,7 +85,7 @@ def send_channel(stream: rr.RecordingStream, channel: Channel) -> None:
     """Send a channel's series."""
     simulations = {"simulated": channel.simulated, **(channel.candidates or {})}
     # What a candidate improves on is red, and the first candidate green, as in the page.
-    palette = ("#E0533D", TRUTH, "#3D8FE0", "#E8A100", "#9A6FCB") if channel.candidates else (TRUTH,)
+    palette = (BEFORE, AFTER, "#3D8FE0", "#E8A100", "#9A6FCB") if channel.candidates else (TRUTH,)
     colors = dict(zip(simulations, palette * len(simulations), strict=False))
     send_series(stream, f"{channel.path}/values/measured", channel.time, channel.measured, "measured", SENSOR)
     for label, values in simulations.items():

@@ -1,25 +1,122 @@
-"""A diagnosis as a recording: its channels measured against simulated, verdict and tables beside them."""
+"""A diagnosis as a recording: a tab a recording of the measurement, its joint in motion, its channels measured and simulated."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
 
 from ..report import Report, markdown, plain
-from ..residuals import overlays
-from .channels import Channel, rerun_measurement
+from ..residuals import Overlay, overlays
+from ..style import SENSOR
+from .blueprint import joint_view
+from .channels import AFTER, BEFORE, Channel, send_channel
+from .recording import TIMELINE, layout, recording, series_view
+from .scene import reach, send_bodies, send_torques, shape_of, thin_frames
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from ...models.recording import Recording
 
 
 def write_rerun_report(report: Report, path: Path) -> Path:
-    """Write a diagnosis' channels as a recording, measured against simulated, its verdict and tables beside them.
+    """Write a diagnosis as a recording: a tab a recording of the measurement, verdict and tables beside it.
 
     Raises:
-      InputError: the file cannot be written.
+      InputError: the file cannot be written, or an MJCF that cannot be read.
     """
-    channels = []
-    for o in (o for row in overlays(report) for o in row):
-        base = o.measured if o.measured is not None else np.zeros(len(o.time))
-        name = f"{o.name} {plain(o.channel)}"
-        channels.append(Channel(name, o.unit, o.time, base, base - o.before, {"extended": base - o.after}))
-    return rerun_measurement(path, f"diagnosis of {report.measurement.name}", channels, markdown(report))
+    shown = overlays(report)
+    parts = [
+        (r, [o for row in shown for o in row if o.name == r.name]) for r in report.measurement.recordings
+    ]  # fmt: skip
+    model = shape_of(report.joint)
+    notes = rrb.TextDocumentView(origin="notes", name="Diagnosis")
+    tabs = [_panel(r, found, reach(model), notes) for r, found in parts if found]
+    end = max((float(o.time[-1]) for _, found in parts for o in found), default=0.0)
+    root: rrb.Container = rrb.Tabs(contents=tabs) if tabs else rrb.Vertical(notes)
+    with recording(path, f"diagnosis of {report.measurement.name}", layout(root, end)) as stream:
+        stream.log(
+            "notes", rr.TextDocument(markdown(report), media_type=rr.MediaType.MARKDOWN), static=True, strict=True
+        )
+        for r, found in parts:
+            if found:
+                _send_joint(stream, report, r, found, model)
+                for o in found:
+                    send_channel(stream, _channel(o))
+    return Path(path)
+
+
+def _place(name: str) -> str:
+    """Entity path of a recording of the measurement."""
+    return "recordings/" + "".join(c if c.isalnum() else "_" for c in name)
+
+
+def _channel(o: Overlay) -> Channel:
+    """An overlay as a channel: without values where only the residual means something."""
+    base = o.measured if o.measured is not None else np.zeros(len(o.time))
+    return Channel(
+        plain(o.channel), o.unit, o.time, base, base - o.before, {"extended": base - o.after}, _place(o.name) + "/"
+    )
+
+
+def _panel(r: Recording, found: Sequence[Overlay], far: float, notes: rrb.View) -> rrb.Container:
+    """The tab of a recording: joint and notes, values, residuals."""
+    place = _place(r.name)
+    channels = [_channel(o) for o in found]
+    values = [
+        series_view(f"{c.name} [{c.unit}]", f"{c.path}/values")
+        for c, o in zip(channels, found, strict=True) if o.measured is not None
+    ]  # fmt: skip
+    left = [series_view(f"{c.name}, measured − simulated [{c.unit}]", f"{c.path}/residual") for c in channels]
+    torques = "Torque measured (grey), simulated, extended"
+    sensed = any(o.channel == "joint_torque" for o in found)
+    joint = joint_view(torques if sensed else "Joint as it was measured", f"{place}/scene", far)
+    columns = [rrb.Vertical(joint, notes, row_shares=[1, 1])]
+    columns += [rrb.Vertical(contents=panels) for panels in (values, left) if panels]
+    return rrb.Horizontal(contents=columns, column_shares=[1.0, 1.2, 1.2][: len(columns)], name=r.name)
+
+
+def _send_joint(
+    stream: rr.RecordingStream, report: Report, r: Recording, found: Sequence[Overlay], model: mujoco.MjModel
+) -> None:
+    """The joint as its encoders saw it, and the torques that were measured and simulated."""
+    time = r.time - r.time[0]
+    frames = thin_frames(time)
+    at = time[frames]
+    ratio = report.joint.numbers["N"].value
+    # An end that was not measured goes with the other one, but for the torsion.
+    if "link_position" in r:
+        link = r["link_position"][frames]
+        motor = r["motor_position"][frames] if "motor_position" in r else ratio * link
+    elif "motor_position" in r:
+        motor = r["motor_position"][frames]
+        link = motor / ratio
+    else:
+        return
+    columns = [rr.TimeColumn(TIMELINE, duration=at)]
+    bare = r.link.gravity_moment == 0
+    # The wave generator goes with the rotor but for milliradians, which nothing measures.
+    send_bodies(stream, f"{_place(r.name)}/scene", columns, np.column_stack([motor, motor, link]), model, bare)
+    for o in found:
+        if o.channel == "joint_torque" and o.measured is not None:
+            curves = {
+                "measured": (o.measured, SENSOR),
+                "simulated": (o.measured - o.before, BEFORE),
+                "extended": (o.measured - o.after, AFTER),
+            }
+            torques = {name: (_sampled(at, o.time, x), color) for name, (x, color) in curves.items()}
+            send_torques(stream, f"{_place(r.name)}/scene", columns, torques, model)
+
+
+def _sampled(at: np.ndarray, time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """A curve at other times, shape (f,); nothing where it is missing."""
+    good = np.isfinite(values)
+    if not good.any():
+        return np.zeros(len(at))
+    near = np.clip(np.searchsorted(time, at), 0, len(time) - 1)
+    return np.where(good[near], np.interp(at, time[good], values[good]), 0.0)

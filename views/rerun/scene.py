@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -42,27 +42,74 @@ def reach(model: mujoco.MjModel) -> float:
 
 def send_scene(stream: rr.RecordingStream, run: Run, model: mujoco.MjModel) -> None:
     """Send the joint's bodies with their motion, and the torques as arrows."""
-    stream.log("scene", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
     frames = thin_frames(run.time)
     time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
-    positions, rotations, tips = _poses(model, run, frames)
-    for body in range(1, model.nbody):
-        name = model.body(body).name or f"body_{body}"
-        # A bare joint has no link: its geoms are drawn as lines, as a pointer.
-        pointer = name == "link" and run.joint.mount(run.scenario.mounting or None).gravity_moment == 0
-        send_geoms(stream, model, body, f"scene/{name}", pointer)
-        columns = rr.Transform3D.columns(translation=positions[:, body], quaternion=rotations[:, body])
-        stream.send_columns(f"scene/{name}", time, columns, strict=True)
+    angles = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
+    bare = run.joint.mount(run.scenario.mounting or None).gravity_moment == 0
+    tips = send_bodies(stream, "scene", time, angles, model, bare)
     names = list(run.estimates)
     main = main_filter(names)
-    axis = model.jnt_axis[model.joint("link").id]
+    torques = {
+        "true": (run.truth("joint_torque")[frames], TRUTH),
+        main: (run.estimate(main)[frames], filter_colors(names)[main]),
+    }
+    send_torques(stream, "scene", time, torques, model)
+    if tips is not None and np.any(run.external_torque):
+        send_push(stream, time, run.external_torque[frames], tips, _axis(model))
+
+
+def send_bodies(
+    stream: rr.RecordingStream,
+    place: str,
+    time: list[rr.TimeColumn],
+    angles: np.ndarray,
+    model: mujoco.MjModel,
+    bare: bool = False,
+) -> np.ndarray | None:
+    """Send the joint's bodies with their motion.
+
+    Args:
+      place: entity path of the scene.
+      angles: of rotor and wave generator [rad, motor side] and link [rad], shape (f, 3).
+      bare: whether there is no link: its geoms are drawn as lines, as a pointer.
+
+    Returns:
+      Positions of the site `tip` [m], shape (f, 3), if there is one.
+    """
+    stream.log(place, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
+    positions, rotations, tips = _poses(model, angles)
+    for body in range(1, model.nbody):
+        name = model.body(body).name or f"body_{body}"
+        send_geoms(stream, model, body, f"{place}/{name}", bare and name == "link")
+        columns = rr.Transform3D.columns(translation=positions[:, body], quaternion=rotations[:, body])
+        stream.send_columns(f"{place}/{name}", time, columns, strict=True)
+    return tips
+
+
+def send_torques(
+    stream: rr.RecordingStream,
+    place: str,
+    time: list[rr.TimeColumn],
+    torques: Mapping[str, tuple[np.ndarray, str]],
+    model: mujoco.MjModel,
+) -> None:
+    """Send torques [N·m], shape (f,) each, as curved arrows around the axis, each outside the one before.
+
+    Args:
+      place: entity path of the scene; an arrow is `torque_<name>` below it.
+      torques: by name, with their colours.
+    """
+    axis = _axis(model)
     radius = 2.2 * model.geom_size[:, 0].max() if model.ngeom else 0.1
     front = _front(model, axis)
-    send_arc(stream, "scene/torque_true", time, run.truth("joint_torque")[frames], radius, front, axis, TRUTH)
-    color = filter_colors(names)[main]
-    send_arc(stream, f"scene/torque_{main}", time, run.estimate(main)[frames], 1.16 * radius, front, axis, color)
-    if tips is not None and np.any(run.external_torque):
-        send_push(stream, time, run.external_torque[frames], tips, axis)
+    for i, (name, (torque, color)) in enumerate(torques.items()):
+        send_arc(stream, f"{place}/torque_{name}", time, torque, (1 + 0.16 * i) * radius, front, axis, color)
+
+
+def _axis(model: mujoco.MjModel) -> np.ndarray:
+    """Of the joint, shape (3,)."""
+    axis: np.ndarray = model.jnt_axis[model.joint("link").id]
+    return axis
 
 
 def _front(model: mujoco.MjModel, axis: np.ndarray) -> float:
@@ -83,16 +130,15 @@ def thin_frames(time: np.ndarray) -> np.ndarray:
     return np.arange(0, len(time), step)
 
 
-def _poses(model: mujoco.MjModel, run: Run, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def _poses(model: mujoco.MjModel, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Positions (f, bodies, 3) [m], quaternions x y z w (f, bodies, 4), and positions of the site `tip`, if any."""
     data = mujoco.MjData(model)
-    state = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
-    positions = np.empty((len(frames), model.nbody, 3))
-    rotations = np.empty((len(frames), model.nbody, 4))
+    positions = np.empty((len(angles), model.nbody, 3))
+    rotations = np.empty((len(angles), model.nbody, 4))
     has_tip = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, "tip") >= 0
-    tips = np.empty((len(frames), 3))
-    for i, angles in enumerate(state):
-        data.qpos[:3] = angles
+    tips = np.empty((len(angles), 3))
+    for i, at in enumerate(angles):
+        data.qpos[:3] = at
         mujoco.mj_kinematics(model, data)
         positions[i], rotations[i] = data.xpos, data.xquat[:, [1, 2, 3, 0]]
         if has_tip:
