@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -19,7 +19,7 @@ import numpy as np
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from ..models.kernels import kernel
-from ..models.parameters import PARAMETERS
+from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
 from ..models.step import SAMPLE, CompiledStep, Step
@@ -39,6 +39,46 @@ class SensorNoise:
 
 
 @dataclass(frozen=True)
+class Spread:
+    """How well the numbers of a joint are known: standard deviations, as far as an estimator may make use of them.
+
+    Attributes:
+      stiffness, wave_generator, wave_generator_curve, torque_constant, viscous, gravity, inertia: relative, of K1 to K3 in
+        common, Kw0, Cw, Kt, bw, Mg and Jl [1].
+      kinematic: shape (N_ORDERS,), of either quadrature of every order of kinematic error [rad].
+      current_offset: of the current sensor [A].
+    """
+
+    stiffness: float = 0.0
+    wave_generator: float = 0.0
+    wave_generator_curve: float = 0.0
+    torque_constant: float = 0.0
+    viscous: float = 0.0
+    gravity: float = 0.0
+    inertia: float = 0.0
+    kinematic: np.ndarray = field(default_factory=lambda: np.zeros(N_ORDERS))
+    current_offset: float = 0.0
+
+    @classmethod
+    def of(cls, joint: Joint) -> Spread:
+        """What a joint's description says: what a diagnosis found, or else its tolerances."""
+        kinematic = np.zeros(N_ORDERS)
+        for i, order in enumerate(joint.kinematic_error):
+            amplitude, phase = order.amplitude, order.phase
+            # Of two quadratures, each has both errors by half.
+            kinematic[i] = math.hypot(_deviation(amplitude), amplitude.value * _deviation(phase)) / math.sqrt(2.0)
+        return cls(
+            *(_relative(joint, name) for name in ("K2", "Kw0", "Cw", "Kt", "bw")),
+            *(_deviation(joint.link_tolerances.get(name)) for name in ("gravity_moment", "inertia")),
+            kinematic, _deviation(joint.sensors.motor_current.offset),
+        )  # fmt: skip
+
+    def within(self, share: float) -> Spread:
+        """The same, `share` times as wide."""
+        return Spread(**{f.name: share * getattr(self, f.name) for f in fields(self)})
+
+
+@dataclass(frozen=True)
 class KnownJoint:
     """What an estimator knows of a joint.
 
@@ -51,6 +91,7 @@ class KnownJoint:
       link_wander: by how much that zero may wander with the link's angle [rad]: of a known eccentricity, how well it is known.
       back_driven: standard deviation of the share of load-dependent friction that acts while the load drives.
       start: when the recording began [s], from which drifts count; None: with the first sample.
+      spread: how well its other numbers are known.
     """
 
     record: np.ndarray
@@ -61,6 +102,7 @@ class KnownJoint:
     link_wander: float = 0.0
     back_driven: float = 0.0
     start: float | None = None
+    spread: Spread = field(default_factory=Spread)
 
     def __post_init__(self) -> None:
         if getattr(self.record, "dtype", None) != PARAMETERS or self.record.shape != (1,):
@@ -70,9 +112,7 @@ class KnownJoint:
     @classmethod
     def of(cls, joint: Joint, mounting: Mounting | None = None, record: np.ndarray | None = None) -> KnownJoint:
         """What a joint's description says, in a mounting; `record`, shape (1,), instead of the description's own."""
-        s, friction = joint.sensors, joint.numbers["Fc"]
-        shared = joint.shared_tolerances.get(friction.shared, 0.0) if friction.shared else 0.0
-        found = friction.std / friction.value if friction.std is not None else math.hypot(friction.tolerance, shared)
+        s = joint.sensors
         zero, share = s.link_encoder.zero, joint.numbers.get("back_driven_friction")
         wander = [e.parameters["amplitude"].std or 0.0 for e in joint.effects if e.name in _LINK_ENCODER]
         return cls(
@@ -81,7 +121,15 @@ class KnownJoint:
                 s.motor_encoder.resolution, s.motor_encoder.noise, s.link_encoder.resolution, s.link_encoder.noise,
                 s.motor_current.noise,
             ),
-            joint.numbers["rated_torque"].value, found, _deviation(zero), sum(wander), _deviation(share),
+            joint.numbers["rated_torque"].value, _relative(joint, "Fc"), _deviation(zero), sum(wander), _deviation(share),
+            spread=Spread.of(joint),
+        )  # fmt: skip
+
+    def within(self, share: float) -> KnownJoint:
+        """The same numbers, known `share` times as badly."""
+        return replace(
+            self, friction=share * self.friction, link_zero=share * self.link_zero, link_wander=share * self.link_wander,
+            back_driven=share * self.back_driven, spread=self.spread.within(share),
         )  # fmt: skip
 
     @property
@@ -106,6 +154,14 @@ class KnownJoint:
         return time - (time[0] if self.start is None else self.start)
 
 
+def _relative(joint: Joint, symbol: str) -> float:
+    """How well a number is known, relative to it: what a diagnosis found, or else its tolerance with a shared one."""
+    number = joint.numbers[symbol]
+    if number.std is not None:
+        return number.std / number.value if number.value > 0.0 else 0.0
+    return math.hypot(number.tolerance, joint.shared_tolerances.get(number.shared, 0.0) if number.shared else 0.0)
+
+
 _LINK_ENCODER = ("link_encoder_eccentricity", "link_encoder_error")
 
 
@@ -113,7 +169,9 @@ def _deviation(number: Any) -> float:
     """How well a number is known: what a diagnosis found, or else its stated deviation; 0 where there is none."""
     if number is None:
         return 0.0
-    return float(number.std if number.std is not None else number.deviation)
+    if number.std is not None:
+        return float(number.std)
+    return math.hypot(number.deviation, number.tolerance * number.value)
 
 
 @dataclass(frozen=True)
