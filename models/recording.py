@@ -287,16 +287,24 @@ def read_recording(path: str | Path) -> Recording:
         external=sidecar.external_torque,
         source=str(path),
     )
-    return recording if sidecar.arm is None and not angles else _in_arm(recording, sidecar, angles, sidecar_path)
+    if sidecar.arm is None:
+        if angles:
+            raise InputError(f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link")
+        return recording
+    return in_arm(recording, sidecar.arm, angles, sidecar_path)
 
 
-def _in_arm(recording: Recording, sidecar: Sidecar, angles: dict[str, np.ndarray], path: Path) -> Recording:
-    """The recording with mounting and load from its arm; `angles`: columns of the arm's other joints."""
+def in_arm(recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path) -> Recording:
+    """The recording with mounting and load from its arm.
+
+    Args:
+      recording: of one of the arm's joints; its own mounting does not count.
+      spec: of the arm; angles: columns of its other joints, shape (n,) each [rad].
+      path: of the file that names the arm, whose MJCF is looked for beside it.
+    """
     from .arm_dynamics import Arm
 
     where = recording.source
-    if sidecar.arm is None:
-        raise InputError(f"{where}: column {next(iter(angles))!r}: expected {path.name} to have `arm:`, got link")
     for name, values in angles.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
@@ -304,7 +312,7 @@ def _in_arm(recording: Recording, sidecar: Sidecar, angles: dict[str, np.ndarray
                 f"{where}: column {name!r}, {_row(where, int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
             )
     try:
-        arm = Arm(sidecar.arm, path.parent)
+        arm = Arm(spec, path.parent)
         positions = {str(joint_of(name)): values for name, values in angles.items()}
         if "link_position" in recording:
             position = recording["link_position"]
@@ -313,7 +321,7 @@ def _in_arm(recording: Recording, sidecar: Sidecar, angles: dict[str, np.ndarray
         link, load = arm.of(recording.time, position, positions, recording.segments)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    return replace(recording, link=link, load=load, arm=ArmRecord(sidecar.arm, arm.mjcf(), positions))
+    return replace(recording, link=link, load=load, arm=ArmRecord(spec, arm.mjcf(), positions))
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:
@@ -414,57 +422,90 @@ def _read_csv(path: Path) -> dict[str, np.ndarray]:
     return read_csv_columns(path, names)
 
 
-def csv_header(path: Path, separator: str = ",") -> list[str]:
+@dataclass(frozen=True)
+class CsvFormat:
+    """How a CSV file is written: separator, decimal mark, encoding."""
+
+    separator: str = ","
+    decimal: str = "."
+    encoding: str = "utf-8"
+
+
+_OWN = CsvFormat()
+
+
+def csv_format(path: Path, separator: str | None = None, decimal: str = ".") -> CsvFormat:
+    """How a CSV file of another program is written: UTF-8 or else Latin-1; the separator as its header has it most often."""
+    try:
+        raw = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: not a readable CSV file: {error.strerror}") from error
+    try:
+        raw.decode("utf-8")
+        encoding = "utf-8"
+    except UnicodeDecodeError:
+        encoding = "latin-1"
+    header = raw.split(b"\n", 1)[0].decode(encoding)
+    return CsvFormat(separator or max(",;\t", key=header.count), decimal, encoding)
+
+
+def csv_header(path: Path, form: CsvFormat = _OWN) -> list[str]:
     """Names of a CSV file's columns, from its first line."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            row = next(csv.reader(file, delimiter=separator), None)
+        with path.open(newline="", encoding=form.encoding) as file:
+            row = next(csv.reader(file, delimiter=form.separator), None)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
     if not row:
         raise InputError(f"{path}: expected a header and rows, got an empty file")
-    return [name.strip() for name in row]
+    return [name.strip().removeprefix("\ufeff") for name in row]
 
 
-def read_csv_columns(path: Path, wanted: list[str], separator: str = ",") -> dict[str, np.ndarray]:
+def read_csv_columns(path: Path, wanted: list[str], form: CsvFormat = _OWN) -> dict[str, np.ndarray]:
     """Read columns of a CSV file as float64; a cell that is no number is an error that names row and column."""
-    names = csv_header(path, separator)
+    names = csv_header(path, form)
     options = pa.csv.ConvertOptions(
-        column_types={name: pa.float64() for name in wanted}, include_columns=wanted, null_values=[""]
-    )
+        column_types={name: pa.float64() for name in wanted}, include_columns=wanted, null_values=[""],
+        decimal_point=form.decimal,
+    )  # fmt: skip
     try:
         table = pa.csv.read_csv(
             path,
-            read_options=pa.csv.ReadOptions(column_names=names, skip_rows=1),
-            parse_options=pa.csv.ParseOptions(delimiter=separator),
+            read_options=pa.csv.ReadOptions(column_names=names, skip_rows=1, encoding=form.encoding),
+            parse_options=pa.csv.ParseOptions(delimiter=form.separator),
             convert_options=options,
         )
-    except (OSError, pa.ArrowException) as error:
-        _name_bad_cell(path, names, wanted, separator)
+    except (OSError, ValueError, pa.ArrowException) as error:
+        _name_bad_cell(path, names, wanted, form)
         raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
     for name in wanted:
         if table.column(name).null_count:
-            _name_bad_cell(path, names, wanted, separator)
+            _name_bad_cell(path, names, wanted, form)
     return {name: table.column(name).to_numpy().astype(np.float64) for name in wanted}
 
 
-def _name_bad_cell(path: Path, names: list[str], wanted: list[str], separator: str) -> None:
+def _name_bad_cell(path: Path, names: list[str], wanted: list[str], form: CsvFormat) -> None:
     """Raise for the first cell that is no number, or the first row that is too short or too long."""
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.reader(file, delimiter=separator)
+    with path.open(newline="", encoding=form.encoding, errors="replace") as file:
+        rows = csv.reader((line.replace("\0", "?") for line in file), delimiter=form.separator)
         next(rows)
-        for i, row in enumerate(rows):
-            if not row:
-                continue
-            where = _row(str(path) if str(path).endswith(".csv") else f"{path}.csv", i)
-            if len(row) != len(names):
-                raise InputError(f"{path}: {where}: expected {len(names)} columns, got {len(row)}")
-            for name, cell in zip(names, row, strict=True):
-                if name in wanted:
-                    try:
-                        float(cell)
-                    except ValueError:
-                        raise InputError(f"{path}: column {name!r}, {where}: expected a number, got {cell!r}") from None
+        try:
+            for i, row in enumerate(rows):
+                if not row:
+                    continue
+                where = _row(str(path) if str(path).endswith(".csv") else f"{path}.csv", i)
+                if len(row) != len(names):
+                    raise InputError(f"{path}: {where}: expected {len(names)} columns, got {len(row)}")
+                for name, cell in zip(names, row, strict=True):
+                    if name in wanted:
+                        try:
+                            float(cell.replace(form.decimal, "."))
+                        except ValueError:
+                            raise InputError(
+                                f"{path}: column {name!r}, {where}: expected a number, got {cell!r}"
+                            ) from None
+        except csv.Error as error:
+            raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
 
 
 def _first_line(error: Exception) -> str:

@@ -123,13 +123,31 @@ def _total(fits: dict[str, Fit]) -> float:
     return sum(fit.agreement for fit in fits.values())
 
 
+def time_unit(recordings: Sequence[Recording], joint: Joint) -> float:
+    """What one unit of time is [s]: where samples are so far apart that it may not be seconds, the unit that suits the channels."""
+    interval = min(r.interval for r in recordings)
+    if interval < _SLOW:
+        return 1.0
+    plausible = [Plausibility(joint, r) for r in recordings]
+
+    def score(second: float) -> float:
+        motions = [motion_of(r, second) for r in recordings]
+        fits = [p.agreement(m) for p, m in zip(plausible, motions, strict=True) if m is not None]
+        return sum(map(_total, fits)) if fits else -math.inf
+
+    best, found = max(score(1.0), -1e9) + PRICE + _SURE, 1.0
+    for unit in (1e-3, 1e-6, 1e-9):
+        if 5e-5 < interval * unit < _SLOW and (now := score(unit)) > best:
+            best, found = now, unit
+    return found
+
+
 class Suspicions:
     """What is wrong with the channels of a measurement as a whole.
 
     Attributes:
       motions: the channels of each recording as they would be without; None of a recording too short to tell.
       fits: the relations between them.
-      second: what one unit of time is [s].
       found: changes, in the order in which they mend.
     """
 
@@ -137,30 +155,15 @@ class Suspicions:
         self.joint = joint
         self.recordings = tuple(recordings)
         self._plausible = [Plausibility(joint, r) for r in recordings]
-        self.second, start = self._start()
-        best = self._search(start)
+        best = self._search(self._state())
         self.motions, self.fits, self.found = best.motions, best.fits, best.found
 
-    def _state(self, second: float) -> _State:
-        motions = tuple(motion_of(r, second) for r in self.recordings)
+    def _state(self) -> _State:
+        motions = tuple(motion_of(r) for r in self.recordings)
         return _State(motions, tuple(self._fits(i, m) for i, m in enumerate(motions)))
 
     def _fits(self, index: int, motion: Motion | None) -> dict[str, Fit]:
         return {} if motion is None else self._plausible[index].agreement(motion)
-
-    def _start(self) -> tuple[float, _State]:
-        """The unit of time that suits the channels best, where samples are so far apart that it may not be seconds."""
-        state = self._state(1.0)
-        interval = min(r.interval for r in self.recordings)
-        if interval < _SLOW:
-            return 1.0, state
-        best, second = state.score + PRICE + _SURE, 1.0
-        for unit in (1e-3, 1e-6, 1e-9):
-            if 5e-5 < interval * unit < _SLOW:
-                other = self._state(unit)
-                if other.score > best:
-                    best, second, state = other.score, unit, other
-        return second, state
 
     def _search(self, start: _State) -> _State:
         beam, best = [start], start

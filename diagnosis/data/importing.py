@@ -1,6 +1,6 @@
 """Other programs' logs as recordings: a mapping file says which of their columns is what, in which unit.
 
-    value = sign · scale · unit · column  (or the sum of several such)  + offset − zero
+    value = sign · scale · unit · column  (or the sum of several such, or the integral of a speed)  + offset − zero
 
 `docs/importing.md` describes the mapping file. The mappings in `layouts/` are shipped and go by name.
 """
@@ -14,30 +14,38 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from ..models.errors import InputError, nearest
-from ..models.files import Strict, load
-from ..models.joint import Mounting
-from ..sim.recording import COLUMNS, REQUIRED, External, Recording, csv_header, read_csv_columns
+from ...models.arm import ArmSpec, joint_of
+from ...models.errors import InputError, nearest
+from ...models.files import Strict, load
+from ...models.joint import Mounting
+from ...models.recording import External, Recording, check_channels, csv_format, csv_header, in_arm, read_csv_columns
+from ...models.signals import CHANNELS
 
 UNITS: dict[str, tuple[str, float]] = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("s", 1e-9),
-    "rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", np.pi / 180), "rev": ("rad", 2 * np.pi),
-    "counts": ("rad", 2 * np.pi),
+    "rad": ("rad", 1.0), "mrad": ("rad", 1e-3), "deg": ("rad", np.pi / 180), "°": ("rad", np.pi / 180),
+    "rev": ("rad", 2 * np.pi), "counts": ("rad", 2 * np.pi),
+    "rad/s": ("rad/s", 1.0), "deg/s": ("rad/s", np.pi / 180), "°/s": ("rad/s", np.pi / 180),
+    "rpm": ("rad/s", 2 * np.pi / 60),
     "A": ("A", 1.0), "mA": ("A", 1e-3),
     "N·m": ("N·m", 1.0), "Nm": ("N·m", 1.0), "mN·m": ("N·m", 1e-3), "mNm": ("N·m", 1e-3),
-    "N": ("N", 1.0),
+    "N": ("N", 1.0), "°C": ("°C", 1.0), "degC": ("°C", 1.0),
     "1": ("1", 1.0),
 }  # fmt: skip
 """Unit of a foreign column: SI unit and factor; `counts` per revolution are stated beside it."""
 
 
 class Zero(Strict):
-    """Where a channel's zero is: its mean (or first) difference from `scale` times another column is taken off."""
+    """Where a channel's zero is: its mean (or first) difference from `scale` times another column is taken off.
+
+    `beyond`: only where that difference is larger (SI): a zero that is known already is kept.
+    """
 
     column: str
     unit: str
     scale: float = 1.0
     at: Literal["mean", "first"] = "mean"
+    beyond: Annotated[float, Field(ge=0)] = 0.0
 
 
 class Part(Strict):
@@ -71,7 +79,10 @@ class Part(Strict):
 
 
 class Channel(Strict):
-    """A column of a recording: one foreign column with its unit, or the `sum` of several; then offset and zero."""
+    """A column of a recording: one foreign column with its unit, or the `sum` of several; then offset and zero.
+
+    `integrate`: the column is a speed, and its integral the channel. `optional`: taken where the log has the column.
+    """
 
     column: str | None = None
     unit: str | None = None
@@ -80,6 +91,8 @@ class Channel(Strict):
     counts: Annotated[int, Field(gt=1)] | None = None
     wraps: bool = False
     sum: list[Part] | None = None
+    integrate: bool = False
+    optional: bool = False
     offset: float = 0.0
     zero: Literal["first"] | Zero | None = None
 
@@ -120,47 +133,55 @@ class Channel(Strict):
         """Names of the foreign columns."""
         return [part.column for part in self.parts] + ([self.zero.column] if isinstance(self.zero, Zero) else [])
 
-    def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
-        """Values in SI, shape (n,)."""
-        values = np.sum([part.read(table) for part in self.parts], axis=0) + self.offset
+    def read(self, table: dict[str, np.ndarray], time: np.ndarray | None = None) -> np.ndarray:
+        """Values in SI, shape (n,); of an integral at the times [s] of the samples, shape (n,)."""
+        values = np.sum([part.read(table) for part in self.parts], axis=0)
+        if self.integrate:
+            assert time is not None
+            values = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (values[1:] + values[:-1]))])
+        values = values + self.offset
         if self.zero == "first":
             return values - values[0]
         if self.zero is not None:
             off = values - self.zero.scale * UNITS[self.zero.unit][1] * table[self.zero.column]
-            return values - (off[0] if self.zero.at == "first" else float(np.mean(off)))
+            away = float(off[0] if self.zero.at == "first" else np.mean(off))
+            return values - away if abs(away) > self.zero.beyond else values
         return values
 
 
 class Layout(Strict):
-    """A mapping file: from another program's table to a recording."""
+    """A mapping file: from another program's table to a recording. `separator` is found in the header where it is not stated."""
 
     format: Literal[1]
     name: str
     description: str = ""
     joint: str
-    link: Mounting
+    link: Mounting | None = None
+    arm: ArmSpec | None = None
     external_torque: External = "none"
-    separator: Annotated[str, Field(min_length=1, max_length=1)] = ","
+    separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
+    decimal: Literal[".", ","] = "."
     columns: dict[str, Channel]
 
     @model_validator(mode="after")
     def _complete(self) -> Layout:
+        if (self.link is None) == (self.arm is None):
+            raise ValueError(f"expected either link or arm, got {'none' if self.link is None else 'both'}")
         for name in self.columns:
-            if name not in COLUMNS:
-                raise ValueError(f"columns.{name}: unknown key{nearest(name, COLUMNS)}")
-        for name in REQUIRED:
-            if name not in self.columns:
-                raise ValueError(f"columns.{name}: missing")
+            if name not in CHANNELS and (joint_of(name) is None or self.arm is None):
+                raise ValueError(f"columns.{name}: unknown key{nearest(name, CHANNELS)}")
+        if "time" not in self.columns:
+            raise ValueError("columns.time: missing")
+        check_channels("columns", self.columns)
         measured = "external_torque" in self.columns
         if measured != (self.external_torque == "measured"):
             raise ValueError("external_torque: expected 'measured' where columns has external_torque and only there")
         for name, channel in self.columns.items():
             if len(channel.parts) == 1 and channel.scale == 1.0 and channel.sum is None:
-                found = UNITS[channel.parts[0].unit][0]
-                if found != COLUMNS[name]:
+                expected = CHANNELS[name].unit if name in CHANNELS else "rad"
+                if UNITS[channel.parts[0].unit][0] != (f"{expected}/s" if channel.integrate else expected):
                     raise ValueError(
-                        f"columns.{name}.unit: expected one of {COLUMNS[name]!r}, or a scale that makes it so, "
-                        f"got {channel.unit!r}"
+                        f"columns.{name}.unit: expected one of {expected!r}, or a scale that makes it so, got {channel.unit!r}"
                     )
         return self
 
@@ -204,9 +225,15 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: cannot read a log of format {layout.name!r}: no such file")
-    names = csv_header(path, layout.separator)
+    form = csv_format(path, layout.separator, layout.decimal)
+    names = csv_header(path, form)
+    channels = {
+        target: channel
+        for target, channel in layout.columns.items()
+        if not channel.optional or all(column in names for column in channel.sources)
+    }
     wanted: list[str] = []
-    for target, channel in layout.columns.items():
+    for target, channel in channels.items():
         for column in channel.sources:
             if column not in names:
                 raise InputError(
@@ -215,7 +242,7 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
                 )
             if column not in wanted:
                 wanted.append(column)
-    table = read_csv_columns(path, wanted, layout.separator)
+    table = read_csv_columns(path, wanted, form)
     if not len(table[wanted[0]]):
         raise InputError(f"{path}: expected rows, got a header alone")
     for column, values in table.items():
@@ -225,12 +252,19 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
                 f"{path}: column {column!r}, row {bad[0] + 1} (line {bad[0] + 2}): expected a finite number, "
                 f"got {values[bad[0]]}"
             )
-    return Recording(
+    time = channels["time"].read(table)
+    columns = {target: channel.read(table, time) for target, channel in channels.items() if target != "time"}
+    angles = {target: columns.pop(target) for target in list(columns) if target not in CHANNELS}
+    recording = Recording(
         name=name or path.stem,
-        **{target: channel.read(table) for target, channel in layout.columns.items()},
+        time=time,
+        columns=columns,
         joint=joint or layout.joint,
         description=f"{path.name}, imported as {layout.name}",
-        link=layout.link,
-        external=layout.external_torque,
+        link=layout.link or Mounting(inertia=1.0, gravity_moment=0.0),
+        external="unmeasured" if layout.external_torque == "measured" and "external_torque" not in columns else layout.external_torque,
         source=str(path),
-    )
+    )  # fmt: skip
+    if layout.arm is None:
+        return recording
+    return in_arm(recording, layout.arm, angles, path)

@@ -1,12 +1,26 @@
-"""What people get wrong in their data, each named with the change that mends it: before any physics."""
+"""What people get wrong in their data, each named with the change that mends it: before any physics.
+
+Three looks, one after the other, each at what the one before would have mended: single samples (`samples`), columns in the wrong
+unit, direction, place (`changes`), columns that are late (`lateness`).
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from ...models.joint import Joint
-from ...models.recording import Measurement
+from ...models.recording import Measurement, Recording, check_channels
+from ...models.signals import POSITIONS
+from .changes import Found, Suspicions, time_unit
+from .lateness import late_columns
+from .samples import SampleMistake, bridged, unwrapped, wrong_samples
+
+_CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
+_BESIDE = ("position_command", "temperature")  # columns that no balance takes
 
 
 @dataclass(frozen=True)
@@ -19,8 +33,10 @@ class Mistake:
       recording: name of the recording that has it; empty where all have.
       description: for people.
       confidence: probability of it.
-      factor: that mends the column (of `gear_ratio`: that mends N). seconds: by which the column is late. offset: that mends it, added.
+      factor: that mends the column (of `gear_ratio`: that mends N); of `wrapped` a whole turn in the column's unit.
+      seconds: by which the column is late. offset: that mends it, added; of `velocity`, where the position starts.
       rows: of the table that have it, from 0.
+      also: further columns that have the same offset, the motor's on its own side of the gear.
       severe: whether it makes physics meaningless.
     """
 
@@ -33,6 +49,7 @@ class Mistake:
     seconds: float | None = None
     offset: float | None = None
     rows: tuple[int, ...] | None = None
+    also: tuple[str, ...] = ()
     severe: bool = True
 
     def to_json(self) -> dict[str, Any]:
@@ -44,11 +61,149 @@ class Mistake:
         for key in ("factor", "seconds", "offset"):
             if getattr(self, key) is not None:
                 data[key] = float(f"{getattr(self, key):.6g}")
+        if self.also:
+            data["also"] = list(self.also)
         if self.rows is not None:
             data["rows"] = list(self.rows)
         return data | {"description": self.description, "confidence": round(self.confidence, 3)}
 
 
 def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
-    """Mistakes in a measurement of a joint."""
-    return ()
+    """Mistakes in a measurement of a joint, in the order in which `mended` undoes them.
+
+    A cause of ordinary size (`spec/recording.md`), tolerances and what is imperfect in every real joint are none.
+    """
+    recordings = measurement.recordings
+    found: list[Mistake] = []
+    second = time_unit(recordings, joint)
+    if second != 1.0:
+        said = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[second]
+        found.append(Mistake("unit", "time", "", f"{said} taken for seconds", 0.99, factor=second))
+    recordings = _apply(recordings, joint, found)
+    for recording in recordings:
+        found += [_of_samples(m, recording) for m in wrong_samples(recording, joint)]
+    found = _merged(found, len(recordings))
+    recordings = _apply(measurement.recordings, joint, found)
+    suspicions = Suspicions(recordings, joint)
+    further = [m for f in suspicions.found for m in _of_change(f, recordings)]
+    recordings = _apply(recordings, joint, further)
+    late = [m for m in late_columns(recordings, joint)]
+    names = [r.name for r in recordings]
+    for one in late:
+        where = [""] if len(one.recordings) == len(names) else [names[i] for i in one.recordings]
+        text = f"{1e3 * one.seconds:.3g} ms late against the others"
+        further += [Mistake("late", one.column, n, text, one.confidence, seconds=one.seconds) for n in where]
+    return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in (*found, *further))
+
+
+def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:
+    """The measurement without these mistakes: columns as they were meant, samples that nothing can mend left out."""
+    return replace(measurement, recordings=_apply(measurement.recordings, joint, mistakes))
+
+
+def _of_samples(found: SampleMistake, recording: Recording) -> Mistake:
+    n, rows = len(recording.time), found.rows
+    count = "one sample" if len(rows) == 1 else f"{len(rows)} samples"
+    severe = True
+    if found.name == "glitch":
+        text = f"{count} far off the neighbours"
+    elif found.name == "wrapped":
+        text = f"jumps by a whole turn ({found.turn:g}) {'once' if len(rows) == 1 else f'{len(rows)} times'}"
+    elif found.name == "stuck":
+        text = "does not move at all" if len(rows) == n else f"does not move in {count} although it should"
+    else:
+        text = f"{count} at the sensor's end"
+        severe = len(rows) > _CLIPPED * n
+    return Mistake(found.name, found.column, recording.name, text, 0.99, factor=found.turn, rows=rows, severe=severe)
+
+
+def _merged(found: list[Mistake], recordings: int) -> list[Mistake]:
+    """The same, with no recording's name where there is but one."""
+    return [replace(m, recording="") for m in found] if recordings == 1 else found
+
+
+def _of_change(found: Found, recordings: Sequence[Recording]) -> list[Mistake]:
+    change = found.change
+    where = [""] if len(found.recordings) == len(recordings) else [recordings[i].name for i in found.recordings]
+    text = change.description
+    if found.rivals:
+        text += "; or else " + ", or ".join(f"{c.name} of {c.column or 'the positions'}" for c in found.rivals)
+    one = Mistake(
+        change.name, change.column, "", text, found.confidence, factor=change.factor, offset=change.offset,
+        also=tuple(c.column for c in change.also),
+    )  # fmt: skip
+    return [replace(one, recording=name) for name in where]
+
+
+def _apply(recordings: Iterable[Recording], joint: Joint, mistakes: Sequence[Mistake]) -> tuple[Recording, ...]:
+    return tuple(
+        _mend(recording, joint, [m for m in mistakes if m.recording in ("", recording.name)])
+        for recording in recordings
+    )
+
+
+def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Recording:
+    """One recording without mistakes; of samples first, as they were found."""
+    if not mistakes:
+        return recording
+    N = joint.numbers["N"].value
+    time, columns = recording.time, dict(recording.columns)
+    lost = np.zeros(len(time), bool)
+    for m in mistakes:
+        if m.column == "time" and m.factor is not None:
+            time = m.factor * (time - time[0])
+            continue
+        if m.name == "swapped":
+            _swap(columns)
+            continue
+        for column in (m.column, *m.also):
+            if column not in columns:
+                continue
+            x = columns[column]
+            if m.name in ("stuck", "clipped"):
+                assert m.rows is not None
+                if len(m.rows) == len(time):
+                    del columns[column]
+                else:
+                    lost[list(m.rows)] = True
+            elif m.name == "late":
+                assert m.seconds is not None
+                columns[column] = np.interp(time + m.seconds, time, x)
+                lost |= (time + m.seconds > time[-1]) | (time + m.seconds < time[0])
+            else:
+                columns[column] = _column(m, column, time, x, columns, N)
+    check_channels(f"{recording.source or recording.name}: without what is stuck", columns)
+    found = replace(recording, time=time, columns=columns)
+    if lost.any():
+        found = found.at(~lost)
+    return found
+
+
+def _column(m: Mistake, column: str, time: np.ndarray, x: np.ndarray, columns: dict, N: float) -> np.ndarray:
+    """A column without one mistake, shape (n,)."""
+    factor = 1.0 if m.factor is None else m.factor
+    if m.name == "glitch":
+        return bridged(time, x, np.array(m.rows, int))
+    if m.name == "wrapped":
+        guide = next((columns[n] for n in (*POSITIONS, "position_command") if n in columns and n != column), None)
+        return unwrapped(time, x, np.array(m.rows, int), factor, guide)
+    if m.name == "velocity":
+        steps = 0.5 * np.diff(time) * (x[1:] + x[:-1])
+        return (m.offset or 0.0) + factor * np.concatenate([[0.0], np.cumsum(steps)])
+    if m.name == "sign":
+        return -x
+    if m.name == "gear_ratio" and column == "motor_position":
+        factor = 1 / factor
+    if m.name in ("unit", "gear_ratio"):
+        return factor * x
+    offset = m.offset or 0.0
+    if column != m.column:
+        offset *= (N if column == "motor_position" else 1.0) / (N if m.column == "motor_position" else 1.0)
+    return x + offset
+
+
+def _swap(columns: dict[str, np.ndarray]) -> None:
+    """Exchange both positions, in place; the only one goes under the other's name."""
+    found = {name: columns.pop(name) for name in POSITIONS if name in columns}
+    for name, x in found.items():
+        columns[POSITIONS[1 - POSITIONS.index(name)]] = x

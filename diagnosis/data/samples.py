@@ -1,0 +1,284 @@
+"""What is wrong with single samples of a recording: far off, jumped by a turn, not moving, at the sensor's end.
+
+Each column is held against its own neighbourhood, and positions against each other; units do not matter. Steps between samples are
+taken less the local speed times the interval, so that motion, jitter and missing samples are none.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from ...models.joint import EncoderSpec, Joint
+from ...models.recording import GAP, Recording
+from ...models.signals import DRIVING, POSITIONS
+
+_NEIGHBOURS = 9  # steps whose median is the local speed
+_FAR = 8.0  # times what 99 % of the steps keep below, from which on a step is far
+_ALONE = 5.0  # times the largest ordinary step nearby
+_NEARBY = 25  # samples
+_LONGEST = 3  # samples of a glitch
+_QUANTA = 20.0  # smallest steps of a column that a glitch is larger than
+_TURN_FIT = 0.06  # relative, by how much a jump may differ from a whole turn
+_STILL = (0.2, 20)  # seconds, samples that a column does not move at the least to be stuck
+_MOVED = (0.03, 0.02)  # share of its range, radians on the output side by which others move meanwhile
+_FLAT = 8  # samples at a sensor's end at the least
+_PEAKED = 4.0  # times more often than the values beside it
+_DRIVE_MOVED = 0.01  # share of its range by which a position moves while a torque is stuck
+
+
+@dataclass(frozen=True)
+class SampleMistake:
+    """Samples of a column that are wrong.
+
+    Attributes:
+      name: `glitch`, `wrapped`, `stuck` or `clipped`; column: that has it.
+      rows: samples concerned; of `wrapped` those after each jump.
+      turn: of `wrapped`, what a whole turn is in the column's unit.
+    """
+
+    name: str
+    column: str
+    rows: tuple[int, ...]
+    turn: float | None = None
+
+
+def wrong_samples(recording: Recording, joint: Joint) -> tuple[SampleMistake, ...]:
+    """Single samples of a recording that are wrong, column by column."""
+    columns = dict(recording.columns)
+    found: list[SampleMistake] = []
+    for name in columns:
+        if name == "temperature":
+            continue
+        steps = _Steps(recording.time, columns[name])
+        glitches = steps.glitches()
+        if len(glitches):
+            found.append(SampleMistake("glitch", name, tuple(glitches.tolist())))
+            columns[name] = bridged(recording.time, columns[name], glitches)
+            steps = _Steps(recording.time, columns[name])
+        if name in (*POSITIONS, "position_command"):
+            jumps, turn = steps.wraps(_turns(name, joint))
+            if len(jumps):
+                found.append(SampleMistake("wrapped", name, tuple(jumps.tolist()), turn))
+                columns[name] = unwrapped(recording.time, columns[name], jumps, turn)
+    N = joint.numbers["N"].value
+    for name in columns:
+        if name in (*POSITIONS, *DRIVING):
+            found += _still(recording.time, columns, name, N)
+    return tuple(found)
+
+
+def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """The column with some samples replaced by the straight line between their neighbours, shape (n,)."""
+    kept = np.ones(len(x), bool)
+    kept[rows] = False
+    return np.where(kept, x, np.interp(time, time[kept], x[kept])) if kept.any() else x
+
+
+def unwrapped(
+    time: np.ndarray, x: np.ndarray, jumps: np.ndarray, turn: float, guide: np.ndarray | None = None
+) -> np.ndarray:
+    """The angle without jumps, shape (n,): whole turns are added after each; over gaps as a guide's motion has it.
+
+    Args:
+      time, x: of the samples [s], and the angle, shape (n,).
+      jumps: samples after each jump; turn: in the angle's unit.
+      guide: another angle of the same shaft, in any unit; without one the speed before and after a gap tells.
+    """
+    change = np.zeros(len(x))
+    steps = np.diff(x)
+    change[jumps] = -turn * np.round(steps[jumps - 1] / turn)
+    out = x + np.cumsum(change)
+    gaps = np.flatnonzero(np.diff(time) > GAP)
+    if len(gaps) == 0:
+        return out
+    inside = np.diff(time) <= GAP
+    ratio = 0.0
+    if guide is not None:
+        a, b = np.diff(out)[inside], np.diff(guide)[inside]
+        ratio = float(a @ b / (b @ b)) if b @ b > 0 else 0.0
+    for k in gaps:
+        if ratio:
+            assert guide is not None
+            step = ratio * (guide[k + 1] - guide[k])
+        else:
+            speeds = [_speed(time, out, slice(max(k - 8, 0), k + 1)), _speed(time, out, slice(k + 1, k + 10))]
+            step = float(np.mean(speeds)) * (time[k + 1] - time[k])
+        out[k + 1 :] += turn * np.round((out[k] + step - out[k + 1]) / turn)
+    return out
+
+
+def _speed(time: np.ndarray, x: np.ndarray, part: slice) -> float:
+    return float(np.polyfit(time[part], x[part], 1)[0]) if len(time[part]) > 2 else 0.0
+
+
+class _Steps:
+    """A column's steps from sample to sample less the local speed times the interval."""
+
+    def __init__(self, time: np.ndarray, x: np.ndarray):
+        self.x = x
+        intervals, self.step = np.diff(time), np.diff(x)
+        self.inside = intervals <= max(GAP, 5 * float(np.median(intervals)))
+        speed = np.where(self.inside, self.step / intervals, 0.0)
+        self.off = np.where(self.inside, self.step - median_filter(speed, _NEIGHBOURS, mode="nearest") * intervals, 0.0)
+        self.size = np.abs(self.off)
+        moving = np.abs(self.step[self.step != 0])
+        self.quantum = float(moving.min()) if len(moving) else 0.0
+
+    def glitches(self) -> np.ndarray:
+        """Samples that are far off their neighbours, which agree with each other."""
+        size, n = self.size, len(self.x)
+        ordinary = size[self.inside]
+        if not len(ordinary) or not ordinary.any() or n < 2 * _NEIGHBOURS:
+            return np.empty(0, int)
+        limit = max(
+            _FAR * float(np.quantile(ordinary, 0.99)), _QUANTA * self.quantum, 1e-6 * float(np.ptp(self.x)), 1e-12
+        )
+        far = size > limit
+        usual = np.where(far, 0.0, size)
+        rows: list[int] = []
+        for k in np.flatnonzero(far).tolist():
+            if rows and k < rows[-1] + 1:
+                continue
+            near = usual[max(k - _NEARBY, 0) : k + _NEARBY]
+            if size[k] < _ALONE * float(near.max()):
+                continue
+            if k == 0 and not far[1] or k == n - 2 and not far[n - 3]:
+                rows.append(0 if k == 0 else n - 1)
+                continue
+            for width in range(1, _LONGEST + 1):
+                if k + width < n - 1 and abs(self.off[k : k + width + 1].sum()) < 0.3 * size[k] and far[k + width]:
+                    rows += range(k + 1, k + width + 1)
+                    break
+        return np.array(sorted(set(rows)), int)
+
+    def wraps(self, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
+        """Samples after jumps by whole turns, and what a turn is; none where there is no such jump."""
+        none = np.empty(0, int), 0.0
+        ordinary = self.size[self.inside]
+        if len(ordinary) < 2 * _NEIGHBOURS:
+            return none
+        usual = max(float(np.quantile(ordinary, 0.8)), self.quantum, 1e-9)
+        far = np.flatnonzero(self.size > max(6 * usual, _QUANTA * self.quantum))
+        if not len(far):
+            return none
+        jumps = np.abs(self.off[far])
+        for turn in turns:
+            if turn < 12 * usual:
+                continue
+            large = jumps > 0.5 * turn
+            count = np.round(jumps[large] / turn)
+            fits = np.abs(jumps[large] / turn - count) < _TURN_FIT + 3 * usual / turn
+            whole = float(np.ptp(self.x)) <= 1.02 * turn + 6 * usual
+            if large.any() and fits.mean() > 0.95 and (np.all(count == 1) or np.all(jumps[large] > 3 * turn)):
+                if not whole and len(count) > 1 and np.any(count > 1):
+                    continue
+                if whole or _fits_closely(jumps[large], turn, usual):
+                    return far[large] + 1, turn
+        return none
+
+
+def _fits_closely(jumps: np.ndarray, turn: float, usual: float) -> bool:
+    """Whether jumps of a column that has more than one turn are whole ones so exactly that it is no chance."""
+    return bool(np.all(np.abs(jumps - turn) < 0.01 * turn + usual))
+
+
+def _turns(name: str, joint: Joint) -> tuple[float, ...]:
+    """What a whole turn may be in a column: radians, degrees, turns, counts."""
+    encoders = {"motor_position": joint.sensors.motor_encoder, "link_position": joint.sensors.link_encoder}
+    encoder: EncoderSpec | None = encoders.get(name)
+    own = () if encoder is None else (2 * math.pi / encoder.resolution,)
+    return (2 * math.pi, 360.0, *own, 1.0, *(float(2**bits) for bits in range(8, 33)))
+
+
+def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First samples and lengths of runs of equal values."""
+    edges = np.flatnonzero(np.concatenate([[True], np.diff(x) != 0, [True]]))
+    return edges[:-1], np.diff(edges)
+
+
+def _still(time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: float) -> list[SampleMistake]:
+    """Parts in which a column does not move although it should, and those at a sensor's end."""
+    x = columns[name]
+    begins, lengths = _runs(x)
+    if len(begins) == 1:
+        moves = any(np.ptp(columns[n]) > 0 for n in columns if n != name and n != "temperature")
+        wanted = name in DRIVING or _moves_meanwhile(columns, name, 0, len(x), N)
+        nothing = not moves and len(x) > _STILL[1]
+        return [SampleMistake("stuck", name, tuple(range(len(x))))] if wanted or nothing else []
+    found: list[SampleMistake] = []
+    clipped = _clipped(x, begins, lengths) if name in DRIVING else np.empty(0, int)
+    if len(clipped):
+        found.append(SampleMistake("clipped", name, tuple(clipped.tolist())))
+    ends = {float(x.min()), float(x.max())}
+    ordinary = 1 if name in POSITIONS else float(np.quantile(lengths, 0.95))
+    stuck: list[int] = []
+    flat: list[int] = []
+    for begin, length in zip(begins.tolist(), lengths.tolist(), strict=True):
+        end = begin + length
+        if length < max(_STILL[1], 12 * ordinary) or time[end - 1] - time[begin] < _STILL[0]:
+            continue
+        if len(clipped) and float(x[begin]) in ends:
+            continue
+        if not _moves_meanwhile(columns, name, begin, end, N):
+            continue
+        at_end = name in POSITIONS and float(x[begin]) in ends and end < len(x) and _leaves_softly(x, begin, end)
+        (flat if at_end else stuck).extend(range(begin, end))
+    if stuck:
+        found.append(SampleMistake("stuck", name, tuple(stuck)))
+    if flat:
+        found.append(SampleMistake("clipped", name, tuple(flat)))
+    return found
+
+
+def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, begin: int, end: int, N: float) -> bool:
+    """Whether another column says that this one should have moved."""
+    part = slice(begin, end)
+    others = [n for n in POSITIONS if n in columns and n != name and np.ptp(columns[n]) > 0]
+    if name in DRIVING:
+        return any(np.ptp(columns[n][part]) > _DRIVE_MOVED * np.ptp(columns[n]) for n in others)
+    for other in others:
+        moved, whole = float(np.ptp(columns[other][part])), float(np.ptp(columns[other]))
+        if moved > _MOVED[0] * whole and moved > _MOVED[1] * (N if other == "motor_position" else 1.0):
+            return True
+    if others:
+        return False
+    command = columns.get("position_command")
+    if command is not None and np.ptp(command[part]) > 0.1 * np.ptp(command) and np.ptp(command[part]) > 0.1:
+        return True
+    return _stops_at_once(columns[name], begin, end)
+
+
+def _stops_at_once(x: np.ndarray, begin: int, end: int) -> bool:
+    """Whether an angle comes to rest, or leaves it, within a sample from a speed far above its resolution."""
+    steps = np.abs(np.diff(x))
+    moving = steps[steps > 0]
+    if not len(moving):
+        return False
+    fast = max(8 * float(moving.min()), 0.1 * float(np.quantile(moving, 0.99)))
+    before, after = steps[max(begin - 5, 0) : max(begin - 1, 0)], steps[end : end + 4]
+    return any(len(part) >= 3 and float(np.median(part)) > fast for part in (before, after))
+
+
+def _leaves_softly(x: np.ndarray, begin: int, end: int) -> bool:
+    """Whether an angle moves on from a run of equal values without a jump."""
+    steps = np.abs(np.diff(x))
+    after = steps[end : end + 5]
+    return not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12
+
+
+def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """Samples at the largest or smallest value, where there are far more than of the values beside it."""
+    values, counts = np.unique(x, return_counts=True)
+    found = []
+    if len(values) < 50:
+        return np.empty(0, int)
+    for end, beside in ((-1, slice(-9, -1)), (0, slice(1, 9))):
+        longest = int(lengths[x[begins] == values[end]].max())
+        if counts[end] >= _FLAT and longest >= 3 and counts[end] > _PEAKED * counts[beside].max():
+            found.append(np.flatnonzero(x == values[end]))
+    return np.sort(np.concatenate(found)) if found else np.empty(0, int)
