@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ..models import causes
 from ..models.joint import Effect, Estimate, Joint
@@ -35,6 +36,9 @@ from .search.stages import (
     without_effect,
 )
 from .search.worth import mean_squares, output_scale, worth
+
+if TYPE_CHECKING:
+    from .planning import Plan
 
 
 @dataclass(frozen=True)
@@ -154,6 +158,7 @@ class Diagnosis:
       problem, search: what was computed; None where mistakes in the data made physics meaningless.
       before, after: residuals of every segment, shape (k, len(BALANCES)), for showing.
       estimation: what diagnosis gains for estimation.
+      plan: what to measure next (`planning.plan`), where it was asked for.
       held_out: how data were kept from the fits.
       complete: whether there was time for all stages.
       seconds: that it took.
@@ -177,6 +182,7 @@ class Diagnosis:
     before: list[np.ndarray] = field(default_factory=list, repr=False)
     after: list[np.ndarray] = field(default_factory=list, repr=False)
     estimation: dict[str, Any] | None = None
+    plan: Plan | None = field(default=None, repr=False)
     held_out: str = ""
     complete: bool = True
     seconds: float = 0.0
@@ -201,6 +207,7 @@ class Diagnosis:
             "regions": [r.to_json() for r in self.regions],
             "estimation": self.estimation,
             "held_out": self.held_out,
+            "next": self.plan.to_json() if self.plan is not None else [],
             "mistakes": [m.to_json() for m in self.mistakes],
             "decisions": [
                 {
@@ -217,6 +224,9 @@ def _finite(x: float) -> float | None:
     return float(f"{x:.4g}") if np.isfinite(x) else None
 
 
+@threadpool_limits.wrap(
+    limits=1, user_api="blas"
+)  # replays use the cores; BLAS's threads would only wait for them, spinning
 def diagnose(
     measurement: Measurement,
     joint: Joint,

@@ -13,11 +13,12 @@ objective, gradient and curvature; taking it out leaves what the signal says (co
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from .noise import Noise, White, learn, whiten
+from .noise import Noise, White, learn, rows_of, whiten
 from .residual import Model, Problem
 
 
@@ -33,7 +34,8 @@ class SolverSettings:
       noisy: share of the noise in the whitened energy from which on it is taken out (errors in variables).
       chance: standard deviations of the difference of two sums of squares below zero that still count as nothing.
       leverage: a residual whose derivative in a common unknown is so many times the usual one counts as much less: where the
-        replay is about to leave the range of a law, the smallest error of the motion decides.
+        replay is about to leave the range of a law, the smallest error of the motion decides. noise_leverage: likewise where
+        the noise makes so many times the usual derivative.
       cluster: residuals within so many seconds may have to do with each other in ways that the noise model does not know.
     """
 
@@ -44,6 +46,7 @@ class SolverSettings:
     noisy: float = 0.15
     chance: float = 6.0
     leverage: float = 20.0
+    noise_leverage: float = 2.0
     cluster: float = 1.0
 
 
@@ -180,8 +183,13 @@ def stacked(first: Columns, *others: Columns) -> Columns:
     return [np.concatenate([r[..., None], *(o[s] for o in others)], axis=-1) for s, r in enumerate(first)]
 
 
-def leverage_weight(X: np.ndarray, limit: float) -> np.ndarray:
-    """Weights of whitened rows X, shape (total, n), that keep single ones from deciding alone: bounded influence (Mallows)."""
+def leverage_weight(
+    X: np.ndarray, limit: float, noise: np.ndarray | None = None, noise_limit: float = np.inf
+) -> np.ndarray:
+    """Weights of whitened rows X, shape (total, n), that keep single ones from deciding alone: bounded influence (Mallows).
+
+    `noise`, what noise replicates add to them, may lie as far out elsewhere: rows count by the farther one.
+    """
     counted = np.flatnonzero(np.any(X, axis=1))
     if not len(counted):
         return np.ones(len(X))
@@ -189,6 +197,8 @@ def leverage_weight(X: np.ndarray, limit: float) -> np.ndarray:
     rms = np.sqrt(np.mean(X[counted] ** 2, axis=0))
     usual = np.maximum(np.partition(part, int(0.9 * len(part)), axis=0)[int(0.9 * len(part))], 0.03 * rms) + 1e-300
     far = np.max(np.abs(X) / usual, axis=1) / limit
+    if noise is not None:
+        far = np.maximum(far, np.max(np.abs(noise) / usual, axis=1) / noise_limit)
     return 1.0 / np.maximum(far, 1.0) ** 2
 
 
@@ -201,6 +211,15 @@ def products(rows: np.ndarray, limit: float, weight: np.ndarray | None = None) -
     part = rows[counted] * np.sqrt(found[counted, None])
     G = part.T @ part
     return G[1:, 1:], G[1:, 0]
+
+
+def losses_of(problem: Problem, noise: Noise, near: Fit, residuals: Sequence[Columns]) -> list[float]:
+    """Robust losses of residuals about a fit under a noise, rows of extreme leverage there counting as little as in a fit."""
+    whole = [np.stack(parts, -1) for parts in zip(*residuals, strict=True)]
+    common = [j[..., : problem.size] for j in near.jacobian]
+    rows = whiten(problem.segments, noise, [np.concatenate(p, -1) for p in zip(whole, common, strict=True)]).rows
+    weight = leverage_weight(rows[:, len(residuals) :], SETTINGS.leverage)
+    return [float(np.sum(weight * huber_loss(rows[:, i], SETTINGS.huber))) for i in range(len(residuals))]
 
 
 def normal_equations(
@@ -216,12 +235,19 @@ def normal_equations(
     """Normal equations of the posterior, the noise's share taken out where its derivatives are given."""
     curvature = 1 / problem.spread(model) ** 2
     white = whiten(problem.segments, noise, stacked(point.residual, jacobian))
-    weight = leverage_weight(white.rows[:, 1 : problem.size + 1], settings.leverage)
-    information, g = products(white.rows, settings.huber, weight)
-    g = g + curvature * theta
-    share, noise_rows = np.zeros_like(information), None
+    common, noise_rows = slice(1, problem.size + 1), None
     if noise_jacobian is not None:
         noise_rows = whiten(problem.segments, noise, stacked(point.noise, noise_jacobian)).rows
+    weight = leverage_weight(
+        white.rows[:, common],
+        settings.leverage,
+        None if noise_rows is None else noise_rows[:, common],
+        settings.noise_leverage,
+    )
+    information, g = products(white.rows, settings.huber, weight)
+    g = g + curvature * theta
+    share = np.zeros_like(information)
+    if noise_rows is not None:
         share, noise_gradient = products(noise_rows, settings.huber, weight)
         g = g - noise_gradient
         information = _positive(information - share, problem.spread(model))
@@ -287,7 +313,7 @@ class Fitter:
         common = None if near is None else [j[..., : problem.size] for j in near.jacobian]
         fresh, damping = near is None, 0.0
         jacobian: Columns = []
-        for iteration in range(iterations):
+        for _ in range(iterations):
             if fresh:
                 columns = (
                     np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
@@ -301,7 +327,7 @@ class Fitter:
             cost = normal.loss + prior_cost(problem, theta, model)
             history.append(cost)
             accepted = False
-            for _ in range(4):
+            for _attempt in range(4):
                 A = normal.hessian + damping * np.diag(np.abs(np.diag(normal.hessian)))
                 step = bounded_step(A, normal.gradient, low - theta, high - theta)
                 trial = problem.residuals([theta + step], [model])[0]
@@ -322,7 +348,6 @@ class Fitter:
                 break
             good = cost - after > settings.good * expected
             fresh = near is None and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
-            del iteration
         # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
         jacobian = self._with_effects(model, theta, common, jacobian or None)
         other = problem.residuals([theta], [model], replicate=True)[0]
@@ -336,7 +361,6 @@ class Fitter:
         low, high = problem.bounds(f.model)
         theta, point = f.theta, f.point
         jacobian = problem.jacobian(theta, f.model)
-        other = [a + b for a, b in zip(point.residual, point.noise, strict=True)]
         extra: Columns | None = None
         if noise_share(problem, f.noise, point) > settings.noisy:
             again = problem.jacobian(theta, f.model, replicate=True)
@@ -409,7 +433,7 @@ class Fitter:
         if extra is None:
             # What a model gains by making noise small is none of its merit.
             rows = whiten(problem.segments, noise, [n[..., None] for n in point.noise]).rows[:, 0]
-            evidence += 0.5 * float(np.sum(huber_loss(rows, self.settings.huber)))
+            evidence += 0.5 * float(np.sum(normal.weight * huber_loss(rows, self.settings.huber)))
         # The corrected gradient is noisier than the curvature says: the columns' noise counts once with the residual, once
         # as the replicate's share taken out (Godambe's information in place of Fisher's).
         prior = np.diag(1 / spread**2)
@@ -450,18 +474,17 @@ def with_dispersion(problem: Problem, f: Fit, settings: SolverSettings = SETTING
     The score's own scatter between pieces of `cluster` seconds takes the place of its expected variance (the
     sandwich of Huber and White, clustered): what the laws leave over, in time together, then counts as what it is.
     """
-    from .noise import rows_of
-
-    score = _scores(whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows, settings.huber)
+    normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, settings)
+    rows = whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows
+    score = _scores(rows, settings.huber, normal.weight)
     if f.noise_jacobian is not None:
         rows = whiten(problem.segments, f.noise, stacked(f.point.noise, f.noise_jacobian)).rows
-        score -= _scores(rows, settings.huber)
+        score -= _scores(rows, settings.huber, normal.weight)
     segment, _, at = rows_of(problem.segments)
     _, cluster = np.unique(np.stack([segment, np.floor(at / settings.cluster)]), axis=1, return_inverse=True)
     total = np.zeros((int(cluster.max()) + 1, score.shape[1]))
     np.add.at(total, cluster.reshape(-1), score)
     total = total[np.any(total, axis=1)]
-    normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, settings)
     prior = np.diag(1 / problem.spread(f.model) ** 2)
     S, V = normal.hessian - prior, total.T @ total
     unbiased = max(len(total) - len(V) - 1, 0.25 * len(total)) / len(total)  # of an inverse Wishart matrix
@@ -470,7 +493,7 @@ def with_dispersion(problem: Problem, f: Fit, settings: SolverSettings = SETTING
     return replace(f, covariance=f.covariance * larger[:, None] * larger)
 
 
-def _scores(rows: np.ndarray, limit: float) -> np.ndarray:
-    """Gradient of half the robust loss, row by row, of whitened rows [r, J]."""
+def _scores(rows: np.ndarray, limit: float, weight: np.ndarray) -> np.ndarray:
+    """Gradient of half the weighted robust loss, row by row, of whitened rows [r, J]."""
     r, X = rows[:, 0], rows[:, 1:]
-    return (huber_weight(r, limit) * r)[:, None] * X
+    return (weight * huber_weight(r, limit) * r)[:, None] * X

@@ -260,10 +260,15 @@ def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | No
         spread = np.concatenate([spread, s.hypothesis.spread[here]])
     white = whiten(problem.segments, noise, stacked(residual, *parts))
     r = white.rows[:, 0]
-    weight = huber_weight(r, SOLVER.huber)
-    X = white.rows[:, 1:] * np.sqrt(weight)[:, None]
+    # Rows that a fit hardly counts do not decide here either: where derivatives are extreme, the linear model is far off.
+    leverage = leverage_weight(white.rows[:, 1 : problem.size + 1], SOLVER.leverage)
+    X = white.rows[:, 1:] * np.sqrt(leverage * huber_weight(r, SOLVER.huber))[:, None]
     H = X.T @ X + np.diag(1 / spread**2)
-    cost = float(np.sum(huber_loss(r, SOLVER.huber))) + white.log_determinant + prior_cost(problem, theta, at.model)
+    cost = (
+        float(np.sum(leverage * huber_loss(r, SOLVER.huber)))
+        + white.log_determinant
+        + prior_cost(problem, theta, at.model)
+    )
     if columns is not None:
         cost += float(np.sum((s.start[here] / s.hypothesis.spread[here]) ** 2))
     return -0.5 * (cost + float(np.linalg.slogdet(H * spread[:, None] * spread)[1]))

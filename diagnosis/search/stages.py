@@ -21,8 +21,7 @@ import numpy as np
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
-from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Fit, Fitter, Point, huber_loss, prior_cost, with_dispersion
+from ..fit.solver import Fit, Fitter, Point, huber_loss, losses_of, prior_cost, with_dispersion
 from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over, roughness, tared
 from .screen import Library, Screened, ScreenSettings, screen
 from .worth import Worth, unexplained, worth
@@ -176,11 +175,8 @@ def _start(problem: Problem, base: Fit, s: Screened) -> np.ndarray:
     starts += [t for t in (hand_over(problem, t, model) for t in starts[:1]) if not np.array_equal(t, starts[0])]
     found = problem.residuals(starts, [model] * len(starts))
     noise = s.noise or base.noise
-    costs = [
-        float(np.sum(huber_loss(whiten(problem.segments, noise, [r[..., None] for r in rs]).rows[:, 0], SOLVER.huber)))
-        + prior_cost(problem, theta, model)
-        for rs, theta in zip(found, starts, strict=True)
-    ]
+    losses = losses_of(problem, noise, base, found)
+    costs = [x + prior_cost(problem, theta, model) for x, theta in zip(losses, starts, strict=True)]
     return starts[int(np.nanargmin(costs))]
 
 
@@ -538,15 +534,7 @@ def _together(problem: Problem, fitter: Fitter, at: Fit, library: Library, chose
     half = np.concatenate([0.5 * (at.theta + here.theta[: len(at.theta)]), here.theta[len(at.theta) :]])
     starts = [here.theta, np.concatenate([at.theta, here.theta[len(at.theta) :]]), half]
     found = problem.residuals(starts, [here.model] * len(starts))
-    costs = [
-        float(
-            np.sum(
-                huber_loss(whiten(problem.segments, here.noise, [r[..., None] for r in rs]).rows[:, 0], SOLVER.huber)
-            )
-        )
-        for rs in found
-    ]
-    start = starts[int(np.nanargmin(costs))]
+    start = starts[int(np.nanargmin(losses_of(problem, here.noise, at, found)))]
     f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6)
     if np.sum(unexplained(problem, f.point)) < 0.5 * np.sum(unexplained(problem, at.point)):
         f = fitter.fit(f.model, f.theta, None, 4)  # far from where the common derivatives were taken
