@@ -1,65 +1,160 @@
-"""What to measure next: how much each possible motion would tell about what the measurement left open.
+"""What to measure next: how much each possible experiment would tell about what a measurement left open.
 
-Every motion is taken as the drive would ideally follow it; the Fisher information that the sensors would gain on it is
-added to what the measurement has given, all calibration variables free within tolerance. No measuring, no plant: the
-derivatives of the replay along that motion are all that is needed.
+Every experiment is carried out by the plant of the *extended* joint under the drive's controller, and read by the sensors that
+the measurement had, or by one more. The Fisher information of the simulated recording, under its sensors' noise and the model
+discrepancy that the diagnosis learned, is added to that of the measurement:
+
+    I = Σ Jᵀ W J + prior,    I_a = I_aa − I_an I_nn⁻¹ I_na
+
+with a the question's own coordinates and n all calibration variables and effects, which answer. What is told of a question is a
+number of standard deviations: by which a cause of ordinary size would show (√ of the mean of I_a's diagonal), by which one of
+two causes of ordinary size would differ from what the other can imitate, in which the size of an effect or number is measured.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numba import njit
 
 from ..models import causes, laws
 from ..models.joint import Joint, Mounting
-from ..scenarios.scenario import Scenario, load_scenario
-from ..sim.recording import Recording
-from .calibrate import Problem
-from .challenge import _waypoints
-from .coordinates import Hypothesis, hypotheses
-from .diagnose import Diagnosis
-from .evidence import THRESHOLD
-from .identify import ALIKE, _distance
-from .noise import ChannelNoise, Noise, whiten
-from .noise import estimate as estimate_noise
-from .replay import drives
+from ..models.parameters import GRAVITY
+from ..models.recording import Measurement, Recording
+from ..models.signals import POSITIONS
+from ..scenarios.scenario import Scenario, Waypoint
+from .data import coverage
+from .data.segments import BALANCES, segments
+from .fit.coordinates import Hypothesis, hypotheses
+from .fit.noise import Noise, sensor_noise, whiten
+from .fit.residual import Problem
+from .fit.solver import SETTINGS as SOLVER
+from .fit.solver import Columns, Fit, evaluate_point, leverage_weight
+from .search.identifiability import ALIKE, distance
+from .search.screen import SETTINGS as SCREEN
+from .search.screen import Library
+from .search.stages import SETTINGS as SEARCH
+from .search.worth import output_scale
+from .trials.motions import CONTROLLER, record_motion, waypoints
 
-SHIPPED = ("link_sweep", "external_push")
-"""Shipped scenarios that are proposed; `no_load`, 82 s at 2 °/s, never tells more than the free sweeps below."""
-_VARIANTS = 3  # hypotheses a cause is represented by
+if TYPE_CHECKING:
+    from .diagnose import Diagnosis
+
+_TIMESTEP = 5e-4  # s, of the plant: what a motion would tell is known well enough with it
+_THIN = 8e-3  # s between samples that tell where a motion has been
+_NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
+"""Numbers of a joint that are worth an experiment."""
+_OF_SENSOR = {
+    "link_position": ("link_encoder_eccentricity", "link_encoder_error", "encoder_delay"),
+    "joint_torque": ("torque_sensor_gain", "torque_sensor_offset", "torque_sensor_drift"),
+}
+"""Causes that are errors of a sensor: where it is not there, nothing about it is open."""
+LOCKED = 1e6
+"""Inertia [kg·m²] that stands for an output bolted to the bench: nothing that the joint can do moves it."""
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """How experiments are weighed.
+
+    Attributes:
+      shows, apart, known: standard deviations from which on a cause would show (half their square is the log evidence of
+        `AcceptSettings.threshold`), two causes are told apart (`identifiability.ALIKE` is their square), a size is known.
+      wide, sharp: a number of the joint is in question where it is known no better than this share of its tolerance and no better
+        than to so many standard deviations; widest: of these, so many.
+      sharper: how many times as well as now it is known after an experiment that is worth it.
+      least: part of the way to an answer that an experiment must go on some question to be proposed.
+      variants: hypotheses by which a cause of many orders or starts is represented.
+      range, load: largest angle [rad], and torque as a share of the rated one, that experiments ask for.
+      heaviest: share of the rated torque that a payload may ask for, held level.
+      speed: share of the motor's speed without load that they do.
+      effort: what an experiment must answer, in questions, to be worth a load, a clamp, a further sensor.
+      warming: of the gear, where its temperature is read [K].
+    """
+
+    shows: float = float(np.sqrt(2 * SEARCH.accept.threshold))
+    apart: float = float(np.sqrt(ALIKE))
+    known: float = 10.0
+    wide: float = 0.5
+    sharp: float = 100.0
+    widest: int = 3
+    sharper: float = 2.0
+    least: float = 0.1
+    variants: int = 6
+    range: float = 1.3
+    load: float = 0.7
+    heaviest: float = 0.9
+    speed: float = 0.5
+    effort: tuple[float, float, float] = (0.1, 0.2, 0.4)
+    warming: float = 10.0
+
+
+SETTINGS = PlanSettings()
 
 
 @dataclass(frozen=True)
 class Question:
-    """What the measurement left open: whether a cause is there, or which of two.
+    """What the measurement left open: whether a cause is there, which of two, or how large something is.
 
     Attributes:
-      names: one cause, or a pair.
-      now: log evidence at ordinary size that the measurement has for it.
-      needed: log evidence that decides.
+      names: one cause, a pair, or a number of the joint.
+      now: standard deviations by which the measurement answers it.
+      needed: from which on it is answered.
+      parameter: of the cause, where its size is in question; `value` of a number.
     """
 
     names: tuple[str, ...]
     now: float
     needed: float
+    parameter: str = ""
+
+    @property
+    def subject(self) -> str:
+        """What it is about, for people."""
+        plain = " and ".join(n.replace("_", " ") for n in self.names)
+        return plain if self.parameter in ("", "value") else f"{plain}'s {self.parameter.replace('_', ' ')}"
 
     @property
     def text(self) -> str:
         """For people."""
-        return " or ".join(n.replace("_", " ") for n in self.names)
+        return f"how large {self.subject} is" if self.parameter else self.subject.replace(" and ", " or ")
+
+    def answer(self, expected: float, brief: bool = False) -> str:
+        """What an experiment would tell about it, for people, without the verb of its kind; `brief`: without the unit."""
+        if self.parameter:
+            return f"{self.subject} to ±{_percent(expected)} (now ±{_percent(self.now)})"
+        link = "apart by" if len(self.names) > 1 else "by"
+        unit = "" if brief else " standard deviations"
+        return f"{self.subject} {link} {_count(expected)}{unit} (now {_count(self.now)})"
+
+    @property
+    def verb(self) -> str:
+        """What is done with it when it is answered, for people."""
+        return "would know" if self.parameter else "would tell" if len(self.names) > 1 else "would show"
+
+
+def _count(z: float) -> str:
+    return "more than 100" if z > 100 else f"{z:.0f}" if z >= 9.95 or z < 0.05 else f"{z:.1f}"
+
+
+def _percent(z: float) -> str:
+    return f"{100 / max(z, 1e-9):.2g} %"
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """A motion, and the log evidence for each question once it has been measured too.
+    """An experiment, and what it and the measurement together would say of each question.
 
     Attributes:
-      name: of a shipped scenario (`shipped`), or of a motion.
-      description: for people.
+      name: of the experiment; description: what to do, for people.
+      shipped: whether a shipped scenario of that name is its motion.
       duration: [s].
-      expected: shape (questions,).
+      expected: standard deviations, shape (questions,).
+      score: questions answered, in parts, less the effort.
     """
 
     name: str
@@ -67,182 +162,512 @@ class Proposal:
     shipped: bool
     duration: float
     expected: tuple[float, ...]
+    score: float = 0.0
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Open questions and motions, the one that answers most first; and causes that only another sensor shows."""
+    """Open questions, and experiments, the one that answers most first."""
 
-    questions: tuple[Question, ...]
-    proposals: tuple[Proposal, ...]
-    needs_sensor: tuple[str, ...]
+    questions: tuple[Question, ...] = ()
+    proposals: tuple[Proposal, ...] = ()
 
     def answered(self, proposal: Proposal) -> list[Question]:
-        """Questions that a proposal is expected to decide."""
+        """Questions that a proposal is expected to answer."""
         return [q for q, e in zip(self.questions, proposal.expected, strict=True) if e >= q.needed]
 
+    def sentence(self, proposal: Proposal, most: int = 5) -> str:
+        """What to do and what it would tell, of at most so many questions, those first that it brings furthest."""
+        gains = [
+            (_progress(q, e), q, e)
+            for q, e in zip(self.questions, proposal.expected, strict=True)
+            if _progress(q, e) > SETTINGS.least
+        ]
+        gains.sort(key=lambda g: -g[0])
+        told: dict[str, list[str]] = {}
+        for _, q, e in gains[:most]:
+            told.setdefault(q.verb, []).append(q.answer(e, bool(told.get(q.verb)) and not q.parameter))
+        parts = [f"{verb} {', '.join(answers)}" for verb, answers in told.items()]
+        more = f", and {len(gains) - most} more" if len(gains) > most else ""
+        return f"{proposal.description} ({proposal.duration:.0f} s): {'; '.join(parts)}{more}."
 
-def plan(diagnosis: Diagnosis, joint: Joint) -> Plan:
-    """Open questions of a diagnosis, and what each motion would tell about them.
+    def sentences(self) -> list[str]:
+        """The proposals, best first."""
+        return [self.sentence(p) for p in self.proposals]
+
+    def to_json(self) -> list[dict[str, Any]]:
+        """What `diagnosis.json` holds as `next`."""
+        return [
+            {
+                "experiment": p.name,
+                "description": p.description,
+                "duration": round(p.duration, 1),
+                "sentence": self.sentence(p),
+                "answers": [q.text for q in self.answered(p)],
+                "expected": [
+                    {
+                        "about": list(q.names), **({"parameter": q.parameter} if q.parameter else {}),
+                        "now": round(q.now, 2), "expected": round(e, 2), "needed": round(q.needed, 2),
+                        "unit": "standard deviations",
+                    }
+                    for q, e in zip(self.questions, p.expected, strict=True)
+                ],
+            }
+            for p in self.proposals
+        ]  # fmt: skip
+
+
+def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS) -> Plan:
+    """Open questions of a diagnosis, and what each experiment would tell about them.
 
     Args:
+      measurement: that was diagnosed.
       joint: the description that diagnosis was given.
+      diagnosis: what came out; without anything computed (mistakes in the data) nothing is planned.
+
+    Returns:
+      Experiments that bring some question on, the one that is worth most first.
     """
-    problem = diagnosis.problem
-    missing = tuple(
-        n for n in diagnosis.undetermined if not problem.has_torque and "joint_torque" in causes.get(n).needs
-    )
-    singles = [(n,) for n in diagnosis.undetermined if n not in missing and n in causes.names()]
-    pairs = [pair for pair in diagnosis.confusable if set(pair) <= set(causes.names()) - set(missing)]
-    open_ = [*singles, *pairs]
-    if not open_:
-        return Plan((), (), missing)
-    base = diagnosis.rounds[0].base
-    record = problem.calibration.record(np.zeros(problem.calibration.size))
-    wanted = {name: _variants(name, record) for names in open_ for name in names}
-    tried = [h for group in wanted.values() for h in group]
-    noise = estimate_noise(problem.drives, diagnosis.after, np.zeros(3))
-    known = _information(problem, noise, base.theta, base.jacobian, tried)
-    now = [_evidence(known, problem.size, tried, names) for names in open_]
-    questions = tuple(
-        Question(names, e, THRESHOLD if len(names) == 1 else 0.5 * ALIKE) for names, e in zip(open_, now, strict=True)
-    )
-    questions = tuple(q for q in questions if q.now < q.needed)
+    if diagnosis.problem is None or diagnosis.final is None:
+        return Plan()
+    problem, at = diagnosis.problem, _without_splines(diagnosis.problem, diagnosis.final)
+    asked = [*_asked(measurement, diagnosis, joint, settings), *_numbers(problem, at, settings)]
+    tried = _representatives(joint, at, problem, asked, settings)
+    thin = tuple(_thin(r) for r in measurement.recordings)
+    missing = coverage.undetermined(replace(measurement, recordings=thin), joint)
+    state = _State(problem, at, tried)
+    known = state.information(problem, at.noise, at.jacobian, _shown(measurement, joint, tried))
+    questions = tuple(q for q in (state.question(one, known, missing) for one in asked) if q.now < q.needed)
     if not questions:
-        return Plan((), (), missing)
-    proposals = []
-    for scenario, description, shipped in _motions(joint):
-        mounting = joint.mount(scenario.mounting or None)
-        record = problem.calibration.record(base.theta[: problem.calibration.size], mounting)
-        recording = ideal_recording(record, mounting, scenario, problem.has_torque)
-        new = Problem(*drives([recording], joint), joint)
-        if not new.drives:
+        return Plan()
+
+    def judged(e: Experiment) -> Proposal | None:
+        recording = perform(e, diagnosis.extended, joint)
+        new = Problem(*segments([recording], joint), joint)
+        if not new.segments:
+            return None
+        noise = _expected_noise(new, at, problem)
+        together = replace(measurement, recordings=(*thin, _thin(recording)))
+        more = state.information(new, noise, new.jacobian(at.theta, at.model), _shown(together, joint, tried))
+        lacking = set(missing) & set(coverage.undetermined(together, joint))
+        expected = tuple(
+            q.now if lacking.intersection(q.names) else max(q.now, state.strength(q, known + more, known))
+            for q in questions
+        )
+        progress = [_progress(q, z) for q, z in zip(questions, expected, strict=True)]
+        if max(progress) < settings.least:
+            return None
+        answered = sum(z >= q.needed for q, z in zip(questions, expected, strict=True))
+        score = 0.5 * (sum(progress) + answered) - settings.effort[0] * e.duration / 30.0 - e.effort
+        return Proposal(e.name, e.description, False, e.duration, expected, round(score, 3)) if score > 0 else None
+
+    with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
+        proposals = [p for p in pool.map(judged, experiments(measurement, joint, diagnosis, settings)) if p is not None]
+    return Plan(questions, tuple(sorted(proposals, key=lambda p: -p.score)))
+
+
+def _thin(recording: Recording) -> Recording:
+    """A recording with as few samples as it takes to see where it has been, and how fast."""
+    every = max(int(_THIN / recording.interval), 1)
+    return recording.at(slice(None, None, every))
+
+
+def _progress(q: Question, expected: float) -> float:
+    """Part of the way from nothing to an answer that an experiment adds."""
+    return (min(expected, q.needed) - q.now) / q.needed
+
+
+# --- the questions ---------------------------------------------------------------------------------------------------
+
+
+def _read(column: str, measurement: Measurement) -> bool:
+    return any(column in r for r in measurement.recordings)
+
+
+def _asked(measurement: Measurement, diagnosis: Diagnosis, joint: Joint, settings: PlanSettings) -> Iterator[Question]:
+    """What is open, before it is known how open."""
+    known = set(causes.of(joint))
+    absent = {n for column, names in _OF_SENSOR.items() if not _read(column, measurement) for n in names}
+    open_ = [n for n in diagnosis.undetermined if n in known - absent]
+    yield from (Question((n,), 0.0, settings.shows) for n in open_)
+    yield from (Question(pair, 0.0, settings.apart) for pair in diagnosis.confusable if set(pair) <= known)
+    for finding in diagnosis.causes:
+        if finding.name not in known:
             continue
-        state = new.residuals([base.theta], [()])[0]
-        jacobian = new.jacobian(base.theta, (), state)
-        more = _information(new, _typical(problem, noise, len(new.drives)), base.theta, jacobian, tried)
-        expected = tuple(_evidence(known + more, problem.size, tried, q.names) for q in questions)
-        proposals.append(Proposal(scenario.name, description, shipped, scenario.duration, expected))
-
-    def worth(p: Proposal) -> float:
-        shares = [min(e / q.needed, 1.0) for q, e in zip(questions, p.expected, strict=True)]
-        return sum(shares) + 1e-3 * sum(np.log1p(e) for e in p.expected) - 1e-4 * p.duration
-
-    return Plan(questions, tuple(sorted(proposals, key=lambda p: -worth(p))), missing)
+        neutral = causes.get(finding.name).present(joint.record()[0])
+        for q in causes.get(finding.name).parameters:
+            p = finding.parameters[q.name]
+            if q.magnitude and p.std > 0 and abs(p.value - neutral[q.name]) < settings.known * p.std:
+                yield Question((finding.name,), abs(p.value - neutral[q.name]) / p.std, settings.known, q.name)
 
 
-def _variants(name: str, record: np.ndarray) -> list[Hypothesis]:
-    found = hypotheses(causes.get(name), record)
-    return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, min(_VARIANTS, len(found))).astype(int))]
-
-
-def _information(problem: Problem, noise: Noise, theta, jacobian, tried: list[Hypothesis]) -> np.ndarray:
-    """Fisher information about the common unknowns and the magnitudes of the hypotheses."""
-    thetas, models, probe = [], [], 0.1
-    for h in tried:
-        for j in h.magnitudes:
-            u = np.zeros(h.size)
-            u[j] = probe
-            thetas.append(np.concatenate([theta, u]))
-            models.append((h,))
-    # A cause that replaces a number takes its calibration away: the difference is to the same cause at its neutral value.
-    neutral = [np.concatenate([theta, np.zeros(len(t) - len(theta))]) for t in thetas]
-    base = problem.residuals(neutral, models)
-    moved = problem.residuals(thetas, models)
-    stack = []
-    for s, J in enumerate(jacobian):
-        columns = [(m[s] - b[s])[..., None] / probe for m, b in zip(moved, base, strict=True)]
-        stack.append(np.concatenate([J[..., : problem.size], *columns], axis=-1))
-    X = whiten(problem.drives, noise, stack)
-    X = X[np.all(np.isfinite(X), axis=1)]
-    return X.T @ X
-
-
-def _evidence(information: np.ndarray, n: int, tried: list[Hypothesis], names: tuple[str, ...]) -> float:
-    """Log evidence expected at ordinary size: of a cause's presence, or of one cause against another."""
-    H = information[:n, :n] + np.eye(n)
-    left = information[n:, n:] - information[n:, :n] @ np.linalg.solve(H, information[:n, n:])
-    blocks: dict[str, list[slice]] = {}
-    position = 0
-    for h in tried:
-        blocks.setdefault(h.cause.name, []).append(slice(position, position + len(h.magnitudes)))
-        position += len(h.magnitudes)
-    if len(names) == 1:
-        strengths = [float(np.trace(left[b, b]) / max(b.stop - b.start, 1)) for b in blocks[names[0]]]
-        return 0.5 * float(np.median(strengths))
-    return 0.5 * max(_distance(left, blocks[names[0]], blocks[names[1]]), 0.0)
-
-
-def _typical(problem: Problem, noise: Noise, count: int) -> Noise:
-    """Noise of the measurement's stretches, for stretches that are not measured yet: of each channel the middle one."""
-    channels: list[ChannelNoise] = []
-    for c in range(3):
-        seen = [n[c] for d, n in zip(problem.drives, noise, strict=True) if d.usable[:, c].sum() > 100]
-        channels.append(sorted(seen, key=lambda n: n.white)[len(seen) // 2] if seen else noise[0][c])
-    return [channels] * count
-
-
-def _motions(joint: Joint):
-    """Motions that could be measured: scenario, description, whether it is shipped."""
+def _numbers(problem: Problem, at: Fit, settings: PlanSettings) -> list[Question]:
+    """The numbers that are known little better than the description states them, the widest."""
+    c = problem.calibration
     found = []
-    for name in SHIPPED:
-        scenario = load_scenario(name)[0]
-        if scenario.mounting in ("", *joint.mountings):
-            found.append((scenario, scenario.description, True))
-    lightest = min(joint.mountings, key=lambda m: joint.mountings[m].gravity_moment)
-    there_and_back = [1.3, -1.3, 1.3, 0.0]
+    for slot in c.slots:
+        if slot.name not in _NUMBERS or not (slot.number.tolerance or slot.number.shared):
+            continue
+        slope = _slope(problem, at, slot.name)
+        stated = float(np.linalg.norm(slope))
+        std = float(np.sqrt(max(slope @ at.covariance[: c.size, : c.size] @ slope, 0.0)))
+        z = abs(c.value(slot, at.theta[: c.size])) / max(std, 1e-300)
+        if std > settings.wide * stated and z < settings.sharp:
+            found.append(Question((slot.name,), z, settings.sharper * z, "value"))
+    return sorted(found, key=lambda q: q.now)[: settings.widest]
 
-    def motion(name, mounting, seconds, text):
-        points = _waypoints(there_and_back, [0.5 * seconds, seconds, seconds, 0.5 * seconds], [1, 1, 1, 1], 0.5)
-        scenario = Scenario(name=name, mounting=mounting, duration=points[-1].time + 0.5, trajectory=points)
-        found.append((scenario, text, False))
 
-    motion("sweeps", joint.mounting, 7.0, f"mounting {joint.mounting}, ±1.3 rad and back, 7 s each way")
-    motion("fast_sweeps", joint.mounting, 3.5, f"mounting {joint.mounting}, ±1.3 rad and back, 3.5 s each way")
-    if lightest != joint.mounting:
-        motion("free_sweeps", lightest, 4.0, f"mounting {lightest}, ±1.3 rad and back, 4 s each way")
+def _slope(problem: Problem, at: Fit, name: str) -> np.ndarray:
+    """Derivative of a number of the joint in the calibration variables, shape (n,)."""
+    c, step = problem.calibration, 1e-3
+    slot = next(s for s in c.slots if s.name == name)
+    x = at.theta[: c.size]
+    return np.array([(c.value(slot, x + step * e) - c.value(slot, x)) / step for e in np.eye(c.size)])
+
+
+def _without_splines(problem: Problem, f: Fit) -> Fit:
+    """The fit without effects that have no name, which stand last."""
+    named = [i for i, h in enumerate(f.model) if isinstance(h, Hypothesis)]
+    if len(named) == len(f.model):
+        return f
+    columns = [np.arange(problem.size)]
+    for i in named:
+        place = problem.place(f.model, i)
+        columns.append(np.arange(place.start, place.stop))
+    kept = np.concatenate(columns)
+    return replace(
+        f,
+        model=tuple(f.model[i] for i in named),
+        theta=f.theta[kept],
+        jacobian=[j[..., kept] for j in f.jacobian],
+        covariance=f.covariance[np.ix_(kept, kept)],
+        noise_jacobian=None,
+    )
+
+
+def _representatives(
+    joint: Joint, at: Fit, problem: Problem, asked: Sequence[Question], settings: PlanSettings
+) -> list[Hypothesis]:
+    """Hypotheses of the causes that are asked for and not in the model."""
+    there = {h.cause.name for h in at.model}
+    present = {effect.name: effect.values for effect in joint.effects}
+    record = problem.calibration.record(np.zeros(problem.calibration.size))
+    found: list[Hypothesis] = []
+    for name in dict.fromkeys(n for q in asked for n in q.names if n not in there and q.parameter != "value"):
+        every = hypotheses(causes.get(name), record, present.get(name))
+        chosen = np.unique(np.linspace(0, len(every) - 1, min(settings.variants, len(every))).astype(int))
+        found += [every[i] for i in chosen]
     return found
 
 
-def ideal_recording(record: np.ndarray, mounting: Mounting, scenario: Scenario, sensor: bool) -> Recording:
-    """What noiseless sensors would read if the link of a joint with this record followed a scenario's command exactly."""
-    position, velocity = scenario.commands()
-    external = scenario.external_torque()
-    time = scenario.time
-    columns = np.empty((len(time), 3))
-    _inverse(record, time, position, velocity, np.gradient(velocity, time), external, columns)
-    return Recording(
-        name=scenario.name,
-        time=time,
-        motor_position=columns[:, 0],
-        link_position=position + record[0]["link_zero"],
-        motor_current=columns[:, 1],
-        joint_torque=columns[:, 2] if sensor else None,
-        external_torque=external if np.any(external) else None,
-        link=mounting,
-        external="measured" if np.any(external) else "none",
+def _shown(measurement: Measurement, joint: Joint, tried: Sequence[Hypothesis]) -> set[str]:
+    """Causes that the channels of a measurement can show."""
+    both = any(all(name in r for name in POSITIONS) for r in measurement.recordings)
+    return {h.cause.name for h in tried if coverage.can_show(h.cause.name, measurement, both)}
+
+
+class _State:
+    """Where everything is linearised: a fit, and hypotheses that are not in its model.
+
+    The columns of its information: the fit's unknowns, then the magnitudes of every hypothesis.
+    """
+
+    def __init__(self, problem: Problem, at: Fit, tried: list[Hypothesis]):
+        self.problem, self.at, self.tried = problem, at, tried
+        self.size = len(at.theta)
+        self.common = problem.size
+        self.precision = 1 / problem.spread(at.model) ** 2
+        self.blocks: dict[str, list[np.ndarray]] = {}
+        self.model_blocks: list[np.ndarray] = []
+        for i, h in enumerate(at.model):
+            place = problem.place(at.model, i)
+            self.model_blocks.append(np.arange(place.start, place.stop))
+            self.blocks.setdefault(h.cause.name, []).append(place.start + np.asarray(h.magnitudes))
+        self.columns = self.size
+        self.tried_blocks: list[np.ndarray] = []
+        for h in tried:
+            block = np.arange(self.columns, self.columns + len(h.magnitudes))
+            self.tried_blocks.append(block)
+            self.blocks.setdefault(h.cause.name, []).append(block)
+            self.columns += len(block)
+
+    def information(self, problem: Problem, noise: Noise, jacobian: Columns, shown: set[str]) -> np.ndarray:
+        """Fisher information of a problem's data, shape (columns, columns); none about causes that are not `shown`."""
+        tried = [i for i, h in enumerate(self.tried) if h.cause.name in shown]
+        library = Library(problem, self.at, [self.tried[i] for i in tried], SCREEN.probe)
+        stack = [np.concatenate([j, *(c[s] for c in library.columns)], axis=-1) for s, j in enumerate(jacobian)]
+        X = whiten(problem.segments, noise, stack).rows
+        X = X[np.all(np.isfinite(X), axis=1)]
+        X = X * np.sqrt(leverage_weight(X[:, : self.common], SOLVER.leverage))[:, None]
+        found = np.zeros((self.columns, self.columns))
+        where = np.concatenate([np.arange(self.size), *(self.tried_blocks[i] for i in tried)])
+        found[np.ix_(where, where)] = X.T @ X
+        return found
+
+    def question(self, asked: Question, known: np.ndarray, missing: dict[str, str]) -> Question:
+        """The question with how far the measurement has answered it."""
+        if asked.parameter:
+            return asked
+        now = self.strength(asked, known, known)
+        if set(missing).intersection(asked.names):
+            now = min(
+                now, 0.9 * asked.needed
+            )  # its motion or its channels cannot show it, whatever the linear model says
+        return replace(asked, now=now)
+
+    def strength(self, q: Question, information: np.ndarray, before: np.ndarray) -> float:
+        """Standard deviations by which a question is answered under some information; `before`: of the measurement alone."""
+        if q.parameter == "value":
+            slope = _slope(self.problem, self.at, q.names[0])
+            then, first = (float(slope @ self._covariance(one) @ slope) for one in (information, before))
+            return q.now * float(np.sqrt(first / max(then, 1e-300)))
+        if q.parameter:
+            i = next(i for i, h in enumerate(self.at.model) if h.cause.name == q.names[0])
+            after, first_ = (self._spread_of(i, one) for one in (information, before))
+            return q.now * float(np.min(first_ / np.maximum(after, 1e-300)))
+        own = [self.blocks[name] for name in q.names]
+        answering = np.arange(self.size)
+        for name in q.names:
+            for block, h in zip(self.model_blocks, self.at.model, strict=True):
+                if h.cause.name == name:
+                    answering = np.setdiff1d(answering, block)
+        left, places = self._left(information, answering, own)
+        if len(q.names) == 1:
+            strengths = [float(np.trace(left[p, p]) / max(p.stop - p.start, 1)) for p in places[0]]
+            return float(np.sqrt(max(np.median(strengths), 0.0)))
+        return float(np.sqrt(max(distance(left, *places), 0.0)))
+
+    def _left(
+        self, information: np.ndarray, answering: np.ndarray, own: list[list[np.ndarray]]
+    ) -> tuple[np.ndarray, list[list[slice]]]:
+        """What is left of the information about some columns once the others have answered, and where each block stands in it."""
+        places, position = [], 0
+        for group in own:
+            places.append([])
+            for block in group:
+                places[-1].append(slice(position, position + len(block)))
+                position += len(block)
+        columns = np.concatenate([block for group in own for block in group])
+        H = information[np.ix_(answering, answering)] + np.diag(self.precision[answering])
+        cross = information[np.ix_(answering, columns)]
+        left = information[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(H, cross)
+        return left, places
+
+    def _spread_of(self, index: int, information: np.ndarray) -> np.ndarray:
+        """Standard deviations of the magnitudes of an effect of the model, shape (m,)."""
+        n = self.size
+        covariance = np.linalg.inv(information[:n, :n] + np.diag(self.precision))
+        where = self.model_blocks[index][self.at.model[index].magnitudes]
+        return np.sqrt(np.maximum(np.diag(covariance)[where], 0.0))
+
+    def _covariance(self, information: np.ndarray) -> np.ndarray:
+        """Covariance of the calibration variables, shape (n, n)."""
+        n, m = self.size, self.problem.calibration.size
+        return np.linalg.inv(information[:n, :n] + np.diag(self.precision))[:m, :m]
+
+
+def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
+    """Noise of a recording that is not measured yet: its own sensors', and the model discrepancy that was learned.
+
+    Of a balance that the measurement did not have, the discrepancy is the largest of the others', as a torque at the output.
+    """
+    point = evaluate_point(new, at.theta, at.model)
+    formed = np.any([s.balances for s in old.segments], axis=0)
+    scale = output_scale(old)
+    known = at.noise.discrepancy * scale[:, None]
+    discrepancy = at.noise.discrepancy.copy()
+    for b in range(len(BALANCES)):
+        if not formed[b]:
+            discrepancy[b] = np.max(known[formed], axis=0, initial=0.0) / scale[b]
+    typical = np.maximum(np.median(at.noise.rest, axis=0), new.quantum())
+    rest = np.tile(np.where(formed, typical, new.quantum()), (len(new.segments), 1))
+    return Noise(sensor_noise(new.segments, point.noise), discrepancy, rest, at.noise.settings)
+
+
+# --- the experiments -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """Something that can be measured next.
+
+    Attributes:
+      name, description: of it, for people.
+      mounting: of the link.
+      motion: waypoints of the link (of the rotor over the gear ratio, where the output is locked).
+      channels: columns that are recorded.
+      interval: between samples [s].
+      effort: beside its time, in questions that it must answer.
+      locked: whether the output is bolted to the bench.
+      warming: of the gear meanwhile [K].
+    """
+
+    name: str
+    description: str
+    mounting: Mounting
+    motion: tuple[Waypoint, ...]
+    channels: frozenset[str]
+    interval: float
+    effort: float = 0.0
+    locked: bool = False
+    warming: float = 0.0
+
+    @property
+    def duration(self) -> float:
+        """[s]."""
+        return self.motion[-1].time + 0.3
+
+
+def perform(e: Experiment, joint: Joint, described: Joint, seed: int = 1) -> Recording:
+    """The recording that an experiment on a joint would give.
+
+    Args:
+      joint: its true numbers, sensors and effects.
+      described: what is known of it: the drive's torque constant is this one's.
+      seed: of the sensors' noise.
+    """
+    scenario = Scenario(
+        name=e.name, duration=e.duration, trajectory=list(e.motion), controller=CONTROLLER, timestep=_TIMESTEP
     )
+    rate = e.warming / e.duration
+    record = joint.record(e.mounting)
+    found = record_motion(joint, e.mounting, record, scenario, seed, warming=rate)
+    columns = dict(found.columns)
+    if e.locked:
+        columns["link_position"] = np.full(len(found.time), float(record[0]["link_zero"]))
+    if "motor_torque" in e.channels:
+        columns["motor_torque"] = described.record(e.mounting)[0]["Kt_drive"] * columns["motor_current"]
+    if e.warming:
+        columns["temperature"] = float(record[0]["reference_temperature"]) + rate * found.time
+    kept = {name: values for name, values in columns.items() if name in e.channels}
+    external: Literal["none", "unmeasured"] = "unmeasured" if e.locked else "none"
+    whole = replace(found, name=e.name, joint=described.name, columns=kept, external=external)
+    every = max(round(e.interval / float(found.time[1] - found.time[0])), 1)
+    return whole.at(slice(None, None, every)) if every > 1 else whole
 
 
-@njit(cache=True)
-def _inverse(record, time, q, v, a, external, out):
-    """Rotor angle [rad], motor current [A] and joint torque [N·m] that a motion of the link takes, quasi-static friction."""
-    p = record[0]
-    for i in range(len(q)):
-        Ts = p.Jl * a[i] - laws.gravity_torque(q[i], p) - laws.link_torque(q[i], p) - external[i]
-        Tf = Ts + p.bl * v[i]
-        wound = laws.flexspline_torsion(Tf, p)
-        theta_w = p.N * (q[i] + wound)
-        for _ in range(3):
-            theta_w = p.N * (q[i] + wound + laws.kinematic_error(theta_w, p))
-        w = p.N * v[i]
-        g = laws.friction_level(w, q[i], Tf, time[i], p)
-        Tw = (
-            Tf * (1.0 / p.N - laws.kinematic_error_slope(theta_w, p))
-            + g * np.tanh(w / p.vs)
-            + p.bw * w
-            + p.Jw * p.N * a[i]
+def experiments(
+    measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS
+) -> list[Experiment]:
+    """What could be measured next with the sensors there are or one more: motions, loads, a locked output, sensors."""
+    p = diagnosis.extended.record()[0]
+    recordings = measurement.recordings
+    link = max((r.link for r in recordings), key=lambda m: m.gravity_moment)
+    seen = frozenset(name for r in recordings for name in r.columns) & {
+        "motor_position", "link_position", "motor_current", "motor_torque", "joint_torque", "temperature",
+    }  # fmt: skip
+    interval = float(np.median([r.interval for r in recordings]))
+    N, rated = float(p["N"]), joint.numbers["rated_torque"].value
+    angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
+    reach = float(np.clip(max(np.max(np.abs(a)) for a in angles), 0.4, settings.range))
+    effort = settings.effort
+    found: list[Experiment] = []
+
+    def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
+        options.setdefault("channels", seen)
+        found.append(Experiment(name, text, mounting, tuple(points), interval=interval, **options))
+
+    def sweeps(amplitude: float, seconds: float) -> list[Waypoint]:
+        there_and_back = [amplitude, -amplitude, amplitude, 0.0]
+        return waypoints(there_and_back, [0.6 * seconds, seconds, seconds, 0.6 * seconds], [0.4] * 4, 0.4)
+
+    def shortest(amplitude: float, mounting: Mounting) -> float:
+        """Time [s] of one way of fast sweeps: as fast as motor and rated torque allow."""
+        way = 2 * amplitude
+        speed = settings.speed * p["supply_voltage"] / (p["Kt"] * N)
+        left = max(settings.load * rated - mounting.gravity_moment * np.sin(min(amplitude, np.pi / 2)), 0.2 * rated)
+        motor = 0.4 * p["Kt"] * p["current_limit"] / ((p["Jm"] + p["Jw"]) * N)
+        acceleration = min(left / mounting.inertia, motor)
+        return max(1.875 * way / speed, float(np.sqrt(5.78 * way / acceleration)), 0.5)
+
+    usual = sweeps(reach, 6.0)
+    add("sweeps", f"Move the link to ±{reach:.2g} rad and back, 6 s each way", usual)
+    fast = shortest(reach, link)
+    add("fast_sweeps", f"Move the link to ±{reach:.2g} rad and back as fast as {fast:.2g} s each way", [
+        *sweeps(reach, fast), *_later(sweeps(reach, 1.5 * fast), sweeps(reach, fast)[-1].time),
+    ])  # fmt: skip
+    add(
+        "slow_reversals",
+        f"Turn back and forth by 0.05 rad at 0.04 rad/s about 0 and ±{0.7 * reach:.2g} rad",
+        _reversals([-0.7 * reach, 0.0, 0.7 * reach], 0.05, 0.04),
+    )
+    rest = np.linspace(-reach, reach, 7)
+    up = waypoints([*rest, *rest[::-1][1:], 0.0], [2.0, *[0.8] * 12, 2.0][: 2 * len(rest)], [0.7] * 2 * len(rest), 0.4)
+    add("rest_poses", f"Hold still at seven angles between ±{reach:.2g} rad, each reached from both sides", up)
+    wide = min(1.4 * reach, 2.4)
+    if wide > 1.2 * reach or reach < settings.range:
+        add("larger_range", f"Move the link as far as ±{wide:.2g} rad and back, 8 s each way", sweeps(wide, 8.0))
+    arm = 0.3
+    extra = min(0.25 * rated, settings.heaviest * rated - link.gravity_moment)
+    if extra > 0.05 * rated:
+        mass = float(f"{extra / (GRAVITY * arm):.1g}")
+        loaded = Mounting(
+            inertia=float(f"{link.inertia + mass * arm**2:.4g}"),
+            gravity_moment=float(f"{link.gravity_moment + mass * GRAVITY * arm:.4g}"),
+            gravity_angle=link.gravity_angle,
         )
-        out[i, 0] = theta_w + laws.wave_generator_torsion(Tw, p)
-        out[i, 1] = (Tw + p.Jm * p.N * a[i] + p.bm * w - laws.rotor_torque(theta_w, p)) / p.Kt
-        out[i, 2] = Ts
+        add(
+            "second_payload",
+            f"Add a known payload, {mass:g} kg at {arm:g} m (link: {{inertia: {loaded.inertia:g}, gravity_moment: "
+            f"{loaded.gravity_moment:g}}}), and move to ±{reach:.2g} rad and back, 6 s each way",
+            usual, loaded, effort=effort[0],
+        )  # fmt: skip
+    name, lightest = min(joint.mountings.items(), key=lambda pair: pair[1].gravity_moment)
+    if lightest.gravity_moment < 0.5 * min(r.link.gravity_moment for r in recordings):
+        add(
+            "light_link",
+            f"Take the load off (mounting {name}) and move to ±{reach:.2g} rad and back, 6 s each way",
+            usual, lightest, effort=effort[0],
+        )  # fmt: skip
+    torque = settings.load * rated
+    add(
+        "locked_output",
+        f"Bolt the output to the bench (link: {{inertia: {LOCKED:g}, gravity_moment: 0}}, external_torque: unmeasured, "
+        f"link_position constant) and drive the motor back and forth to ±{torque:.3g} N·m",
+        _locked(p, torque), Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True,
+        channels=seen | {"link_position"},
+    )  # fmt: skip
+    motion = f"move to ±{reach:.2g} rad and back, 6 s each way"
+    for column, sensor in (
+        ("motor_position", "the motor's encoder"), ("link_position", "a second encoder, at the link"),
+        ("joint_torque", "a torque sensor at the output"),
+    ):  # fmt: skip
+        if column not in seen:
+            text = f"Add {sensor} (column {column}), and {motion}"
+            add(f"with_{column}", text, usual, effort=effort[2], channels=seen | {column})
+    if "temperature" not in seen:
+        add(
+            "with_temperature",
+            f"Record the gear's temperature (column temperature) from cold until {settings.warming:g} K warmer, and {motion}",
+            usual, effort=effort[2], channels=seen | {"temperature"}, warming=settings.warming,
+        )  # fmt: skip
+    return found
+
+
+def _later(points: Sequence[Waypoint], seconds: float) -> list[Waypoint]:
+    return [w.model_copy(update={"time": w.time + seconds}) for w in points]
+
+
+def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Waypoint]:
+    """Back and forth by a small way at constant speed about each of some angles."""
+    points, t = [Waypoint(time=0.4, position=0.0)], 0.4
+    for centre in centres:
+        t += 2.5
+        points.append(Waypoint(time=t, position=centre))
+        for part in (0.5, -0.5, 0.5, -0.5, 0.0):
+            target = centre + part * width
+            t += max(abs(target - points[-1].position) / speed, 0.2)
+            points.append(Waypoint(time=t, position=target, profile="linear"))
+    return [*points, Waypoint(time=t + 2.5, position=0.0)]
+
+
+def _locked(p: np.void, torque: float) -> list[Waypoint]:
+    """Angles of the rotor over the gear ratio that wind a locked output up to ±`torque` [N·m] and to less, quickly and slowly."""
+    wound = float(laws.flexspline_torsion(torque, p) + laws.wave_generator_torsion(torque / p["N"], p) / p["N"])
+    points, t = [Waypoint(time=0.4, position=0.0)], 0.4
+    for amplitude, seconds, turns in ((1.0, 0.25, 6), (1.0, 1.5, 2), (0.4, 0.8, 3), (0.1, 0.6, 3)):
+        for _ in range(turns):
+            for sign in (1.0, -1.0):
+                t += seconds
+                points.append(Waypoint(time=t, position=sign * amplitude * wound))
+    return [*points, Waypoint(time=t + 0.5, position=0.0)]
