@@ -81,7 +81,6 @@ def report(measured) -> Report:
     plan = Plan(
         (Question(("backlash",), 1.0, 7.0), Question(("cogging", "kinematic_error"), 2.0, 4.5)),
         (Proposal("link_sweep", "slow", True, 40.0, (9.0, 3.0)),),
-        ("torque_sensor_gain",),
     )
     return Report(measured[1], joint, with_improvement(found, gained), gained, plan)
 
@@ -126,7 +125,7 @@ def test_report_answers_what_a_colleague_asks(report):
         verdict_sentence(report.diagnosis), "Friction asymmetry".lower(), "confidence", "Motor and mesh", "Transmission:",
         "Link:", "link angle", "motor angle in one turn", "motor velocity", "load [N·m]", "direction of motion",
         "time since the start", "order per turn", "noise", "RAREKF", "tolerance", "What this measurement cannot tell",
-        "What to measure next", "Measure “link_sweep”", "held-out", "it away", "Only a joint torque sensor shows",
+        "What to measure next", "Measure next “link sweep”", "held-out", "it away",
     ):  # fmt: skip
         assert part.lower() in text.lower(), part
     notes = markdown(report)
@@ -182,7 +181,7 @@ def test_inconclusive_says_what_to_measure_first(report):
         confusable=(names[:2],),
     )
     head, rest = read(html(replace(report, diagnosis=found)))[1].split("Measured and simulated", 1)
-    assert "First measure “link_sweep” : it is expected to decide backlash" in head
+    assert "First measure “link sweep” : " in head and report.plan.sentences()[0] in head
     assert f"Of {len(names)} known causes 0 would have shown at ordinary size; {len(names)} could not" in head
     assert "1 pair of causes cannot be told apart" in head
     assert all(name.replace("_", " ") in rest for name in names)

@@ -203,12 +203,12 @@ def _commands(report: Report) -> dict[str, str]:
 
 
 def _best(report: Report) -> dict[str, Any] | None:
-    """The motion that is expected to decide most, if any is expected to decide anything."""
+    """The experiment that is expected to tell most, if any tells something."""
     plan = report.plan
     best = plan.proposals[0] if plan is not None and plan.proposals else None
-    if plan is None or best is None or not plan.answered(best):
+    if plan is None or best is None:
         return None
-    return {"motion": best, "decides": listed([q.text for q in plan.answered(best)])}
+    return {"motion": best, "tells": plan.sentence(best), "decides": listed([q.text for q in plan.answered(best)])}
 
 
 # Causes
@@ -290,9 +290,8 @@ def _plan(report: Report) -> dict[str, Any] | None:
     if plan is None:
         return None
     return {
-        "needs_sensor": listed([plain(n) for n in plan.needs_sensor]),
         "best": _best(report),
-        "motions": [(plain(p.name), p.duration, p.description) for p in plan.proposals],
+        "motions": [(plain(p.name), p.duration, plan.sentence(p)) for p in plan.proposals],
         "questions": [
             (q.text, q.needed, q.now, [(p.expected[i], p.expected[i] >= q.needed) for p in plan.proposals])
             for i, q in enumerate(plan.questions)

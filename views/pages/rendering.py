@@ -50,7 +50,7 @@ def percent(share: float, decimals: int = 0, sign: bool = False) -> str:
 
 
 def evidence(value: float) -> str:
-    """Log evidence."""
+    """Log evidence, or standard deviations."""
     return f"{value:.1f}" if value < 100 else f"{value:.0f}"
 
 
