@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from ._listing import AsJson
 
-def command() -> None:
-    """List the scenarios that come with the testbed."""
-    from rich.table import Table
 
+def command(as_json: AsJson = False) -> None:
+    """List the scenarios that come with the testbed; commands take one of these names, or the path of a YAML file."""
     from ..scenarios.scenario import load_scenario, shipped_scenarios
-    from ._console import console
+    from ._listing import Entry, show
 
-    table = Table("scenario", "joint", "mounting", "duration", "paper", "what happens")
+    entries = {}
     for name in shipped_scenarios():
         s, _ = load_scenario(name)
-        table.add_row(name, s.joint, s.mounting, f"{s.duration:g} s", s.figure, s.description.strip())
-    console().print(table)
+        mounting = f", mounting {s.mounting}" if s.mounting else ""
+        paper = f"; {s.figure} of the paper" if s.figure else ""
+        entries[name] = Entry(f"{s.joint}{mounting}, {s.duration:g} s{paper}", s.description, "")
+    show("scenario", entries, as_json)

@@ -1,0 +1,19 @@
+"""`flexspline studies`: what can be swept."""
+
+from __future__ import annotations
+
+from ._listing import AsJson
+
+
+def command(as_json: AsJson = False) -> None:
+    """List the studies that come with the testbed; `flexspline sweep` takes one of these names, or the path of a YAML file."""
+    from ..scenarios.studies.design import Design
+    from ..scenarios.studies.study import load_study, shipped_studies
+    from ._listing import Entry, show
+
+    entries = {}
+    for name, path in shipped_studies().items():
+        study, folder = load_study(name)
+        kind = f"{study.seeds.count} seeds, {Design.of(study, folder).runs} runs"
+        entries[name] = Entry(kind, study.description, str(path))
+    show("study", entries, as_json)
