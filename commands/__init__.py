@@ -6,9 +6,15 @@ What a command needs is imported when it is called, not before: `--help` reads t
 from __future__ import annotations
 
 import ast
+import contextlib
+import functools
 import importlib
+import io
+import os
 import pkgutil
+import signal
 import sys
+import threading
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -84,14 +90,38 @@ def _descriptions() -> dict[str, str]:
 
 def _load(name: str) -> Any:
     """The command of that name, ready to be called."""
-    module = importlib.import_module(f"{__name__}.{_files()[name]}")
+    function = importlib.import_module(f"{__name__}.{_files()[name]}").command
+
+    @functools.wraps(function)
+    def command(**options: Any) -> None:
+        function(**{key: _home(value) for key, value in options.items()})
+
     alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=_MARKUP)
-    alone.command(name)(module.command)
+    alone.command(name)(command)
     return typer.main.get_command(alone)
 
 
+def _home(value: Any) -> Any:
+    """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; anything else as it is."""
+    if not isinstance(value, Path):
+        return value
+    try:
+        return value.expanduser()
+    except RuntimeError as error:
+        raise InputError(f"{value}: expected a home folder for ~, found none") from error
+
+
 def main() -> None:
-    """Run the command line: exit code 2 and one line for input that cannot be used, no traceback."""
+    """Run the command line: exit code 2 and one line for input that cannot be used, no traceback.
+
+    What is being written when it is asked to end (Ctrl-C, SIGTERM) is not left behind.
+    """
+    with contextlib.suppress(ValueError):  # not in the main thread
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGTERM, _end)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show µ or °
+            stream.reconfigure(errors="replace")
     try:
         app()
     except InputError as error:
@@ -102,8 +132,35 @@ def main() -> None:
         if not isinstance(error, FilterDiverged):
             raise
         _refuse(error)
+    except BrokenPipeError:  # whoever read the output has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(141)
+    except OSError as error:  # of the system: a disk, rights, a network folder
+        where = f"{error.filename}: " if error.filename else ""
+        reason = os.strerror(error.errno) if error.errno else str(error)
+        _refuse(InputError(f"{where}{reason}"))
+    except MemoryError:
+        _refuse(InputError("out of memory"))
     except KeyboardInterrupt:
-        sys.exit(130)
+        _leave(130)
+    except SystemExit as stop:
+        if stop.code in (130, 143):  # Ctrl-C, as Typer passes it on, and SIGTERM
+            _leave(stop.code)
+        raise
+
+
+def _end(number: int, frame: Any) -> None:
+    raise SystemExit(128 + number)
+
+
+def _leave(code: Any) -> NoReturn:
+    """End without waiting for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError, ValueError):
+            stream.flush()
+    if threading.active_count() > 1:
+        os._exit(code)
+    sys.exit(code)
 
 
 def _refuse(error: Exception) -> NoReturn:

@@ -28,6 +28,7 @@ _MODULES = {
 }
 """What each view loads."""
 
+_watching: list[threading.Thread] = []
 Begin = Callable[["Run", Path], Callable[[], object]]
 """Begins to draw a run into its folder; what it gives waits for the end."""
 
@@ -75,8 +76,12 @@ def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Pa
 
 
 def _ready() -> None:
-    """Leave Ctrl-C to the process that waits for this one."""
+    """Leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is not None and not _watching:
+        _watching.append(threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True))
+        _watching[0].start()
 
 
 def _draw(view: str, handed: Path, folder: Path) -> None:

@@ -47,15 +47,15 @@ def run_all(
         from ..scenarios.scenario import source_of
 
         loaded = load_all(names, changes, seed)
-        for name, (scenario, folder) in zip(
-            names, loaded, strict=True
-        ):  # what cannot run is known before the first does
+        # What cannot run is known before the first does.
+        for name, (scenario, folder) in zip(names, loaded, strict=True):
             for joint in scenario.load_joint(folder):
                 joint.mount(scenario.mounting or None)
             check_run_folder(scenario, source_of(name), out / scenario.name, out)
         cores = os.cpu_count() or 1
         at_once = min(cores, len(loaded))
-        with progress() as bar, ThreadPoolExecutor(at_once, thread_name_prefix="run") as pool:
+        pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
+        with progress() as bar:
             task = bar.add_task("simulating", total=len(loaded) * 2)
 
             def one(scenario: Scenario, folder: Path) -> tuple[Run, Path]:
@@ -68,6 +68,8 @@ def run_all(
             futures = [pool.submit(one, scenario, folder) for scenario, folder in loaded]
             try:
                 return [future.result() for future in futures]
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
+            except Exception:
+                pool.shutdown(cancel_futures=True)
                 raise
+            finally:  # whoever interrupts does not wait for a simulation that is under way
+                pool.shutdown(wait=False, cancel_futures=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -22,6 +21,7 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
 ) -> None:
     """Compare the filters: error, noise, delay, response time, robust share, NIS."""
+    from ..models.files import json_text
     from ..models.output import output_folder
     from ._console import console
     from ._runs import PAPER, run_all
@@ -31,7 +31,7 @@ def command(
         from ..views.tables import comparison_markdown, comparison_table
 
         metrics = {run.name: run.metrics for run, _ in runs}
-        text = json.dumps(metrics, indent=1, ensure_ascii=False)
+        text = json_text(metrics)
         (folder / "comparison.json").write_text(text, encoding="utf-8")
         (folder / "comparison.md").write_text(comparison_markdown(metrics), encoding="utf-8")
     terminal = console()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -27,6 +26,7 @@ def command(
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
     from ..estimator import registry
     from ..estimator.offline import estimate_recording, score, write_estimates
+    from ..models.files import json_text
     from ..models.output import check_output, made_from, output_folder
     from ..models.recording import read_measurement
     from ._console import console
@@ -62,7 +62,7 @@ def command(
                 terminal.print(_table(recording.name, recording.external, scores))
             for name, why in found.left_out.items():
                 terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
-        text = json.dumps(report, indent=1, ensure_ascii=False)
+        text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
     terminal.print(f"{out / 'metrics.json'}", highlight=False)
 

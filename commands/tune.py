@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,8 @@ import typer
 
 from ..models.errors import InputError
 from ._options import Changes, Estimators
+
+_MOST_SEEDS = 100_000
 
 
 def command(
@@ -80,6 +83,8 @@ def command(
 def _seeds(text: str, option: str) -> list[int]:
     """Seeds of `A-B`, or of one number."""
     first, dash, last = text.partition("-")
-    if not first.isdigit() or (dash and not last.isdigit()) or (dash and int(last) < int(first)):
-        raise InputError(f"{option}: expected seeds as A-B with A ≤ B, got {text!r}")
+    if not all(re.fullmatch("[0-9]{1,18}", part) for part in ([first, last] if dash else [first])) or (
+        dash and not 0 <= int(last) - int(first) < _MOST_SEEDS
+    ):
+        raise InputError(f"{option}: expected seeds as A-B with A ≤ B, at most {_MOST_SEEDS} of them, got {text!r}")
     return list(range(int(first), int(last or first) + 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Hashable, Iterator
@@ -93,6 +94,7 @@ def read_yaml(path: Path, what: str) -> Any:
 
 def _loaded(text: str) -> Any:
     depth = 0
+    event: Any
     for event in yaml.parse(text, Loader=_Loader):
         depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST:
@@ -138,6 +140,19 @@ def yaml_text(data: Any) -> str:
     """Data as YAML text: keys in their order, lines up to 120 characters."""
     text: str = yaml.dump(data, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=120)
     return text
+
+
+def json_text(data: Any) -> str:
+    """Data as JSON text; null for numbers that are not finite, which JSON does not have."""
+    return json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _finite(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def parse(data: Any, model: type[M], where: str) -> M:

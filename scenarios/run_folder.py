@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import re
 from collections.abc import Callable, Sequence
@@ -14,7 +13,7 @@ import numpy as np
 
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.errors import InputError
-from ..models.files import load, yaml_text
+from ..models.files import json_text, load, yaml_text
 from ..models.output import check_output, output_folder, recover
 from ..models.recording import write_recording
 from ..models.signals import CHANNELS, READINGS, SENSED
@@ -56,13 +55,13 @@ def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | Non
         signals = signal_columns(run)
         write_table(folder / "signals.parquet", signals, {name: _unit_of(name) for name in signals})
         write_table(folder / "estimates.parquet", *_estimate_columns(run))
-        (folder / "metrics.json").write_text(json.dumps(run.metrics, indent=1, ensure_ascii=False), encoding="utf-8")
+        (folder / "metrics.json").write_text(json_text(run.metrics), encoding="utf-8")
         run.joint.write(folder / "joint.yaml")
         run.known_joint.write(folder / "known_joint.yaml")
         data = run.scenario.model_dump(mode="json", exclude_none=True)
         data["joint"], data["known_joint"], data["plant"], data["sensors"] = "joint.yaml", "known_joint.yaml", {}, {}
         (folder / "scenario.yaml").write_text(yaml_text(data), encoding="utf-8")
-        (folder / "run.json").write_text(json.dumps(provenance(run), indent=1), encoding="utf-8")
+        (folder / "run.json").write_text(json_text(provenance(run)), encoding="utf-8")
         for finish in begun:
             if finish is not None:
                 finish()

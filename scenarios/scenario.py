@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
@@ -332,6 +333,6 @@ def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:
 
 
 def _item(items: list, part: str, where: str) -> Any:
-    if not part.isdigit() or int(part) >= len(items):
+    if not re.fullmatch("[0-9]{1,6}", part) or int(part) >= len(items):
         raise InputError(f"{where}: expected a number from 0 to {len(items) - 1}, got {part!r}")
     return items[int(part)]

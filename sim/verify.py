@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,8 +52,10 @@ def verify(folder: Path, joint: Joint, timestep: float = plant.TIMESTEP) -> list
       timestep: of the plant [s].
 
     Raises:
-      InputError: a file or a column is missing.
+      InputError: a file or a column is missing, or a timestep of which no whole number is 1 ms.
     """
+    if not 0 < timestep <= _PERIOD or abs(_PERIOD / timestep - round(_PERIOD / timestep)) > 1e-6:
+        raise InputError(f"timestep: expected a whole fraction of {_PERIOD:g} s, got {timestep:g} s")
     differences = []
     for name, mounting in CLOSED_LOOP.items():
         reference = _read(
@@ -159,10 +162,18 @@ def loop_width(link: np.ndarray, torque: np.ndarray) -> float:
 def _read(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
     try:
         table = pq.read_table(path)
-    except (OSError, pa.ArrowInvalid) as error:
-        reason = getattr(error, "strerror", None) or "not a Parquet file"
+    except (OSError, pa.ArrowException) as error:
+        reason = os.strerror(error.errno) if isinstance(error, OSError) and error.errno else "not a Parquet file"
         raise InputError(f"{path}: cannot read a reference solution: {reason}") from error
     for column in columns:
         if column not in table.column_names:
             raise InputError(f"{path}: expected a column {column!r}, got {', '.join(table.column_names)}")
-    return {column: table[column].to_numpy() for column in columns}
+    found = {}
+    for column in columns:
+        try:
+            found[column] = table[column].to_numpy().astype(np.float64)
+        except (TypeError, ValueError):
+            found[column] = np.zeros(0)
+        if len(found[column]) < 2 or not np.isfinite(found[column]).all():
+            raise InputError(f"{path}: column {column!r}: expected two or more finite numbers, got others")
+    return found

@@ -46,6 +46,7 @@ class Dataset:
 
     def __init__(self, folder: Path, design: Design):
         self.folder, self.design = folder, design
+        self._whole: set[Path] = set()
 
     @classmethod
     def open(cls, folder: Path, design: Design, versions: dict[str, str]) -> Dataset:
@@ -107,8 +108,10 @@ class Dataset:
     def write(self, chunk: Chunk, table: pa.Table) -> None:
         """Add the rows of a chunk."""
         path = self.home(chunk.cell) / f"runs-{chunk.begin:06d}-{chunk.end - 1:06d}.parquet"
+        if not path.parent.resolve().is_relative_to(self.folder.resolve()):
+            raise InputError(f"{path.parent}: expected a folder inside {self.folder}, got a link that leads elsewhere")
         with write_into_place(path) as temporary:
-            pq.write_table(table, temporary, compression="zstd")
+            pq.write_table(table, temporary, compression="zstd", write_page_checksum=True)
 
     def parts(self, cell: int) -> list[tuple[int, int, Path]]:
         """Files of a cell in order: first run, last run + 1, path."""
@@ -120,14 +123,18 @@ class Dataset:
         return sorted(found)
 
     def gaps(self, cell: int) -> list[tuple[int, int]]:
-        """Runs that a cell lacks, as intervals. A file that cannot be read (a disk that filled up) is taken away."""
+        """Runs that a cell lacks, as intervals. A file that is damaged (a disk that filled up) is taken away.
+
+        Raises:
+          InputError: a file that cannot be read at the moment: what is in it may be whole.
+        """
         found, at, total = [], 0, len(self.design.study.seed_list)
         for begin, end, path in self.parts(cell):
-            try:
-                pq.read_metadata(path)
-            except (OSError, pa.ArrowInvalid):
-                path.unlink()
-                continue
+            if path not in self._whole:
+                if not _is_whole(path):
+                    path.unlink()
+                    continue
+                self._whole.add(path)
             if begin > at:
                 found.append((at, min(begin, total)))
             at = max(at, end)
@@ -156,6 +163,22 @@ class Dataset:
             with pq.ParquetFile(path) as file:  # the path's own folders are no columns here
                 tables.append(file.read(columns=columns))
         return pa.concat_tables(tables) if tables else pa.table({})
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether a part can be read through: a disk that filled up may have left its end, or a page inside it, out."""
+    try:
+        with path.open("rb") as file:
+            content = file.read()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        names = pq.read_table(pa.BufferReader(content), page_checksum_verification=True).column_names
+    except (OSError, pa.ArrowException):
+        return False
+    if not {"run", "seed", "key", "filter"} <= set(names):
+        raise InputError(f"{path}: expected rows of a sweep, got the columns {', '.join(names)}")
+    return True
 
 
 def _read(note: Path) -> dict[str, Any]:

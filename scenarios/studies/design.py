@@ -84,7 +84,10 @@ class Design:
             data["filters"] = [f.model_dump() for f in [*study.filters, *feeding]]
             for key, value in (study.set | choice.set).items():
                 put(data, key, value, f"study {study.name}: set {key}")
-            scenarios[choice.name or choice.scenario] = (data, str(home.resolve()))
+            name = choice.name or scenario.name
+            if name in scenarios:
+                raise InputError(f"study {study.name}: scenarios: expected names of their own, got {name!r} twice")
+            scenarios[name] = (data, str(home.resolve()))
         design = cls(study, scenarios, "")
         return replace(design, digest=design._check())
 

@@ -20,6 +20,7 @@ METRICS = (
 """What may be measured of an estimate; as in a run's `metrics.json`."""
 COLUMNS = ("scenario", "cell", "run", "seed", "key", "cause", "filter", "failure")
 """Columns of the dataset that no axis may be called."""
+MOST_SEEDS = 10_000_000
 _NAME = r"^[A-Za-z][A-Za-z0-9_]*$"
 
 Value = float | str
@@ -108,14 +109,14 @@ class Seeds(Strict):
     """Which seeds: `count` of them from `first` on."""
 
     first: Annotated[int, Field(ge=0, lt=2**31)] = 1
-    count: Annotated[int, Field(ge=1, le=10_000_000)]
+    count: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
 
 
 class ScenarioChoice(Strict):
     """A scenario, by a shipped one's name or a path, with changes to dotted keys; `name`: its own, where used twice."""
 
     scenario: str
-    name: str = ""
+    name: Annotated[str, Field(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]*)?$")] = ""
     set: dict[str, Value | bool] = {}
 
     @model_validator(mode="before")
@@ -163,10 +164,6 @@ class Study(Strict):
             raise ValueError("axes: expected at most one of kind cause, got more")
         if len(set(self.seed_list)) < len(self.seed_list):
             raise ValueError("seeds: expected every seed once, got one twice")
-        chosen = [c.name or c.scenario for c in self.scenarios]
-        for name in chosen:
-            if chosen.count(name) > 1:
-                raise ValueError(f"scenarios: expected names of their own, got {name!r} twice")
         return self
 
     def _check_parameter(self, i: int, axis: SettingAxis) -> None:
@@ -212,6 +209,8 @@ class Study(Strict):
     def with_seeds(self, count: int) -> Study:
         """The same study with the first `count` seeds, or with more where it counts them."""
         if isinstance(self.seeds, Seeds):
+            if count > MOST_SEEDS:
+                raise InputError(f"--seeds: expected at most {MOST_SEEDS}, got {count}")
             return self.model_copy(update={"seeds": Seeds(first=self.seeds.first, count=count)})
         if count > len(self.seeds):
             raise InputError(f"--seeds: expected at most {len(self.seeds)}, as many as the study lists, got {count}")

@@ -33,6 +33,11 @@ HEAD = "name: mine\nseeds: {count: 2}\nscenarios: [link_sweep]\n"
         (HEAD + "axes: [{kind: set, name: rms, key: plant.K2, values: [1]}]\n", ["axes.0.name", "rms"]),
         (HEAD + "axes: [{kind: set, name: K, key: plant.K2, values: [9000, 9000]}]\n", ["axes.0", "once"]),
         (HEAD + "axes: [{kind: load, values: [0]}]\n", ["axes.0", "values.0", "0"]),
+        ("name: ../../mine\nseeds: {count: 2}\nscenarios: [link_sweep]\n", ["name", "pattern", "../../mine"]),
+        (
+            "name: mine\nseeds: {count: 2}\nscenarios: [{scenario: link_sweep, name: a/../../../esc}]\n",
+            ["scenarios.0", "name", "pattern", "esc"],
+        ),
     ],
 )
 def test_a_wrong_study_is_one_line(tmp_path, text, words):
@@ -50,6 +55,7 @@ def test_a_wrong_study_is_one_line(tmp_path, text, words):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
+        ({"scenarios": ["link_sweep", "link_sweep"]}, ["scenarios", "link_sweep", "twice"]),
         ({"scenarios": ["link_swep"]}, ["link_swep", "did you mean 'link_sweep'"]),
         (
             {"set": {"sensors.link_encodr.noise": 1.0}},

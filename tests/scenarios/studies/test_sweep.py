@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from pathlib import Path
+
 import numpy as np
 import pyarrow.dataset
 import pyarrow.parquet as pq
@@ -84,6 +88,44 @@ def test_a_broken_file_is_computed_again(done, tmp_path):
     path.write_bytes(path.read_bytes()[:100])
     sweep(again.design, again, jobs=1)
     assert same(again, done)
+
+
+def test_a_file_with_damage_inside_is_computed_again(done, tmp_path):
+    again = run(tmp_path / "a", jobs=1)
+    path = again.parts(2)[0][2]
+    content = bytearray(path.read_bytes())
+    content[60:90] = bytes(30)  # within the pages; the file's end, which says what is where, is whole
+    path.write_bytes(content)
+    assert pq.read_metadata(path).num_rows > 0
+    sweep(again.design, Dataset.open(tmp_path / "a", again.design, versions()), jobs=1)
+    assert same(again, done)
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EACCES])
+def test_a_file_that_cannot_be_read_now_is_not_taken_away(tmp_path, monkeypatch, number):
+    again = run(tmp_path / "a", jobs=1)
+    path, opened = again.parts(2)[0][2], Path.open
+
+    def failing(self, *arguments, **options):
+        if self == path:
+            raise OSError(number, os.strerror(number))
+        return opened(self, *arguments, **options)
+
+    monkeypatch.setattr(Path, "open", failing)
+    with pytest.raises(InputError, match="cannot be read"):
+        Dataset.open(tmp_path / "a", again.design, versions()).done()
+    assert path.exists()
+
+
+def test_rows_are_not_written_through_a_link(tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "a").mkdir()
+    design = Design.of(study())
+    dataset = Dataset.open(tmp_path / "a", design, versions())
+    (tmp_path / "a" / "rows").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(InputError, match="leads elsewhere"):
+        sweep(design, dataset, jobs=1)
+    assert not list((tmp_path / "elsewhere").rglob("*.parquet"))
 
 
 def test_more_seeds_go_on_where_it_ended(done, tmp_path):

@@ -1,0 +1,129 @@
+"""The command line as a program: what goes wrong around it is one line, and nothing is left behind."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from flexspline import commands
+from flexspline.commands import view
+from flexspline.models.files import json_text
+
+PROGRAM = [sys.executable, "-m", "flexspline"]
+RUN = ["run", "no_load", "--set", "duration=3", "--no-figures", "--no-recording"]
+
+
+def called(*arguments, **environment):
+    return subprocess.run(
+        [*PROGRAM, *map(str, arguments)], capture_output=True, env={**os.environ, **environment}, timeout=60
+    )
+
+
+def test_home_is_known_where_the_shell_leaves_it(flexspline, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    code, _, err = flexspline(*RUN, "--out=~/runs")
+    assert code == 0, err
+    assert (tmp_path / "runs" / "no_load" / "metrics.json").is_file()
+
+
+def test_a_terminal_that_only_knows_ascii(tmp_path):
+    done = called("scenarios", PYTHONIOENCODING="ascii")
+    assert done.returncode == 0 and b"Traceback" not in done.stderr
+    done = called("check", "/nothing/µ°", PYTHONIOENCODING="ascii")
+    assert done.returncode == 2 and done.stderr.count(b"\n") == 1
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device", "x"), MemoryError(), OSError("?")])
+def test_what_the_system_refuses_is_one_line(monkeypatch, capsys, error):
+    def fails():
+        raise error
+
+    monkeypatch.setattr(commands, "app", fails)
+    with pytest.raises(SystemExit) as stop:
+        commands.main()
+    err = capsys.readouterr().err
+    assert stop.value.code == 2 and err.count("\n") == 1 and err.startswith("flexspline: ")
+
+
+@pytest.mark.parametrize(
+    "change", ["filters.².k=1", "filters.99999999999999999999.k=1", "filters.٣=a", "trajectory.x.time=1", "a.b.c", "=1"]
+)
+def test_keys_that_lead_nowhere(flexspline, tmp_path, change):
+    code, _, err = flexspline("run", "no_load", "--set", change, "--out", tmp_path)
+    assert code == 2 and err.count("\n") == 1, err
+
+
+@pytest.mark.parametrize("after", [0.0, 0.1, 0.3, 0.6])
+def test_ctrl_c_in_the_first_second_is_silent(tmp_path, after):
+    """From where this package begins; before, Python itself is being loaded."""
+    program = "import sys; from flexspline.__main__ import main; print(flush=True); main()"
+    process = subprocess.Popen(
+        [sys.executable, "-c", program, *RUN, "--out", str(tmp_path / "o")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    process.stdout.readline()
+    time.sleep(after + 0.02)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert b"Traceback" not in err and process.returncode in (130, -signal.SIGINT, 0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("command", ["run", "compare"])
+def test_asked_to_end_it_ends_and_leaves_nothing(tmp_path, number, command):
+    """In the middle of an hour's simulation, which is compiled code."""
+    process = subprocess.Popen(
+        [*PROGRAM, command, "no_load", "--set", "duration=3600", "--out", str(tmp_path / "o"), *RUN[4:]],
+        stderr=subprocess.PIPE,
+    )
+    time.sleep(2.5)
+    assert process.poll() is None
+    process.send_signal(number)
+    began = time.monotonic()
+    _, err = process.communicate(timeout=60)
+    assert time.monotonic() - began < 5
+    assert process.returncode == 128 + number and b"Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_viewer_sends_no_usage_data(monkeypatch):
+    monkeypatch.setenv("FORCE_RERUN_ANALYTICS", "1")
+    environment = view.viewer_environment()
+    assert environment["CI"] == "1" and "FORCE_RERUN_ANALYTICS" not in environment and environment["PATH"]
+
+
+def test_a_scenario_is_not_run_over_its_own_files(flexspline, tmp_path):
+    code, _, err = flexspline(*RUN, "--out", tmp_path)
+    assert code == 0, err
+    before = {p.name: p.read_bytes() for p in (tmp_path / "no_load").iterdir()}
+    code, _, err = flexspline("run", tmp_path / "no_load" / "scenario.yaml", "--out", tmp_path, *RUN[2:])
+    assert code == 2 and "which is read" in err and err.count("\n") == 1
+    assert {p.name: p.read_bytes() for p in (tmp_path / "no_load").iterdir()} == before
+
+
+def test_a_link_in_out_leads_nowhere(flexspline, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "no_load").symlink_to(tmp_path / "elsewhere")
+    code, _, err = flexspline(*RUN, "--out", tmp_path / "o")
+    assert code == 2 and "link that leads elsewhere" in err
+    assert not list((tmp_path / "elsewhere").iterdir())
+
+
+@pytest.mark.parametrize("timestep", ["0.0007", "0.0003", "1.1e-4"])
+def test_verify_takes_whole_fractions_of_the_control_period(flexspline, tmp_path, timestep):
+    code, _, err = flexspline("verify", tmp_path, "--timestep", timestep)
+    assert code == 2 and "timestep: expected a whole fraction of 0.001 s" in err and err.count("\n") == 1
+
+
+def test_json_has_no_infinity():
+    assert json.loads(json_text({"a": [1.5, float("inf")], "b": (float("nan"), "µ", None, 3)})) == {
+        "a": [1.5, None],
+        "b": [None, "µ", None, 3],
+    }
