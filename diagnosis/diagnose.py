@@ -207,7 +207,7 @@ class Diagnosis:
             "regions": [r.to_json() for r in self.regions],
             "estimation": self.estimation,
             "held_out": self.held_out,
-            "next": self.plan.to_json() if self.plan is not None else [],
+            "next": None if self.plan is None else self.plan.to_json(),
             "mistakes": [m.to_json() for m in self.mistakes],
             "decisions": [
                 {
