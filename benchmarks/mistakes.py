@@ -57,7 +57,9 @@ class Hidden:
         if self.seconds is not None and (m.seconds is None or abs(m.seconds - self.seconds) > 0.3 * self.seconds):
             return False
         if self.offset is not None:
-            off = 0.0 if m.offset is None else (m.offset - self.offset) / (100.0 if m.column == "motor_position" else 1.0)
+            off = (
+                0.0 if m.offset is None else (m.offset - self.offset) / (100.0 if m.column == "motor_position" else 1.0)
+            )
             return abs(math.remainder(off, 2 * math.pi)) < 0.1
         return True
 
@@ -186,13 +188,19 @@ def hidden_mistakes() -> Iterator[Hidden]:
     motor, link, current, torque = "motor_position", "link_position", "motor_current", "joint_torque"
     for column, lines in ((motor, 4096), (link, 2**20)):
         for said, factor in (("degrees", deg), ("turns", turn), ("counts", turn / lines)):
-            yield Hidden("unit", (column,), _scaled(column, 1 / factor, said == "counts"), f"unit {column} {said}", factor)
-    yield Hidden("unit", (motor,), _scaled(motor, 2**16 / turn, True), "unit motor_position counts of 16 bit", turn / 2**16)
+            yield Hidden(
+                "unit", (column,), _scaled(column, 1 / factor, said == "counts"), f"unit {column} {said}", factor
+            )
+    yield Hidden(
+        "unit", (motor,), _scaled(motor, 2**16 / turn, True), "unit motor_position counts of 16 bit", turn / 2**16
+    )
     yield Hidden("unit", (current,), _scaled(current, 1e3), "unit motor_current mA", 1e-3)
     yield Hidden("unit", (current,), _scaled(current, Kt), "unit motor_current N·m", 1 / Kt)
     yield Hidden("unit", (current,), _scaled(current, N * Kt), "unit motor_current N·m output", 1 / (N * Kt))
     yield Hidden("unit", (torque,), _scaled(torque, 1e3), "unit joint_torque mN·m", 1e-3)
-    yield Hidden("unit", ("position_command",), _scaled("position_command", 1 / deg), "unit position_command degrees", deg)
+    yield Hidden(
+        "unit", ("position_command",), _scaled("position_command", 1 / deg), "unit position_command degrees", deg
+    )
     yield Hidden("unit", ("time",), _time(1e3), "unit time ms", 1e-3)
     yield Hidden("unit", ("time",), _time(1e6), "unit time µs", 1e-6)
     for column in (motor, link, current, torque):
@@ -203,7 +211,9 @@ def hidden_mistakes() -> Iterator[Hidden]:
     yield Hidden("swapped", ("",), _exchanged, "swapped")
     for seconds in (0.02, 0.05, 0.1):
         for column in (motor, link, current, torque):
-            yield Hidden("late", (column,), _late(column, seconds), f"late {column} {1e3 * seconds:g} ms", seconds=seconds)
+            yield Hidden(
+                "late", (column,), _late(column, seconds), f"late {column} {1e3 * seconds:g} ms", seconds=seconds
+            )
     for low in (-math.pi, 0.0):
         yield Hidden("wrapped", (motor,), _wrapped(motor, low), f"wrapped motor_position {low:.1f}")
     yield Hidden("wrapped", (link,), _wrapped(link, 0.0), "wrapped link_position")
@@ -214,7 +224,9 @@ def hidden_mistakes() -> Iterator[Hidden]:
     for offset in (turn / 4, -turn / 4, turn / 2, 0.5, -0.4):
         yield Hidden("angle_zero", angles, _shifted(offset, angles), f"angle_zero {offset:.2f}", offset=-offset)
         together = (*angles, "position_command")
-        yield Hidden("angle_zero", together, _shifted(offset, together), f"angle_zero, command too {offset:.2f}", offset=-offset)
+        yield Hidden(
+            "angle_zero", together, _shifted(offset, together), f"angle_zero, command too {offset:.2f}", offset=-offset
+        )
     yield Hidden("angle_zero", angles, _shifted(0.5, (link,)), "angle_zero of link_position 0.5", offset=-0.5)
     for share in (0.1, 0.3, 1.0):
         for column in (motor, link, current, torque):
@@ -227,12 +239,12 @@ def hidden_mistakes() -> Iterator[Hidden]:
             yield Hidden("clipped", (column,), _clipped(column, share), f"clipped {column} {share:g}")
 
 
-def hide(mistake: Hidden, measurement: Measurement, joint: Joint, rng: np.random.Generator, only: int | None = None) -> Measurement:
+def hide(
+    mistake: Hidden, measurement: Measurement, joint: Joint, rng: np.random.Generator, only: int | None = None
+) -> Measurement:
     """The measurement with a mistake in all recordings, or in one."""
     chosen = range(len(measurement.recordings)) if only is None else (only,)
-    recordings = tuple(
-        mistake.spoil(r, joint, rng) if i in chosen else r for i, r in enumerate(measurement.recordings)
-    )
+    recordings = tuple(mistake.spoil(r, joint, rng) if i in chosen else r for i, r in enumerate(measurement.recordings))
     return replace(measurement, recordings=recordings)
 
 
@@ -266,9 +278,15 @@ def drawn(count: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:
         )  # fmt: skip
         found = draw(challenge, 0)
         names = "+".join(e.name for e in found.effects) or "nothing"
-        yield replace(found.measurement, name=f"draw {i} {challenge.joint} {names} real={challenge.real}"), found.nominal
+        yield (
+            replace(found.measurement, name=f"draw {i} {challenge.joint} {names} real={challenge.real}"),
+            found.nominal,
+        )
         one = tuple(r.without("motor_position" if i % 2 else "link_position") for r in found.measurement.recordings)
-        yield replace(found.measurement, name=f"draw {i} {challenge.joint} {names}, one encoder", recordings=one), found.nominal
+        yield (
+            replace(found.measurement, name=f"draw {i} {challenge.joint} {names}, one encoder", recordings=one),
+            found.nominal,
+        )
 
 
 def main() -> None:
@@ -276,12 +294,13 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--folder", type=Path, default=EXAMPLES)
     parser.add_argument("--only", default="", help="part of the labels of mistakes to hide")
+    parser.add_argument("--every", type=int, default=1, help="take every so-manieth example")
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     arguments, _ = parser.parse_known_args()
     rng = np.random.default_rng(arguments.seed)
     print(f"mistakes hidden in the examples, seed {arguments.seed}")
-    sound = [(m, m.load_joint(None)) for m in examples(arguments.folder)]
+    sound = [(m, m.load_joint(None)) for m in examples(arguments.folder)][:: arguments.every]
     kinds: dict[str, list[int]] = {}
     begin, looks = time.process_time(), 0
     for mistake in hidden_mistakes():
@@ -302,9 +321,13 @@ def main() -> None:
         for line in missed[:4]:
             print(f"      {line}")
     for name, (hits, alone, tried) in kinds.items():
-        print(f"  {name:12s} {100 * hits / max(tried, 1):5.1f} % of {tried}, alone {100 * alone / max(tried, 1):5.1f} %")
+        print(
+            f"  {name:12s} {100 * hits / max(tried, 1):5.1f} % of {tried}, alone {100 * alone / max(tried, 1):5.1f} %"
+        )
     total, all_ = sum(k[0] for k in kinds.values()), sum(k[2] for k in kinds.values())
-    print(f"  all          {100 * total / max(all_, 1):5.1f} % of {all_}, {(time.process_time() - begin) / max(looks, 1):.2f} s each")
+    print(
+        f"  all          {100 * total / max(all_, 1):5.1f} % of {all_}, {(time.process_time() - begin) / max(looks, 1):.2f} s each"
+    )
     if arguments.only:
         return
     recordings, claimed = 0, 0

@@ -30,6 +30,8 @@ _DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
 _SLOPE = 0.004  # relative: by how much the encoders' ratio may be off at the least to be another gear ratio
 _OFFSETS = 24  # of the angle's zero, that are tried in a turn
 _SMALLEST_OFFSET = 0.015  # rad between the encoders
+GRAVITY = "gravity_angle"
+"""What stands for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
 _SLOW = 0.05  # s between samples, from which on time may be in other units than seconds
 
 
@@ -53,6 +55,8 @@ class Change:
 
     def apply(self, motion: Motion) -> Motion:
         """The channels without the mistake; the same where the column is not there."""
+        if self.column == GRAVITY:  # all angles less a half turn instead: nothing but gravity knows where they begin
+            return replace(self, name="angle_zero", column="").apply(motion)
         if self.column in motion or self.name == "swapped":
             motion = self._own(motion)
         for one in self.also:
@@ -189,7 +193,7 @@ class Suspicions:
         for change in self._changes(state):
             motions = [m if m is None else change.apply(m) for m in state.motions]
             fits = [
-                f if m is None or m is old else self._fits(i, m)
+                f if m is None or m is old else self._plausible[i].agreement(m, old, f)
                 for i, (m, old, f) in enumerate(zip(motions, state.motions, state.fits, strict=True))
             ]
             gains = [_total(new) - _total(old) for new, old in zip(fits, state.fits, strict=True)]
@@ -202,7 +206,9 @@ class Suspicions:
             found = Found(change, tuple(chosen), 1 / (1 + math.exp(-min(gain, 50.0) / 3)))
             steps.append(
                 _State(
-                    tuple(m if i in chosen else old for i, (m, old) in enumerate(zip(motions, state.motions, strict=True))),
+                    tuple(
+                        m if i in chosen else old for i, (m, old) in enumerate(zip(motions, state.motions, strict=True))
+                    ),
                     tuple(f if i in chosen else old for i, (f, old) in enumerate(zip(fits, state.fits, strict=True))),
                     (*state.found, found),
                     state.price + price,
@@ -344,9 +350,18 @@ class Suspicions:
             yield _zero("position_command", -command)
         angle = self._hanging(state)
         if angle is not None:
+            if abs(angle) == math.pi and any(abs(p.p["gravity_angle"]) > 0.3 for p in self._plausible):
+                yield self._gravity(there, angle)
             yield _zeros(positions, angle, N)
             if "position_command" in there:
                 yield _zeros([*positions, "position_command"], angle, N)
+
+    def _gravity(self, there: set[str], angle: float) -> Change:
+        """Gravity's direction turned round, where the description says that it has one."""
+        angles = [n for n in (*POSITIONS, "position_command") if n in there]
+        turned = _zeros(angles, angle, self.joint.numbers["N"].value)
+        text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
+        return Change("sign", GRAVITY, text, price=PRICE - 1, also=(turned,))
 
     def _median(self, state: _State, a: str, b: str) -> float | None:
         """Median of one position less another on the output side [rad], of all recordings that have both."""
@@ -372,7 +387,9 @@ class Suspicions:
             for i in weights:
                 motion = state.motions[i]
                 assert motion is not None
-                turned = _zeros([n for n in POSITIONS if n in motion], angle, self.joint.numbers["N"].value).apply(motion)
+                turned = _zeros([n for n in POSITIONS if n in motion], angle, self.joint.numbers["N"].value).apply(
+                    motion
+                )
                 total += sum(fit.agreement for n, fit in self._plausible[i].torques(turned).items())
             return total
 

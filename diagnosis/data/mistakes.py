@@ -15,11 +15,12 @@ import numpy as np
 from ...models.joint import Joint
 from ...models.recording import Measurement, Recording, check_channels
 from ...models.signals import POSITIONS
-from .changes import Found, Suspicions, time_unit
+from .changes import GRAVITY, Found, Suspicions, time_unit
 from .lateness import late_columns
 from .samples import SampleMistake, bridged, unwrapped, wrong_samples
 
 _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
+_TURN = 2 * np.pi
 _BESIDE = ("position_command", "temperature")  # columns that no balance takes
 
 
@@ -129,8 +130,9 @@ def _of_change(found: Found, recordings: Sequence[Recording]) -> list[Mistake]:
     if found.rivals:
         text += "; or else " + ", or ".join(f"{c.name} of {c.column or 'the positions'}" for c in found.rivals)
     one = Mistake(
-        change.name, change.column, "", text, found.confidence, factor=change.factor, offset=change.offset,
-        also=tuple(c.column for c in change.also),
+        change.name, change.column, "", text, found.confidence, factor=change.factor,
+        offset=np.pi if change.column == GRAVITY else change.offset,
+        also=() if change.column == GRAVITY else tuple(c.column for c in change.also),
     )  # fmt: skip
     return [replace(one, recording=name) for name in where]
 
@@ -155,6 +157,11 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
             continue
         if m.name == "swapped":
             _swap(columns)
+            continue
+        if m.column == GRAVITY:
+            turned = float(np.remainder(recording.link.gravity_angle + np.pi, _TURN))
+            turned -= _TURN if turned > np.pi else 0.0
+            recording = replace(recording, link=recording.link.model_copy(update={"gravity_angle": turned}))
             continue
         for column in (m.column, *m.also):
             if column not in columns:
@@ -185,8 +192,13 @@ def _column(m: Mistake, column: str, time: np.ndarray, x: np.ndarray, columns: d
     if m.name == "glitch":
         return bridged(time, x, np.array(m.rows, int))
     if m.name == "wrapped":
-        guide = next((columns[n] for n in (*POSITIONS, "position_command") if n in columns and n != column), None)
-        return unwrapped(time, x, np.array(m.rows, int), factor, guide)
+        guide = next((n for n in (*POSITIONS, "position_command") if n in columns and n != column), None)
+        jumps = np.array(m.rows, int)
+        if guide is None:
+            return unwrapped(time, x, jumps, factor)
+        side = (N if column == "motor_position" else 1.0) / (N if guide == "motor_position" else 1.0)
+        start = side * float(columns[guide][0]) if factor == _TURN else 0.0
+        return unwrapped(time, x, jumps, factor, columns[guide], start)
     if m.name == "velocity":
         steps = 0.5 * np.diff(time) * (x[1:] + x[:-1])
         return (m.offset or 0.0) + factor * np.concatenate([[0.0], np.cumsum(steps)])

@@ -24,11 +24,11 @@ from ...estimator.motion import smooth
 from ...models.joint import Joint, Number
 from ...models.kernels import kernel
 from ...models.recording import GAP, Recording
-from ...models.signals import POSITIONS
+from ...models.signals import DRIVING, POSITIONS
 
 EFFECTIVE = 60.0
 """Samples that a recording counts as in a relation between its channels."""
-_SAMPLES = 700  # of a recording that are looked at
+_SAMPLES = 320  # of a recording that are looked at
 _CUTOFF = 6.0  # Hz: of the smoother
 _BIN = 0.01  # s: over which samples are averaged before
 _FREEDOM = 3.0  # of the Student-t distribution
@@ -177,7 +177,9 @@ class _Shapes:
         self._columns: list[np.ndarray] = []
         self._numbers: list[tuple[float, float, float, float]] = []
 
-    def add(self, shape: np.ndarray | float, low: float, high: float, centre: float = 0.0, spread: float | None = None) -> None:
+    def add(
+        self, shape: np.ndarray | float, low: float, high: float, centre: float = 0.0, spread: float | None = None
+    ) -> None:
         """A shape whose coefficient lies between `low` and `high`, about `centre` (a third of the range by default)."""
         if high > low:
             self._columns.append(np.broadcast_to(shape, (self._n,)))
@@ -210,6 +212,11 @@ class Fit:
     sigma: np.ndarray
 
 
+def _same(a: Motion, b: Motion, channels: tuple[str, ...]) -> bool:
+    """Whether some channels are the very same, and both tell the link's motion by the same encoder."""
+    return a.position == b.position and all(a.channels.get(n) is b.channels.get(n) for n in channels)
+
+
 class Plausibility:
     """A joint's description as what the channels of one recording are held against."""
 
@@ -220,24 +227,45 @@ class Plausibility:
         self._size = joint.numbers["rated_torque"].value / _TEST
         self._turned = joint.gravity_angle is not None
 
-    def agreement(self, motion: Motion) -> dict[str, Fit]:
-        """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel."""
+    def agreement(
+        self, motion: Motion, before: Motion | None = None, known: Mapping[str, Fit] | None = None
+    ) -> dict[str, Fit]:
+        """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel.
+
+        Args:
+          motion: the channels.
+          before, known: other channels and their relations, of which those are taken over whose channels are the same.
+        """
         found = {}
-        if all(name in motion for name in POSITIONS):
-            found["encoders"] = self._encoders(motion)
-        if "position_command" in motion:
-            found["command"] = self._command(motion)
-        return found | self.torques(motion)
+        for name, needed in self._relations(motion).items():
+            if before is not None and known is not None and name in known and _same(motion, before, needed):
+                found[name] = known[name]
+            else:
+                found[name] = self._fit(name, motion)
+        return found
 
     def torques(self, motion: Motion) -> dict[str, Fit]:
         """The relations of torques alone."""
-        found = {}
-        for name in ("motor_current", "motor_torque"):
+        return {name: self._fit(name, motion) for name in self._relations(motion) if name in DRIVING}
+
+    def _relations(self, motion: Motion) -> dict[str, tuple[str, ...]]:
+        """Relations that the channels allow, each with the channels that it is between."""
+        found: dict[str, tuple[str, ...]] = {}
+        if all(name in motion for name in POSITIONS):
+            found["encoders"] = POSITIONS
+        if "position_command" in motion:
+            found["command"] = (motion.position, "position_command")
+        for name in DRIVING:
             if name in motion:
-                found[name] = self._drive(motion, name)
-        if "joint_torque" in motion:
-            found["joint_torque"] = self._joint_torque(motion)
+                found[name] = (motion.position, name, "external_torque")
         return found
+
+    def _fit(self, name: str, motion: Motion) -> Fit:
+        if name == "encoders":
+            return self._encoders(motion)
+        if name == "command":
+            return self._command(motion)
+        return self._joint_torque(motion) if name == "joint_torque" else self._drive(motion, name)
 
     def link(self, motion: Motion) -> np.ndarray:
         """The link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
