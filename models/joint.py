@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from . import causes, units
-from .errors import InputError, nearest
+from .errors import InputError, is_there, nearest
 from .files import Line, Strict, load, write_into_place, yaml_text
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
@@ -517,6 +517,9 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
       source: a shipped joint's name (`test-joint`) or a path.
       beside: folder of the file that names the joint, to which a path in it is relative.
 
+    Returns:
+      The description: `numbers` by symbol with unit, source and tolerance, `mountings`, `sensors`, `effects`.
+
     Raises:
       InputError: no such joint, or a description that is wrong; one line.
     """
@@ -526,7 +529,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
         path = known[name]
     else:
         path = Path(source) if beside is None else beside / source
-        if not path.exists():
+        if not is_there(path):
             raise InputError(
                 f"joint {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(name, known)}"
             )
