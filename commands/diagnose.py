@@ -7,6 +7,7 @@ import math
 import shlex
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -246,7 +247,7 @@ class _Page:
         grid.add_row(Text(f"  {mark}"), Text(text))
         self.terminal.print(grid, highlight=False)
 
-    def table(self, headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    def table(self, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
         """Rows under a heading, the first and the columns without a heading to the left."""
         from rich.table import Table
         from rich.text import Text

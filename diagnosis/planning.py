@@ -22,11 +22,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..models import causes, laws
-from ..models.joint import Joint, Mounting
+from ..models.errors import InputError
+from ..models.joint import LOCKED, Joint, Mounting
 from ..models.parameters import GRAVITY
 from ..models.recording import Measurement, Recording
 from ..models.signals import POSITIONS
 from ..scenarios.scenario import Scenario, Waypoint
+from ..sim.plant import TIMESTEP
 from .data import coverage
 from .data.segments import BALANCES, segments
 from .fit.coordinates import Hypothesis, hypotheses
@@ -45,6 +47,7 @@ if TYPE_CHECKING:
     from .diagnose import Diagnosis
 
 _TIMESTEP = 5e-4  # s, of the plant: what a motion would tell is known well enough with it
+_RESOLVED = 0.3  # rad of the resonance in a step: with a lighter link the plant's usual step is taken
 _THIN = 8e-3  # s between samples that tell where a motion has been
 _NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
 """Numbers of a joint that are worth an experiment."""
@@ -53,8 +56,6 @@ _OF_SENSOR = {
     "joint_torque": ("torque_sensor_gain", "torque_sensor_offset", "torque_sensor_drift"),
 }
 """Causes that are errors of a sensor: where it is not there, nothing about it is open."""
-LOCKED = 1e6
-"""Inertia [kg·m²] that stands for an output bolted to the bench: nothing that the joint can do moves it."""
 
 
 @dataclass(frozen=True)
@@ -242,7 +243,10 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
         return Plan()
 
     def judged(e: Experiment) -> Proposal | None:
-        recording = perform(e, diagnosis.extended, joint)
+        try:
+            recording = perform(e, diagnosis.extended, joint)
+        except InputError:
+            return None  # an extended joint under which no motion is stable
         new = Problem(*segments([recording], joint), joint)
         if not new.segments:
             return None
@@ -526,19 +530,22 @@ def perform(e: Experiment, joint: Joint, described: Joint, seed: int = 1) -> Rec
       described: what is known of it: the drive's torque constant is this one's.
       seed: of the sensors' noise.
     """
-    scenario = Scenario(
-        name=e.name, duration=e.duration, trajectory=list(e.motion), controller=CONTROLLER, timestep=_TIMESTEP
-    )
-    rate = e.warming / e.duration
     record = joint.record(e.mounting)
+    p = record[0]
+    slow = np.sqrt((p["K1"] + p["K2"] + p["K3"]) / p["Jl"]) * _TIMESTEP < _RESOLVED
+    scenario = Scenario(
+        name=e.name, duration=e.duration, trajectory=list(e.motion), controller=CONTROLLER,
+        timestep=_TIMESTEP if slow else TIMESTEP,
+    )  # fmt: skip
+    rate = e.warming / e.duration
     found = record_motion(joint, e.mounting, record, scenario, seed, warming=rate)
     columns = dict(found.columns)
     if e.locked:
-        columns["link_position"] = np.full(len(found.time), float(record[0]["link_zero"]))
+        columns["link_position"] = np.full(len(found.time), float(p["link_zero"]))
     if "motor_torque" in e.channels:
         columns["motor_torque"] = described.record(e.mounting)[0]["Kt_drive"] * columns["motor_current"]
     if e.warming:
-        columns["temperature"] = float(record[0]["reference_temperature"]) + rate * found.time
+        columns["temperature"] = float(p["reference_temperature"]) + rate * found.time
     kept = {name: values for name, values in columns.items() if name in e.channels}
     external: Literal["none", "unmeasured"] = "unmeasured" if e.locked else "none"
     whole = replace(found, name=e.name, joint=described.name, columns=kept, external=external)

@@ -66,6 +66,10 @@ class Order(Strict):
     phase: Number
 
 
+LOCKED = 1e6
+"""Inertia [kg·m²] of a mounting from which on it is the bench's."""
+
+
 class Mounting(Strict):
     """What is bolted to the output: inertia about the joint axis and gravity moment at horizontal."""
 
@@ -73,6 +77,11 @@ class Mounting(Strict):
     gravity_moment: Annotated[float, Field(ge=0, description="N·m")]
     gravity_angle: Annotated[float, Field(description="rad")] = 0.0
     """Angle of its centre of mass from the link's axis, which hangs straight down at θl + gravity angles = 0."""
+
+    @property
+    def locked(self) -> bool:
+        """Whether it stands for the bench, to which the output is bolted: nothing that a joint can do moves it."""
+        return self.inertia >= LOCKED
 
 
 class EncoderSpec(Strict):

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ...models.joint import Joint
 from ...models.recording import Measurement, Recording, check_channels
@@ -69,13 +70,17 @@ class Mistake:
         return data | {"description": self.description, "confidence": round(self.confidence, 3)}
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, for which threads are but a burden
 def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
     """Mistakes in a measurement of a joint, in the order in which `mended` undoes them.
 
     A cause of ordinary size (`spec/recording.md`), tolerances and what is imperfect in every real joint are none.
     """
-    recordings = measurement.recordings
-    found: list[Mistake] = []
+    # With the output bolted to the bench neither encoder says what the other should.
+    moving = tuple(r for r in measurement.recordings if not r.link.locked)
+    if not moving:
+        return ()
+    recordings, found = moving, list[Mistake]()
     second = time_unit(recordings, joint)
     if second != 1.0:
         said = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[second]
@@ -84,7 +89,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     for recording in recordings:
         found += [_of_samples(m, recording) for m in wrong_samples(recording, joint)]
     found = _merged(found, len(recordings))
-    recordings = _apply(measurement.recordings, joint, found)
+    recordings = _apply(moving, joint, found)
     suspicions = Suspicions(recordings, joint)
     further = [m for f in suspicions.found for m in _of_change(f, recordings)]
     recordings = _apply(recordings, joint, further)
