@@ -92,7 +92,7 @@ def push(seeds: range) -> None:
             rows = []
             for run in runs:
                 m = run.metrics["model"] if f == "model" else run.metrics["filters"][f]
-                late = (m["response_ms"] or np.nan) - run.metrics["truth"]["response_ms"]
+                late = np.nan if m["response_ms"] is None else m["response_ms"]
                 rows.append((m["rms"], m["max"], late, m["delay_ms"], m["noise_ratio"], m.get("robust_share", np.nan)))
             c = list(zip(*rows, strict=True))
             _row(

@@ -107,10 +107,7 @@ class Run:
             "filters": {name: reference.evaluate_posterior(found) for name, found in self.estimates.items()},
             "model": reference.evaluate(self.model_torque),
             "sensor": reference.evaluate(reference.reading),
-            "truth": {
-                "response_ms": reference.response_ms(truth),
-                "joint_torque_range": [float(truth[kept].min()), float(truth[kept].max())],
-            },
+            "truth": {"joint_torque_range": [float(truth[kept].min()), float(truth[kept].max())]},
             "position_error": {
                 "rms": float(np.sqrt(np.mean(error**2))),
                 "max": float(np.max(np.abs(self.position_command - self.truth("link_position")))),

@@ -103,10 +103,10 @@ def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
 
 
 def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
-    """Mean time [s] from a push's onset until the estimate has made 90 % of the torque's first swing.
+    """Mean time [s] after the truth at which the estimate has made 90 % of the first swing that a push gives the torque.
 
-    The swing ends at the first extremum of the true torque that exceeds half the largest change during the push.
-    None where there is no push, or the estimate never gets there during one.
+    The swing ends at the first extremum of the true torque that exceeds half the largest change during the push; the time
+    counts from where the true torque itself has made 90 % of it. None where there is no push, or the estimate never gets there during one.
     """
     times = []
     for begin, end in events:
@@ -116,8 +116,9 @@ def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: li
         extremum = _first_peak(np.abs(change), 0.5 * float(np.max(np.abs(change))))
         goal = _RESPONSE * change[extremum]
         made = (estimate[begin:end] - truth[begin]) * np.sign(goal) >= abs(goal)
+        itself = int(np.argmax(change * np.sign(goal) >= abs(goal)))
         if np.any(made):
-            times.append(int(np.argmax(made)) * dt)
+            times.append((int(np.argmax(made)) - itself) * dt)
     return float(np.mean(times)) if times else None
 
 
@@ -182,7 +183,7 @@ class Reference:
         return during
 
     def response_ms(self, estimate: np.ndarray) -> float | None:
-        """Mean 90 % response to a push [ms] of an estimate, shape (n,) [N·m] (`response_time`)."""
+        """Mean time after the truth to 90 % of a push [ms] of an estimate, shape (n,) [N·m] (`response_time`)."""
         response = response_time(estimate, self.truth, self.dt, self.events)
         return None if response is None else 1e3 * response
 
