@@ -289,7 +289,9 @@ def read_recording(path: str | Path) -> Recording:
     )
     if sidecar.arm is None:
         if angles:
-            raise InputError(f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link")
+            raise InputError(
+                f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link"
+            )
         return recording
     return in_arm(recording, sidecar.arm, angles, sidecar_path)
 
@@ -395,7 +397,7 @@ def _check_header(path: Path, names: list[str]) -> None:
 def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     try:
         table = pa.parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable Parquet file: {_first_line(error)}") from error
     table = table.drop_columns([name for name in table.column_names if name.startswith("__index_level")])
     _check_header(path, table.column_names)

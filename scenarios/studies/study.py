@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from ...models import causes
 from ...models.errors import InputError, nearest
-from ...models.files import Strict, find, load
+from ...models.files import Strict, find, load, shown
 from ..filters import FilterEntry, paper_entries, parameters_of
 
 METRICS = (
@@ -157,7 +157,7 @@ class Study(Strict):
             taken.append(axis.name)
             values = axis.sizes if isinstance(axis, CauseAxis) else axis.values
             if len({str(v) for v in values}) < len(values) or len({isinstance(v, str) for v in values}) > 1:
-                raise ValueError(f"axes.{i}: expected values of one kind, each once, got {values}")
+                raise ValueError(f"axes.{i}: expected values of one kind, each once, got {shown(values)}")
             if isinstance(axis, SettingAxis) and axis.of_filters:
                 self._check_parameter(i, axis)
         if sum(isinstance(axis, CauseAxis) for axis in self.axes) > 1:
