@@ -24,6 +24,10 @@ _RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
 _WHERE_STATED = ("motor_torque", "temperature")
 
 
+_LIMITED = 0.005
+"""Share of the time at the current limit from which on it is told: no shipped scenario is there at all."""
+
+
 @dataclass(frozen=True)
 class Run:
     """A scenario that has been run: what was asked, what came out. n control ticks.
@@ -96,6 +100,31 @@ class Run:
         return reference_of(self.simulation, self.model_torque, self.external_torque, self.scenario.transient)
 
     @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What whoever reads the measures should know: disturbances that do not act, a drive at its limit, no measures."""
+        found, end = [], self.scenario.duration
+        for i, d in enumerate(self.scenario.disturbances):
+            if d.start >= end:
+                found.append(f"disturbances.{i} starts at {d.start:g} s, after the end at {end:g} s: it never acts")
+            elif d.start + d.duration > end:
+                found.append(
+                    f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
+                )
+        limit = self.joint.numbers["current_limit"].value
+        limited = float(np.mean(np.abs(self.simulation.command) >= (1 - 1e-9) * limit))
+        if limited > _LIMITED:
+            off = float(np.max(np.abs(self.position_command - self.truth("link_position"))))
+            found.append(
+                f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: the motion asks for more than "
+                f"it gives, and the link is up to {off:.2g} rad off its command"
+            )
+        for name, one in self.estimates.items():
+            missing = int(np.sum(~np.isfinite(one.mean)))
+            if missing:
+                found.append(f"{name} gives no estimate for {missing} of {len(one.mean)} samples and is not measured")
+        return tuple(found)
+
+    @cached_property
     def metrics(self) -> dict[str, Any]:
         """Measures of every filter, of the raw compliance model and of the torque sensor (`evaluation.metrics`)."""
         reference = self.reference
@@ -107,6 +136,7 @@ class Run:
             "filters": {name: reference.evaluate_posterior(found) for name, found in self.estimates.items()},
             "model": reference.evaluate(self.model_torque),
             "sensor": reference.evaluate(reference.reading),
+            "notes": list(self.notes),
             "truth": {"joint_torque_range": [float(truth[kept].min()), float(truth[kept].max())]},
             "position_error": {
                 "rms": float(np.sqrt(np.mean(error**2))),

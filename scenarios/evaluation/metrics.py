@@ -106,7 +106,8 @@ def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: li
     """Mean time [s] after the truth at which the estimate has made 90 % of the first swing that a push gives the torque.
 
     The swing ends at the first extremum of the true torque that exceeds half the largest change during the push; the time
-    counts from where the true torque itself has made 90 % of it. None where there is no push, or the estimate never gets there during one.
+    counts from where the true torque itself has made 90 % of it. None where there is no push, or the estimate never gets
+    there during one.
     """
     times = []
     for begin, end in events:

@@ -164,3 +164,19 @@ def test_a_folder_that_is_not_ours_is_kept(run, tmp_path):
 def test_no_run_folder(tmp_path):
     with pytest.raises(InputError, match=r"expected a run folder, found no scenario\.yaml"):
         load_run(tmp_path)
+
+
+def test_what_the_measures_do_not_say_is_told():
+    """Pushes that never act or are cut off, a motion that asks for more than the drive gives; nothing for what is well."""
+    scenario, folder = load_scenario("link_sweep", ["duration=2", "filters=[RAREKF]"])
+    assert run_scenario(scenario, folder).notes == ()
+    changes = [
+        "duration=2", "filters=[RAREKF]", "trajectory=[{time: 0.2, position: 0}, {time: 0.3, position: 2.5}]",
+        "disturbances=[{kind: push, start: 5, duration: 0.3, torque: 1}, {kind: push, start: 1.9, duration: 0.3, torque: 1}]",
+    ]  # fmt: skip
+    odd = run_scenario(*load_scenario("link_sweep", changes))
+    never, cut, limit = odd.notes
+    assert "disturbances.0" in never and "never acts" in never
+    assert "disturbances.1" in cut and "cuts it off" in cut
+    assert "limit of 3.3 A" in limit and "off its command" in limit
+    assert odd.metrics["notes"] == list(odd.notes)
