@@ -73,6 +73,7 @@ class PlanSettings:
       range, load: largest angle [rad], and torque as a share of the rated one, that experiments ask for.
       heaviest: share of the rated torque that a payload may ask for, held level.
       speed: share of the motor's speed without load that they do.
+      size, number: what the size of an effect that was found is worth, and that of a number, where whether a cause is there is 1.
       effort: what an experiment must answer, in questions, to be worth a load, a clamp, a further sensor.
       warming: of the gear, where its temperature is read [K].
     """
@@ -91,7 +92,13 @@ class PlanSettings:
     heaviest: float = 0.9
     speed: float = 0.5
     effort: tuple[float, float, float] = (0.1, 0.2, 0.4)
+    size: float = 0.7
+    number: float = 0.3
     warming: float = 10.0
+
+    def weight(self, q: Question) -> float:
+        """What an answer is worth, in questions."""
+        return self.number if q.parameter == "value" else self.size if q.parameter else 1.0
 
 
 SETTINGS = PlanSettings()
@@ -261,8 +268,11 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
         progress = [_progress(q, z) for q, z in zip(questions, expected, strict=True)]
         if max(progress) < settings.least:
             return None
-        answered = sum(z >= q.needed for q, z in zip(questions, expected, strict=True))
-        score = 0.5 * (sum(progress) + answered) - settings.effort[0] * e.duration / 30.0 - e.effort
+        worth = sum(
+            settings.weight(q) * 0.5 * (part + (z >= q.needed))
+            for q, z, part in zip(questions, expected, progress, strict=True)
+        )
+        score = worth - settings.effort[0] * e.duration / 30.0 - e.effort
         return Proposal(e.name, e.description, False, e.duration, expected, round(score, 3)) if score > 0 else None
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
