@@ -24,12 +24,12 @@ def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str) ->
         table.add_column(heading)
     for m in mistakes:
         column = ", ".join((m.column or "–", *m.also))
-        cells = (m.name, column, m.recording or "all", m.description, _change(m), f"{m.confidence:.2f}")
+        cells = (m.name, column, m.recording or "all", m.description, change(m), f"{m.confidence:.2f}")
         table.add_row(*map(Text, cells))
     terminal.print(table)
 
 
-def _change(m: Mistake) -> str:
+def change(m: Mistake) -> str:
     """The change that mends a mistake, in a few words."""
     if m.name == "sign":
         return "gravity_angle + π" if m.column == "gravity_angle" else "× −1"

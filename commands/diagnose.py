@@ -120,6 +120,7 @@ def show(
 ) -> None:
     """Print the answer: what was found, how sure that is, what it is worth, what to do now; legible in 80 columns."""
     from ..views.report import plain, verdict_sentence
+    from ._mistakes import change
 
     page = _Page(terminal)
     page.say(found.verdict, verdict_sentence(found))
@@ -128,7 +129,9 @@ def show(
     if found.mistakes:
         page.heading("Mistakes in the data")
         for m in found.mistakes:
-            page.item(f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure){_mend(m)}")
+            page.item(
+                f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); mended by: {change(m)}"
+            )
     for heading, findings in (("Causes", found.causes), ("There, but too small to be a cause", found.minor)):
         if findings:
             page.heading(heading)
@@ -187,20 +190,6 @@ def _cause(page: _Page, c: Finding) -> None:
 def _where(m: Mistake) -> str:
     places = [x for x in (m.recording, m.column) if x]
     return f"{', '.join(places)}: " if places else ""
-
-
-def _mend(m: Mistake) -> str:
-    """The change that mends a mistake."""
-    mends = []
-    if m.factor is not None:
-        mends.append(f"multiply {'N' if m.name == 'gear_ratio' else m.column} by {m.factor:.6g}")
-    if m.seconds is not None:
-        mends.append(f"shift it by {1e3 * m.seconds:.3g} ms")
-    if m.offset is not None:
-        mends.append(f"add {m.offset:.4g} rad")
-    if m.rows:
-        mends.append(f"{len(m.rows)} rows, the first {m.rows[0] + 1}")
-    return f": {'; '.join(mends)}" if mends else ""
 
 
 def _commands(found: Diagnosis, measurement: Path, out: Path, report: bool) -> list[str]:

@@ -98,7 +98,7 @@ def test_the_answer_is_legible_in_80_columns():
     flat = " ".join(text.split())
     for part in (
         "discrepancy:", "Time was up",
-        "unit: sweep, motor_position: degrees taken for radians (99 % sure): multiply motor_position by",
+        "unit: sweep, motor_position: degrees taken for radians (99 % sure); mended by: × 0.0174533",
         "position dependent friction (transmission): 99 % sure, explains 90 %, worth 0.41 N·m",
         "amplitude = 0.008123 ± 0.00012 N·m", "motor current 0.0512 0.0104 0.01 A",
         "estimate, payload smoothed 1.23 0.109 0.03 N·m",
