@@ -68,22 +68,20 @@ def command(
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(f"{name}: error [N·m], all of the time and in motion"))
-    table.add_column("estimator")
-    headings = {
-        "joint_torque": "joint torque",
-        "external_torque": "external torque" + (" (there was none)" if external == "none" else ""),
-    }
+    from ..views.tables import heading, narrow_table
+
+    none = "; there was no external torque" if external == "none" and "external_torque" in scores else ""
+    table = narrow_table(f"{name}: RMS error", f"All of the time, and in motion{none}")
+    table.add_column("estimator", no_wrap=True)
     for what in scores:
-        table.add_column(f"{headings[what]}, RMS", justify="right")
-        table.add_column("in motion", justify="right")
+        for words in (what.replace("_", " "), "in motion"):
+            table.add_column(heading(words, "N·m"), justify="right", no_wrap=True, vertical="bottom")
     for estimator in dict.fromkeys(name for found in scores.values() for name in found):
         cells = []
         for found in scores.values():
             s = found.get(estimator)
             cells += ["–", "–"] if s is None else [f"{s.rms:.3f}", f"{s.rms_moving:.3f}"]
-        table.add_row(estimator, *cells)
+        table.add_row(Text(estimator), *cells)
     return table
