@@ -1,16 +1,17 @@
 """Mistakes hidden in sound measurements, and how many are found; what is claimed of sound ones.
 
-`python -m benchmarks mistakes`: every kind of mistake, in several sizes, in every example of the shared data (`--examples`), in all
-its recordings or in one; and sound measurements: the examples with channels taken away, and joints drawn anew with the imperfections
-of real ones.
+`python -m benchmarks.mistakes`: every kind of mistake, in several sizes, in every example of the shared data (`--folder`); and
+sound measurements: the examples, the same with channels taken away, and joints drawn anew, with the imperfections of real ones.
+`python -m benchmarks mistakes` takes every fifth example.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -289,15 +290,15 @@ def drawn(count: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:
         )
 
 
-def main() -> None:
-    """Print the rates."""
-    parser = argparse.ArgumentParser()
+def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
+    """Print the rates, as the words of a command line ask."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mistakes")
     parser.add_argument("--folder", type=Path, default=EXAMPLES)
     parser.add_argument("--only", default="", help="part of the labels of mistakes to hide")
-    parser.add_argument("--every", type=int, default=1, help="take every so-manieth example")
+    parser.add_argument("--every", type=int, default=1, help="of so many examples one")
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
-    arguments, _ = parser.parse_known_args()
+    arguments = parser.parse_args(words)
     rng = np.random.default_rng(arguments.seed)
     print(f"mistakes hidden in the examples, seed {arguments.seed}")
     sound = [(m, m.load_joint(None)) for m in examples(arguments.folder)][:: arguments.every]
@@ -325,10 +326,9 @@ def main() -> None:
             f"  {name:12s} {100 * hits / max(tried, 1):5.1f} % of {tried}, alone {100 * alone / max(tried, 1):5.1f} %"
         )
     total, all_ = sum(k[0] for k in kinds.values()), sum(k[2] for k in kinds.values())
-    print(
-        f"  all          {100 * total / max(all_, 1):5.1f} % of {all_}, {(time.process_time() - begin) / max(looks, 1):.2f} s each"
-    )
-    if arguments.only:
+    seconds = (time.process_time() - begin) / max(looks, 1)
+    print(f"  all          {100 * total / max(all_, 1):5.1f} % of {all_}, {seconds:.2f} s each")
+    if arguments.only not in ("", "sound"):
         return
     recordings, claimed = 0, 0
     for measurement, joint in _sound(sound, arguments.draws, arguments.seed):
@@ -354,4 +354,4 @@ def _short(m: Mistake) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -12,7 +12,7 @@ import typer
 from ..models.errors import InputError
 
 if TYPE_CHECKING:
-    from ..models.recording import Measurement, Recording
+    from ..models.recording import Measurement
 
 
 def command(

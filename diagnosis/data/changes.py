@@ -1,8 +1,8 @@
 """Changes that would mend a measurement, and which of them the agreement of its channels asks for.
 
-A change says what is wrong with a column of the file (a unit, a sign, …) and makes the channels as they would be without. Each has a
-price in log likelihood: nobody makes a mistake without need. The search applies the change that gains most, and looks again; the
-last few best are kept, as a first step may only look good.
+A change says what is wrong with a column of the file (a unit, a sign, …) and makes the channels as they would be without. Each
+has a price in log likelihood: nobody makes a mistake without need. The search applies the change that gains most, and looks
+again; the last few best are kept, as a first step may only look good.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
-from .plausibility import Fit, Motion, Plausibility, motion_of
+from .plausibility import EFFECTIVE, Fit, Motion, Plausibility, motion_of
 
 PRICE = 9.0
 """Of a mistake, in log likelihood; a number that is free costs `FREE` more."""
@@ -43,6 +43,7 @@ class Change:
       name, column: of the mistake; description: of it, for people.
       factor, offset: as in `mistakes.Mistake`; price: in log likelihood.
       also: changes of other columns that are the same mistake.
+      ratio: of the gear.
     """
 
     name: str
@@ -52,6 +53,7 @@ class Change:
     offset: float | None = None
     price: float = PRICE
     also: tuple[Change, ...] = ()
+    ratio: float = 1.0
 
     def apply(self, motion: Motion) -> Motion:
         """The channels without the mistake; the same where the column is not there."""
@@ -63,13 +65,20 @@ class Change:
             motion = one.apply(motion)
         return motion
 
+    @property
+    def shrinkage(self) -> float:
+        """What it costs in each recording that smaller torques look like nothing, whatever they are."""
+        if self.name != "unit" or self.column not in (*DRIVING, "external_torque") or self.factor is None:
+            return 0.0
+        return 0.5 * EFFECTIVE * max(-math.log(self.factor), 0.0)
+
     def _own(self, motion: Motion) -> Motion:
         if self.name == "swapped":
             return swapped(motion)
         x = motion.channels[self.column]
         factor = 1.0 if self.factor is None else self.factor
         if self.name == "velocity":
-            return motion.with_channels(**{self.column: integrated(motion.time, factor * x, self.offset or 0.0)})
+            return motion.with_channels(**{self.column: self._position(motion, factor * x)})
         if self.name == "gear_ratio" and self.column == "motor_position":
             factor = 1 / factor
         if self.name == "sign":
@@ -78,6 +87,16 @@ class Change:
         if self.offset is not None:
             x = x + np.array([self.offset, 0.0, 0.0])
         return motion.with_channels(**{self.column: x})
+
+    def _position(self, motion: Motion, velocity: np.ndarray) -> np.ndarray:
+        """The position of a velocity; where another position or the command says it, from there."""
+        x = integrated(motion.time, velocity, 0.0)
+        for name in (*POSITIONS, "position_command"):
+            if name != self.column and name in motion:
+                sides = [self.ratio if n == "motor_position" else 1.0 for n in (self.column, name)]
+                x[:, 0] += np.median(sides[0] / sides[1] * motion.channels[name][:, 0] - x[:, 0])
+                break
+        return x
 
 
 def swapped(motion: Motion) -> Motion:
@@ -128,7 +147,7 @@ def _total(fits: dict[str, Fit]) -> float:
 
 
 def time_unit(recordings: Sequence[Recording], joint: Joint) -> float:
-    """What one unit of time is [s]: where samples are so far apart that it may not be seconds, the unit that suits the channels."""
+    """What one unit of time is [s]: where samples are too far apart for seconds, the unit that suits the channels."""
     interval = min(r.interval for r in recordings)
     if interval < _SLOW:
         return 1.0
@@ -196,7 +215,10 @@ class Suspicions:
                 f if m is None or m is old else self._plausible[i].agreement(m, old, f)
                 for i, (m, old, f) in enumerate(zip(motions, state.motions, state.fits, strict=True))
             ]
-            gains = [_total(new) - _total(old) for new, old in zip(fits, state.fits, strict=True)]
+            gains = [
+                _total(new) - _total(old) - (0.0 if new is old else change.shrinkage)
+                for new, old in zip(fits, state.fits, strict=True)
+            ]
             everywhere = all(gain > _WORSE for gain in gains)
             chosen = [i for i, g in enumerate(gains) if everywhere or g > change.price + _SURE]
             price = change.price if everywhere else (change.price + _ONE_OF_SEVERAL) * max(len(chosen), 1)
@@ -211,7 +233,7 @@ class Suspicions:
                     ),
                     tuple(f if i in chosen else old for i, (f, old) in enumerate(zip(fits, state.fits, strict=True))),
                     (*state.found, found),
-                    state.price + price,
+                    state.price + price + change.shrinkage * len(chosen),
                 )
             )
         return steps
@@ -277,27 +299,10 @@ class Suspicions:
         for column in positions:
             side = 1 / N if column == "link_position" else N
             for said, factor in (("rad/s", 1.0), ("deg/s", _DEGREE), ("rpm", _RPM), ("rad/s of the other side", side)):
-                start = self._start_of(column, factor, state)
                 yield Change(
                     "velocity", column, f"a velocity ({said}) where the position belongs", None if factor == 1.0 else factor,
-                    start, PRICE + (0.0 if factor == 1.0 else 3.0),
+                    price=PRICE + (0.0 if factor == 1.0 else 3.0), ratio=N,
                 )  # fmt: skip
-
-    def _start_of(self, column: str, factor: float, state: _State) -> float:
-        """Where a position starts whose column holds its velocity: as the other encoder or the command has it, or else zero."""
-        N = self.joint.numbers["N"].value
-        side = N if column == "motor_position" else 1.0
-        starts = []
-        for motion in state.motions:
-            if motion is None or column not in motion:
-                continue
-            x = integrated(motion.time, factor * motion.channels[column], 0.0)[:, 0]
-            for name in (*POSITIONS, "position_command"):
-                if name != column and name in motion:
-                    y = motion.channels[name][:, 0] / (N if name == "motor_position" else 1.0)
-                    starts.append(float(np.median(side * y - x)))
-                    break
-        return float(np.median(starts)) if starts else 0.0
 
     def _fitted(self, there: set[str], state: _State) -> Iterator[Change]:
         """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
@@ -435,5 +440,7 @@ def _zeros(columns: Sequence[str], offset: float, N: float) -> Change:
         _zero(column, offset * (N if column == "motor_position" else 1.0))
         for column in sorted(columns, key=lambda name: name != "link_position")
     ]
-    price = PRICE + (0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else FREE)
-    return replace(changes[0], price=price + 2.0 * (len(changes) - 1), also=tuple(changes[1:]))
+    price = PRICE + (
+        0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else 1.0
+    )  # of one angle, it shows in its counterpart
+    return replace(changes[0], price=price, also=tuple(changes[1:]))

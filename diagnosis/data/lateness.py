@@ -24,6 +24,7 @@ from ...models.signals import DRIVING, POSITIONS
 _STEP = 5e-3  # s: of shifts that are tried, and of samples
 _FARTHEST = 0.3  # s
 _CUTOFF = 12.0  # Hz: of the smoother
+_BIN = 4e-3  # s: over which samples are averaged before
 _EFFECTIVE = 40.0  # samples that a relation in a recording counts as
 _SURE = 12.0  # gain in log likelihood from which on a column is late
 _WORSE = -3.0  # loss in a recording from which on not all have it
@@ -32,6 +33,7 @@ _SLIDING = 2.5  # Stribeck velocities above which friction is known by its direc
 _HATS = 24  # of the angle, whose functions gravity, cables, stops and the like are
 _FEWEST, _MOST = 200, 2500  # samples
 _FLOOR = 1e-9  # of a relation's variance that is never explained
+_PEAK, _PEAKED = 0.03, 6.0  # s beside the best shift at which it is worse by that much, in log likelihood
 _ORDINARY = {"link_position": (-4e-3, 14e-3)}  # s: by how much a column is late in sound data, by causes and filters
 _OTHERS = (-4e-3, 6e-3)
 _TRAVEL = 0.05  # rad of the link below which motion says nothing
@@ -105,7 +107,13 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     mine = [r for r in relations if name in (r.first, r.second)]
     left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
     near = np.where(np.abs(shifts - best[1]) < 0.02, left, np.inf)
-    i = int(np.clip(np.argmin(near), 1, len(shifts) - 2))
+    i = int(np.argmin(near))
+    side = round(_PEAK / _STEP)
+    if not side <= i < len(shifts) - side:
+        return None
+    rise = min(left[i - side], left[i + side]) - left[i]
+    if 0.5 * _EFFECTIVE * rise < _PEAKED:  # no shift is better than another, or they get better and better
+        return None
     before, at, after = left[i - 1 : i + 2]
     bend = before - 2 * at + after
     off = 0.5 * (before - after) / bend if bend > 0 else 0.0
@@ -173,13 +181,20 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
         if not A or sum(map(len, A)) < _FEWEST:
             continue
         shapes, y = np.concatenate(A), np.concatenate(B)
-        shapes = np.column_stack([shapes, *_hats(shapes[:, 0])])
-        shapes = shapes / np.maximum(np.sqrt(np.mean(shapes * shapes, axis=0)), 1e-12)
-        q, _ = np.linalg.qr(shapes)
-        rest = y - q @ (q.T @ y)
-        power = np.mean(rest * rest, axis=0)
-        found.append(_Relation(first, second, np.log(power + _FLOOR * float(np.var(y)) + 1e-300)))
+        found.append(_Relation(first, second, np.log(_unexplained(shapes, y))))
     return found
+
+
+def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Mean square of what shapes, shape (n, s), and functions of their first do not explain of y, shape (n, d), each; shape (d,)."""
+    A = np.column_stack([shapes, *_hats(shapes[:, 0])])
+    A = A / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-12)
+    values, vectors = np.linalg.eigh(A.T @ A)
+    kept = values > 1e-10 * values[-1]
+    along = (A @ vectors[:, kept] / np.sqrt(values[kept])).T @ y
+    total = np.einsum("ij,ij->j", y, y)
+    left = np.maximum(total - np.einsum("ij,ij->j", along, along), 0.0) / len(y)
+    return left + _FLOOR * float(np.mean(total)) / len(y) + 1e-300
 
 
 def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -190,7 +205,11 @@ def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np
         time = recording.time[part]
         if len(time) < 20 or time[-1] - time[0] < 3 * _FARTHEST:
             continue
-        s = smooth(time, np.column_stack([recording[n][part] for n in names]), _STEP, _CUTOFF)
+        every = max(int(_BIN / recording.interval), 1)
+        begins = np.arange(0, len(time), every)
+        count = np.diff(begins, append=len(time))
+        mean = [np.add.reduceat(x, begins) / count for x in (time, *(recording[n][part] for n in names))]
+        s = smooth(mean[0], np.column_stack(mean[1:]), _STEP, _CUTOFF)
         if len(s.time) > 2 * margin + 50:
             found.append((s.time - recording.time[0], np.stack([s.value, s.rate, s.acceleration], axis=-1)))
     return found
@@ -202,7 +221,7 @@ def _shapes(time: np.ndarray, motion: np.ndarray, sliding: np.ndarray, second: s
     shapes = [theta, a]
     if second != "joint_torque":
         direction = np.tanh(sliding)
-        shapes += [direction, theta * direction, theta**2 * direction]
+        shapes += [direction, *(direction * wave(k * theta) for k in (1, 2, 3) for wave in (np.sin, np.cos))]
     if second not in (*POSITIONS, "joint_torque"):
         shapes += [v, v * np.abs(v), direction * np.exp(-time / 10.0), a * direction]
     return np.column_stack(shapes)

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ...models.errors import InputError
 from ...models.joint import Joint
 from ...models.recording import Measurement, Recording, check_channels
 from ...models.signals import POSITIONS
@@ -36,7 +37,7 @@ class Mistake:
       description: for people.
       confidence: probability of it.
       factor: that mends the column (of `gear_ratio`: that mends N); of `wrapped` a whole turn in the column's unit.
-      seconds: by which the column is late. offset: that mends it, added; of `velocity`, where the position starts.
+      seconds: by which the column is late. offset: that mends it, added.
       rows: of the table that have it, from 0.
       also: further columns that have the same offset, the motor's on its own side of the gear.
       severe: whether it makes physics meaningless.
@@ -93,7 +94,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     suspicions = Suspicions(recordings, joint)
     further = [m for f in suspicions.found for m in _of_change(f, recordings)]
     recordings = _apply(recordings, joint, further)
-    late = [m for m in late_columns(recordings, joint)]
+    late = late_columns(recordings, joint)
     names = [r.name for r in recordings]
     for one in late:
         where = [""] if len(one.recordings) == len(names) else [names[i] for i in one.recordings]
@@ -176,6 +177,7 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
                 assert m.rows is not None
                 if len(m.rows) == len(time):
                     del columns[column]
+                    check_channels(f"{recording.source or recording.name}: without {column}, which is stuck", columns)
                 else:
                     lost[list(m.rows)] = True
             elif m.name == "late":
@@ -184,7 +186,6 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
                 lost |= (time + m.seconds > time[-1]) | (time + m.seconds < time[0])
             else:
                 columns[column] = _column(m, column, time, x, columns, N)
-    check_channels(f"{recording.source or recording.name}: without what is stuck", columns)
     found = replace(recording, time=time, columns=columns)
     if lost.any():
         found = found.at(~lost)
@@ -201,12 +202,15 @@ def _column(m: Mistake, column: str, time: np.ndarray, x: np.ndarray, columns: d
         jumps = np.array(m.rows, int)
         if guide is None:
             return unwrapped(time, x, jumps, factor)
-        side = (N if column == "motor_position" else 1.0) / (N if guide == "motor_position" else 1.0)
-        start = side * float(columns[guide][0]) if factor == _TURN else 0.0
+        start = _side(column, guide, N) * float(columns[guide][0]) if factor == _TURN else 0.0
         return unwrapped(time, x, jumps, factor, columns[guide], start)
     if m.name == "velocity":
         steps = 0.5 * np.diff(time) * (x[1:] + x[:-1])
-        return (m.offset or 0.0) + factor * np.concatenate([[0.0], np.cumsum(steps)])
+        position = factor * np.concatenate([[0.0], np.cumsum(steps)])
+        guide = next((n for n in (*POSITIONS, "position_command") if n in columns and n != column), None)
+        if guide is None:
+            return position
+        return position + float(np.median(_side(column, guide, N) * columns[guide] - position))
     if m.name == "sign":
         return -x
     if m.name == "gear_ratio" and column == "motor_position":
@@ -215,8 +219,13 @@ def _column(m: Mistake, column: str, time: np.ndarray, x: np.ndarray, columns: d
         return factor * x
     offset = m.offset or 0.0
     if column != m.column:
-        offset *= (N if column == "motor_position" else 1.0) / (N if m.column == "motor_position" else 1.0)
+        offset *= _side(column, m.column, N)
     return x + offset
+
+
+def _side(column: str, other: str, N: float) -> float:
+    """Angle of a column's shaft over that of another's."""
+    return (N if column == "motor_position" else 1.0) / (N if other == "motor_position" else 1.0)
 
 
 def _swap(columns: dict[str, np.ndarray]) -> None:

@@ -7,9 +7,9 @@ Four relations hold between the channels of a joint, however they were recorded:
     joint torque   Ts moves the link against gravity
     command        the link follows its command
 
-Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and all
-causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as pushes, bumps
-and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few milliseconds apart
+Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and
+all causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as
+pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few milliseconds apart
 say the same thing, so a recording counts as `EFFECTIVE` samples.
 """
 
@@ -26,7 +26,7 @@ from ...models.kernels import kernel
 from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
 
-EFFECTIVE = 60.0
+EFFECTIVE = 90.0
 """Samples that a recording counts as in a relation between its channels."""
 _SAMPLES = 320  # of a recording that are looked at
 _CUTOFF = 6.0  # Hz: of the smoother
@@ -124,7 +124,9 @@ def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
     beta[:] = centre
     G, g = np.empty((p, p)), np.empty(p)
     w = np.empty(n)
+    before = np.empty(p)
     for _ in range(10):
+        before[:] = beta
         for i in range(n):
             r = y[i]
             for a in range(p):
@@ -156,6 +158,11 @@ def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
                 beta[a] = best
             if change < 1e-4:
                 break
+        moved = 0.0
+        for a in range(p):
+            moved = max(moved, abs(beta[a] - before[a]) / spread[a])
+        if moved < 1e-3:
+            break
     total = 0.0
     for i in range(n):
         r = y[i]

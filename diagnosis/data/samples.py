@@ -1,7 +1,7 @@
 """What is wrong with single samples of a recording: far off, jumped by a turn, not moving, at the sensor's end.
 
-Each column is held against its own neighbourhood, and positions against each other; units do not matter. Steps between samples are
-taken less the local speed times the interval, so that motion, jitter and missing samples are none.
+Each column is held against its own neighbourhood, and positions against each other; units do not matter. Steps between samples
+are taken less the local speed times the interval, so that motion, jitter and missing samples are none.
 """
 
 from __future__ import annotations
@@ -155,7 +155,7 @@ class _Steps:
             near = usual[max(k - _NEARBY, 0) : k + _NEARBY]
             if size[k] < _ALONE * float(near.max()):
                 continue
-            if k == 0 and not far[1] or k == n - 2 and not far[n - 3]:
+            if (k == 0 and not far[1]) or (k == n - 2 and not far[n - 3]):
                 rows.append(0 if k == 0 else n - 1)
                 continue
             for width in range(1, _LONGEST + 1):
@@ -231,7 +231,7 @@ def _still(time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: fl
             continue
         if not _moves_meanwhile(columns, name, begin, end, N):
             continue
-        at_end = name in POSITIONS and float(x[begin]) in ends and end < len(x) and _leaves_softly(x, begin, end)
+        at_end = name in POSITIONS and float(x[begin]) in ends and _leaves_softly(x, begin, end)
         (flat if at_end else stuck).extend(range(begin, end))
     if stuck:
         found.append(SampleMistake("stuck", name, tuple(stuck)))
@@ -253,27 +253,30 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, begin: int, e
     if others:
         return False
     command = columns.get("position_command")
-    if command is not None and np.ptp(command[part]) > 0.1 * np.ptp(command) and np.ptp(command[part]) > 0.1:
+    if command is not None and np.ptp(command[part]) > 0.5 * np.ptp(command) and np.ptp(command[part]) > 0.1:
         return True
     return _stops_at_once(columns[name], begin, end)
 
 
 def _stops_at_once(x: np.ndarray, begin: int, end: int) -> bool:
-    """Whether an angle comes to rest, or leaves it, within a sample from a speed far above its resolution."""
+    """Whether an angle comes to rest from a speed far above its resolution within a sample, or leaves it by a jump."""
     steps = np.abs(np.diff(x))
     moving = steps[steps > 0]
     if not len(moving):
         return False
     fast = max(8 * float(moving.min()), 0.1 * float(np.quantile(moving, 0.99)))
-    before, after = steps[max(begin - 5, 0) : max(begin - 1, 0)], steps[end : end + 4]
-    return any(len(part) >= 3 and float(np.median(part)) > fast for part in (before, after))
+    before = steps[max(begin - 6, 0) : begin]
+    enters = len(before) >= 4 and float(np.median(before)) > fast and before[-1] > 0.5 * float(np.median(before))
+    after = steps[end : end + 5]
+    leaves = len(after) >= 3 and steps[end - 1] > max(fast, 5 * float(np.median(after)))
+    return bool(enters or leaves)
 
 
 def _leaves_softly(x: np.ndarray, begin: int, end: int) -> bool:
-    """Whether an angle moves on from a run of equal values without a jump."""
+    """Whether a column moves on from a run of equal values without a jump; not where it never does."""
     steps = np.abs(np.diff(x))
     after = steps[end : end + 5]
-    return not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12
+    return end < len(x) and (not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12)
 
 
 def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -283,7 +286,10 @@ def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarr
     if len(values) < 50:
         return np.empty(0, int)
     for end, beside in ((-1, slice(-9, -1)), (0, slice(1, 9))):
-        longest = int(lengths[x[begins] == values[end]].max())
+        mine = x[begins] == values[end]
+        longest = int(lengths[mine].max())
+        if mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]), int(begins[mine][0]) + longest):
+            continue
         if counts[end] >= _FLAT and longest >= 3 and counts[end] > _PEAKED * counts[beside].max():
             found.append(np.flatnonzero(x == values[end]))
     return np.sort(np.concatenate(found)) if found else np.empty(0, int)
