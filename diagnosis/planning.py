@@ -28,6 +28,7 @@ from ..models.parameters import GRAVITY
 from ..models.recording import Measurement, Recording
 from ..models.signals import POSITIONS
 from ..scenarios.scenario import Scenario, Waypoint
+from ..sim.drive import Controller
 from ..sim.plant import TIMESTEP
 from .data import coverage
 from .data.segments import BALANCES, segments
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
 
 _TIMESTEP = 5e-4  # s, of the plant: what a motion would tell is known well enough with it
 _RESOLVED = 0.3  # rad of the resonance in a step: with a lighter link the plant's usual step is taken
+_SOFT = 4.0  # turns of a soft drive's command per turn of the rotor that it makes
 _THIN = 8e-3  # s between samples that tell where a motion has been
 _NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
 """Numbers of a joint that are worth an experiment."""
@@ -512,7 +514,7 @@ class Experiment:
       channels: columns that are recorded.
       interval: between samples [s].
       effort: beside its time, in questions that it must answer.
-      locked: whether the output is bolted to the bench.
+      locked: whether the output is bolted to the bench; controller: of the drive.
       warming: of the gear meanwhile [K].
     """
 
@@ -524,6 +526,7 @@ class Experiment:
     interval: float
     effort: float = 0.0
     locked: bool = False
+    controller: Controller = CONTROLLER
     warming: float = 0.0
 
     @property
@@ -544,8 +547,8 @@ def perform(e: Experiment, joint: Joint, described: Joint, seed: int = 1) -> Rec
     p = record[0]
     slow = np.sqrt((p["K1"] + p["K2"] + p["K3"]) / p["Jl"]) * _TIMESTEP < _RESOLVED
     scenario = Scenario(
-        name=e.name, duration=e.duration, trajectory=list(e.motion), controller=CONTROLLER,
-        timestep=_TIMESTEP if slow else TIMESTEP,
+        name=e.name, duration=e.duration, trajectory=list(e.motion), controller=e.controller,
+        timestep=_TIMESTEP if slow and not e.locked else TIMESTEP,
     )  # fmt: skip
     rate = e.warming / e.duration
     found = record_motion(joint, e.mounting, record, scenario, seed, warming=rate)
@@ -588,18 +591,16 @@ def experiments(
         there_and_back = [amplitude, -amplitude, amplitude, 0.0]
         return waypoints(there_and_back, [0.6 * seconds, seconds, seconds, 0.6 * seconds], [0.4] * 4, 0.4)
 
-    def shortest(amplitude: float, mounting: Mounting) -> float:
-        """Time [s] of one way of fast sweeps: as fast as motor and rated torque allow."""
-        way = 2 * amplitude
+    def shortest(way: float) -> float:
+        """Time [s] of one way [rad], as fast as motor and rated torque allow anywhere within reach."""
         speed = settings.speed * p["supply_voltage"] / (p["Kt"] * N)
-        left = max(settings.load * rated - mounting.gravity_moment * np.sin(min(amplitude, np.pi / 2)), 0.2 * rated)
+        left = max(settings.load * rated - link.gravity_moment * np.sin(min(reach, np.pi / 2)), 0.2 * rated)
         motor = 0.4 * p["Kt"] * p["current_limit"] / ((p["Jm"] + p["Jw"]) * N)
-        acceleration = min(left / mounting.inertia, motor)
-        return max(1.875 * way / speed, float(np.sqrt(5.78 * way / acceleration)), 0.5)
+        return max(1.875 * way / speed, float(np.sqrt(5.78 * way / min(left / link.inertia, motor))), 0.5)
 
     usual = sweeps(reach, 6.0)
     add("sweeps", f"Move the link to ±{reach:.2g} rad and back, 6 s each way", usual)
-    fast = shortest(reach, link)
+    fast = shortest(2 * reach)
     add("fast_sweeps", f"Move the link to ±{reach:.2g} rad and back as fast as {fast:.2g} s each way", [
         *sweeps(reach, fast), *_later(sweeps(reach, 1.5 * fast), sweeps(reach, fast)[-1].time),
     ])  # fmt: skip
@@ -608,8 +609,9 @@ def experiments(
         f"Turn back and forth by 0.05 rad at 0.04 rad/s about 0 and ±{0.7 * reach:.2g} rad",
         _reversals([-0.7 * reach, 0.0, 0.7 * reach], 0.05, 0.04),
     )
-    rest = np.linspace(-reach, reach, 7)
-    up = waypoints([*rest, *rest[::-1][1:], 0.0], [2.0, *[0.8] * 12, 2.0][: 2 * len(rest)], [0.7] * 2 * len(rest), 0.4)
+    poses = [*np.linspace(-reach, reach, 7), *np.linspace(reach, -reach, 7)[1:], 0.0]
+    step, half = max(shortest(reach / 3), 0.8), max(shortest(reach), 2.0)
+    up = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
     add("rest_poses", f"Hold still at seven angles between ±{reach:.2g} rad, each reached from both sides", up)
     wide = min(1.4 * reach, 2.4)
     if wide > 1.2 * reach or reach < settings.range:
@@ -637,11 +639,12 @@ def experiments(
             usual, lightest, effort=effort[0],
         )  # fmt: skip
     torque = settings.load * rated
+    winding, soft = _locked(p, torque)
     add(
         "locked_output",
         f"Bolt the output to the bench (link: {{inertia: {LOCKED:g}, gravity_moment: 0}}, external_torque: unmeasured, "
         f"link_position constant) and drive the motor back and forth to ±{torque:.3g} N·m",
-        _locked(p, torque), Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True,
+        winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True, controller=soft,
         channels=seen | {"link_position"},
     )  # fmt: skip
     motion = f"move to ±{reach:.2g} rad and back, 6 s each way"
@@ -678,13 +681,17 @@ def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Way
     return [*points, Waypoint(time=t + 2.5, position=0.0)]
 
 
-def _locked(p: np.void, torque: float) -> list[Waypoint]:
-    """Angles of the rotor over the gear ratio that wind a locked output up to ±`torque` [N·m] and to less, quickly and slowly."""
-    wound = float(laws.flexspline_torsion(torque, p) + laws.wave_generator_torsion(torque / p["N"], p) / p["N"])
+def _locked(p: np.void, torque: float) -> tuple[list[Waypoint], Controller]:
+    """Waypoints of the rotor over the gear ratio, and the drive, that wind a locked output up to ±`torque` [N·m] and to less,
+    quickly and slowly. The drive is so soft that its current, not the rotor's angle, follows the command."""
+    on_rotor = torque / p["N"] + p["Fc"]
+    wound = float(laws.flexspline_torsion(torque, p) * p["N"] + laws.wave_generator_torsion(on_rotor, p))
+    reach = (1 + _SOFT) * wound / p["N"]
+    stiffness = float(on_rotor / p["Kt"] / (_SOFT * wound))
     points, t = [Waypoint(time=0.4, position=0.0)], 0.4
     for amplitude, seconds, turns in ((1.0, 0.25, 6), (1.0, 1.5, 2), (0.4, 0.8, 3), (0.1, 0.6, 3)):
         for _ in range(turns):
             for sign in (1.0, -1.0):
                 t += seconds
-                points.append(Waypoint(time=t, position=sign * amplitude * wound))
-    return [*points, Waypoint(time=t + 0.5, position=0.0)]
+                points.append(Waypoint(time=t, position=sign * amplitude * reach))
+    return [*points, Waypoint(time=t + 0.5, position=0.0)], Controller(kp=stiffness, kd=0.01 * stiffness, ki=0.0)
