@@ -36,6 +36,7 @@ from .search.stages import (
     without_effect,
 )
 from .search.worth import mean_squares, output_scale, worth
+from .uncertainty import stated
 
 if TYPE_CHECKING:
     from .planning import Plan
@@ -275,7 +276,8 @@ def diagnose(
     progress("regions that a fit has not seen", 0.97)
     regions = held_out_regions(problem, final)
     extended = _extended(problem, final, joint, unknown)
-    extended = extended.model_copy(update={"valid": valid_range(problem, final)})
+    known = {"valid": valid_range(problem, final), "uncertainty": stated(problem, final, extended, regions)}
+    extended = extended.model_copy(update=known)
     return Diagnosis(
         verdict=verdict,
         reason=reason,

@@ -10,7 +10,8 @@ itself: the root of the sum of squares of
 
 * what the description leaves open: changes along its independent directions (`models.uncertainty`),
 * what a diagnosis found that it cannot hold (`Uncertainty.discrepancy`), the more the further beyond the range of validity,
-* what the noise of the measured motion makes of the simulation, from noise replicates; at rest, friction's own level.
+* what the noise of the measured motion makes of the simulation, from noise replicates; at rest, friction's own level;
+* what of the measured channel is faster than the smoothed motion can say.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
 from .data.mistakes import Mistake, find_mistakes
+from .data.sampling import timing_error
 from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
 from .fit.replay import parallel, readings, transmission
 
@@ -227,24 +229,43 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
         of["link_position"] = _parts(recording.without("link_position"), joint, ["link_position"])
     measured = {name: recording[name] for name in CHANNELS if of.get(name)}
     since = recording.time - recording.time[0]
-    simulated, deviation, noise = {}, {}, {}
-    for name in measured:
-        simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
-        variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
-        motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
-        deviation[name] = np.sqrt(variance + motion)
-        noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
     angle, velocity, load, moving = (
         _joined(parts, since, [of_part(part.segment) for part in parts])
         for of_part in (
             lambda s: s.link_position, lambda s: s.state[:, 3], lambda s: s.load, lambda s: _counts(s).astype(float),
         )
     )  # fmt: skip
+    simulated, deviation, noise = {}, {}, {}
+    for name in measured:
+        simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
+        variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
+        motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
+        if name == "link_position":  # a sample with a wrong time is off by the speed times that
+            motion = motion + (np.nan_to_num(velocity) * _clock_error(recording)) ** 2
+        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], _sensor_noise(joint, name)))
+        noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
     return Channels(
         name=recording.name, time=recording.time, measured=measured, simulated=simulated, deviation=deviation,
         noise=noise, moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
         units={name: CHANNELS[name].unit for name in measured},
     )  # fmt: skip
+
+
+def _clock_error(recording: Recording) -> float:
+    """Error of the time stamps [s rms], where both encoders show it."""
+    motor, link = recording["motor_position"], recording["link_position"]
+    return max((timing_error(recording.time[s], motor[s], link[s]) for s in recording.segments), default=0.0)
+
+
+def _fast(recording: Recording, name: str, parts: Sequence[_Part], noise: float) -> np.ndarray | float:
+    """Mean square of a measured channel beyond the smoother's passband and its sensor's noise, shape (n,)."""
+    if name not in ("motor_current", "joint_torque"):
+        return 0.0
+    since = recording.time - recording.time[0]
+    slow = _joined(parts, since, [part.segment.measured[:, _BALANCE_OF[name]] for part in parts])
+    rest = np.nan_to_num(recording[name] - slow) ** 2
+    around = max(round(_AROUND * 1e-3 / recording.interval), 1)
+    return np.maximum(uniform_filter1d(rest, around, mode="nearest") - noise**2, 0.0)
 
 
 def _joined(parts: Sequence[_Part], since: np.ndarray, values: Sequence[np.ndarray]) -> np.ndarray:

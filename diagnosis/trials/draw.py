@@ -120,7 +120,7 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
     x, effects = np.zeros(calibration.size), _effects(challenge, index, size, nominal, streams[0])
     if not challenge.exact:
         x, effects = _beyond_tolerance(challenge, index, size, calibration, streams[1])
-    scenarios = _scenarios(challenge, nominal, streams[2])
+    scenarios = drawn_scenarios(challenge, index, nominal)
     true, flaws = nominal, None
     if challenge.real:
         flaws = imperfections(nominal, np.random.default_rng([challenge.seed, index, 4]))
@@ -234,7 +234,9 @@ def _effects(challenge: Challenge, index: int, size: float, nominal: Joint, rng)
     return tuple(found)
 
 
-def _scenarios(challenge: Challenge, nominal: Joint, rng: np.random.Generator) -> list[Scenario]:
+def drawn_scenarios(challenge: Challenge, index: int, nominal: Joint) -> list[Scenario]:
+    """The motions of draw number `index`."""
+    rng = np.random.default_rng([challenge.seed, index, 2])
     if challenge.scenarios:
         return [load_scenario(name)[0] for name in challenge.scenarios]
     mountings = list(nominal.mountings)
