@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..models.errors import InputError
+
 if TYPE_CHECKING:
     from ..diagnosis.data.coverage import RecordingSummary
     from ..models.recording import Recording
@@ -35,7 +37,10 @@ def command(
     given = read_measurement(measurement)
     described = given.load_joint(joint)
     mistakes = find_mistakes(given, described)
-    data = mended(given, described, mistakes)
+    try:
+        data = mended(given, described, mistakes)
+    except InputError:  # nothing would be left of it
+        data = given
     summaries = [summarise(recording, described) for recording in data.recordings]
     missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described)
     shows = [name for name in causes.of(described) if name not in reasons]

@@ -72,6 +72,7 @@ class Mistake:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, for which threads are but a burden
+@np.errstate(all="ignore")  # units may make anything of a number
 def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
     """Mistakes in a measurement of a joint, in the order in which `mended` undoes them.
 
@@ -90,7 +91,10 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     for recording in recordings:
         found += [_of_samples(m, recording) for m in wrong_samples(recording, joint)]
     found = _merged(found, len(recordings))
-    recordings = _apply(moving, joint, found)
+    try:
+        recordings = _apply(moving, joint, found)
+    except InputError:  # what does not move is all there is
+        return tuple(found)
     suspicions = Suspicions(recordings, joint)
     further = [m for f in suspicions.found for m in _of_change(f, recordings)]
     recordings = _apply(recordings, joint, further)

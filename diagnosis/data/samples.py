@@ -171,8 +171,10 @@ class _Steps:
             usual = max(float(np.quantile(ordinary, 0.99)), self.quantum, 1e-9)
             far = np.flatnonzero(self.size > max(_FAR * usual, _QUANTA * self.quantum))
             jumps = np.abs(self.off[far])
+            moved = [bool(np.any(self.step[max(k - _STILL[1], 0) : k])) for k in far]  # else it was stuck before
             for turn in turns:
-                if len(far) and turn > 12 * usual and np.all(np.abs(jumps - turn) < 0.01 * turn + usual):
+                exact = np.abs(jumps - turn) < 2e-3 * turn + usual
+                if len(far) and turn > 12 * usual and np.all(exact) and all(moved):
                     return far + 1, turn
         return np.empty(0, int), 0.0
 
