@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from swing import SEED, recording
 from typer.testing import CliRunner
 
 from benchmarks.mistakes import Hidden, hidden_mistakes, hide
@@ -18,34 +19,8 @@ from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, Recording, read_measurement, write_recording
 
-SEED = 7
 ALL = {h.label: h for h in hidden_mistakes()}
 """Mistakes by their labels."""
-
-
-def recording(name: str = "swing", rate: float = 500.0, seconds: float = 14.0, seed: int = SEED) -> Recording:
-    """The test joint in a swing, by its equations of motion without dynamics of its springs."""
-    rng = np.random.default_rng(seed)
-    joint = load_joint("test-joint")
-    p = joint.record()[0]
-    t = np.arange(0.0, seconds, 1 / rate)
-    theta = 0.9 * np.sin(0.7 * t) + 0.35 * np.sin(2.1 * t)
-    v = 0.63 * np.cos(0.7 * t) + 0.735 * np.cos(2.1 * t)
-    a = -0.441 * np.sin(0.7 * t) - 1.5435 * np.sin(2.1 * t)
-    torque = 9.0 * np.sin(theta) + 0.35 * a
-    motor = 100 * (theta + torque / p["K2"])
-    w = 100 * v
-    friction = p["Fc"] * np.tanh(w / p["vs"]) + (p["bw"] + p["bm"]) * w
-    current = (torque / 100 + friction + (p["Jm"] + p["Jw"]) * 100 * a) / p["Kt"]
-    count = 2 * np.pi / 4096
-    columns = {
-        "motor_position": count * np.round(motor / count),
-        "link_position": theta + 1.5e-6 * rng.standard_normal(len(t)),
-        "motor_current": current + 0.01 * rng.standard_normal(len(t)),
-        "joint_torque": torque + 0.03 * rng.standard_normal(len(t)),
-        "position_command": theta,
-    }
-    return Recording(name, t, columns)
 
 
 def measurement(*recordings: Recording) -> Measurement:
