@@ -25,8 +25,9 @@ def command(
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
     from ..estimator import registry
-    from ..estimator.offline import estimate_recording, score, write_estimates
+    from ..estimator.offline import beyond_range, estimate_recording, score, write_estimates
     from ..models.files import json_text
+    from ..models.joint import beyond_sentence
     from ..models.output import check_output, made_from, output_folder
     from ..models.recording import read_measurement
     from ._console import console
@@ -45,7 +46,8 @@ def command(
     report: dict[str, dict[str, Any]] = {}
     with output_folder(out, maker) as folder:
         for recording in data.recordings:
-            found = estimate_recording(recording, described, filter_)
+            found = estimate_recording(recording, described, filter_, bands=described.uncertainty is not None)
+            beyond = beyond_range(recording, described)
             for name in filter_ or ():
                 if name in found.left_out:
                     raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.left_out[name]}")
@@ -55,11 +57,14 @@ def command(
                 "joint": described.name,
                 "notes": found.notes,
                 "left_out": found.left_out,
+                "beyond": beyond,
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
             terminal.print(f"{path}", highlight=False)
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
+            if beyond:
+                terminal.print(f"{recording.name}: {beyond_sentence(beyond)}", highlight=False, markup=False)
             for name, why in found.left_out.items():
                 terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
         text = json_text(report)

@@ -141,8 +141,7 @@ def _principal(signals: Signals, known: KnownJoint, joint: Joint, mounting: Moun
 def _torques(signals: Signals, known: KnownJoint) -> np.ndarray:
     """Torque from torsion without its mean, from current, and the link's own, one after another at a few samples [N·m]."""
     found = []
-    motion = _motion(signals, known)
-    load = smoothed.torque_from_current(motion, known) if "motor_current" in signals else np.zeros(len(motion.time))
+    motion, load = motion_and_load(signals, known)
     found.append(load[::_EVERY])
     found.append(smoothed.own_torque(motion, known, load)[::_EVERY])
     if all(name in signals for name in registry.get("model").needs):
@@ -151,15 +150,21 @@ def _torques(signals: Signals, known: KnownJoint) -> np.ndarray:
     return np.concatenate(found)
 
 
-def _motion(signals: Signals, known: KnownJoint) -> smoothed.Motion:
+def motion_and_load(signals: Signals, known: KnownJoint) -> tuple[smoothed.Motion, np.ndarray]:
+    """Smooth motion of a segment, and the torque that the joint gives its link on the motion's grid [N·m]: from the current, or
+    without one what the link's weight and inertia ask for."""
+    if "motor_current" not in signals and "motor_torque" in signals:
+        signals = signals.with_columns(motor_current=signals["motor_torque"] / known.p["Kt_drive"])
     if "motor_position" not in signals:
         signals = signals.with_columns(motor_position=known.p["N"] * signals["link_position"])
-    return smoothed.smooth_motion(signals, known, smoothed.BANDWIDTHS[-2])
+    motion = smoothed.smooth_motion(signals, known, smoothed.BANDWIDTHS[-2])
+    if "motor_current" in signals:
+        return motion, smoothed.torque_from_current(motion, known)
+    return motion, smoothed.own_torque(motion, known, np.zeros(len(motion.time)))
 
 
 def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
-    motion = _motion(signals, known)
-    load = smoothed.torque_from_current(motion, known) if "motor_current" in signals else np.zeros(len(motion.time))
+    motion, load = motion_and_load(signals, known)
     stretch, stated = np.ones(len(motion.time)), {}
     if joint.uncertainty is not None:
         stated = dict(joint.uncertainty.discrepancy)

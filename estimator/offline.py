@@ -35,7 +35,7 @@ from ..models.signals import Signals
 from ..models.tables import write_table
 from . import registry, smoothed
 from .arrays import run
-from .bands import SIGMAS, deviations, disagreement, reference_torque
+from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
@@ -207,6 +207,21 @@ def estimate_recording(
     torque, external = ({name: found[what].get(name, empty) for name in kept} for what in _QUANTITIES)
     told = ({name: deviation[what].get(name, empty) for name in kept} if bands else {} for what in _QUANTITIES)
     return Estimates(recording.name, recording.time, torque, external, left_out, notes, *told)
+
+
+def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
+    """Shares of the samples in motion beyond a joint's range of validity (`ValidRange.beyond`); empty where it states none."""
+    if joint.valid is None:
+        return {}
+    known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
+    motions = []
+    for segment in recording.segments:
+        if segment.stop - segment.start < SHORTEST:
+            continue
+        motion, load = motion_and_load(recording.signals.part(segment), known)
+        moving = np.abs(motion.motor_velocity) > _MOVING * known.p["vs"]
+        motions.append(np.stack([motion.link_position, motion.link_velocity, load])[:, moving])
+    return joint.valid.beyond(*np.concatenate(motions, axis=1)) if motions else {}
 
 
 _QUANTITIES = ("torque", "external_torque")

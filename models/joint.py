@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
@@ -291,6 +291,21 @@ class ValidRange(Strict):
 
 _SLACK = 0.05
 """Part of a range by which a sample may be beyond it and still count as seen."""
+_BEYOND = {
+    "link_position": "link angle", "link_velocity": "link speed", "joint_torque": "load",
+    "driving": "motion that the motor drives", "driven": "motion that the load drives",
+}  # fmt: skip
+
+
+def beyond_sentence(beyond: Mapping[str, float]) -> str:
+    """What of a motion lies beyond a joint's range of validity (`ValidRange.beyond`), for people; empty where nothing does."""
+    if not beyond:
+        return ""
+    parts = [f"{_BEYOND.get(name, name)} {100 * share:.2g} %" for name, share in beyond.items()]
+    return (
+        f"beyond the range of the data behind the joint's description (share of the samples in motion): {', '.join(parts)}; what "
+        "is said there is extrapolated"
+    )
 
 
 class Uncertainty(Strict):

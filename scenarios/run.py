@@ -12,7 +12,7 @@ import numpy as np
 from ..estimator import registry
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.errors import InputError
-from ..models.joint import Joint
+from ..models.joint import Joint, beyond_sentence
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
@@ -86,6 +86,19 @@ class Run:
         """A true signal, one of `sim.loop.TRUTH`, shape (n,)."""
         return np.ascontiguousarray(self.simulation.truth[name])
 
+    @cached_property
+    def beyond(self) -> dict[str, float]:
+        """Shares of the motion beyond the range of validity of the plant's joint or of the one that the estimators know, the
+        larger (`models.joint.ValidRange.beyond`); empty where neither states one."""
+        names = ("link_position", "link_velocity", "joint_torque")
+        moving = np.abs(self.truth("motor_velocity")) > 2.5 * self.joint.numbers["vs"].value
+        motion = [self.truth(name)[moving] for name in names]
+        found: dict[str, float] = {}
+        for joint in (self.joint, self.known_joint):
+            for name, share in (joint.valid.beyond(*motion) if joint.valid is not None else {}).items():
+                found[name] = max(share, found.get(name, 0.0))
+        return found
+
     def reading(self, name: str) -> np.ndarray:
         """What a sensor gave, one of `models.signals.SENSED`, shape (n,)."""
         return np.ascontiguousarray(self.simulation.readings[name])
@@ -122,6 +135,8 @@ class Run:
             missing = int(np.sum(~np.isfinite(one.mean)))
             if missing:
                 found.append(f"{name} gives no estimate for {missing} of {len(one.mean)} samples and is not measured")
+        if self.beyond:
+            found.append(beyond_sentence(self.beyond))
         return tuple(found)
 
     @cached_property
