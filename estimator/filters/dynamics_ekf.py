@@ -3,7 +3,7 @@
 State and laws: `joint_model`; the filter: `dynamics_filter`. The current is an input, the encoders are the measurements.
 
 It takes the record as it is. With `process.stiffness` and `process.motor_constant` (0.07 and 0.02, the tolerances of a data
-sheet) it estimates those two; an error of kinematic error then passes for stiffness, and on joints that are known within tolerance
+sheet) it estimates those two; kinematic error that is off then passes for stiffness, and on joints known within tolerance
 that is worse than leaving them (`augmented` is for those).
 """
 

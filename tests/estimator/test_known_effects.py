@@ -85,7 +85,8 @@ EXCEPTIONS: dict[str, tuple[str, dict[str, tuple[float | None, float | None]]]] 
         "as back_driving, with twice the friction; the bristle's state is what a filter of the dynamics cannot see "
         "at rest either",
         {
-            "augmented": (None, 1.34), "current": (2.89, 2.56), "dynamics_ekf": (1.44, None), "dynamics_ukf": (1.61, None), "momentum": (3.63,
+            "augmented": (None, 1.34),
+            "current": (2.89, 2.56), "dynamics_ekf": (1.44, None), "dynamics_ukf": (1.61, None), "momentum": (3.63,
             2.86), "payload": (3.12, None),
         },
     ),
