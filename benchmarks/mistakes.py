@@ -115,9 +115,9 @@ def _late(column: str, seconds: float) -> Spoil:
     return spoil
 
 
-def _wrapped(column: str, low: float) -> Spoil:
+def _wrapped(column: str, low: float, scale: float = 1.0) -> Spoil:
     def spoil(r: Recording, joint: Joint, rng: np.random.Generator) -> Recording:
-        return _with(r, **{column: (r[column] - low) % (2 * math.pi) + low}) if column in r else r
+        return _with(r, **{column: scale * ((r[column] - low) % (2 * math.pi) + low)}) if column in r else r
 
     return spoil
 
@@ -130,7 +130,7 @@ def _ratio(factor: float) -> Spoil:
     return _scaled("motor_position", factor)
 
 
-def _stuck(column: str, share: float) -> Spoil:
+def _stuck(column: str, share: float, to_the_end: bool = False) -> Spoil:
     """Stuck for a share of the way that the link makes; all of it where 1."""
 
     def spoil(r: Recording, joint: Joint, rng: np.random.Generator) -> Recording:
@@ -143,7 +143,7 @@ def _stuck(column: str, share: float) -> Spoil:
             position = r["link_position"] if "link_position" in r else r["motor_position"]
             way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
             begin = int(np.searchsorted(way, rng.uniform(0.05, 0.9 - share) * way[-1]))
-            end = int(np.searchsorted(way, way[begin] + share * way[-1]))
+            end = len(x) if to_the_end else int(np.searchsorted(way, way[begin] + share * way[-1]))
             x[begin:end] = x[begin]
         return _with(r, **{column: x})
 
@@ -204,20 +204,23 @@ def hidden_mistakes() -> Iterator[Hidden]:
     )
     yield Hidden("unit", ("time",), _time(1e3), "unit time ms", 1e-3)
     yield Hidden("unit", ("time",), _time(1e6), "unit time µs", 1e-6)
-    for column in (motor, link, current, torque):
+    for column in (motor, link, current, torque, "position_command"):
         yield Hidden("sign", (column,), _scaled(column, -1.0), f"sign {column}")
     yield Hidden("sign", ("",), _gravity, "sign of gravity")
     for factor in (1.01, 1 / 1.01, 0.5, 1.6):
         yield Hidden("gear_ratio", (motor, link, ""), _ratio(factor), f"gear_ratio {factor:.3g}", factor)
     yield Hidden("swapped", ("",), _exchanged, "swapped")
-    for seconds in (0.02, 0.05, 0.1):
+    for seconds in (0.01, 0.02, 0.05, 0.1):
         for column in (motor, link, current, torque):
+            if seconds < 0.015 and column == link:  # an ordinary delay
+                continue
             yield Hidden(
                 "late", (column,), _late(column, seconds), f"late {column} {1e3 * seconds:g} ms", seconds=seconds
             )
     for low in (-math.pi, 0.0):
         yield Hidden("wrapped", (motor,), _wrapped(motor, low), f"wrapped motor_position {low:.1f}")
     yield Hidden("wrapped", (link,), _wrapped(link, 0.0), "wrapped link_position")
+    yield Hidden("wrapped", (motor,), _wrapped(motor, 0.0, 1 / deg), "wrapped motor_position 360 degrees")
     yield Hidden("velocity", (motor,), _speed(motor, 1.0), "velocity motor_position")
     yield Hidden("velocity", (link,), _speed(link, 1.0), "velocity link_position")
     yield Hidden("velocity", (motor,), _speed(motor, 60 / turn), "velocity motor_position rpm", turn / 60)
@@ -232,11 +235,13 @@ def hidden_mistakes() -> Iterator[Hidden]:
     for share in (0.1, 0.3, 1.0):
         for column in (motor, link, current, torque):
             yield Hidden("stuck", (column,), _stuck(column, share), f"stuck {column} {share:g}")
+    for column in (motor, link, current, torque):
+        yield Hidden("stuck", (column,), _stuck(column, 0.2, True), f"stuck {column} from 0.2 to the end")
     for column, size in ((motor, turn), (motor, 20.0), (link, 0.3), (current, 1.0), (torque, 1.0)):
         for count in (1, 5):
             yield Hidden("glitch", (column,), _glitch(column, size, count), f"glitch {column} {size:.2g} × {count}")
     for share in (0.6, 0.8):
-        for column in (current, torque):
+        for column in (motor, link, current, torque):
             yield Hidden("clipped", (column,), _clipped(column, share), f"clipped {column} {share:g}")
 
 
@@ -296,6 +301,7 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
     parser.add_argument("--folder", type=Path, default=EXAMPLES)
     parser.add_argument("--only", default="", help="part of the labels of mistakes to hide")
     parser.add_argument("--every", type=int, default=1, help="of so many examples one")
+    parser.add_argument("--one", action="store_true", help="hide in one recording, the last, not in all")
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args(words)
@@ -310,7 +316,8 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
         hits, alone, missed = 0, 0, []
         tried = [(m, j) for m, j in sound if mistake.there(m)]
         for measurement, joint in tried:
-            found = find_mistakes(hide(mistake, measurement, joint, rng), joint)
+            only = len(measurement.recordings) - 1 if arguments.one else None
+            found = find_mistakes(hide(mistake, measurement, joint, rng, only), joint)
             looks += 1
             hits += mistake.found(found)
             alone += mistake.found(found) and mistake.alone(found)

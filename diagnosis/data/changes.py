@@ -90,7 +90,7 @@ class Change:
 
     def _position(self, motion: Motion, velocity: np.ndarray) -> np.ndarray:
         """The position of a velocity; where another position or the command says it, from there."""
-        x = integrated(motion.time, velocity, 0.0)
+        x = integrated(motion.time, velocity)
         for name in (*POSITIONS, "position_command"):
             if name != self.column and name in motion:
                 sides = [self.ratio if n == "motor_position" else 1.0 for n in (self.column, name)]
@@ -106,10 +106,10 @@ def swapped(motion: Motion) -> Motion:
     return motion.without(*names).with_channels(**{others[name]: motion.channels[name] for name in names})
 
 
-def integrated(time: np.ndarray, velocity: np.ndarray, start: float) -> np.ndarray:
-    """Position and two derivatives, shape (n, 3), of a channel that holds a velocity; gaps are bridged by the mean."""
+def integrated(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Position from zero and two derivatives, shape (n, 3), of a channel that holds a velocity; the mean bridges gaps."""
     steps = 0.5 * np.diff(time) * (velocity[1:, 0] + velocity[:-1, 0])
-    position = start + np.concatenate([[0.0], np.cumsum(steps)])
+    position = np.concatenate([[0.0], np.cumsum(steps)])
     return np.column_stack([position, velocity[:, 0], velocity[:, 1]])
 
 
@@ -119,13 +119,12 @@ class Found:
 
     Attributes:
       change: that mends; recordings: indices of those that have the mistake.
-      confidence: of it; rivals: changes that would mend it as well.
+      confidence: of it.
     """
 
     change: Change
     recordings: tuple[int, ...]
     confidence: float
-    rivals: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -169,8 +168,6 @@ class Suspicions:
     """What is wrong with the channels of a measurement as a whole.
 
     Attributes:
-      motions: the channels of each recording as they would be without; None of a recording too short to tell.
-      fits: the relations between them.
       found: changes, in the order in which they mend.
     """
 
@@ -178,8 +175,7 @@ class Suspicions:
         self.joint = joint
         self.recordings = tuple(recordings)
         self._plausible = [Plausibility(joint, r) for r in recordings]
-        best = self._search(self._state())
-        self.motions, self.fits, self.found = best.motions, best.fits, best.found
+        self.found = self._search(self._state()).found
 
     def _state(self) -> _State:
         motions = tuple(motion_of(r) for r in self.recordings)

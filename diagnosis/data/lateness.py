@@ -25,7 +25,7 @@ _STEP = 5e-3  # s: of shifts that are tried, and of samples
 _FARTHEST = 0.3  # s
 _CUTOFF = 12.0  # Hz: of the smoother
 _BIN = 4e-3  # s: over which samples are averaged before
-_EFFECTIVE = 60.0  # samples that a relation in a recording counts as
+_EFFECTIVE = (6.0, 60.0)  # samples that a second of a relation counts as, and a recording at the most
 _SURE = 12.0  # gain in log likelihood from which on a column is late
 _WORSE = -3.0  # loss in a recording from which on not all have it
 _ONE_OF_SEVERAL = 15.0  # more gain that it takes where not all have it
@@ -34,8 +34,8 @@ _HATS = 24  # of the angle, whose functions gravity, cables, stops and the like 
 _FEWEST, _MOST = 200, 2500  # samples
 _FLOOR = 1e-9  # of a relation's variance that is never explained
 _PEAK, _PEAKED = 0.03, 6.0  # s beside the best shift at which it is worse by that much, in log likelihood
-_ORDINARY = {"link_position": (-4e-3, 14e-3)}  # s: by how much a column is late in sound data, by causes and filters
-_OTHERS = (-4e-3, 6e-3)
+_ORDINARY = {"link_position": (-2e-3, 14e-3)}  # s: by how much a column is late in sound data, by causes and filters
+_OTHERS = (-2e-3, 5e-3)
 _TRAVEL = 0.05  # rad of the link below which motion says nothing
 
 
@@ -51,7 +51,7 @@ class LateColumn:
 
 @dataclass(frozen=True)
 class _Relation:
-    """How much two columns leave unexplained at each shift of the second against the first, log, shape (d,)."""
+    """What two columns leave unexplained at each shift of the second against the first: log likelihood lost, shape (d,)."""
 
     first: str
     second: str
@@ -112,7 +112,7 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     if not side <= i < len(shifts) - side:
         return None
     rise = min(left[i - side], left[i + side]) - left[i]
-    if 0.5 * _EFFECTIVE * rise < _PEAKED:  # no shift is better than another, or they get better and better
+    if rise < _PEAKED:  # no shift is better than another, or they get better and better
         return None
     before, at, after = left[i - 1 : i + 2]
     bend = before - 2 * at + after
@@ -126,7 +126,7 @@ def _gain(relations: list[_Relation], late: str, d: float) -> float:
     for r in relations:
         if late in (r.first, r.second):
             total += _least(r, 0.0, "") - _least(r, d, late)
-    return 0.5 * _EFFECTIVE * total
+    return total
 
 
 def _ordinary_of(name: str) -> tuple[float, float]:
@@ -181,7 +181,8 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
         if not A or sum(map(len, A)) < _FEWEST:
             continue
         shapes, y = np.concatenate(A), np.concatenate(B)
-        found.append(_Relation(first, second, np.log(_unexplained(shapes, y))))
+        count = min(_EFFECTIVE[0] * _STEP * stride * len(y), _EFFECTIVE[1])
+        found.append(_Relation(first, second, 0.5 * count * np.log(_unexplained(shapes, y))))
     return found
 
 

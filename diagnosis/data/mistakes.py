@@ -137,8 +137,6 @@ def _of_change(found: Found, recordings: Sequence[Recording]) -> list[Mistake]:
     change = found.change
     where = [""] if len(found.recordings) == len(recordings) else [recordings[i].name for i in found.recordings]
     text = change.description
-    if found.rivals:
-        text += "; or else " + ", or ".join(f"{c.name} of {c.column or 'the positions'}" for c in found.rivals)
     one = Mistake(
         change.name, change.column, "", text, found.confidence, factor=change.factor,
         offset=np.pi if change.column == GRAVITY else change.offset,

@@ -199,7 +199,7 @@ class _Shapes:
         beta = np.empty(len(low))
         misfit = float(_fit(A, y, sigma, low, high, centre, spread, effective / self._n, beta))
         known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
-        return Fit(misfit + known, misfit / effective, A @ beta, sigma)
+        return Fit(misfit + known, misfit / effective)
 
 
 @dataclass(frozen=True)
@@ -210,13 +210,10 @@ class Fit:
       agreement: log likelihood.
       misfit: its part that readings and priors make up, per effective sample: 0 where all is as expected, −0.6 where readings
         are off by one `sigma`.
-      expected: of the reading, shape (n,); sigma: how far from it is nothing, shape (n,).
     """
 
     agreement: float
     misfit: float
-    expected: np.ndarray
-    sigma: np.ndarray
 
 
 def _same(a: Motion, b: Motion, channels: tuple[str, ...]) -> bool:
