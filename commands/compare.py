@@ -38,5 +38,7 @@ def command(
     terminal.print(comparison_table(metrics))
     tell(terminal, runs)
     terminal.print(
-        f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them", highlight=False
+        f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them",
+        highlight=False,
+        markup=False,
     )

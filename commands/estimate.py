@@ -60,7 +60,7 @@ def command(
                 "beyond": beyond,
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
-            terminal.print(f"{path}", highlight=False)
+            terminal.print(f"{path}", highlight=False, markup=False)
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
             if beyond:
@@ -69,7 +69,7 @@ def command(
                 terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    terminal.print(f"{out / 'metrics.json'}", highlight=False)
+    terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:

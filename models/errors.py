@@ -18,7 +18,8 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str):
-        super().__init__(one_line(message))
+        text = one_line(message)
+        super().__init__(text if len(text) <= 1000 else f"{text[:600]} … {text[-300:]}")
 
 
 def one_line(text: str) -> str:
