@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from ..models import causes
 from ..models.joint import Effect, Estimate, Joint
+from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement
 from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
@@ -187,6 +188,30 @@ class Diagnosis:
     held_out: str = ""
     complete: bool = True
     seconds: float = 0.0
+
+    def _repr_html_(self) -> str:
+        causes_ = [
+            (
+                c.name.replace("_", " "), c.component, f"{100 * c.confidence:.0f} %", f"{100 * c.explains:.0f} %", c.worth,
+                c.description
+                or ", ".join(f"{k} = {p.value:.4g} ± {p.std:.2g} {p.unit}".rstrip() for k, p in c.parameters.items()),
+            )
+            for c in self.causes
+        ]  # fmt: skip
+        residual = [(name, r.before, r.after, r.noise, r.unit) for name, r in self.residual.items()]
+        return "".join(
+            (
+                paragraph(self.verdict, self.reason),
+                *(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes),
+                html_table(("cause", "component", "sure", "explains", "worth [N·m]", "parameters"), causes_),
+                html_table(("residual", "before", "after", "noise", "unit"), residual),
+                paragraph("Cannot be told apart:", "; ".join(" and ".join(p) for p in self.confusable))
+                if self.confusable
+                else "",
+                paragraph("Could not have shown:", ", ".join(self.undetermined)) if self.undetermined else "",
+                "" if self.plan is None else self.plan._repr_html_(),
+            )
+        )
 
     def to_json(self) -> dict[str, Any]:
         """What `diagnosis.json` holds."""

@@ -24,6 +24,7 @@ import numpy as np
 from ..models import causes, laws
 from ..models.errors import InputError
 from ..models.joint import LOCKED, Joint, Mounting
+from ..models.notebook import listing, paragraph
 from ..models.parameters import GRAVITY
 from ..models.recording import Measurement, Recording
 from ..models.signals import POSITIONS
@@ -204,6 +205,11 @@ class Plan:
     def sentences(self) -> list[str]:
         """The proposals, best first."""
         return [self.sentence(p) for p in self.proposals]
+
+    def _repr_html_(self) -> str:
+        return paragraph("What to measure next") + (
+            listing(self.sentences()) or paragraph("", "nothing would tell more")
+        )
 
     def to_json(self) -> list[dict[str, Any]]:
         """What `diagnosis.json` holds as `next`."""

@@ -29,6 +29,7 @@ from ..models.dynamics import State
 from ..models.errors import InputError
 from ..models.joint import EncoderSpec, Joint, ValidRange
 from ..models.kernels import kernel
+from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
@@ -165,6 +166,15 @@ class Validation:
     beyond: dict[str, float]
     mistakes: tuple[Mistake, ...] = ()
     recordings: tuple[Channels, ...] = field(default=(), repr=False)
+
+    def _repr_html_(self) -> str:
+        rows = [(name, e.rms, e.noise, e.unit, f"{100 * e.inside:.1f} %") for name, e in self.residual.items()]
+        beyond = [f"{100 * share:.2g} % beyond the range of {name}" for name, share in self.beyond.items()]
+        return (
+            paragraph(self.joint, ", ".join(beyond))
+            + html_table(("channel", "error, RMS", "noise", "unit", "inside the band"), rows)
+            + "".join(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes)
+        )
 
     def to_json(self) -> dict[str, Any]:
         """What `validation.json` holds."""

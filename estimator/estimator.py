@@ -19,6 +19,7 @@ import numpy as np
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from ..models.kernels import kernel
+from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
@@ -198,6 +199,17 @@ class Posterior:
     robust: np.ndarray | None = None
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     external: np.ndarray | None = None
+
+    def _repr_html_(self) -> str:
+        rows = [("joint torque", "N·m", float(np.min(self.mean)), float(np.max(self.mean)))]
+        if self.external is not None:
+            rows.append(("external torque", "N·m", float(np.min(self.external)), float(np.max(self.external))))
+        text = f"{len(self.time)} samples"
+        if self.variance is not None:
+            text += f"; believes its error to be {math.sqrt(float(np.mean(self.variance))):.3g} N·m RMS"
+        if self.robust is not None:
+            text += f"; robust in {100 * float(np.mean(self.robust)):.3g} % of them"
+        return paragraph(self.estimator, text) + html_table(("estimate", "unit", "smallest", "largest"), rows)
 
     @property
     def nis(self) -> np.ndarray | None:

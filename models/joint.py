@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_vali
 from . import causes, units
 from .errors import InputError, is_there, nearest
 from .files import Line, Strict, load, write_into_place, yaml_text
+from .notebook import html_table, paragraph
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
 
@@ -507,6 +508,22 @@ class Joint(Strict):
             p["discrepancy_low"][k], p["discrepancy_high"][k] = one.low, one.high
             p["discrepancy_count"][k] = len(one.coefficients)
             p["discrepancy_coefficient"][k, : len(one.coefficients)] = one.coefficients
+
+    def _repr_html_(self) -> str:
+        rows = [
+            (symbol, n.value, n.unit, f"± {100 * n.tolerance:.3g} %" if n.tolerance else "", n.source)
+            for symbol, n in self.numbers.items()
+        ]
+        effects = [
+            (e.name.replace("_", " "), f"{name} = {p.value:.4g} {p.unit}".strip())
+            for e in self.effects
+            for name, p in e.parameters.items()
+        ]
+        return (
+            paragraph(self.name, " ".join(self.description.split()))
+            + html_table(("effect", "parameter"), effects)
+            + html_table(("number", "value", "unit", "tolerance", "source"), rows)
+        )
 
     def write(self, path: Path) -> None:
         """Write the description as YAML; `load_joint` reads it back."""

@@ -27,6 +27,7 @@ from .arm import column as arm_column
 from .errors import InputError, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
+from .notebook import html_table, paragraph
 from .output import recover
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .tables import write_table
@@ -137,6 +138,12 @@ class Recording:
     def __contains__(self, channel: str) -> bool:
         return channel in self.columns
 
+    def _repr_html_(self) -> str:
+        rows = [(name, CHANNELS[name].unit, float(x.min()), float(x.max())) for name, x in self.columns.items()]
+        seconds = float(self.time[-1] - self.time[0])
+        text = f"{self.joint}, {seconds:.1f} s at {1 / self.interval:.4g} Hz, {len(self.segments)} segment(s)"
+        return paragraph(self.name, text) + html_table(("channel", "unit", "smallest", "largest"), rows)
+
     @property
     def signals(self) -> Signals:
         """Its channels for whoever needs no more: an estimator, a view."""
@@ -210,6 +217,10 @@ class Measurement:
         """The files that it was read from: tables and their YAML files."""
         tables = [Path(recording.source) for recording in self.recordings if recording.source]
         return [file for table in tables for file in (table, table.with_suffix(".yaml"))]
+
+    def _repr_html_(self) -> str:
+        rows = [(r.name, float(r.time[-1] - r.time[0]), 1 / r.interval, ", ".join(r.columns)) for r in self.recordings]
+        return paragraph(self.name) + html_table(("recording", "duration [s]", "rate [Hz]", "channels"), rows)
 
     def load_joint(self, option: str | Path | None = None) -> Joint:
         """Load the joint that the recordings name, or the one of the command line, which wins."""

@@ -13,6 +13,7 @@ from ..estimator import registry
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.errors import InputError
 from ..models.joint import Joint, beyond_sentence
+from ..models.notebook import html_table, paragraph
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
@@ -81,6 +82,13 @@ class Run:
     def model_torque(self) -> np.ndarray:
         """Raw compliance model [N·m], shape (n,): what the paper's filters filter."""
         return registry.get("model").estimate(self.signals, self.known).mean
+
+    def _repr_html_(self) -> str:
+        shown = {"rms": "error [N·m RMS]", "noise": "noise [N·m RMS]", "delay_ms": "delay [ms]"}
+        rows = [(name, *(m.get(key) for key in shown)) for name, m in self.metrics["filters"].items()]
+        text = f"{self.joint.name}, {self.scenario.duration:g} s, seed {self.scenario.seed}"
+        notes = "".join(paragraph("Note:", note) for note in self.notes)
+        return paragraph(self.name, text) + html_table(("filter", *shown.values()), rows) + notes
 
     def truth(self, name: str) -> np.ndarray:
         """A true signal, one of `sim.loop.TRUTH`, shape (n,)."""
