@@ -187,7 +187,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
 
 
 def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Mean square of what shapes, shape (n, s), and functions of their first do not explain of y, shape (n, d), each; shape (d,)."""
+    """Mean square of what shapes, shape (n, s), and functions of the first do not explain of y, shape (n, d): shape (d,)."""
     A = np.column_stack([shapes, *_hats(shapes[:, 0])])
     A = A / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-12)
     values, vectors = np.linalg.eigh(A.T @ A)

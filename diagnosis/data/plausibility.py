@@ -9,8 +9,8 @@ Four relations hold between the channels of a joint, however they were recorded:
 
 Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and
 all causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as
-pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few milliseconds apart
-say the same thing, so a recording counts as `EFFECTIVE` samples.
+pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few
+milliseconds apart say the same thing, so a recording counts as `EFFECTIVE` samples.
 """
 
 from __future__ import annotations

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
@@ -212,6 +213,21 @@ def test_the_ur3e_shoulder_hangs_on_its_arm(shared, tmp_path):
     assert recording.link.gravity_moment == pytest.approx(18.6, rel=0.01)
     result = CliRunner().invoke(commands.app, ["check", str(tmp_path)])
     assert result.exit_code == 0 and "torsion cannot be seen" in result.output and "no mistake" in result.output
+
+
+def test_the_ur3e_shoulder_is_pulled_as_its_arm_says():
+    from flexspline.models import laws
+    from flexspline.models.joint import load_joint
+    from flexspline.sim import plant
+
+    joint = load_joint("ur3e-shoulder")
+    record, model = joint.record(), plant.build(joint)
+    data = mujoco.MjData(model)
+    for q in (-3.0, -1.5, 0.0):
+        plant.start(model, data, np.array([101 * q, 101 * q, q]))
+        mujoco.mj_forward(model, data)
+        assert -data.qfrc_bias[2] == pytest.approx(laws.gravity_torque(q, record[0]), rel=1e-9)
+        assert -data.qfrc_bias[2] == pytest.approx(18.61 * np.cos(q), abs=1e-3)
 
 
 def test_lara8_takes_a_file_of_another_power_up(shared, tmp_path):
