@@ -43,6 +43,8 @@ NAMES = (
     "lowpass", "kalman", "strong_tracking", "h_infinity", "huber",
 )  # fmt: skip
 """In the tables; `inverse` is RAREKF with the third reading of Eq. (23)."""
+COSTLY_AT = (1.0, 0.0)
+"""Tolerances at which the estimators that simulate the joint run; a second each, where the others take a hundredth."""
 APART = 0.25
 """Time [s] between errors that count for NEES."""
 ROOT = Path(__file__).resolve().parents[1]
@@ -126,6 +128,15 @@ class Results:
         for row in sorted(rows, key=lambda r: r.seed):
             self._by.setdefault((row.scenario, row.tolerance, row.estimator), []).append(row)
 
+    def has(self, tolerance: float, name: str) -> bool:
+        """Whether an estimator has run at a tolerance."""
+        return (SCENARIOS[-1], tolerance, name) in self._by
+
+    def at(self, tolerance: float) -> list[str]:
+        """The estimators that have run at a tolerance, the best first."""
+        names = [n for n in self.names if self.has(tolerance, n)]
+        return sorted(names, key=lambda n: self.overall(tolerance, n).mean)
+
     def values(self, scenario: str, tolerance: float, name: str, measure: str = "rms") -> np.ndarray:
         """A measure of every draw, shape (draws,), by seed."""
         return np.array([getattr(row, measure) for row in self._by[scenario, tolerance, name]])
@@ -151,20 +162,23 @@ def text(found: Interval, digits: int = 2) -> str:
 
 def overall_table(results: Results) -> str:
     """Ratio to RAREKF over the three experiments, by tolerance; the best at ×1 first."""
-    first = results.tolerances[0]
-    order = sorted(results.names, key=lambda n: results.overall(first, n).mean)
-    rows = [(n, *(("1" if n == REFERENCE else text(results.overall(t, n))) for t in results.tolerances)) for n in order]
+
+    def cell(tolerance: float, name: str) -> str:
+        if not results.has(tolerance, name):
+            return "–"
+        return "1" if name == REFERENCE else text(results.overall(tolerance, name))
+
+    rows = [(n, *(cell(t, n) for t in results.tolerances)) for n in results.at(results.tolerances[0])]
     return markdown(("estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)), rows)
 
 
 def scenario_table(results: Results, tolerance: float) -> str:
     """RMS error and ratio to RAREKF in every experiment at a tolerance, in motion and at rest."""
-    order = sorted(results.names, key=lambda n: results.overall(tolerance, n).mean)
     heads = ["estimator"]
     for name in SCENARIOS:
         heads += [f"{name}: RMS [N·m]", "moving", "at rest", "/ RAREKF", "largest"]
     rows = []
-    for n in order:
+    for n in results.at(tolerance):
         row = [n]
         for s in SCENARIOS:
             row += [f"{np.mean(results.values(s, tolerance, n, m)):.3f}" for m in ("rms", "moving", "resting")]
@@ -182,7 +196,8 @@ def nees_table(results: Results) -> str:
             continue
         row = [n]
         for t in results.tolerances:
-            row += [text(interval(results.values(s, t, n, "nees"))) for s in SCENARIOS]
+            some = results.has(t, n)
+            row += [text(interval(results.values(s, t, n, "nees"))) if some else "–" for s in SCENARIOS]
         rows.append(row)
     return markdown(("estimator", *(f"{s} ×{t:g}" for t in results.tolerances for s in SCENARIOS)), rows)
 
@@ -193,6 +208,9 @@ def push_table(results: Results) -> str:
     for n in results.names:
         row = [n]
         for t in results.tolerances:
+            if not results.has(t, n):
+                row += ["–", "–"]
+                continue
             row.append(text(interval(results.values("external_push", t, n, "response")), 1))
             row.append(f"{100 * np.mean(results.values('external_push', t, n, 'missed')):.0f}")
         rows.append(row)
@@ -256,29 +274,45 @@ def main(arguments: Sequence[str] = ()) -> None:
     asked = parser.parse_args(arguments)
     estimators, rows, began = chosen(), [], time.perf_counter()
     seeds = range(101, 101 + asked.seeds)
-    for tolerance in asked.tolerances:
-        for scenario in SCENARIOS:
+    for costly in (False, True):
+        some = {name: one for name, one in estimators.items() if one.costly == costly}
+        for tolerance in asked.tolerances:
+            if costly and tolerance not in COSTLY_AT:
+                continue
+            for scenario in SCENARIOS:
+                rows += _rows(scenario, tolerance, seeds, some, asked.draws, asked.threads)
+                print(f"{time.perf_counter() - began:7.0f} s  tolerance ×{tolerance:g}, {scenario}", flush=True)
+        results = Results(rows)
+        last = drawn(SCENARIOS[0], asked.tolerances[0], seeds[0], asked.draws)
+        fill(asked.page, tables(results, asked.seeds, estimators, last))
+        write_csv(results, asked.page.with_suffix(".csv"))
 
-            def one(seed: int, scenario: str = scenario, tolerance: float = tolerance) -> list[Row]:
-                return assess(drawn(scenario, tolerance, seed, asked.draws), scenario, tolerance, estimators)
 
-            with ThreadPoolExecutor(asked.threads) as pool:
-                rows += [row for several in pool.map(one, seeds) for row in several]
-            print(f"{time.perf_counter() - began:7.0f} s  tolerance ×{tolerance:g}, {scenario}", flush=True)
-    results = Results(rows)
-    last = drawn("link_sweep", asked.tolerances[0], seeds[0], asked.draws)
-    fill(
-        asked.page,
-        {
-            "about": about(asked.seeds),
-            "overall": overall_table(results),
-            **{f"scenarios {t:g}": scenario_table(results, t) for t in results.tolerances},
-            "nees": nees_table(results),
-            "push": push_table(results),
-            "cost": cost_table(estimators, last),
-        },
-    )
-    write_csv(results, asked.page.with_suffix(".csv"))
+def _rows(
+    scenario: str,
+    tolerance: float,
+    seeds: Iterable[int],
+    estimators: dict[str, Estimator],
+    kept: Path | None,
+    threads: int,
+) -> list[Row]:
+    def one(seed: int) -> list[Row]:
+        return assess(drawn(scenario, tolerance, seed, kept), scenario, tolerance, estimators)
+
+    with ThreadPoolExecutor(threads) as pool:
+        return [row for several in pool.map(one, seeds) for row in several]
+
+
+def tables(results: Results, seeds: int, estimators: dict[str, Estimator], one: Draw) -> dict[str, str]:
+    """The page's tables by name; `one`: a draw on which the time of updates is measured."""
+    return {
+        "about": about(seeds),
+        "overall": overall_table(results),
+        **{f"scenarios {t:g}": scenario_table(results, t) for t in results.tolerances},
+        "nees": nees_table(results),
+        "push": push_table(results),
+        "cost": cost_table(estimators, one),
+    }
 
 
 def about(seeds: int) -> str:
