@@ -162,7 +162,6 @@ class Proposal:
 
     Attributes:
       name: of the experiment; description: what to do, for people.
-      shipped: whether a shipped scenario of that name is its motion.
       duration: [s].
       expected: standard deviations, shape (questions,).
       score: questions answered, in parts, less the effort.
@@ -170,7 +169,6 @@ class Proposal:
 
     name: str
     description: str
-    shipped: bool
     duration: float
     expected: tuple[float, ...]
     score: float = 0.0
@@ -281,7 +279,7 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
             for q, z, part in zip(questions, expected, progress, strict=True)
         )
         score = worth - settings.effort[0] * e.duration / 30.0 - e.effort
-        return Proposal(e.name, e.description, False, e.duration, expected, round(score, 3)) if score > 0 else None
+        return Proposal(e.name, e.description, e.duration, expected, round(score, 3)) if score > 0 else None
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
         proposals = [p for p in pool.map(judged, experiments(measurement, joint, diagnosis, settings)) if p is not None]

@@ -140,7 +140,7 @@ def test_results_show_themselves_in_a_notebook(run):
     assert f"{run.metrics['filters']['lowpass']['rms']:.4g}" in shown["run"]
     assert "motor_current" in shown["recording"] and "robust in" in shown["posterior"]
     finding = Finding("unknown", "link", 0.6, {}, 0.4, 1.2, "a torque that <depends>", ("link_position",))
-    plan = Plan((Question(("backlash",), 0.0, 3.7),), (Proposal("sweeps", "Move <it>", False, 20.0, (9.0,)),))
+    plan = Plan((Question(("backlash",), 0.0, 3.7),), (Proposal("sweeps", "Move <it>", 20.0, (9.0,)),))
     alike, open_ = (("payload", "gravity_moment"),), {"backlash": "no reversal"}
     diagnosis = Diagnosis("discrepancy", "", (finding,), {}, alike, open_, {}, (), run.joint, plan=plan)
     text = diagnosis._repr_html_()

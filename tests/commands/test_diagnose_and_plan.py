@@ -24,7 +24,7 @@ from flexspline.models.recording import Recording, write_recording
 
 PLAN = Plan(
     (Question(("friction_temperature",), 0.0, 3.74), Question(("torque_constant", "torque_sensor_gain"), 1.1, 3.0)),
-    (Proposal("with_temperature", "Record the gear's temperature until 10 K warmer", False, 22.0, (41.0, 1.2), 0.6),),
+    (Proposal("with_temperature", "Record the gear's temperature until 10 K warmer", 22.0, (41.0, 1.2), 0.6),),
 )
 
 

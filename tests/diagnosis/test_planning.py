@@ -142,7 +142,7 @@ def test_proposals_in_plain_words():
         Question(("torque_constant", "payload"), 1.0, 3.0),
         Question(("friction_asymmetry",), 8.0, 10.0, "ratio"), Question(("K1",), 20.0, 40.0, "value"),
     )  # fmt: skip
-    best = Proposal("sweeps", "Move the link", False, 21.5, (250.0, 9.0, 1.0, 20.0, 50.0))
+    best = Proposal("sweeps", "Move the link", 21.5, (250.0, 9.0, 1.0, 20.0, 50.0))
     found = Plan(questions, (best,))
     assert found.sentences() == [
         "Move the link (22 s): would show backlash by more than 100 standard deviations (now 0), hysteresis by 9.0 (now 1.2); "

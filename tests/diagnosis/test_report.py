@@ -82,7 +82,7 @@ def report(measured) -> Report:
     gained = improvement(measured[1], joint, found)
     plan = Plan(
         (Question(("backlash",), 1.0, 7.0), Question(("cogging", "kinematic_error"), 2.0, 4.5)),
-        (Proposal("link_sweep", "slow", True, 40.0, (9.0, 3.0)),),
+        (Proposal("link_sweep", "slow", 40.0, (9.0, 3.0)),),
     )
     return Report(measured[1], joint, with_improvement(found, gained), gained, plan)
 
