@@ -1,6 +1,6 @@
 """Reliability in numbers: inputs made at random, processes killed, disks that fill up, memory over long recordings.
 
-`python -m benchmarks.reliability` runs all of it (an hour), `python -m benchmarks.reliability fuzz kills disk memory` a part;
+`python -m benchmarks.reliability` runs all of it (an hour), with names of parts (fuzz, exchanges, kills, disk, memory) these;
 `--inputs`, `--kills` and `--seed` say how much of it. Exit code 1 where anything failed. docs/reliability.md has the figures.
 """
 
@@ -25,12 +25,14 @@ from pathlib import Path
 
 import numpy as np
 
-from flexspline.models.output import MANIFEST, recover
+from flexspline.models.errors import InputError
+from flexspline.models.output import MANIFEST, output_folder, recover
 from flexspline.models.recording import Recording, write_recording
 
 HANG = 60.0
 """Seconds after which an input counts as one that hangs, compiling included."""
 _BATCH = 200
+PARTS = ["fuzz", "exchanges", "kills", "disk", "memory"]
 
 
 # --- inputs -----------------------------------------------------------------------------------------------------------
@@ -265,6 +267,52 @@ def _call(words: list[str]) -> tuple[int, str]:
     return done.returncode, done.stderr.strip()
 
 
+def exchanges(count: int, seed: int) -> tuple[Counter[str], list[str]]:
+    """Kill processes that do nothing but replace a folder's files, over and over: the part of a command that matters here.
+
+    Every generation has other names and other content; after each kill there must be exactly one generation.
+    """
+    rng, done, wrong = random.Random(seed), Counter[str](), []
+    with _folder() as folder:
+        out = folder / "out"
+        _generation(out, 0)
+        (out / "mine.txt").write_text("a person's own")
+        for number in range(count):
+            process = os.fork()
+            if process == 0:
+                with suppress(BaseException):
+                    for k in range(1_000_000):
+                        _generation(out, number * 1_000_000 + k)
+                os._exit(0)
+            time.sleep(rng.expovariate(1 / 0.02))
+            name = rng.choice(["SIGKILL", "SIGTERM"])
+            os.kill(process, getattr(signal, name))
+            os.waitpid(process, 0)
+            done[name] += 1
+            done["of these in the middle"] += any(out.glob(f"{MANIFEST}-done-*"))
+            recover(out)
+            found = _content(out)
+            generations = {content.split(b"\n")[0] for content in found.values()}
+            if len(generations) != 1 or len(found) != 6:
+                wrong.append(f"kill {number}: torn: {sorted(found)}, generations {generations}")
+            if (out / "mine.txt").read_text() != "a person's own":
+                wrong.append(f"kill {number}: a person's own file is gone")
+        try:
+            _generation(out, -1)
+        except InputError as error:
+            wrong.append(f"refused to start again: {error}")
+        left = [p.name for p in out.rglob(".*") if p.name != MANIFEST]
+        wrong += [f"left {left}"] if left else []
+    return done, wrong
+
+
+def _generation(out: Path, number: int) -> None:
+    with output_folder(out, "run", whole=True) as new:
+        (new / "sub").mkdir()
+        for name in ("a", "b", "c", "sub/d", f"odd{number % 3}", f"sub/odd{number % 2}"):
+            (new / name).write_text(f"{number}\n" + "x" * 20_000)
+
+
 # --- a full disk ------------------------------------------------------------------------------------------------------
 
 
@@ -350,13 +398,13 @@ def _folder() -> Iterator[Path]:
 def main() -> None:
     """Run what is asked and print its figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="part", help="any of fuzz, kills, disk, memory; all by default")
+    parser.add_argument("parts", nargs="*", metavar="part", help=f"any of {', '.join(PARTS)}; all by default")
     parser.add_argument("--inputs", type=int, default=12_000)
     parser.add_argument("--kills", type=int, default=100, help="at random moments")
     parser.add_argument("--chosen", type=int, default=12, help="moments of each command, at most")
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args()
-    parts = asked.parts or ["fuzz", "kills", "disk", "memory"]
+    parts = asked.parts or PARTS
     failed = False
     if "fuzz" in parts:
         found = fuzz(asked.inputs, asked.seed, os.cpu_count() or 1)
@@ -366,15 +414,18 @@ def main() -> None:
         print(*(f"  {line}" for line in found.failures), sep="\n")
         failed |= bool(found.failures)
     for part, result in (
-        ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed)), ("disk", lambda: full_disk(8)),
-    ):  # fmt: skip
+        ("exchanges", lambda: exchanges(20 * asked.kills, asked.seed)),
+        ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed)),
+        ("disk", lambda: full_disk(8)),
+    ):
         if part in parts:
             answer = result()
             if answer is None:
                 print(f"{part}: not run, no disk could be made")
                 continue
             done, wrong = answer
-            print(f"{part}: {sum(done.values())}, wrong: {len(wrong)}")
+            total = sum(n for what, n in done.items() if not what.startswith("of these"))
+            print(f"{part}: {total}, wrong: {len(wrong)}")
             for what, count in sorted(done.items()):
                 print(f"  {what:40} {count}")
             print(*(f"  {line}" for line in wrong), sep="\n")
