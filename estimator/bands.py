@@ -25,12 +25,10 @@ from scipy.ndimage import uniform_filter1d
 from scipy.signal import lfilter
 
 from ..models.joint import Joint, Mounting
-from ..models.kernels import kernel
 from ..models.signals import Signals
 from ..models.uncertainty import independent_changes, moved, principal
 from . import registry, smoothed
 from .estimator import KnownJoint
-from .payload_model import slow_friction
 
 SIGMAS = 1.96
 """Standard deviations of a 95 % band."""
@@ -42,6 +40,7 @@ _PROBE = 0.005  # least error by which an estimator is probed, in rated torques
 _MEMORY = 0.3  # s, correlation time of the errors by which it is probed
 _AVERAGE = 0.5  # s, over which its response to noise is averaged
 _EVERY = 10  # grid steps from one sample of the simple torques to the next
+_PROBED = 0.1  # of the friction, by which an estimator is probed
 _SEED = 20
 
 Key = TypeVar("Key")
@@ -51,12 +50,11 @@ Run = Callable[[Signals, KnownJoint], Mapping[Key, np.ndarray]]
 
 @dataclass(frozen=True)
 class _Errors:
-    """Sizes of errors [N·m at the output]: of the current and of the torsion beyond the laws, shape (n,) each; near rest, of the
-    friction, shape (n,)."""
+    """Sizes of errors [N·m at the output], shape (n,) each: of current and torsion beyond the laws, of friction near rest."""
 
     current: np.ndarray
     torsion: np.ndarray
-    near_rest: np.ndarray
+    friction: np.ndarray
 
 
 def deviations(
@@ -84,6 +82,9 @@ def deviations(
         probes["torsion"] = len(cases)
         shifted = signals["link_position"] - wave[1] * _PROBE * rated / known.p["K1"]
         cases.append((signals.with_columns(link_position=shifted), known))
+    rougher = known.told(Fc=(1 + _PROBED) * known.p["Fc"], Fs=(1 + _PROBED) * known.p["Fs"])
+    probes["friction"] = len(cases)
+    cases.append((signals, rougher))
     first = len(cases)
     cases += [(signals, replace(known, record=record)) for record in _principal(signals, known, joint, mounting)]
     with ThreadPoolExecutor(threads) as pool:
@@ -93,9 +94,9 @@ def deviations(
         change = [np.nan_to_num(other.get(name, values) - values) for other in done]
         variance = uniform_filter1d(change[0] ** 2, _samples(signals.time), mode="nearest")
         for error, case in probes.items():
-            gain = float(np.sqrt(np.mean(change[case - 1] ** 2))) / (_PROBE * rated)
-            size = np.hypot(errors.current, errors.near_rest) if error == "current" else errors.torsion
-            variance = variance + (gain * size) ** 2
+            probe = _PROBED * float(known.p["N"] * known.p["Fc"]) if error == "friction" else _PROBE * rated
+            gain = float(np.sqrt(np.mean(change[case - 1] ** 2))) / max(probe, 1e-12)
+            variance = variance + (gain * getattr(errors, error)) ** 2
         found[name] = np.sqrt(variance + np.sum(np.square(change[first - 1 :]), axis=0))
     return found
 
@@ -171,18 +172,13 @@ def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
         if joint.valid is not None:
             far = joint.valid.distance(motion.link_position, motion.link_velocity, load)
             stretch = 1 + (joint.uncertainty.beyond - 1) * far
-    near_rest = np.empty(len(motion.time))
-    _near_rest(motion.motor_velocity, known.record, near_rest)
+    # At rest friction is anything up to its level.
+    p = known.p
+    near_rest = p["N"] * p["Fs"] / np.sqrt(3) * np.exp(-((motion.motor_velocity / p["vs"]) ** 2))
     scale = float(known.p["N"] * known.p["Kt"])
     current = scale * stated.get("motor_current", 0.0) * stretch
     torsion = max(stated.get("joint_torque", 0.0), stated.get("link_balance", 0.0)) * stretch
     return _Errors(*(motion.at(signals.time, x) for x in (current, torsion, near_rest)))
-
-
-@kernel
-def _near_rest(velocity, record, out):
-    for i in range(len(out)):
-        out[i] = slow_friction(velocity[i], record[0])
 
 
 def _wave(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
