@@ -53,9 +53,9 @@ class AnswerSettings:
       significant: standard deviations that an effect must be away from absent where the fit ends.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
-      minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the sensors'
-        noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended joint, and told,
-        but none of the causes.
+      minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
+        sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
+        joint, and told, but none of the causes.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
 
@@ -363,9 +363,9 @@ def _nothing(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str
 def _held_out(problem: Problem) -> str:
     """How data were kept from the fits, and over what the numbers of `residual` are means."""
     return (
-        f"every {SETTINGS.held_out_every}th block of {SETTINGS.held_out_block:g} s of each recording was kept from every fit; RMS in "
-        "motion, while what was measured of the motion is followed; `regions`: the ends of the range of angle, speed and load, and "
-        "whole recordings, each kept from a fit of its own"
+        f"every {SETTINGS.held_out_every}th block of {SETTINGS.held_out_block:g} s of each recording was kept from every fit; "
+        "RMS in motion, while what was measured of the motion is followed; `regions`: the ends of the range of angle, speed and "
+        "load, and whole recordings, each kept from a fit of its own"
     )
 
 

@@ -184,8 +184,8 @@ class _Linear:
 def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings = SETTINGS) -> tuple[Screened, ...]:
     """Linearised gain in log evidence of every hypothesis, best first; one per cause and order, its best start.
 
-    What a cause does slowly counts little as long as all that is slow is taken for discrepancy, also its own. So the ones that are
-    judged again are the best under the noise that was learned and the best under white noise as loud as the residual.
+    What a cause does slowly counts little as long as all that is slow is taken for discrepancy, also its own. So the ones that
+    are judged again are the best under the noise that was learned and the best under white noise as loud as the residual.
     """
     if not library.hypotheses:
         return ()

@@ -6,8 +6,8 @@ linear model of a second library, one after the other; *settle* fits all of them
 
 Every stage returns a frozen result, and every hypothesis that was looked at leaves a decision that says why it was taken or not.
 The noise, with what no description can hold (`fit.noise`), is learned for every model that is compared: a cause is worth what it
-makes likelier *beside* its own discrepancy, not in units of the encoders' noise. Among causes that the data speak for, the one that
-is worth most to a user comes first: the mean square of the simulation's error that it alone removes (`worth`).
+makes likelier *beside* its own discrepancy, not in units of the encoders' noise. Among causes that the data speak for, the one
+that is worth most to a user comes first: the mean square of the simulation's error that it alone removes (`worth`).
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ class AcceptSettings:
       smallest: part of the ordinary size below which it is not named: the laws themselves are not better than that.
       significant: standard deviations that it must be away from absent, by those that no noise model has to be right for too
         (`solver.with_dispersion`).
-      worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is one of
-        many things that the description does not hold, and no answer to what the simulation gets wrong.
+      worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
+        one of many things that the description does not hold, and no answer to what the simulation gets wrong.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; per_cause: at most of one cause.
@@ -182,7 +182,7 @@ def _start(problem: Problem, base: Fit, s: Screened) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Finalist:
-    """A hypothesis fitted on top of a base: its log evidence over the base's, and the mean square that it alone removes [N·m]²."""
+    """A hypothesis fitted on top of a base: its log evidence over the base's, the mean square that it alone removes [N·m]²."""
 
     fit: Fit
     gain: float
@@ -471,8 +471,8 @@ def _select(problem: Problem, at: Fit, library: Library, settings: AcceptSetting
             w = _worth_of(problem, here, rest, s)
             if w.share < settings.worth:
                 reason = (
-                    f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square that the "
-                    f"description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
+                    f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square "
+                    f"that the description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
                 )
                 seen[key] = Decision(stage, key[0], s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
                 continue
@@ -577,7 +577,10 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
             elif away < settings.significant:
                 reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
             elif w.share < settings.worth:
-                reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error once all causes are fitted together, too little to name"
+                reason = (
+                    f"takes {w.rms:.2g} N·m RMS from the simulation's error once all causes are fitted together, "
+                    "too little to name"
+                )
             verdicts.append((w, size, reason))
         bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
         if not bad:
