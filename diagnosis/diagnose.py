@@ -351,13 +351,13 @@ def _meaningless(measurement, joint: Joint, mistakes: tuple[Mistake, ...], secon
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
     reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
     everything = {n: "mistakes in the data" for n in causes.of(joint)}
-    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes, seconds=seconds)
+    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
 
 
 def _nothing(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:
     shortest = SETTINGS.shortest
     reason = f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s"
-    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), joint, mistakes, seconds=seconds)
+    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), joint, mistakes=mistakes, seconds=seconds)
 
 
 def _held_out(problem: Problem) -> str:
@@ -576,11 +576,11 @@ def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResid
             use = [s.held_out[:, b] for s in problem.segments]
         if not any(u.any() for u in use):
             continue
-        rms = [
+        before, after, noise = (
             float(np.sqrt(np.mean(np.concatenate([r[u, b] for r, u in zip(rs, use, strict=True)]) ** 2)))
             for rs in (base.point.residual, final.point.residual, final.point.noise)
-        ]
-        found[name] = BalanceResidual(*rms, UNITS[name])
+        )
+        found[name] = BalanceResidual(before, after, noise, UNITS[name])
     return found
 
 
