@@ -583,13 +583,23 @@ def experiments(
     interval = float(np.median([r.interval for r in recordings]))
     N, rated = float(p["N"]), joint.numbers["rated_torque"].value
     angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
-    reach = float(np.clip(max(np.max(np.abs(a)) for a in angles), 0.4, settings.range))
+    low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
+    centre = 0.0 if low < 0.3 * settings.range and high > -0.3 * settings.range else 0.5 * (low + high)
+    reach = float(np.clip(max(high - centre, centre - low), 0.4, settings.range))
+    steepest = float(np.max(np.abs(np.sin(np.linspace(centre - reach, centre + reach, 50) + link.gravity_angle))))
     effort = settings.effort
     found: list[Experiment] = []
 
     def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
         options.setdefault("channels", seen)
+        if not mounting.locked:
+            points = [w.model_copy(update={"position": w.position + centre}) for w in points]
         found.append(Experiment(name, text, mounting, tuple(points), interval=interval, **options))
+
+    def span(amplitude: float) -> str:
+        if centre == 0.0:
+            return f"±{amplitude:.2g} rad"
+        return f"{centre - amplitude:.2g} … {centre + amplitude:.2g} rad".replace("-", "−")
 
     def sweeps(amplitude: float, seconds: float) -> list[Waypoint]:
         there_and_back = [amplitude, -amplitude, amplitude, 0.0]
@@ -598,28 +608,29 @@ def experiments(
     def shortest(way: float) -> float:
         """Time [s] of one way [rad], as fast as motor and rated torque allow anywhere within reach."""
         speed = settings.speed * p["supply_voltage"] / (p["Kt"] * N)
-        left = max(settings.load * rated - link.gravity_moment * np.sin(min(reach, np.pi / 2)), 0.2 * rated)
+        left = max(settings.load * rated - link.gravity_moment * steepest, 0.2 * rated)
         motor = 0.4 * p["Kt"] * p["current_limit"] / ((p["Jm"] + p["Jw"]) * N)
         return max(1.875 * way / speed, float(np.sqrt(5.78 * way / min(left / link.inertia, motor))), 0.5)
 
     usual = sweeps(reach, 6.0)
-    add("sweeps", f"Move the link to ±{reach:.2g} rad and back, 6 s each way", usual)
+    motion = f"move through {span(reach)} and back, 6 s each way"
+    add("sweeps", f"Move the link through {span(reach)} and back, 6 s each way", usual)
     fast = shortest(2 * reach)
-    add("fast_sweeps", f"Move the link to ±{reach:.2g} rad and back as fast as {fast:.2g} s each way", [
+    add("fast_sweeps", f"Move the link through {span(reach)} and back as fast as {fast:.2g} s each way", [
         *sweeps(reach, fast), *_later(sweeps(reach, 1.5 * fast), sweeps(reach, fast)[-1].time),
     ])  # fmt: skip
     add(
         "slow_reversals",
-        f"Turn back and forth by 0.05 rad at 0.04 rad/s about 0 and ±{0.7 * reach:.2g} rad",
+        f"Turn back and forth by 0.05 rad at 0.04 rad/s, at three angles within {span(0.7 * reach)}",
         _reversals([-0.7 * reach, 0.0, 0.7 * reach], 0.05, 0.04),
     )
     poses = [*np.linspace(-reach, reach, 7), *np.linspace(reach, -reach, 7)[1:], 0.0]
     step, half = max(shortest(reach / 3), 0.8), max(shortest(reach), 2.0)
     up = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
-    add("rest_poses", f"Hold still at seven angles between ±{reach:.2g} rad, each reached from both sides", up)
+    add("rest_poses", f"Hold still at seven angles within {span(reach)}, each reached from both sides", up)
     wide = min(1.4 * reach, 2.4)
     if wide > 1.2 * reach or reach < settings.range:
-        add("larger_range", f"Move the link as far as ±{wide:.2g} rad and back, 8 s each way", sweeps(wide, 8.0))
+        add("larger_range", f"Move the link as far as {span(wide)} and back, 8 s each way", sweeps(wide, 8.0))
     arm = 0.3
     extra = min(0.25 * rated, settings.heaviest * rated - link.gravity_moment)
     if extra > 0.05 * rated:
@@ -632,26 +643,26 @@ def experiments(
         add(
             "second_payload",
             f"Add a known payload, {mass:g} kg at {arm:g} m (link: {{inertia: {loaded.inertia:g}, gravity_moment: "
-            f"{loaded.gravity_moment:g}}}), and move to ±{reach:.2g} rad and back, 6 s each way",
+            f"{loaded.gravity_moment:g}}}), and {motion}",
             usual, loaded, effort=effort[0],
         )  # fmt: skip
     name, lightest = min(joint.mountings.items(), key=lambda pair: pair[1].gravity_moment)
     if lightest.gravity_moment < 0.5 * min(r.link.gravity_moment for r in recordings):
         add(
             "light_link",
-            f"Take the load off (mounting {name}) and move to ±{reach:.2g} rad and back, 6 s each way",
+            f"Take the load off (mounting {name}) and {motion}",
             usual, lightest, effort=effort[0],
         )  # fmt: skip
-    torque = settings.load * rated
-    winding, soft = _locked(p, torque)
-    add(
-        "locked_output",
-        f"Bolt the output to the bench (link: {{inertia: {LOCKED:g}, gravity_moment: 0}}, external_torque: unmeasured, "
-        f"link_position constant) and drive the motor back and forth to ±{torque:.3g} N·m",
-        winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True, controller=soft,
-        channels=seen | {"link_position"},
-    )  # fmt: skip
-    motion = f"move to ±{reach:.2g} rad and back, 6 s each way"
+    if "motor_position" in seen:
+        torque = settings.load * rated
+        winding, soft = _locked(p, torque)
+        add(
+            "locked_output",
+            f"Bolt the output to the bench (link: {{inertia: {LOCKED:g}, gravity_moment: 0}}, external_torque: unmeasured, "
+            f"link_position constant) and drive the motor back and forth to ±{torque:.3g} N·m",
+            winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True, controller=soft,
+            channels=seen | {"link_position"},
+        )  # fmt: skip
     for column, sensor in (
         ("motor_position", "the motor's encoder"), ("link_position", "a second encoder, at the link"),
         ("joint_torque", "a torque sensor at the output"),
