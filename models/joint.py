@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_vali
 from . import causes, units
 from .errors import InputError, is_there, nearest
 from .files import Line, Strict, load, write_into_place, yaml_text
+from .mjcf import mjcf_files
 from .notebook import html_table, paragraph
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
@@ -526,13 +527,32 @@ class Joint(Strict):
         )
 
     def write(self, path: Path) -> None:
-        """Write the description as YAML; `load_joint` reads it back."""
+        """Write the description as YAML, its MJCF beside it unless that is shipped; `load_joint` reads it back.
+
+        Raises:
+          InputError: it cannot be written, or another MJCF of that name is there.
+        """
+        self._copy_mjcf(path.parent)
         data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
         if self.uncertainty is not None:
             data["uncertainty"]["names"] = Line(self.uncertainty.names)
             data["uncertainty"]["factor"] = [Line(row) for row in self.uncertainty.factor]
         with write_into_place(path) as temporary:
             temporary.write_text(yaml_text(data), encoding="utf-8")
+
+    def _copy_mjcf(self, folder: Path) -> None:
+        mjcf = self.mjcf
+        if mjcf.parent.resolve() == shipped().resolve() or not mjcf.is_file():
+            return
+        for file in mjcf_files(mjcf):
+            target = folder / file.resolve().relative_to(mjcf.parent.resolve())
+            content = file.read_bytes()
+            if target.is_file() and target.read_bytes() == content:
+                continue
+            if target.exists():
+                raise InputError(f"{target}: expected the file that joint {self.name} names, got another of that name")
+            with write_into_place(target) as temporary:
+                temporary.write_bytes(content)
 
 
 PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())
