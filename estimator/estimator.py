@@ -69,10 +69,16 @@ class Spread:
             # Of two quadratures, each has both errors by half.
             kinematic[i] = math.hypot(_deviation(amplitude), amplitude.value * _deviation(phase)) / math.sqrt(2.0)
         return cls(
-            *(_relative(joint, name) for name in ("K2", "Kw0", "Cw", "Kt", "bw")),
-            *(_deviation(joint.link_tolerances.get(name)) for name in ("gravity_moment", "inertia")),
-            kinematic, _deviation(joint.sensors.motor_current.offset),
-        )  # fmt: skip
+            stiffness=_relative(joint, "K2"),
+            wave_generator=_relative(joint, "Kw0"),
+            wave_generator_curve=_relative(joint, "Cw"),
+            torque_constant=_relative(joint, "Kt"),
+            viscous=_relative(joint, "bw"),
+            gravity=_deviation(joint.link_tolerances.get("gravity_moment")),
+            inertia=_deviation(joint.link_tolerances.get("inertia")),
+            kinematic=kinematic,
+            current_offset=_deviation(joint.sensors.motor_current.offset),
+        )
 
     def within(self, share: float) -> Spread:
         """The same, `share` times as wide."""

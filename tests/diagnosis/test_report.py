@@ -280,6 +280,16 @@ def test_mistakes_in_the_data_come_first_and_say_what_mends_them(report):
     assert "flexspline check '" in head and "--fix --out MENDED" in head
 
 
+def test_what_makes_physics_meaningless_is_a_mistake_and_no_effect(measured):
+    scaled = tuple(
+        replace(r, columns={**r.columns, "motor_current": 1e3 * r["motor_current"]}) for r in measured[1].recordings
+    )
+    found = diagnose(replace(measured[1], recordings=scaled), load_joint("test-joint"))
+    assert found.verdict == "inconclusive" and found.minor == () and found.problem is None
+    assert [(m.name, m.column) for m in found.mistakes] == [("unit", "motor_current")]
+    assert found.to_json()["mistakes"][0]["factor"] == pytest.approx(1e-3)
+
+
 def test_a_measurement_that_made_no_sense_has_a_page_too(report, tmp_path):
     d = report.diagnosis
     wrong = Mistake("swapped", "", "", "the encoders are swapped", 0.99)
