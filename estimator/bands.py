@@ -8,7 +8,8 @@ sum of
 * what the sensors' noise makes of it: its change under noise that is added once more;
 * model discrepancy: an error of the current and one of the torsion as large as what the description could not hold in its own
   data, and larger beyond the range of these, times how much of such an error the estimator passes on; near rest, friction;
-* how far it is from a zero-phase estimate of the same signals: its lag, and what two kinds of sensors do not agree on.
+* how far it is from a zero-phase estimate of the same signals: its lag, and what two kinds of sensors do not agree on;
+* what it believes of itself (`Posterior.variance`), where it does.
 
 Whatever is done to a recording before it is estimated (zeros, payload, bandwidth) is done again in each case.
 """
@@ -178,6 +179,8 @@ def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
     scale = float(known.p["N"] * known.p["Kt"])
     current = scale * stated.get("motor_current", 0.0) * stretch
     torsion = max(stated.get("joint_torque", 0.0), stated.get("link_balance", 0.0)) * stretch
+    # Torque follows from torsion up to the hysteresis, which may be anything between its ends.
+    torsion = np.hypot(torsion, p["hysteresis_torque"] / np.sqrt(3))
     return _Errors(*(motion.at(signals.time, x) for x in (current, torsion, near_rest)))
 
 

@@ -183,7 +183,8 @@ def estimate_recording(
         ready = prepare(signals, known)
         notes.append(ready.note)
         chosen = {name: e for name, e in estimators.items() if name not in left_out}
-        estimates = _estimates(ready, chosen, left_out)
+        beliefs: dict[str, np.ndarray] = {}
+        estimates = _estimates(ready, chosen, left_out, beliefs)
         for (what, name), values in estimates.items():
             found[what].setdefault(name, np.full(n, np.nan))[segment] = values
         if bands:
@@ -201,7 +202,9 @@ def estimate_recording(
             }
             for (what, name), values in deviations(signals, known, joint, recording.link, again).items():
                 apart = disagreement(signals.time, estimates[what, name], seen[what])
-                deviation[what].setdefault(name, np.full(n, np.nan))[segment] = np.hypot(values, apart)
+                own = np.sqrt(beliefs.get(name, 0.0))
+                together = np.sqrt(values**2 + apart**2 + own**2)
+                deviation[what].setdefault(name, np.full(n, np.nan))[segment] = together
     kept = [name for name in estimators if name not in left_out]
     empty = np.full(n, np.nan)
     torque, external = ({name: found[what].get(name, empty) for name in kept} for what in _QUANTITIES)
@@ -228,9 +231,13 @@ _QUANTITIES = ("torque", "external_torque")
 
 
 def _estimates(
-    ready: Prepared, estimators: Mapping[str, Estimator], left_out: dict[str, str]
+    ready: Prepared,
+    estimators: Mapping[str, Estimator],
+    left_out: dict[str, str],
+    beliefs: dict[str, np.ndarray] | None = None,
 ) -> dict[tuple[str, str], np.ndarray]:
-    """Joint torque and external torque of a segment by quantity and estimator; adds to `left_out` why there is none."""
+    """Joint torque and external torque of a segment by quantity and estimator; adds to `left_out` why there is none, and to
+    `beliefs` what estimators believe their error variance to be."""
     found = {}
     for name, estimator in estimators.items():
         reason = ready.lacks(estimator)
@@ -242,6 +249,8 @@ def _estimates(
         except (FilterDiverged, InputError) as error:
             left_out[name] = str(error)
             continue
+        if beliefs is not None and one.variance is not None:
+            beliefs[name] = np.maximum(one.variance, 0.0)
         found["torque", name] = ready.known.as_read(one.mean, ready.signals.time)
         found["external_torque", name] = ready.own_torque - one.mean if one.external is None else one.external
     return found

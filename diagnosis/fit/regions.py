@@ -193,7 +193,7 @@ def valid_range(problem: Problem, f: Fit, kept: Sequence[np.ndarray] | None = No
         return [float(f"{v:.4g}") for v in np.quantile(np.concatenate(x), [share, 1 - share])]
 
     signs = np.concatenate(drives)
-    loads = [name for name, sign in (("driving", 1), ("driven", -1)) if np.mean(signs == sign) > 0.02]
+    loads = [name for name, sign in (("driving", 1), ("driven", -1)) if len(signs) and np.mean(signs == sign) > 0.02]
     return ValidRange(link_position=ends(angle), link_velocity=ends(speed), joint_torque=ends(load), loads=loads)
 
 
