@@ -104,6 +104,23 @@ def test_response_time():
     assert metrics.response_time(-lagged(truth, 7), -truth, DT, events) == pytest.approx(7 * DT)
 
 
+def test_response_counts_from_ones_own_level():
+    """An estimate that is off by a constant is neither early nor late, and a push that is never followed is missed."""
+    truth = np.zeros_like(T)
+    events = []
+    for start in (2.0, 5.0, 8.0):
+        inside = (T >= start) & (T < start + 0.4)
+        truth[inside] = 4 * np.sin(np.pi * (T[inside] - start) / 0.4) ** 2
+        events.append((round(start / DT), round((start + 0.4) / DT)))
+    for offset in (-3.0, 1.0, 5.0):
+        found = metrics.responses(lagged(truth, 7) + offset, truth, DT, events)
+        assert found == pytest.approx(np.full(3, 7 * DT))
+    once = np.where(T < 4.0, truth, 0.0)
+    found = metrics.responses(once, truth, DT, events)
+    assert found[0] == 0.0 and np.isnan(found[1:]).all()
+    assert metrics.response_time(once, truth, DT, events) == 0.0
+
+
 def test_evaluate_puts_it_together(rng):
     truth = 3 * np.sin(2 * np.pi * 0.05 * T)
     external = np.zeros_like(T)
