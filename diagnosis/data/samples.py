@@ -66,7 +66,7 @@ def wrong_samples(recording: Recording, joint: Joint) -> tuple[SampleMistake, ..
             columns[name] = bridged(recording.time, columns[name], glitches)
             steps = _Steps(recording.time, columns[name])
         if angle:
-            jumps, turn = steps.wraps(_turns(name, joint))
+            jumps, turn = steps.wraps(_turns(name, joint)[: 2 + (name in POSITIONS)])
             if len(jumps):
                 found.append(SampleMistake("wrapped", name, tuple(jumps.tolist()), turn))
                 columns[name] = unwrapped(recording.time, columns[name], jumps, turn)
