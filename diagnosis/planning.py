@@ -461,7 +461,8 @@ class _State:
         self, information: np.ndarray, answering: np.ndarray, own: list[list[np.ndarray]]
     ) -> tuple[np.ndarray, list[list[slice]]]:
         """What is left of the information about some columns once the others have answered, and where each block stands in it."""
-        places, position = [], 0
+        places: list[list[slice]] = []
+        position = 0
         for group in own:
             places.append([])
             for block in group:

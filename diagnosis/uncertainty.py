@@ -43,7 +43,7 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
     slope = changes / _STEP
     root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
     # L of L Lᵀ = (slope·root)(slope·root)ᵀ, also where numbers share all that is not known of them.
-    lower = np.linalg.qr((slope @ root).T, mode="r").T
+    lower = np.asarray(np.linalg.qr((slope @ root).T, mode="r")).T
     n = len(names)
     factor = np.zeros((n, n))
     factor[:, : lower.shape[1]] = lower * np.sign(np.where(np.diag(lower) == 0, 1.0, np.diag(lower)))
@@ -123,7 +123,7 @@ def _quantities(problem: Problem, fit: Fit, joint: Joint):
                 found += [h.values(u)[q.name] for q in h.free]
         for h, u in zip(fit.model, parts, strict=True):
             if not h.free:
-                found += list(h.values(u)["coefficients"])
+                found += np.atleast_1d(h.values(u)["coefficients"]).tolist()
         return np.array(found)
 
     return names, np.array(period), values

@@ -370,7 +370,7 @@ def _discrepancy(joint: Joint, name: str) -> float:
     stated = joint.uncertainty
     if stated is None:
         return 0.0
-    known = dict(stated.discrepancy)
+    known: dict[str, float] = {balance: rms for balance, rms in stated.discrepancy.items()}
     value = {symbol: number.value for symbol, number in joint.numbers.items()}
     if name == "motor_torque":
         return known.get("motor_current", 0.0) * value["Kt"]
@@ -408,12 +408,15 @@ def _residual(recordings: Sequence[Channels]) -> dict[str, ChannelError]:
         if not any(u.any() for u in use):
             continue
 
-        def joined(x: Callable[[Channels], np.ndarray], having=having, use=use) -> np.ndarray:
-            return np.concatenate([x(r)[u] for r, u in zip(having, use, strict=True)])
-
-        error = joined(lambda r, name=name: r.measured[name] - r.simulated[name])
-        noise = joined(lambda r, name=name: r.noise[name])
-        half = SIGMAS * np.hypot(joined(lambda r, name=name: r.deviation[name]), noise)
+        error, noise, deviation = (
+            np.concatenate([x[u] for x, u in zip(columns, use, strict=True)])
+            for columns in (
+                [r.measured[name] - r.simulated[name] for r in having],
+                [r.noise[name] for r in having],
+                [r.deviation[name] for r in having],
+            )
+        )
+        half = SIGMAS * np.hypot(deviation, noise)
         inside = float(np.mean(np.abs(error) <= half))
         found[name] = ChannelError(
             _rms(error), float(np.mean(error)), _rms(noise), CHANNELS[name].unit, inside, len(error)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
@@ -121,7 +122,7 @@ class Segment:
     @cached_property
     def coarse(self) -> Segment:
         """The same segment for a replay of twice the step: good enough for derivatives."""
-        every = {
+        every: dict[str, Any] = {
             name: np.ascontiguousarray(getattr(self, name)[::2])
             for name in ("time", "rotor", "link", "torque", "external", "temperature")
         }

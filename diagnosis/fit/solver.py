@@ -319,6 +319,7 @@ class Fitter:
                     np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
                 )
                 common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
+            assert common is not None
             jacobian = self._with_effects(model, theta, common, jacobian or None)
             noise = learn(problem.segments, residual, replicates, problem.quantum())
             normal = normal_equations(
@@ -349,6 +350,7 @@ class Fitter:
             good = cost - after > settings.good * expected
             fresh = near is None and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
         # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
+        assert common is not None
         jacobian = self._with_effects(model, theta, common, jacobian or None)
         other = problem.residuals([theta], [model], replicate=True)[0]
         own = [b - a for a, b in zip(residual, other, strict=True)]

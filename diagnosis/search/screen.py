@@ -251,7 +251,7 @@ def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | No
     """Log evidence of the linear model at a fit, of a hypothesis in it; comparable between noises."""
     residual, theta, spread = at.point.residual, at.theta, problem.spread(at.model)
     parts = [at.jacobian]
-    if columns is not None:
+    if s is not None:
         here = s.hypothesis.magnitudes
         change = s.start[here] - origin[here]
         theta = theta + s.shift
@@ -269,6 +269,6 @@ def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | No
         + white.log_determinant
         + prior_cost(problem, theta, at.model)
     )
-    if columns is not None:
+    if s is not None:
         cost += float(np.sum((s.start[here] / s.hypothesis.spread[here]) ** 2))
     return -0.5 * (cost + float(np.linalg.slogdet(H * spread[:, None] * spread)[1]))

@@ -353,9 +353,9 @@ def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], F
     for f in fitted:
         h, reason = f.fit.model[-1], reasons[id(f)]
         rms = float(np.sqrt(max(f.removed, 0.0)))
-        if f is chosen:
+        if chosen is not None and f is chosen:
             reason = f"adds {f.gain:.0f} to the log evidence and takes {rms:.2g} N·m RMS from the simulation's error"
-        elif not reason:
+        elif chosen is not None and not reason:
             reason = f"explains less than {chosen.name.replace('_', ' ')}; judged again with that in the model"
         decisions.append(
             Decision("fit", f.name, h.fixed, f.gain, rms, size_of(problem, f.fit), True, f is chosen, reason)
@@ -425,7 +425,7 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     block = problem.place(f.model, index % len(f.model))
     where = block.start + np.asarray(h.magnitudes)
     away = amount_of(problem, f, index)[h.magnitudes]
-    return float(np.sqrt(max(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away), 0.0)))
+    return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
 
 
 def _rivals_of(chosen: Finalist, fitted: Sequence[Finalist]) -> Rivals:
@@ -464,7 +464,8 @@ def _select(problem: Problem, at: Fit, library: Library, settings: AcceptSetting
         stage = f"select {len(at.model) + len(chosen) + 1}"
         good: list[tuple[Screened, Worth]] = []
         for s in screened:
-            key = (s.hypothesis.cause.name, *s.hypothesis.fixed.items())
+            name = s.hypothesis.cause.name
+            key = (name, *s.hypothesis.fixed.items())
             if s.gain <= settings.threshold or s.size <= settings.smallest or s.noise is None:
                 seen[key] = _not_fitted(s, settings, stage)
                 continue
@@ -474,7 +475,7 @@ def _select(problem: Problem, at: Fit, library: Library, settings: AcceptSetting
                     f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square "
                     f"that the description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
                 )
-                seen[key] = Decision(stage, key[0], s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
+                seen[key] = Decision(stage, name, s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
                 continue
             good.append((s, w))
         if not good or len(at.model) + len(chosen) >= settings.most:
@@ -486,11 +487,9 @@ def _select(problem: Problem, at: Fit, library: Library, settings: AcceptSetting
         reason = (
             f"would add {best.gain:.0f} to the log evidence and take {w.rms:.2g} N·m RMS from the simulation's error"
         )
-        key = (best.hypothesis.cause.name, *best.hypothesis.fixed.items())
-        seen.pop(key, None)
-        decisions.append(
-            Decision(stage, key[0], best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason)
-        )
+        name = best.hypothesis.cause.name
+        seen.pop((name, *best.hypothesis.fixed.items()), None)
+        decisions.append(Decision(stage, name, best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason))
         before.append((best, gains))
         chosen.append(best)
         here = _with(problem, here, rest, best)

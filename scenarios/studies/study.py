@@ -153,7 +153,7 @@ class Study(Strict):
         False
     )
     axes: Annotated[list[AnyAxis], Field(max_length=6)] = []
-    filters: Annotated[list[FilterEntry], Field(min_length=1, default_factory=paper_entries)]
+    filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
     metrics: Annotated[list[Literal[METRICS]], Field(min_length=1)] = list(METRICS)  # type: ignore[valid-type]
     reference: Annotated[str, Field(description="filter that the others are compared to")] = ""
 
