@@ -30,7 +30,7 @@ from flexspline.models.output import MANIFEST, output_folder, recover
 from flexspline.models.recording import Recording, write_recording
 
 HANG = 60.0
-"""Seconds after which an input counts as one that hangs, compiling included."""
+"""Seconds of a processor after which an input counts as one that hangs, compiling included."""
 _BATCH = 200
 PARTS = ["fuzz", "exchanges", "kills", "disk", "memory"]
 
@@ -67,7 +67,9 @@ def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
         assert process.stdout is not None
         at = begin
         while True:
-            ready, _, _ = select.select([process.stdout], [], [], HANG)
+            used, ready = _seconds_used(process.pid), False
+            while not ready and _seconds_used(process.pid) - used < HANG:
+                ready = bool(select.select([process.stdout], [], [], 2.0)[0])
             line = process.stdout.readline() if ready else None
             if not line:
                 break
@@ -84,6 +86,15 @@ def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
             begin = at + 1
         process.kill()
         process.wait()
+
+
+def _seconds_used(process: int) -> float:
+    """Processor time [s] of a process (Linux), which does not grow while others are at work; elsewhere, time."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return time.monotonic()
 
 
 # --- kills ------------------------------------------------------------------------------------------------------------
