@@ -11,7 +11,7 @@ import rerun as rr
 
 from ...models.errors import InputError
 from ...models.mjcf import check_mjcf
-from ...sim import native
+from ...sim.native import quiet
 from ..style import TRUTH, filter_colors, main_filter
 from .arrows import send_arc, send_push
 from .recording import TIMELINE
@@ -32,7 +32,7 @@ def shape_of(joint: Joint) -> mujoco.MjModel:
     """
     check_mjcf(joint.mjcf)
     try:
-        with native.quiet():
+        with quiet():
             return mujoco.MjModel.from_xml_path(str(joint.mjcf))
     except ValueError as error:
         raise InputError(f"{joint.mjcf}: not a readable MJCF: {' '.join(str(error).split())}") from error
