@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DONE := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow lint bench clean
+.PHONY: setup demo test test-slow test-lowest lint bench clean
 
 setup: $(DONE)
 
@@ -23,6 +23,13 @@ test: $(DONE)
 test-slow: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
 
+# The lowest versions that pyproject.toml allows, all at once.
+test-lowest:
+	$(PYTHON) -m venv .venv-lowest
+	.venv-lowest/bin/python -m pip install --quiet uv
+	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable ".[test]"
+	.venv-lowest/bin/python -m pytest -n auto --dist worksteal
+
 lint: $(DONE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -32,5 +39,5 @@ bench: $(DONE)
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf $(VENV) build *.egg-info runs
+	rm -rf $(VENV) .venv-lowest build *.egg-info runs
 	find . -name __pycache__ -prune -exec rm -rf {} +

@@ -1,350 +1,375 @@
-"""What each estimator is worth: `python -m benchmarks.estimators` writes the tables and figures of docs/estimators.md.
+"""What each estimator is worth on joints that nobody knows exactly: `python -m benchmarks estimators` writes the tables of
+docs/estimators.md and their numbers, docs/estimators.csv.
 
-Tuning on seeds 1 … TRAIN, everything reported on seeds 101 … 100 + SEEDS. The tables go between the markers
-`<!-- begin NAME -->` and `<!-- end NAME -->` of the page.
+Every number is over independent draws (`scenarios.evaluation.draws`): joint within a share of its tolerances, start, pace, pushes
+and noise, all drawn per seed; every estimator over the same signals. Ratios are geometric means of the ratio of RMS errors to
+RAREKF's, draw by draw. With `--draws FOLDER` signals are kept, and an estimator that has changed is measured without
+simulating again. Tables go between the markers `<!-- begin NAME -->` and `<!-- end NAME -->` of the page.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
+import pickle
 import re
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from flexspline.estimator import registry
-from flexspline.estimator.estimator import Estimator
+from flexspline.estimator.errors import FilterDiverged
+from flexspline.estimator.estimator import Estimator, KnownJoint, Spread
 from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
-from flexspline.scenarios.evaluation import limits, tuning
-from flexspline.scenarios.evaluation.intervals import interval
-from flexspline.scenarios.evaluation.limits import Limits
-from flexspline.scenarios.evaluation.tuning import Tuned
-from flexspline.scenarios.filters import PAPER, estimators
-from flexspline.scenarios.run import Run
+from flexspline.models.joint import load_joint
+from flexspline.scenarios.evaluation import metrics
+from flexspline.scenarios.evaluation.draws import Draw, draw, geometric, geometric_over, rms
+from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.limit_figures import limits_figure, pareto_figure, save_figure
-from flexspline.views.limit_tables import markdown, number
+from flexspline.sim.loop import CONTROL_PERIOD
+from flexspline.views.limit_tables import markdown
 
 from .timing import measure
 
 SCENARIOS = ("no_load", "link_sweep", "external_push")
-MISTAKES = {
-    "flexspline 10 % softer": ["plant.K1=7560", "plant.K2=8460", "plant.K3=11700"],
-    "friction 50 % higher": ["plant.Fc=0.027", "plant.Fs=0.033"],
-    "torque constant 5 % lower": ["plant.Kt=0.0573"],
-}
-"""What the plant has and the estimators do not know, in the link sweep."""
-READINGS = {
-    "RAREKF": {}, "AREKF (α = 1)": {"rule": "arekf"}, "α as printed, Eq. (23)": {"alpha": "printed"},
-    "1/α as printed": {"alpha": "inverse"},
-    "memory as printed, Eq. (20)": {"memory": "printed"}, "adjusted covariance, Eqs. (14), (19)": {"covariance": "adjusted"},
-}  # fmt: skip
-"""How the paper's equations may be read."""
-FEW = 5
-"""Test seeds for what hardly differs between seeds: noise against delay, model error."""
+TOLERANCES = (1.0, 0.2, 0.05, 0.0)
+REFERENCE = "RAREKF"
+NAMES = (
+    "augmented", "dynamics_ekf", "momentum_torsion", "momentum", "current", "EKF", "AREKF", REFERENCE, "REKF", "inverse",
+    "lowpass", "kalman", "strong_tracking", "h_infinity", "huber",
+)  # fmt: skip
+"""In the tables; `inverse` is RAREKF with the third reading of Eq. (23)."""
+COSTLY_AT = (1.0, 0.0)
+"""Tolerances at which the estimators that simulate the joint run; a second each, where the others take a hundredth."""
+APART = 0.25
+"""Time [s] between errors that count for NEES."""
 ROOT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
+class Row:
+    """What an estimator is worth in a draw: RMS error [N·m] of all, moving, at rest; mean NEES; response to pushes [ms] and the
+    share of pushes that it never follows."""
+
+    scenario: str
+    tolerance: float
+    seed: int
+    estimator: str
+    rms: float
+    moving: float
+    resting: float
+    nees: float = np.nan
+    response: float = np.nan
+    missed: float = np.nan
+
+
+def chosen(names: Iterable[str] = NAMES) -> dict[str, Estimator]:
+    """The estimators of the tables by name."""
+    inverse = with_values(registry.get(REFERENCE), {"name": "inverse", "alpha": "inverse"})
+    return {name: inverse if name == "inverse" else registry.get(name) for name in names}
+
+
+def drawn(scenario: str, tolerance: float, seed: int, folder: Path | None) -> Draw:
+    """A draw, from a folder where it has been kept."""
+    kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}.pkl"
+    if kept is not None and kept.is_file():
+        with kept.open("rb") as file:
+            return pickle.load(file)
+    described, home = load_scenario(scenario)
+    found = draw(described, home, seed, tolerance)
+    if kept is not None:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        with write_into_place(kept) as temporary:
+            temporary.write_bytes(pickle.dumps(found))
+    return found
+
+
+def assess(one: Draw, scenario: str, tolerance: float, estimators: dict[str, Estimator]) -> list[Row]:
+    """What every estimator is worth in a draw; infinity where it diverges."""
+    rows = []
+    events = [(a, b) for a, b in metrics.pushes(one.external_torque, CONTROL_PERIOD) if one.kept[a]]
+    for name, estimator in estimators.items():
+        try:
+            found = estimator.estimate(one.signals, one.known)
+        except FilterDiverged:
+            rows.append(Row(scenario, tolerance, one.seed, name, np.inf, np.inf, np.inf))
+            continue
+        error = found.mean - one.truth
+        nees = np.nan
+        if found.variance is not None:
+            apart = np.flatnonzero(one.kept)[:: round(APART / CONTROL_PERIOD)]
+            nees = float(np.mean(error[apart] ** 2 / found.variance[apart]))
+        response, missed = np.nan, np.nan
+        if events:
+            followed = metrics.responses(found.mean, one.truth, CONTROL_PERIOD, events)
+            missed = float(np.mean(np.isnan(followed))) if len(followed) else np.nan
+            response = 1e3 * float(np.nanmean(followed)) if missed < 1.0 else np.nan
+        rows.append(
+            Row(
+                scenario, tolerance, one.seed, name, rms(error, one.kept), rms(error, one.kept & one.moving),
+                rms(error, one.kept & ~one.moving), nees, response, missed,
+            )
+        )  # fmt: skip
+    return rows
+
+
 class Results:
-    """Of one scenario: errors of every estimator on the test seeds, tuned ones, bounds."""
+    """All rows, by scenario, tolerance and estimator."""
 
-    limits: Limits
-    tuned: dict[str, Tuned]
+    def __init__(self, rows: Sequence[Row]):
+        self.rows = rows
+        self.names = [n for n in NAMES if any(r.estimator == n for r in rows)]
+        self.tolerances = [t for t in TOLERANCES if any(r.tolerance == t for r in rows)]
+        self._by: dict[tuple[str, float, str], list[Row]] = {}
+        for row in sorted(rows, key=lambda r: r.seed):
+            self._by.setdefault((row.scenario, row.tolerance, row.estimator), []).append(row)
 
-    def default(self, name: str) -> np.ndarray:
-        """RMS errors of the default settings, shape (seeds,) [N·m]."""
-        return next(e.rms for e in self.limits.estimators if e.name == name)
+    def has(self, tolerance: float, name: str) -> bool:
+        """Whether an estimator has run at a tolerance."""
+        return (SCENARIOS[-1], tolerance, name) in self._by
 
-    def best(self, name: str) -> np.ndarray:
-        """RMS errors of the tuned settings, or of the defaults where a filter was not tuned."""
-        return self.tuned[name].test_tuned[0] if name in self.tuned else self.default(name)
+    def at(self, tolerance: float) -> list[str]:
+        """The estimators that have run at a tolerance, the best first."""
+        names = [n for n in self.names if self.has(tolerance, n)]
+        return sorted(names, key=lambda n: self.overall(tolerance, n).mean)
+
+    def values(self, scenario: str, tolerance: float, name: str, measure: str = "rms") -> np.ndarray:
+        """A measure of every draw, shape (draws,), by seed."""
+        return np.array([getattr(row, measure) for row in self._by[scenario, tolerance, name]])
+
+    def ratio(self, scenario: str, tolerance: float, name: str, measure: str = "rms") -> Interval:
+        """Geometric mean of the ratio to RAREKF."""
+        return geometric(
+            self.values(scenario, tolerance, name, measure), self.values(scenario, tolerance, REFERENCE, measure)
+        )
+
+    def overall(self, tolerance: float, name: str) -> Interval:
+        """Likewise over the three experiments."""
+        both = [[self.values(s, tolerance, n) for s in SCENARIOS] for n in (name, REFERENCE)]
+        return geometric_over(*both)
 
 
-def ratio(values: np.ndarray, others: np.ndarray) -> str:
-    """Mean ratio with its 95 % interval, paired over seeds."""
-    if not (np.isfinite(values).all() and np.all(values < 1e5)):
-        return "diverged"
-    i = interval(values / others)
-    return f"{i.mean:.2f} [{i.low:.2f}, {i.high:.2f}]" if np.isfinite(i.low) else f"{i.mean:.2f}"
+def text(found: Interval, digits: int = 2) -> str:
+    """A mean with its interval."""
+    if not np.isfinite(found.mean):
+        return "–"
+    return f"{found.mean:.{digits}f} [{found.low:.{digits}f}, {found.high:.{digits}f}]"
 
 
-def rms(values: np.ndarray) -> str:
-    """Mean RMS with its 95 % half-width [N·m]."""
-    i = interval(values)
-    half = f" ± {i.high - i.mean:.4f}" if np.isfinite(i.high) else ""
-    return number(i.mean, 4) + (half if i.mean < 1e5 else "")
+def overall_table(results: Results) -> str:
+    """Ratio to RAREKF over the three experiments, by tolerance; the best at ×1 first."""
+
+    def cell(tolerance: float, name: str) -> str:
+        if not results.has(tolerance, name):
+            return "–"
+        return "1" if name == REFERENCE else text(results.overall(tolerance, name))
+
+    rows = [(n, *(cell(t, n) for t in results.tolerances)) for n in results.at(results.tolerances[0])]
+    return markdown(("estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)), rows)
 
 
-def error_table(results: Results) -> str:
-    """RMS error by default and tuned, against RAREKF and against the bound; the smallest tuned error first."""
+def scenario_table(results: Results, tolerance: float) -> str:
+    """RMS error and ratio to RAREKF in every experiment at a tolerance, in motion and at rest."""
+    heads = ["estimator"]
+    for name in SCENARIOS:
+        heads += [f"{name}: RMS [N·m]", "moving", "at rest", "/ RAREKF", "largest"]
     rows = []
-    by_error = sorted(results.limits.estimators, key=lambda e: float(np.nan_to_num(results.best(e.name), nan=9).mean()))
-    for e in by_error:
-        default, best = results.default(e.name), results.best(e.name)
-        rows.append(
-            (
-                e.name if e.causal else f"{e.name} (not causal)", rms(default),
-                rms(best) if e.name in results.tuned and results.tuned[e.name].values else "–",
-                ratio(default, results.default("RAREKF")), ratio(best, results.best("RAREKF")),
-                number(results.limits.ratio(e.name), 2),
-            )
-        )  # fmt: skip
-    heads = (
-        "estimator", "RMS, default [N·m]", "tuned", "/ RAREKF, default", "/ RAREKF, both tuned", "default / bound",
-    )  # fmt: skip
+    for n in results.at(tolerance):
+        row = [n]
+        for s in SCENARIOS:
+            row += [f"{np.mean(results.values(s, tolerance, n, m)):.3f}" for m in ("rms", "moving", "resting")]
+            largest = np.max(results.values(s, tolerance, n) / results.values(s, tolerance, REFERENCE))
+            row += [text(results.ratio(s, tolerance, n)), f"{largest:.2f}"]
+        rows.append(row)
     return markdown(heads, rows)
 
 
-def claim_table(every: dict[str, Results], together: Sequence[Tuned]) -> str:
-    """The best causal baseline of each scenario against RAREKF."""
+def nees_table(results: Results) -> str:
+    """Mean NEES with its interval over draws: 1 where an estimator knows its own error."""
     rows = []
-    common = next(one for one in together if one.name == "RAREKF").test_tuned
-    for name, results in every.items():
-        causal = [e.name for e in results.limits.estimators if e.causal and e.name not in PAPER]
-        default = min(causal, key=lambda n: results.default(n).mean())
-        best = min(causal, key=lambda n: results.best(n).mean())
-        simple = [name for name in causal if not registry.get(name).costly]
-        without = min(simple, key=lambda n: results.best(n).mean())
-        rows.append(
-            (
-                name, f"{default}: {ratio(results.default(default), results.default('RAREKF'))}",
-                f"{default}: {ratio(results.default(default), common[len(rows)])}",
-                f"{default}: {ratio(results.default(default), results.best('RAREKF'))}",
-                f"{best}: {ratio(results.best(best), results.best('RAREKF'))}",
-                f"{without}: {ratio(results.best(without), results.best('RAREKF'))}",
-            )
-        )  # fmt: skip
-    heads = (
-        "scenario", "best default / RAREKF", "/ RAREKF tuned for all three", "/ RAREKF tuned for this one",
-        "best tuned / RAREKF tuned for this one", "likewise, without the joint's dynamics",
-    )  # fmt: skip
-    return markdown(heads, rows)
+    for n in results.names:
+        if np.all(np.isnan(results.values(SCENARIOS[0], results.tolerances[0], n, "nees"))):
+            continue
+        row = [n]
+        for t in results.tolerances:
+            some = results.has(t, n)
+            row += [text(interval(results.values(s, t, n, "nees"))) if some else "–" for s in SCENARIOS]
+        rows.append(row)
+    return markdown(("estimator", *(f"{s} ×{t:g}" for t in results.tolerances for s in SCENARIOS)), rows)
 
 
-def consistency_table(every: dict[str, Results]) -> str:
-    """NIS with its verdict, NEES and how often it is inside, whiteness; default settings."""
+def push_table(results: Results) -> str:
+    """Response to pushes and share of pushes never followed."""
     rows = []
-    names = [e.name for e in next(iter(every.values())).limits.estimators if e.nees is not None]
-    for name in names:
-        row = [name]
-        for results in every.values():
-            e = next(e for e in results.limits.estimators if e.name == name)
-            row.append("–" if e.nis is None else f"{e.nis.value:.2f}")
-            row.append(f"{e.nees.value:.2f}")
-            row.append(f"{100 * e.nees_share:.0f}")
-            row.append("–" if e.outside is None else f"{100 * e.outside:.0f}")
+    for n in results.names:
+        row = [n]
+        for t in results.tolerances:
+            if not results.has(t, n):
+                row += ["–", "–"]
+                continue
+            row.append(text(interval(results.values("external_push", t, n, "response")), 1))
+            row.append(f"{100 * np.mean(results.values('external_push', t, n, 'missed')):.0f}")
         rows.append(row)
     heads = ["estimator"]
-    for name in every:
-        heads += [f"{name}: NIS", "NEES", "inside [%]", "ρ outside [%]"]
-    first = next(iter(every.values())).limits
-    low, high = first.estimators[0].nees.low, first.estimators[0].nees.high
-    widest = max(e.nis.high - 1 for r in every.values() for e in r.limits.estimators if e.nis is not None)
-    note = (
-        f"\n\n95 % intervals: NIS within 1 ± {widest:.3f} or less (all samples); NEES {low:.2f} to {high:.2f} (one error of "
-        f"each of {len(first.seeds)} runs); *inside* and *ρ outside* should be 95 and 5."
-    )
-    return markdown(heads, rows) + note
+    for t in results.tolerances:
+        heads += [f"×{t:g}: response [ms]", "missed [%]"]
+    return markdown(heads, rows)
 
 
-def parameters_table(every: dict[str, Results]) -> str:
-    """What tuning chose for each filter in each scenario, and how much it took off the error."""
+def sheet(known: KnownJoint) -> KnownJoint:
+    """The same numbers, known as well as the test joint's description says; the zero tared."""
+    return replace(known, spread=Spread.of(load_joint("test-joint")), friction=0.15)
+
+
+def weighed(share: float, stated: float) -> Callable[[KnownJoint], KnownJoint]:
+    """The weight told as a share of the nominal one, known within `stated`."""
+    return lambda known: replace(known.told(Mg=share * known.p["Mg"]), spread=replace(known.spread, gravity=stated))
+
+
+TOLD: Mapping[str, tuple[float, Callable[[KnownJoint], KnownJoint]]] = {
+    "exact; the data sheet's tolerances": (0.0, sheet),
+    "×0.2; the data sheet's tolerances": (0.2, sheet),
+    "×1; a weight 5 % too low, said to be within 1 %": (1.0, weighed(0.95, 0.01)),
+    "×1; a weight 20 % too low, said to be within 1 %": (1.0, weighed(0.8, 0.01)),
+    "×1; a weight 20 % too low, said to be within 20 %": (1.0, weighed(0.8, 0.2)),
+}
+"""What the joint is, and what the estimators are told that is not so: tolerance, and change of what is known."""
+
+
+def told_table(seeds: Sequence[int], kept: Path | None, threads: int) -> str:
+    """Ratio to RAREKF where what is told of the joint is not so."""
+    names = ("augmented", "momentum_torsion", REFERENCE)
+    table = []
+    for label, (tolerance, change) in TOLD.items():
+        row = [label]
+        for scenario in SCENARIOS[1:]:
+
+            def one(seed: int, s: str = scenario, t: float = tolerance, c: Callable = change) -> list[float]:
+                found = drawn(s, t, seed, kept)
+                known = c(found.known)
+                estimates = [registry.get(n).estimate(found.signals, known).mean for n in names]
+                return [rms(e - found.truth, found.kept) for e in estimates]
+
+            with ThreadPoolExecutor(threads) as pool:
+                errors = np.array(list(pool.map(one, seeds)))
+            row += [text(geometric(errors[:, i], errors[:, 2])) for i in (0, 1)]
+        table.append(row)
+    heads = ["joint; what is told of it"] + [f"{s}: {n}" for s in SCENARIOS[1:] for n in names[:2]]
+    return markdown(heads, table)
+
+
+def cost_table(estimators: dict[str, Estimator], one: Draw) -> str:
+    """Core time of an update, median of five."""
+    part = one.signals.part(slice(0, 4000))
     rows = []
-    for name in next(iter(every.values())).tuned:
-        row = [name]
-        for results in every.values():
-            one = results.tuned[name]
-            values = ", ".join(
-                f"{k.split('.')[-1]} {v:.2g}" + ("!" if k in one.at_bound else "") for k, v in one.values.items()
+    for name, estimator in estimators.items():
+        timing = measure(lambda estimator=estimator: estimator.estimate(part, one.known))
+        rows.append((name, f"{1e6 * timing.core / len(part.time):.2f}"))
+    return markdown(("estimator", "µs per update"), sorted(rows, key=lambda row: float(row[1])))
+
+
+def write_csv(results: Results, path: Path) -> None:
+    """Means over draws and the ratio with its interval, a line for each scenario, tolerance and estimator."""
+    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(
+            ["scenario", "tolerance", "estimator", "draws", "rms", "moving", "resting", "ratio", "low", "high", "nees",
+             "response_ms", "missed"]
+        )  # fmt: skip
+        for (scenario, tolerance, name), rows in results._by.items():
+            r = results.ratio(scenario, tolerance, name)
+            with np.errstate(invalid="ignore"):
+                means = [np.nanmean(column) if np.isfinite(column).any() else np.nan for column in (
+                    np.array([list(asdict(row).values())[4:] for row in rows], dtype=np.float64).T
+                )]  # fmt: skip
+            cells = [*means[:3], r.mean, r.low, r.high, *means[3:]]
+            writer.writerow(
+                [scenario, f"{tolerance:g}", name, len(rows), *("" if np.isnan(c) else f"{c:.5g}" for c in cells)]
             )
-            change = 100 * (one.test_tuned.mean() / one.test_default.mean() - 1)
-            row.append(f"{values} ({change:+.0f} %)" if values else "–")
-        if any(cell != "–" for cell in row[1:]):
-            rows.append(row)
-    return markdown(["filter", *every], rows)
-
-
-def together_table(found: Sequence[Tuned]) -> str:
-    """One setting for all scenarios, on the test seeds."""
-    rows = []
-    reference = next(one for one in found if one.name == "RAREKF").test_tuned
-    for one in sorted(found, key=lambda one: tuning.score(one.test_tuned)):
-        values = ", ".join(f"{k.split('.')[-1]} {v:.2g}" for k, v in one.values.items()) or "–"
-        cells = [rms(row) for row in one.test_tuned]
-        means = np.sqrt(
-            np.prod([a.mean() / b.mean() for a, b in zip(one.test_tuned, reference, strict=True)]) ** (2 / 3)
-        )
-        rows.append((one.name, *cells, f"{means:.2f}", values))
-    return markdown(
-        ("filter", *(f"{s} [N·m]" for s in SCENARIOS), "/ RAREKF, geometric mean", "tuning parameters"), rows
-    )
-
-
-def cost_table(chosen: Mapping[str, Estimator], run: Run) -> str:
-    """Time of one update, core time, median of five."""
-    rows = []
-    for name, one in chosen.items():
-        timing = measure(lambda one=one: one.estimate(run.signals, run.known))
-        rows.append((name, f"{1e6 * timing.core / len(run.time):.2f}"))
-    rows.sort(key=lambda row: float(row[1]))
-    return markdown(("estimator", "µs per update"), rows)
-
-
-def mistake_table(chosen: Mapping[str, Estimator], seeds: Sequence[int], threads: int) -> str:
-    """RMS error in the link sweep where the plant is not what the estimators know."""
-    columns = []
-    for changes in MISTAKES.values():
-        scenario, folder = load_scenario("link_sweep", [*changes, "known_joint=test-joint"])
-        runs = tuning.simulated([(scenario, folder)], seeds)
-        columns.append({name: tuning.errors(one, runs, threads)[0] for name, one in chosen.items()})
-    order = sorted(chosen, key=lambda name: columns[0][name].mean())
-    rows = [(name, *(f"{column[name].mean():.3f}" for column in columns)) for name in order]
-    return markdown(("estimator", *(f"{name} [N·m]" for name in MISTAKES)), rows)
-
-
-def readings_table(every: dict[str, list[Run]]) -> str:
-    """RMS error of the paper's filter by the reading of its equations."""
-    rows = []
-    for label, changes in READINGS.items():
-        reading = with_values(registry.get("RAREKF"), changes)
-        cells = [rms(tuning.errors(reading, [runs])[0]) for runs in every.values()]
-        rows.append((label, *cells))
-    return markdown(("reading", *(f"{name} [N·m]" for name in every)), rows)
-
-
-def walk_table(chosen: Mapping[str, Estimator], seeds: Sequence[int]) -> tuple[str, Limits]:
-    """Error in units of the bound on draws of the bound's own external torque: nothing causal may be below 1."""
-    scenario, folder = load_scenario("external_push", ["duration=12"])
-    found = limits.assess(limits.matched(scenario, 1.0), folder, seeds, chosen, 1.0)
-    rows = [
-        (e.name if e.causal else f"{e.name} (not causal)", rms(e.rms), number(found.ratio(e.name), 2))
-        for e in sorted(found.estimators, key=lambda e: e.mean_rms)
-    ]
-    head = (
-        f"12 s of the link sweep, external torque a random walk of 1 N·m/√s, {len(seeds)} draws. Bound "
-        f"{found.bound_rms:.4f} N·m; of the paper's model {found.torsion_bound_rms:.4f} N·m.\n\n"
-    )
-    return head + markdown(("estimator", "RMS [N·m]", "/ bound"), rows), found
 
 
 def fill(page: Path, tables: dict[str, str]) -> None:
     """Put each table between its markers."""
-    text = page.read_text(encoding="utf-8")
+    whole = page.read_text(encoding="utf-8")
     for name, table in tables.items():
         begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
-        if begin not in text or end not in text:
+        if begin not in whole or end not in whole:
             raise SystemExit(f"{page}: expected the markers {begin} and {end}")
         pattern = re.escape(begin) + ".*?" + re.escape(end)
-        text = re.sub(pattern, lambda _, t=f"{begin}\n{table}\n{end}": t, text, flags=re.DOTALL)
+        whole = re.sub(pattern, lambda _, t=table, b=begin, e=end: f"{b}\n{t}\n{e}", whole, flags=re.DOTALL)
     with write_into_place(page) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(whole, encoding="utf-8")
 
 
-def main() -> None:
-    """Run everything and write the page's tables and figures."""
+def main(arguments: Sequence[str] = ()) -> None:
+    """Run everything and write the page's tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20, help="test seeds, from 101 on")
-    parser.add_argument("--train", type=int, default=5, help="training seeds, from 1 on")
-    parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument(
-        "--quick", action="store_true", help="leave the filters that simulate the joint at their defaults"
-    )
-    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "figures", help="folder of the figures")
+    parser.add_argument("--seeds", type=int, default=30, help="draws, seeds 101 and on; tuned on 1 to 8")
+    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument("--draws", type=Path, help="folder in which draws are kept, to be used again")
+    parser.add_argument("--tolerances", type=float, nargs="+", default=list(TOLERANCES))
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
-    asked = parser.parse_args()
+    asked = parser.parse_args(arguments)
+    estimators, rows, began = chosen(), [], time.perf_counter()
     seeds = range(101, 101 + asked.seeds)
-    few = seeds[:FEW]
-    chosen = estimators()
-    began = time.perf_counter()
+    for costly in (False, True):
+        some = {name: one for name, one in estimators.items() if one.costly == costly}
+        for tolerance in asked.tolerances:
+            if costly and tolerance not in COSTLY_AT:
+                continue
+            for scenario in SCENARIOS:
+                rows += _rows(scenario, tolerance, seeds, some, asked.draws, asked.threads)
+                print(f"{time.perf_counter() - began:7.0f} s  tolerance ×{tolerance:g}, {scenario}", flush=True)
+        results = Results(rows)
+        if not costly:
+            fill(asked.page, {"told": told_table(seeds, asked.draws, asked.threads)})
+        last = drawn(SCENARIOS[0], asked.tolerances[0], seeds[0], asked.draws)
+        fill(asked.page, tables(results, asked.seeds, estimators, last))
+        write_csv(results, asked.page.with_suffix(".csv"))
 
-    def say(what: str) -> None:
-        print(f"{time.perf_counter() - began:7.0f} s  {what}", flush=True)
 
-    every, runs, fronts = {}, {}, []
-    train_runs: dict[str, list[Run]] = {}
-    to_tune = {name: one for name, one in chosen.items() if not (asked.quick and one.costly)}
-    for name in SCENARIOS:
-        scenario, folder = load_scenario(name)
-        train_runs[name] = tuning.simulated([(scenario, folder)], range(1, 1 + asked.train))[0]
-        runs[name] = tuning.simulated([(scenario, folder)], seeds)[0]
-        say(f"{name}: bounds and consistency")
-        found = limits.assess(scenario, folder, seeds, chosen)
-        save_figure(limits_figure(found), asked.out / f"estimators_{name}.png")
-        tuned = {}
-        for estimator, one in to_tune.items():
-            say(f"{name}: tuning {estimator}")
-            tuned[estimator] = tuning.tune(one, [train_runs[name]], [runs[name]], threads=asked.threads)
-        every[name] = Results(found, tuned)
-    for name, one in chosen.items():
-        say(f"noise against delay: {name}")
-        best = every["external_push"].tuned.get(name)
-        pushed = runs["external_push"][:FEW]
-        fronts.append(tuning.pareto(one, pushed, best.tuned if best else None, threads=asked.threads))
-    save_figure(pareto_figure(fronts, "external_push", len(few)), asked.out / "estimators_pareto.png")
-    together = []
-    for name, one in to_tune.items():
-        say(f"one setting for all: {name}")
-        together.append(tuning.tune(one, list(train_runs.values()), list(runs.values()), threads=asked.threads))
-    if asked.quick:
-        together += [_untuned(one, list(runs.values()), asked.threads) for one in chosen.values() if one.costly]
-    say("model error, readings, the bound's own model, cost")
-    walk, _ = walk_table(chosen, seeds)
-    tables = {
-        "about": about(asked, len(seeds)),
-        "claim": claim_table(every, together),
-        **{f"errors {name}": error_table(results) for name, results in every.items()},
-        "consistency": consistency_table(every),
-        "parameters": parameters_table(every),
-        "together": together_table(together),
-        "mistakes": mistake_table(chosen, few, asked.threads),
-        "readings": readings_table(runs),
-        "walk": walk,
-        "bounds": bounds_table(every),
-        "cost": cost_table(chosen, runs["link_sweep"][0]),
+def _rows(
+    scenario: str,
+    tolerance: float,
+    seeds: Iterable[int],
+    estimators: dict[str, Estimator],
+    kept: Path | None,
+    threads: int,
+) -> list[Row]:
+    def one(seed: int) -> list[Row]:
+        return assess(drawn(scenario, tolerance, seed, kept), scenario, tolerance, estimators)
+
+    with ThreadPoolExecutor(threads) as pool:
+        return [row for several in pool.map(one, seeds) for row in several]
+
+
+def tables(results: Results, seeds: int, estimators: dict[str, Estimator], one: Draw) -> dict[str, str]:
+    """The page's tables by name; `one`: a draw on which the time of updates is measured."""
+    return {
+        "about": about(seeds),
+        "overall": overall_table(results),
+        **{f"scenarios {t:g}": scenario_table(results, t) for t in results.tolerances},
+        "nees": nees_table(results),
+        "push": push_table(results),
+        "cost": cost_table(estimators, one),
     }
-    fill(asked.page, tables)
-    say(f"{asked.page}")
 
 
-def _untuned(estimator: Estimator, runs: Sequence[Sequence[Run]], threads: int) -> Tuned:
-    found = tuning.errors(estimator, runs, threads)
-    return Tuned(estimator.name, estimator, estimator, {}, (np.nan, np.nan), 0, found, found, ())
-
-
-def bounds_table(every: dict[str, Results]) -> str:
-    """The bounds of each scenario."""
-    rows = [
-        (
-            name, f"{r.limits.fitted:.3g}", f"{r.limits.intensity:.3g}", f"{r.limits.bound_rms:.4f}",
-            f"{r.limits.torsion_intensity:.3g}", f"{r.limits.torsion_bound_rms:.4f}",
-        )
-        for name, r in every.items()
-    ]  # fmt: skip
-    heads = (
-        "scenario", "fitted intensity [N·m/√s]", "stated", "bound [N·m]", "joint torque's intensity",
-        "bound, paper's model [N·m]",
-    )  # fmt: skip
-    return markdown(heads, rows)
-
-
-def about(asked: argparse.Namespace, seeds: int) -> str:
+def about(seeds: int) -> str:
     """How the page's numbers were made."""
-    quick = " --quick" if asked.quick else ""
-    command = f"python -m benchmarks.estimators --seeds {seeds} --train {asked.train}{quick}"
-    left = ""
-    if asked.quick:
-        left = " The filters that simulate the joint (`dynamics_*`, `rts_smoother`) were left at their defaults."
     return (
-        f"Everything below is printed by `{command}`: {seeds} test seeds (101 to {100 + seeds}), tuning on seeds 1 to "
-        f"{asked.train}.{left} Intervals are 95 %, Student's t over seeds; ratios are paired over seeds. Noise against delay and "
-        f"model error: {min(seeds, FEW)} seeds."
+        f"Written by `python -m benchmarks estimators`: {seeds} draws a number (seeds 101 to {100 + seeds}; `augmented` tuned on "
+        "seeds 1 to 8). Brackets are 95 % intervals over draws: Student's t, of log ratios for ratios. All numbers, as a table: "
+        "[estimators.csv](estimators.csv)."
     )
 
 
 if __name__ == "__main__":
-    main()
+    import sys
+
+    main(sys.argv[1:])

@@ -1,16 +1,17 @@
 """Mistakes hidden in sound measurements, and how many are found; what is claimed of sound ones.
 
-`python -m benchmarks mistakes`: every kind of mistake, in several sizes, in every example of the shared data (`--examples`), in all
-its recordings or in one; and sound measurements: the examples with channels taken away, and joints drawn anew with the imperfections
-of real ones.
+`python -m benchmarks.mistakes`: every kind of mistake, in several sizes, in every example of the shared data (`--folder`); and
+sound measurements: the examples, the same with channels taken away, and joints drawn anew, with the imperfections of real ones.
+`python -m benchmarks mistakes` takes every fifth example.
 """
 
 from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -57,7 +58,9 @@ class Hidden:
         if self.seconds is not None and (m.seconds is None or abs(m.seconds - self.seconds) > 0.3 * self.seconds):
             return False
         if self.offset is not None:
-            off = 0.0 if m.offset is None else (m.offset - self.offset) / (100.0 if m.column == "motor_position" else 1.0)
+            off = (
+                0.0 if m.offset is None else (m.offset - self.offset) / (100.0 if m.column == "motor_position" else 1.0)
+            )
             return abs(math.remainder(off, 2 * math.pi)) < 0.1
         return True
 
@@ -112,9 +115,9 @@ def _late(column: str, seconds: float) -> Spoil:
     return spoil
 
 
-def _wrapped(column: str, low: float) -> Spoil:
+def _wrapped(column: str, low: float, scale: float = 1.0) -> Spoil:
     def spoil(r: Recording, joint: Joint, rng: np.random.Generator) -> Recording:
-        return _with(r, **{column: (r[column] - low) % (2 * math.pi) + low}) if column in r else r
+        return _with(r, **{column: scale * ((r[column] - low) % (2 * math.pi) + low)}) if column in r else r
 
     return spoil
 
@@ -127,7 +130,7 @@ def _ratio(factor: float) -> Spoil:
     return _scaled("motor_position", factor)
 
 
-def _stuck(column: str, share: float) -> Spoil:
+def _stuck(column: str, share: float, to_the_end: bool = False) -> Spoil:
     """Stuck for a share of the way that the link makes; all of it where 1."""
 
     def spoil(r: Recording, joint: Joint, rng: np.random.Generator) -> Recording:
@@ -140,7 +143,7 @@ def _stuck(column: str, share: float) -> Spoil:
             position = r["link_position"] if "link_position" in r else r["motor_position"]
             way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(position)))])
             begin = int(np.searchsorted(way, rng.uniform(0.05, 0.9 - share) * way[-1]))
-            end = int(np.searchsorted(way, way[begin] + share * way[-1]))
+            end = len(x) if to_the_end else int(np.searchsorted(way, way[begin] + share * way[-1]))
             x[begin:end] = x[begin]
         return _with(r, **{column: x})
 
@@ -186,27 +189,38 @@ def hidden_mistakes() -> Iterator[Hidden]:
     motor, link, current, torque = "motor_position", "link_position", "motor_current", "joint_torque"
     for column, lines in ((motor, 4096), (link, 2**20)):
         for said, factor in (("degrees", deg), ("turns", turn), ("counts", turn / lines)):
-            yield Hidden("unit", (column,), _scaled(column, 1 / factor, said == "counts"), f"unit {column} {said}", factor)
-    yield Hidden("unit", (motor,), _scaled(motor, 2**16 / turn, True), "unit motor_position counts of 16 bit", turn / 2**16)
+            yield Hidden(
+                "unit", (column,), _scaled(column, 1 / factor, said == "counts"), f"unit {column} {said}", factor
+            )
+    yield Hidden(
+        "unit", (motor,), _scaled(motor, 2**16 / turn, True), "unit motor_position counts of 16 bit", turn / 2**16
+    )
     yield Hidden("unit", (current,), _scaled(current, 1e3), "unit motor_current mA", 1e-3)
     yield Hidden("unit", (current,), _scaled(current, Kt), "unit motor_current N·m", 1 / Kt)
     yield Hidden("unit", (current,), _scaled(current, N * Kt), "unit motor_current N·m output", 1 / (N * Kt))
     yield Hidden("unit", (torque,), _scaled(torque, 1e3), "unit joint_torque mN·m", 1e-3)
-    yield Hidden("unit", ("position_command",), _scaled("position_command", 1 / deg), "unit position_command degrees", deg)
+    yield Hidden(
+        "unit", ("position_command",), _scaled("position_command", 1 / deg), "unit position_command degrees", deg
+    )
     yield Hidden("unit", ("time",), _time(1e3), "unit time ms", 1e-3)
     yield Hidden("unit", ("time",), _time(1e6), "unit time µs", 1e-6)
-    for column in (motor, link, current, torque):
+    for column in (motor, link, current, torque, "position_command"):
         yield Hidden("sign", (column,), _scaled(column, -1.0), f"sign {column}")
     yield Hidden("sign", ("",), _gravity, "sign of gravity")
     for factor in (1.01, 1 / 1.01, 0.5, 1.6):
         yield Hidden("gear_ratio", (motor, link, ""), _ratio(factor), f"gear_ratio {factor:.3g}", factor)
     yield Hidden("swapped", ("",), _exchanged, "swapped")
-    for seconds in (0.02, 0.05, 0.1):
+    for seconds in (0.01, 0.02, 0.05, 0.1):
         for column in (motor, link, current, torque):
-            yield Hidden("late", (column,), _late(column, seconds), f"late {column} {1e3 * seconds:g} ms", seconds=seconds)
+            if seconds < 0.015 and column == link:  # an ordinary delay
+                continue
+            yield Hidden(
+                "late", (column,), _late(column, seconds), f"late {column} {1e3 * seconds:g} ms", seconds=seconds
+            )
     for low in (-math.pi, 0.0):
         yield Hidden("wrapped", (motor,), _wrapped(motor, low), f"wrapped motor_position {low:.1f}")
     yield Hidden("wrapped", (link,), _wrapped(link, 0.0), "wrapped link_position")
+    yield Hidden("wrapped", (motor,), _wrapped(motor, 0.0, 1 / deg), "wrapped motor_position 360 degrees")
     yield Hidden("velocity", (motor,), _speed(motor, 1.0), "velocity motor_position")
     yield Hidden("velocity", (link,), _speed(link, 1.0), "velocity link_position")
     yield Hidden("velocity", (motor,), _speed(motor, 60 / turn), "velocity motor_position rpm", turn / 60)
@@ -214,25 +228,29 @@ def hidden_mistakes() -> Iterator[Hidden]:
     for offset in (turn / 4, -turn / 4, turn / 2, 0.5, -0.4):
         yield Hidden("angle_zero", angles, _shifted(offset, angles), f"angle_zero {offset:.2f}", offset=-offset)
         together = (*angles, "position_command")
-        yield Hidden("angle_zero", together, _shifted(offset, together), f"angle_zero, command too {offset:.2f}", offset=-offset)
+        yield Hidden(
+            "angle_zero", together, _shifted(offset, together), f"angle_zero, command too {offset:.2f}", offset=-offset
+        )
     yield Hidden("angle_zero", angles, _shifted(0.5, (link,)), "angle_zero of link_position 0.5", offset=-0.5)
     for share in (0.1, 0.3, 1.0):
         for column in (motor, link, current, torque):
             yield Hidden("stuck", (column,), _stuck(column, share), f"stuck {column} {share:g}")
+    for column in (motor, link, current, torque):
+        yield Hidden("stuck", (column,), _stuck(column, 0.2, True), f"stuck {column} from 0.2 to the end")
     for column, size in ((motor, turn), (motor, 20.0), (link, 0.3), (current, 1.0), (torque, 1.0)):
         for count in (1, 5):
             yield Hidden("glitch", (column,), _glitch(column, size, count), f"glitch {column} {size:.2g} × {count}")
     for share in (0.6, 0.8):
-        for column in (current, torque):
+        for column in (motor, link, current, torque):
             yield Hidden("clipped", (column,), _clipped(column, share), f"clipped {column} {share:g}")
 
 
-def hide(mistake: Hidden, measurement: Measurement, joint: Joint, rng: np.random.Generator, only: int | None = None) -> Measurement:
+def hide(
+    mistake: Hidden, measurement: Measurement, joint: Joint, rng: np.random.Generator, only: int | None = None
+) -> Measurement:
     """The measurement with a mistake in all recordings, or in one."""
     chosen = range(len(measurement.recordings)) if only is None else (only,)
-    recordings = tuple(
-        mistake.spoil(r, joint, rng) if i in chosen else r for i, r in enumerate(measurement.recordings)
-    )
+    recordings = tuple(mistake.spoil(r, joint, rng) if i in chosen else r for i, r in enumerate(measurement.recordings))
     return replace(measurement, recordings=recordings)
 
 
@@ -266,22 +284,30 @@ def drawn(count: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:
         )  # fmt: skip
         found = draw(challenge, 0)
         names = "+".join(e.name for e in found.effects) or "nothing"
-        yield replace(found.measurement, name=f"draw {i} {challenge.joint} {names} real={challenge.real}"), found.nominal
+        yield (
+            replace(found.measurement, name=f"draw {i} {challenge.joint} {names} real={challenge.real}"),
+            found.nominal,
+        )
         one = tuple(r.without("motor_position" if i % 2 else "link_position") for r in found.measurement.recordings)
-        yield replace(found.measurement, name=f"draw {i} {challenge.joint} {names}, one encoder", recordings=one), found.nominal
+        yield (
+            replace(found.measurement, name=f"draw {i} {challenge.joint} {names}, one encoder", recordings=one),
+            found.nominal,
+        )
 
 
-def main() -> None:
-    """Print the rates."""
-    parser = argparse.ArgumentParser()
+def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
+    """Print the rates, as the words of a command line ask."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mistakes")
     parser.add_argument("--folder", type=Path, default=EXAMPLES)
     parser.add_argument("--only", default="", help="part of the labels of mistakes to hide")
+    parser.add_argument("--every", type=int, default=1, help="of so many examples one")
+    parser.add_argument("--one", action="store_true", help="hide in one recording, the last, not in all")
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
-    arguments, _ = parser.parse_known_args()
+    arguments = parser.parse_args(words)
     rng = np.random.default_rng(arguments.seed)
     print(f"mistakes hidden in the examples, seed {arguments.seed}")
-    sound = [(m, m.load_joint(None)) for m in examples(arguments.folder)]
+    sound = [(m, m.load_joint(None)) for m in examples(arguments.folder)][:: arguments.every]
     kinds: dict[str, list[int]] = {}
     begin, looks = time.process_time(), 0
     for mistake in hidden_mistakes():
@@ -290,7 +316,8 @@ def main() -> None:
         hits, alone, missed = 0, 0, []
         tried = [(m, j) for m, j in sound if mistake.there(m)]
         for measurement, joint in tried:
-            found = find_mistakes(hide(mistake, measurement, joint, rng), joint)
+            only = len(measurement.recordings) - 1 if arguments.one else None
+            found = find_mistakes(hide(mistake, measurement, joint, rng, only), joint)
             looks += 1
             hits += mistake.found(found)
             alone += mistake.found(found) and mistake.alone(found)
@@ -302,10 +329,13 @@ def main() -> None:
         for line in missed[:4]:
             print(f"      {line}")
     for name, (hits, alone, tried) in kinds.items():
-        print(f"  {name:12s} {100 * hits / max(tried, 1):5.1f} % of {tried}, alone {100 * alone / max(tried, 1):5.1f} %")
+        print(
+            f"  {name:12s} {100 * hits / max(tried, 1):5.1f} % of {tried}, alone {100 * alone / max(tried, 1):5.1f} %"
+        )
     total, all_ = sum(k[0] for k in kinds.values()), sum(k[2] for k in kinds.values())
-    print(f"  all          {100 * total / max(all_, 1):5.1f} % of {all_}, {(time.process_time() - begin) / max(looks, 1):.2f} s each")
-    if arguments.only:
+    seconds = (time.process_time() - begin) / max(looks, 1)
+    print(f"  all          {100 * total / max(all_, 1):5.1f} % of {all_}, {seconds:.2f} s each")
+    if arguments.only not in ("", "sound"):
         return
     recordings, claimed = 0, 0
     for measurement, joint in _sound(sound, arguments.draws, arguments.seed):
@@ -331,4 +361,4 @@ def _short(m: Mistake) -> str:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -37,3 +40,37 @@ def progress(counting: bool = False, remaining: bool = False) -> Progress:
     columns += [TimeElapsedColumn()]
     columns += [TimeRemainingColumn()] if remaining else []
     return Progress(*columns, console=Console(stderr=True), transient=True)
+
+
+@contextmanager
+def stages(what: str) -> Iterator[Callable[[str, float], None]]:
+    """Show the stages of one piece of work on stderr; gives what is called with a stage that begins and the share that is done.
+
+    On a terminal a bar that vanishes, with the time that it has taken; elsewhere a line a stage.
+    """
+    from rich.console import Console
+
+    terminal = Console(stderr=True)
+    begin = time.monotonic()
+    if not terminal.is_terminal:
+        told = ""
+
+        def line(stage: str, done: float) -> None:
+            nonlocal told
+            if stage != told:
+                told = stage
+                seconds = time.monotonic() - begin
+                terminal.print(f"{seconds:6.1f} s {100 * done:3.0f} %  {stage}", markup=False, highlight=False)
+
+        yield line
+        return
+    from rich.progress import BarColumn, Progress, SpinnerColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+    from rich.table import Column
+
+    stage_column = TextColumn(
+        "{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis")
+    )
+    columns = (SpinnerColumn(), stage_column, BarColumn(20), TaskProgressColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=terminal, transient=True) as bar:
+        task = bar.add_task(what, total=1.0)
+        yield lambda stage, done: bar.update(task, description=stage, completed=done)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ..scenarios.run import Run
@@ -80,8 +80,13 @@ def _ready() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None and not _watching:
-        _watching.append(threading.Thread(target=lambda: (parent.join(), os._exit(1)), daemon=True))
+        _watching.append(threading.Thread(target=_end_with, args=(parent,), daemon=True))
         _watching[0].start()
+
+
+def _end_with(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
 
 
 def _draw(view: str, handed: Path, folder: Path) -> None:

@@ -12,6 +12,8 @@ from ._console import progress
 from ._drawing import drawing
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from ..scenarios.run import Run
     from ..scenarios.scenario import Scenario
 
@@ -73,3 +75,10 @@ def run_all(
                 raise
             finally:  # whoever interrupts does not wait for a simulation that is under way
                 pool.shutdown(wait=False, cancel_futures=True)
+
+
+def tell(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
+    """Print what whoever reads the runs' measures should know."""
+    for run, _ in runs:
+        for note in run.notes:
+            terminal.print(f"{run.name}: {note}", style="yellow", highlight=False, markup=False)

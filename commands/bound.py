@@ -73,4 +73,6 @@ def command(
                 write_limits(limits, folder / limits.scenario / "limits.parquet")
                 save_figure(limits_figure(limits), folder / limits.scenario / "limits.png")
             write_summary(found, folder / "summary.csv")
-        terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario", highlight=False)
+        terminal.print(
+            f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario", highlight=False, markup=False
+        )

@@ -238,10 +238,9 @@ def _write(path: Path, outcomes: Sequence[Outcome]) -> None:
     with output_folder(path.parent, "challenge") as folder:
         temporary = folder / path.name
         if path.suffix == ".json":
-            from .diagnose import finite
+            from ..models.files import json_text
 
-            text = json.dumps(finite(score.report(outcomes)), indent=1, ensure_ascii=False, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
+            temporary.write_text(json_text(score.report(outcomes)) + "\n", encoding="utf-8")
             return
         import pyarrow as pa
         import pyarrow.parquet as pq

@@ -4,51 +4,86 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..models.errors import InputError
+
 if TYPE_CHECKING:
-    from ..diagnosis.data.coverage import Summary
+    from ..diagnosis.data.coverage import RecordingSummary
     from ..models.recording import Recording
 
 
 def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
-    """Say what is in a measurement, what is missing, and what can therefore not be diagnosed."""
+    """Say what is in a measurement, which mistakes are, what is missing, and what can therefore not be diagnosed."""
     from rich.table import Table
     from rich.text import Text
 
-    from ..diagnosis.data.coverage import missing_columns, summarise, undetermined
+    from ..diagnosis.data.coverage import balances, missing_columns, summarise, undetermined
+    from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models import causes
+    from ..models.files import json_text
     from ..models.recording import read_measurement
     from ._console import console
+    from ._mistakes import print_mistakes
 
-    data = read_measurement(measurement)
-    described = data.load_joint(joint)
+    given = read_measurement(measurement)
+    described = given.load_joint(joint)
+    mistakes = find_mistakes(given, described)
+    try:
+        data = mended(given, described, mistakes)
+    except InputError:  # nothing would be left of it
+        data = given
     summaries = [summarise(recording, described) for recording in data.recordings]
+    missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described)
+    shows = [name for name in causes.of(described) if name not in reasons]
+    if as_json:
+        report = {
+            "measurement": given.name,
+            "joint": described.name,
+            "mistakes": [m.to_json() for m in mistakes],
+            "recordings": [asdict(s) for s in summaries],
+            "missing": missing,
+            "balances": [asdict(b) for b in found],
+            "can_show": shows,
+            "undetermined": reasons,
+        }
+        print(json_text(report))
+        return
     terminal = console()
-    table = Table(title=f"{data.name}: {len(summaries)} recording(s) of {described.name}")
+    print_mistakes(terminal, mistakes, "and what mends them (flexspline import MEASUREMENT --fix --out DIR)")
+    title = f"{given.name}: {len(summaries)} recording(s) of {described.name}" + (", as mended" if mistakes else "")
+    table = Table(title=Text(title))
     table.add_column("")
     for s in summaries:
-        table.add_column(s.name, justify="right")
+        table.add_column(Text(s.name), justify="right")
     for heading, cells in _rows(data.recordings, summaries):
         table.add_row(Text(heading), *cells)
     terminal.print(table)
     for s in summaries:
         for begin, end in s.gaps:
-            terminal.print(f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there")
-        if s.clipped > 0:
-            terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples")
-    missing = missing_columns(data)
+            text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
+            terminal.print(text, markup=False)
+        if s.clipped:
+            terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples", markup=False)
     if missing:
         terminal.print(f"not there: {', '.join(missing)}")
-    reasons = undetermined(data, described)
+    for balance in found:
+        terminal.print(f"held against each other: {balance.description}")
+    if not any("link_position" in r and "motor_position" in r for r in data.recordings):
+        terminal.print(
+            "one encoder: torsion cannot be seen, the other side's motion follows from the joint's description"
+        )
+    if shows:
+        terminal.print(f"can be found: {', '.join(shows)}")
     if not reasons:
-        terminal.print("every known cause can show in this measurement")
         return
     cannot = Table(title="What this measurement cannot show")
     for heading in ("cause", "component", "because"):
@@ -58,13 +93,13 @@ def command(
     terminal.print(cannot)
 
 
-def _rows(recordings: Sequence[Recording], summaries: Sequence[Summary]) -> Iterator[tuple[str, list[str]]]:
+def _rows(recordings: Sequence[Recording], summaries: Sequence[RecordingSummary]) -> Iterator[tuple[str, list[str]]]:
     from ..models.signals import CHANNELS
 
-    def row(heading: str, text: Callable[[Summary], str]) -> tuple[str, list[str]]:
+    def row(heading: str, text: Callable[[RecordingSummary], str]) -> tuple[str, list[str]]:
         return heading, [text(s) for s in summaries]
 
-    def extent(name: str) -> Callable[[Summary], str]:
+    def extent(name: str) -> Callable[[RecordingSummary], str]:
         return lambda s: f"{s.ranges[name][0]:.4g} … {s.ranges[name][1]:.4g}" if name in s.ranges else "–"
 
     turn = 2 * math.pi
@@ -80,11 +115,11 @@ def _rows(recordings: Sequence[Recording], summaries: Sequence[Summary]) -> Iter
             yield row(f"{name} [{channel.unit}]", extent(name))
     yield row("largest motor speed [rad/s]", lambda s: f"{s.motor_speed:.3g}")
     yield row("largest link speed [rad/s]", lambda s: f"{s.link_speed:.3g}")
-    yield row("in motion [%]", lambda s: f"{100 * s.moving:.0f}")
+    yield row("gear sliding [% of the time]", lambda s: f"{100 * s.sliding:.0f}")
     yield row("reversals", lambda s: f"{s.reversals}")
     yield row("motor travel forward, backward [rev]", lambda s: f"{s.forward / turn:.1f}, {s.backward / turn:.1f}")
     yield row(
-        "load [N·m]", lambda s: f"{s.load[0]:.3g} … {s.load[1]:.3g}" + ("" if s.load_measured else " (from current)")
+        "load [N·m]", lambda s: f"{s.load[0]:.3g} … {s.load[1]:.3g}" + ("" if s.load_measured else " (from the drive)")
     )
     yield "external torque", [r.external for r in recordings]
-    yield row("current at its limit [%]", lambda s: f"{100 * s.clipped:.2g}")
+    yield row("current at its limit [%]", lambda s: "–" if s.clipped is None else f"{100 * s.clipped:.2g}")

@@ -24,7 +24,7 @@ def command(
     from ..models.files import json_text
     from ..models.output import output_folder
     from ._console import console
-    from ._runs import PAPER, run_all
+    from ._runs import PAPER, run_all, tell
 
     with output_folder(out, "compare", writes=("comparison.json", "comparison.md")) as folder:
         runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
@@ -36,6 +36,9 @@ def command(
         (folder / "comparison.md").write_text(comparison_markdown(metrics), encoding="utf-8")
     terminal = console()
     terminal.print(comparison_table(metrics))
+    tell(terminal, runs)
     terminal.print(
-        f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them", highlight=False
+        f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them",
+        highlight=False,
+        markup=False,
     )

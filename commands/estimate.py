@@ -25,8 +25,9 @@ def command(
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
     from ..estimator import registry
-    from ..estimator.offline import estimate_recording, score, write_estimates
+    from ..estimator.offline import beyond_range, estimate_recording, score, write_estimates
     from ..models.files import json_text
+    from ..models.joint import beyond_sentence
     from ..models.output import check_output, made_from, output_folder
     from ..models.recording import read_measurement
     from ._console import console
@@ -45,7 +46,8 @@ def command(
     report: dict[str, dict[str, Any]] = {}
     with output_folder(out, maker) as folder:
         for recording in data.recordings:
-            found = estimate_recording(recording, described, filter_)
+            found = estimate_recording(recording, described, filter_, bands=described.uncertainty is not None)
+            beyond = beyond_range(recording, described)
             for name in filter_ or ():
                 if name in found.left_out:
                     raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.left_out[name]}")
@@ -55,35 +57,36 @@ def command(
                 "joint": described.name,
                 "notes": found.notes,
                 "left_out": found.left_out,
+                "beyond": beyond,
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
-            terminal.print(f"{path}", highlight=False)
+            terminal.print(f"{path}", highlight=False, markup=False)
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
+            if beyond:
+                terminal.print(f"{recording.name}: {beyond_sentence(beyond)}", highlight=False, markup=False)
             for name, why in found.left_out.items():
                 terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    terminal.print(f"{out / 'metrics.json'}", highlight=False)
+    terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:
-    from rich.table import Table
     from rich.text import Text
 
-    table = Table(title=Text(f"{name}: error [N·m], all of the time and in motion"))
-    table.add_column("estimator")
-    headings = {
-        "joint_torque": "joint torque",
-        "external_torque": "external torque" + (" (there was none)" if external == "none" else ""),
-    }
+    from ..views.tables import heading, narrow_table
+
+    none = "; there was no external torque" if external == "none" and "external_torque" in scores else ""
+    table = narrow_table(f"{name}: RMS error", f"All of the time, and in motion{none}")
+    table.add_column("estimator", no_wrap=True)
     for what in scores:
-        table.add_column(f"{headings[what]}, RMS", justify="right")
-        table.add_column("in motion", justify="right")
+        for words in (what.replace("_", " "), "in motion"):
+            table.add_column(heading(words, "N·m"), justify="right", no_wrap=True, vertical="bottom")
     for estimator in dict.fromkeys(name for found in scores.values() for name in found):
         cells = []
         for found in scores.values():
             s = found.get(estimator)
             cells += ["–", "–"] if s is None else [f"{s.rms:.3f}", f"{s.rms_moving:.3f}"]
-        table.add_row(estimator, *cells)
+        table.add_row(Text(estimator), *cells)
     return table

@@ -1,33 +1,126 @@
-"""`flexspline import`: a log in another layout as a recording."""
+"""`flexspline import`: logs in another layout as recordings, and recordings without the mistakes in them."""
 
 from __future__ import annotations
 
+import os
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..models.errors import InputError
+
+if TYPE_CHECKING:
+    from ..models.recording import Measurement
+
 
 def command(
-    format: Annotated[str, typer.Argument(help="name of a shipped layout (`lara8`), or a mapping file (YAML)")],
-    file: Annotated[Path, typer.Argument(help="the log, a CSV file")],
-    out: Annotated[Path, typer.Option(help="folder that the recording is written to")],
+    what: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FORMAT FILE…",
+            help="a shipped layout (`lara8`, `ur3e`) or a mapping file (YAML), and logs (CSV); or a measurement alone",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="folder that the recordings are written to")],
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the layout's by default")] = None,
-    name: Annotated[str | None, typer.Option(help="name of the recording; the log's by default")] = None,
+    name: Annotated[
+        str | None, typer.Option(help="name of the recording, of a single log; the log's by default")
+    ] = None,
+    fix: Annotated[bool, typer.Option("--fix", help="mend the mistakes that `flexspline check` names")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="replace recordings of these names that were imported before")
+    ] = False,
 ) -> None:
-    """Import a log in another layout as a recording: table and YAML. See docs/importing.md."""
-    from ..diagnosis.data.importing import import_recording, load_layout
-    from ..models.files import check_name
-    from ..models.output import check_output, made_from, output_folder
+    """Import logs in another layout as recordings: table and YAML. See docs/importing.md.
+
+    With `--fix`, what people get wrong (units, signs, columns exchanged or late, …) is named and mended; a measurement in this
+    program's own format can be given as well then: `flexspline import MEASUREMENT --fix --out DIR`.
+    """
+    from ..diagnosis.data.mistakes import find_mistakes, mended
+    from ..models.output import check_output, output_folder
     from ..models.recording import write_recording
     from ._console import console
+    from ._mistakes import print_mistakes
 
-    stem = check_name(name or file.stem, "--name")
-    maker = made_from("import", file)
-    check_output(out, maker, inputs=[file], writes=[f"{stem}.parquet", f"{stem}.yaml"])
-    recording = import_recording(load_layout(format), file, name=stem, joint=joint)
-    with output_folder(out, maker, inputs=[file]) as folder:
-        path = out / write_recording(recording, folder).name
-    seconds = recording.time[-1] - recording.time[0]
-    columns = ", ".join(["time", *recording.columns])
-    console().print(f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}", highlight=False)
+    terminal = console()
+    measurement, home, inputs = _read(what, joint, name)
+    names = [recording.name for recording in measurement.recordings]
+    written = [f"{stem}{suffix}" for stem in names for suffix in (".parquet", ".csv", ".yaml", "_arm.xml")]
+    if not force:
+        for file in written:
+            if (out / file).exists():
+                raise InputError(f"{out / file}: expected no such file, --force replaces what was imported before")
+    check_output(out, "import", inputs=inputs, writes=written)
+    if fix:
+        described = measurement.load_joint(joint)
+        mistakes = find_mistakes(measurement, described)
+        print_mistakes(terminal, mistakes, "mended")
+        measurement = mended(measurement, described, mistakes)
+    with output_folder(out, "import", inputs=inputs, writes=written) as folder:
+        for recording in measurement.recordings:
+            told = replace(recording, joint=_beside(recording.joint, home, out))
+            path = out / write_recording(told, folder).name
+            seconds = recording.time[-1] - recording.time[0]
+            columns = ", ".join(["time", *recording.columns])
+            terminal.print(
+                f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}", highlight=False, markup=False
+            )
+
+
+def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:
+    """The recordings, the folder to which a path to their joint is relative, and the files that were read."""
+    from ..diagnosis.data.importing import import_recording, known_layouts, load_layout
+    from ..models.files import check_name
+    from ..models.recording import Measurement, read_measurement
+
+    here = Path()
+    is_layout = what[0] in known_layouts() or (len(what) > 1 and not Path(what[0]).is_dir() and not _is_table(what[0]))
+    if is_layout:
+        if len(what) == 1:
+            raise InputError(f"format {what[0]!r}: expected one log or more after it, got none")
+        if name is not None and len(what) > 2:
+            raise InputError(f"--name: expected a single log, got {len(what) - 1}")
+        layout = load_layout(what[0])
+        stems = [check_name(name or Path(log).stem, "--name" if name else log) for log in what[1:]]
+        found = [import_recording(layout, log, stem, joint) for log, stem in zip(what[1:], stems, strict=True)]
+        home = here if joint is not None or what[0] in known_layouts() else Path(what[0]).parent
+        inputs = [Path(w) for w in what[1:]]
+    else:
+        if name is not None:
+            raise InputError("--name: expected a log in another layout, got a measurement")
+        read = [read_measurement(path) for path in what]
+        found = [r if joint is None else replace(r, joint=joint) for m in read for r in m.recordings]
+        home = here if joint is not None else read[0].folder
+        inputs = [file for m in read for file in m.files]
+    _each_once([r.name for r in found])
+    return Measurement(found[0].name, home, tuple(found)), home, inputs
+
+
+def _is_table(path: str) -> bool:
+    """Whether a path is that of a recording: a table, or the YAML file beside one."""
+    found = Path(path)
+    return found.is_file() and (
+        found.suffix == ".parquet" or (found.suffix in (".csv", ".yaml", ".yml") and _has_other_half(found))
+    )
+
+
+def _has_other_half(path: Path) -> bool:
+    other = (".yaml",) if path.suffix == ".csv" else (".csv", ".parquet")
+    return any(path.with_suffix(suffix).is_file() for suffix in other)
+
+
+def _each_once(names: list[str]) -> None:
+    for stem in names:
+        if names.count(stem) > 1:
+            raise InputError(f"recording {stem!r}: expected each name once, got it {names.count(stem)} times")
+
+
+def _beside(joint: str, home: Path, out: Path) -> str:
+    """A joint as a recording in `out` names it: a shipped one by its name, a path relative to that folder."""
+    from ..models.joint import known_joints
+
+    if joint.replace("_", "-") in known_joints():
+        return joint
+    return Path(os.path.relpath((home / joint).resolve(), out.resolve())).as_posix()

@@ -20,12 +20,13 @@ def command(
 ) -> None:
     """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording."""
     from ._console import console
-    from ._runs import run_all
+    from ._runs import run_all, tell
 
     runs = run_all(scenarios, out, seed, changes, figures, recording)
     from ..views.tables import comparison_table
 
     terminal = console()
     terminal.print(comparison_table({run.name: run.metrics for run, _ in runs}))
+    tell(terminal, runs)
     for _, folder in runs:
-        terminal.print(f"{folder}", highlight=False)
+        terminal.print(f"{folder}", highlight=False, markup=False)

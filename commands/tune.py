@@ -77,7 +77,9 @@ def command(
                 from ..views.limit_figures import pareto_figure, save_figure
 
                 save_figure(pareto_figure(fronts, pushed[0].name, len(testing)), new / "pareto.png")
-        terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}", highlight=False)
+        terminal.print(
+            f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}", highlight=False, markup=False
+        )
 
 
 def _seeds(text: str, option: str) -> list[int]:

@@ -74,6 +74,8 @@ def find_recording(run: Path) -> Path:
         if len(there) > 1:
             raise InputError(f"{run}: expected one recording, found {', '.join(path.name for path in there)}: name one")
         recording = there[0]
+    if not recording.is_file():  # a pipe, which may never end
+        raise InputError(f"{recording}: expected a Rerun recording, got no file")
     try:
         with open(recording, "rb") as file:
             magic = file.read(len(_MAGIC))

@@ -128,7 +128,7 @@ def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None 
     chosen = moving if use is None else moving & (np.interp(grid, recording.time, use.astype(float)) > 0.99)
     torsion = smoothed.torsion_of(motion, known, load)
     number = joint.numbers["K1"]
-    tolerance = np.hypot(number.tolerance, joint.shared_tolerances.get(number.shared, 0.0))
+    tolerance = np.hypot(number.tolerance, joint.shared_tolerances.get(number.shared or "", 0.0))
 
     def amplitude(scale: float) -> complex:
         softer = record.copy()

@@ -11,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from ..models import causes
 from ..models.joint import Effect, Estimate, Joint
+from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement
 from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
@@ -36,6 +37,7 @@ from .search.stages import (
     without_effect,
 )
 from .search.worth import mean_squares, output_scale, worth
+from .uncertainty import stated
 
 if TYPE_CHECKING:
     from .planning import Plan
@@ -51,9 +53,9 @@ class AnswerSettings:
       significant: standard deviations that an effect must be away from absent where the fit ends.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
-      minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the sensors'
-        noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended joint, and told,
-        but none of the causes.
+      minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
+        sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
+        joint, and told, but none of the causes.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
 
@@ -187,6 +189,30 @@ class Diagnosis:
     complete: bool = True
     seconds: float = 0.0
 
+    def _repr_html_(self) -> str:
+        causes_ = [
+            (
+                c.name.replace("_", " "), c.component, f"{100 * c.confidence:.0f} %", f"{100 * c.explains:.0f} %", c.worth,
+                c.description
+                or ", ".join(f"{k} = {p.value:.4g} ± {p.std:.2g} {p.unit}".rstrip() for k, p in c.parameters.items()),
+            )
+            for c in self.causes
+        ]  # fmt: skip
+        residual = [(name, r.before, r.after, r.noise, r.unit) for name, r in self.residual.items()]
+        return "".join(
+            (
+                paragraph(self.verdict, self.reason),
+                *(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes),
+                html_table(("cause", "component", "sure", "explains", "worth [N·m]", "parameters"), causes_),
+                html_table(("residual", "before", "after", "noise", "unit"), residual),
+                paragraph("Cannot be told apart:", "; ".join(" and ".join(p) for p in self.confusable))
+                if self.confusable
+                else "",
+                paragraph("Could not have shown:", ", ".join(self.undetermined)) if self.undetermined else "",
+                "" if self.plan is None else self.plan._repr_html_(),
+            )
+        )
+
     def to_json(self) -> dict[str, Any]:
         """What `diagnosis.json` holds."""
         return {
@@ -207,7 +233,7 @@ class Diagnosis:
             "regions": [r.to_json() for r in self.regions],
             "estimation": self.estimation,
             "held_out": self.held_out,
-            "next": self.plan.to_json() if self.plan is not None else [],
+            "next": None if self.plan is None else self.plan.to_json(),
             "mistakes": [m.to_json() for m in self.mistakes],
             "decisions": [
                 {
@@ -275,7 +301,8 @@ def diagnose(
     progress("regions that a fit has not seen", 0.97)
     regions = held_out_regions(problem, final)
     extended = _extended(problem, final, joint, unknown)
-    extended = extended.model_copy(update={"valid": valid_range(problem, final)})
+    known = {"valid": valid_range(problem, final), "uncertainty": stated(problem, final, extended, regions)}
+    extended = extended.model_copy(update=known)
     return Diagnosis(
         verdict=verdict,
         reason=reason,
@@ -324,21 +351,21 @@ def _meaningless(measurement, joint: Joint, mistakes: tuple[Mistake, ...], secon
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
     reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
     everything = {n: "mistakes in the data" for n in causes.of(joint)}
-    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes, seconds=seconds)
+    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
 
 
 def _nothing(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:
     shortest = SETTINGS.shortest
     reason = f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s"
-    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), joint, mistakes, seconds=seconds)
+    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), joint, mistakes=mistakes, seconds=seconds)
 
 
 def _held_out(problem: Problem) -> str:
     """How data were kept from the fits, and over what the numbers of `residual` are means."""
     return (
-        f"every {SETTINGS.held_out_every}th block of {SETTINGS.held_out_block:g} s of each recording was kept from every fit; RMS in "
-        "motion, while what was measured of the motion is followed; `regions`: the ends of the range of angle, speed and load, and "
-        "whole recordings, each kept from a fit of its own"
+        f"every {SETTINGS.held_out_every}th block of {SETTINGS.held_out_block:g} s of each recording was kept from every fit; "
+        "RMS in motion, while what was measured of the motion is followed; `regions`: the ends of the range of angle, speed and "
+        "load, and whole recordings, each kept from a fit of its own"
     )
 
 
@@ -550,11 +577,11 @@ def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResid
             use = [s.held_out[:, b] for s in problem.segments]
         if not any(u.any() for u in use):
             continue
-        rms = [
+        before, after, noise = (
             float(np.sqrt(np.mean(np.concatenate([r[u, b] for r, u in zip(rs, use, strict=True)]) ** 2)))
             for rs in (base.point.residual, final.point.residual, final.point.noise)
-        ]
-        found[name] = BalanceResidual(*rms, UNITS[name])
+        )
+        found[name] = BalanceResidual(before, after, noise, UNITS[name])
     return found
 
 

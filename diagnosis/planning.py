@@ -22,11 +22,15 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..models import causes, laws
-from ..models.joint import Joint, Mounting
+from ..models.errors import InputError
+from ..models.joint import LOCKED, Joint, Mounting
+from ..models.notebook import listing, paragraph
 from ..models.parameters import GRAVITY
 from ..models.recording import Measurement, Recording
 from ..models.signals import POSITIONS
 from ..scenarios.scenario import Scenario, Waypoint
+from ..sim.drive import Controller
+from ..sim.plant import TIMESTEP
 from .data import coverage
 from .data.segments import BALANCES, segments
 from .fit.coordinates import Hypothesis, hypotheses
@@ -45,6 +49,8 @@ if TYPE_CHECKING:
     from .diagnose import Diagnosis
 
 _TIMESTEP = 5e-4  # s, of the plant: what a motion would tell is known well enough with it
+_RESOLVED = 0.3  # rad of the resonance in a step: with a lighter link the plant's usual step is taken
+_SOFT = 4.0  # turns of a soft drive's command per turn of the rotor that it makes
 _THIN = 8e-3  # s between samples that tell where a motion has been
 _NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
 """Numbers of a joint that are worth an experiment."""
@@ -53,8 +59,6 @@ _OF_SENSOR = {
     "joint_torque": ("torque_sensor_gain", "torque_sensor_offset", "torque_sensor_drift"),
 }
 """Causes that are errors of a sensor: where it is not there, nothing about it is open."""
-LOCKED = 1e6
-"""Inertia [kg·m²] that stands for an output bolted to the bench: nothing that the joint can do moves it."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,7 @@ class PlanSettings:
       range, load: largest angle [rad], and torque as a share of the rated one, that experiments ask for.
       heaviest: share of the rated torque that a payload may ask for, held level.
       speed: share of the motor's speed without load that they do.
+      size, number: what the size of an effect that was found is worth, and that of a number, where whether a cause is there is 1.
       effort: what an experiment must answer, in questions, to be worth a load, a clamp, a further sensor.
       warming: of the gear, where its temperature is read [K].
     """
@@ -90,7 +95,13 @@ class PlanSettings:
     heaviest: float = 0.9
     speed: float = 0.5
     effort: tuple[float, float, float] = (0.1, 0.2, 0.4)
+    size: float = 0.7
+    number: float = 0.3
     warming: float = 10.0
+
+    def weight(self, q: Question) -> float:
+        """What an answer is worth, in questions."""
+        return self.number if q.parameter == "value" else self.size if q.parameter else 1.0
 
 
 SETTINGS = PlanSettings()
@@ -151,7 +162,6 @@ class Proposal:
 
     Attributes:
       name: of the experiment; description: what to do, for people.
-      shipped: whether a shipped scenario of that name is its motion.
       duration: [s].
       expected: standard deviations, shape (questions,).
       score: questions answered, in parts, less the effort.
@@ -159,7 +169,6 @@ class Proposal:
 
     name: str
     description: str
-    shipped: bool
     duration: float
     expected: tuple[float, ...]
     score: float = 0.0
@@ -194,6 +203,11 @@ class Plan:
     def sentences(self) -> list[str]:
         """The proposals, best first."""
         return [self.sentence(p) for p in self.proposals]
+
+    def _repr_html_(self) -> str:
+        return paragraph("What to measure next") + (
+            listing(self.sentences()) or paragraph("", "nothing would tell more")
+        )
 
     def to_json(self) -> list[dict[str, Any]]:
         """What `diagnosis.json` holds as `next`."""
@@ -242,7 +256,10 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
         return Plan()
 
     def judged(e: Experiment) -> Proposal | None:
-        recording = perform(e, diagnosis.extended, joint)
+        try:
+            recording = perform(e, diagnosis.extended, joint)
+        except InputError:
+            return None  # an extended joint under which no motion is stable
         new = Problem(*segments([recording], joint), joint)
         if not new.segments:
             return None
@@ -257,9 +274,12 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
         progress = [_progress(q, z) for q, z in zip(questions, expected, strict=True)]
         if max(progress) < settings.least:
             return None
-        answered = sum(z >= q.needed for q, z in zip(questions, expected, strict=True))
-        score = 0.5 * (sum(progress) + answered) - settings.effort[0] * e.duration / 30.0 - e.effort
-        return Proposal(e.name, e.description, False, e.duration, expected, round(score, 3)) if score > 0 else None
+        worth = sum(
+            settings.weight(q) * 0.5 * (part + (z >= q.needed))
+            for q, z, part in zip(questions, expected, progress, strict=True)
+        )
+        score = worth - settings.effort[0] * e.duration / 30.0 - e.effort
+        return Proposal(e.name, e.description, e.duration, expected, round(score, 3)) if score > 0 else None
 
     with ThreadPoolExecutor(min(os.cpu_count() or 1, 4)) as pool:
         proposals = [p for p in pool.map(judged, experiments(measurement, joint, diagnosis, settings)) if p is not None]
@@ -441,7 +461,8 @@ class _State:
         self, information: np.ndarray, answering: np.ndarray, own: list[list[np.ndarray]]
     ) -> tuple[np.ndarray, list[list[slice]]]:
         """What is left of the information about some columns once the others have answered, and where each block stands in it."""
-        places, position = [], 0
+        places: list[list[slice]] = []
+        position = 0
         for group in own:
             places.append([])
             for block in group:
@@ -498,7 +519,7 @@ class Experiment:
       channels: columns that are recorded.
       interval: between samples [s].
       effort: beside its time, in questions that it must answer.
-      locked: whether the output is bolted to the bench.
+      locked: whether the output is bolted to the bench; controller: of the drive.
       warming: of the gear meanwhile [K].
     """
 
@@ -510,6 +531,7 @@ class Experiment:
     interval: float
     effort: float = 0.0
     locked: bool = False
+    controller: Controller = CONTROLLER
     warming: float = 0.0
 
     @property
@@ -526,19 +548,22 @@ def perform(e: Experiment, joint: Joint, described: Joint, seed: int = 1) -> Rec
       described: what is known of it: the drive's torque constant is this one's.
       seed: of the sensors' noise.
     """
-    scenario = Scenario(
-        name=e.name, duration=e.duration, trajectory=list(e.motion), controller=CONTROLLER, timestep=_TIMESTEP
-    )
-    rate = e.warming / e.duration
     record = joint.record(e.mounting)
+    p = record[0]
+    slow = np.sqrt((p["K1"] + p["K2"] + p["K3"]) / p["Jl"]) * _TIMESTEP < _RESOLVED
+    scenario = Scenario(
+        name=e.name, duration=e.duration, trajectory=list(e.motion), controller=e.controller,
+        timestep=_TIMESTEP if slow and not e.locked else TIMESTEP,
+    )  # fmt: skip
+    rate = e.warming / e.duration
     found = record_motion(joint, e.mounting, record, scenario, seed, warming=rate)
     columns = dict(found.columns)
     if e.locked:
-        columns["link_position"] = np.full(len(found.time), float(record[0]["link_zero"]))
+        columns["link_position"] = np.full(len(found.time), float(p["link_zero"]))
     if "motor_torque" in e.channels:
         columns["motor_torque"] = described.record(e.mounting)[0]["Kt_drive"] * columns["motor_current"]
     if e.warming:
-        columns["temperature"] = float(record[0]["reference_temperature"]) + rate * found.time
+        columns["temperature"] = float(p["reference_temperature"]) + rate * found.time
     kept = {name: values for name, values in columns.items() if name in e.channels}
     external: Literal["none", "unmeasured"] = "unmeasured" if e.locked else "none"
     whole = replace(found, name=e.name, joint=described.name, columns=kept, external=external)
@@ -559,44 +584,54 @@ def experiments(
     interval = float(np.median([r.interval for r in recordings]))
     N, rated = float(p["N"]), joint.numbers["rated_torque"].value
     angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
-    reach = float(np.clip(max(np.max(np.abs(a)) for a in angles), 0.4, settings.range))
+    low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
+    centre = 0.0 if low < 0.3 * settings.range and high > -0.3 * settings.range else 0.5 * (low + high)
+    reach = float(np.clip(max(high - centre, centre - low), 0.4, settings.range))
+    steepest = float(np.max(np.abs(np.sin(np.linspace(centre - reach, centre + reach, 50) + link.gravity_angle))))
     effort = settings.effort
     found: list[Experiment] = []
 
     def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
         options.setdefault("channels", seen)
+        if not mounting.locked:
+            points = [w.model_copy(update={"position": w.position + centre}) for w in points]
         found.append(Experiment(name, text, mounting, tuple(points), interval=interval, **options))
+
+    def span(amplitude: float) -> str:
+        if centre == 0.0:
+            return f"±{amplitude:.2g} rad"
+        return f"{centre - amplitude:.2g} … {centre + amplitude:.2g} rad".replace("-", "−")
 
     def sweeps(amplitude: float, seconds: float) -> list[Waypoint]:
         there_and_back = [amplitude, -amplitude, amplitude, 0.0]
         return waypoints(there_and_back, [0.6 * seconds, seconds, seconds, 0.6 * seconds], [0.4] * 4, 0.4)
 
-    def shortest(amplitude: float, mounting: Mounting) -> float:
-        """Time [s] of one way of fast sweeps: as fast as motor and rated torque allow."""
-        way = 2 * amplitude
+    def shortest(way: float) -> float:
+        """Time [s] of one way [rad], as fast as motor and rated torque allow anywhere within reach."""
         speed = settings.speed * p["supply_voltage"] / (p["Kt"] * N)
-        left = max(settings.load * rated - mounting.gravity_moment * np.sin(min(amplitude, np.pi / 2)), 0.2 * rated)
+        left = max(settings.load * rated - link.gravity_moment * steepest, 0.2 * rated)
         motor = 0.4 * p["Kt"] * p["current_limit"] / ((p["Jm"] + p["Jw"]) * N)
-        acceleration = min(left / mounting.inertia, motor)
-        return max(1.875 * way / speed, float(np.sqrt(5.78 * way / acceleration)), 0.5)
+        return max(1.875 * way / speed, float(np.sqrt(5.78 * way / min(left / link.inertia, motor))), 0.5)
 
     usual = sweeps(reach, 6.0)
-    add("sweeps", f"Move the link to ±{reach:.2g} rad and back, 6 s each way", usual)
-    fast = shortest(reach, link)
-    add("fast_sweeps", f"Move the link to ±{reach:.2g} rad and back as fast as {fast:.2g} s each way", [
+    motion = f"move through {span(reach)} and back, 6 s each way"
+    add("sweeps", f"Move the link through {span(reach)} and back, 6 s each way", usual)
+    fast = shortest(2 * reach)
+    add("fast_sweeps", f"Move the link through {span(reach)} and back as fast as {fast:.2g} s each way", [
         *sweeps(reach, fast), *_later(sweeps(reach, 1.5 * fast), sweeps(reach, fast)[-1].time),
     ])  # fmt: skip
     add(
         "slow_reversals",
-        f"Turn back and forth by 0.05 rad at 0.04 rad/s about 0 and ±{0.7 * reach:.2g} rad",
+        f"Turn back and forth by 0.05 rad at 0.04 rad/s, at three angles within {span(0.7 * reach)}",
         _reversals([-0.7 * reach, 0.0, 0.7 * reach], 0.05, 0.04),
     )
-    rest = np.linspace(-reach, reach, 7)
-    up = waypoints([*rest, *rest[::-1][1:], 0.0], [2.0, *[0.8] * 12, 2.0][: 2 * len(rest)], [0.7] * 2 * len(rest), 0.4)
-    add("rest_poses", f"Hold still at seven angles between ±{reach:.2g} rad, each reached from both sides", up)
+    poses = [*np.linspace(-reach, reach, 7), *np.linspace(reach, -reach, 7)[1:], 0.0]
+    step, half = max(shortest(reach / 3), 0.8), max(shortest(reach), 2.0)
+    up = waypoints(poses, [half, *[step] * (len(poses) - 2), half], [0.7] * len(poses), 0.4)
+    add("rest_poses", f"Hold still at seven angles within {span(reach)}, each reached from both sides", up)
     wide = min(1.4 * reach, 2.4)
     if wide > 1.2 * reach or reach < settings.range:
-        add("larger_range", f"Move the link as far as ±{wide:.2g} rad and back, 8 s each way", sweeps(wide, 8.0))
+        add("larger_range", f"Move the link as far as {span(wide)} and back, 8 s each way", sweeps(wide, 8.0))
     arm = 0.3
     extra = min(0.25 * rated, settings.heaviest * rated - link.gravity_moment)
     if extra > 0.05 * rated:
@@ -609,25 +644,26 @@ def experiments(
         add(
             "second_payload",
             f"Add a known payload, {mass:g} kg at {arm:g} m (link: {{inertia: {loaded.inertia:g}, gravity_moment: "
-            f"{loaded.gravity_moment:g}}}), and move to ±{reach:.2g} rad and back, 6 s each way",
+            f"{loaded.gravity_moment:g}}}), and {motion}",
             usual, loaded, effort=effort[0],
         )  # fmt: skip
     name, lightest = min(joint.mountings.items(), key=lambda pair: pair[1].gravity_moment)
     if lightest.gravity_moment < 0.5 * min(r.link.gravity_moment for r in recordings):
         add(
             "light_link",
-            f"Take the load off (mounting {name}) and move to ±{reach:.2g} rad and back, 6 s each way",
+            f"Take the load off (mounting {name}) and {motion}",
             usual, lightest, effort=effort[0],
         )  # fmt: skip
-    torque = settings.load * rated
-    add(
-        "locked_output",
-        f"Bolt the output to the bench (link: {{inertia: {LOCKED:g}, gravity_moment: 0}}, external_torque: unmeasured, "
-        f"link_position constant) and drive the motor back and forth to ±{torque:.3g} N·m",
-        _locked(p, torque), Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True,
-        channels=seen | {"link_position"},
-    )  # fmt: skip
-    motion = f"move to ±{reach:.2g} rad and back, 6 s each way"
+    if "motor_position" in seen:
+        torque = settings.load * rated
+        winding, soft = _locked(p, torque)
+        add(
+            "locked_output",
+            f"Bolt the output to the bench (link: {{inertia: {LOCKED:g}, gravity_moment: 0}}, external_torque: unmeasured, "
+            f"link_position constant) and drive the motor back and forth to ±{torque:.3g} N·m",
+            winding, Mounting(inertia=LOCKED, gravity_moment=0.0), effort=effort[1], locked=True, controller=soft,
+            channels=seen | {"link_position"},
+        )  # fmt: skip
     for column, sensor in (
         ("motor_position", "the motor's encoder"), ("link_position", "a second encoder, at the link"),
         ("joint_torque", "a torque sensor at the output"),
@@ -661,13 +697,17 @@ def _reversals(centres: Sequence[float], width: float, speed: float) -> list[Way
     return [*points, Waypoint(time=t + 2.5, position=0.0)]
 
 
-def _locked(p: np.void, torque: float) -> list[Waypoint]:
-    """Angles of the rotor over the gear ratio that wind a locked output up to ±`torque` [N·m] and to less, quickly and slowly."""
-    wound = float(laws.flexspline_torsion(torque, p) + laws.wave_generator_torsion(torque / p["N"], p) / p["N"])
+def _locked(p: np.void, torque: float) -> tuple[list[Waypoint], Controller]:
+    """Waypoints of the rotor over the gear ratio, and the drive, that wind a locked output up to ±`torque` [N·m] and to less,
+    quickly and slowly. The drive is so soft that its current, not the rotor's angle, follows the command."""
+    on_rotor = torque / p["N"] + p["Fc"]
+    wound = float(laws.flexspline_torsion(torque, p) * p["N"] + laws.wave_generator_torsion(on_rotor, p))
+    reach = (1 + _SOFT) * wound / p["N"]
+    stiffness = float(on_rotor / p["Kt"] / (_SOFT * wound))
     points, t = [Waypoint(time=0.4, position=0.0)], 0.4
     for amplitude, seconds, turns in ((1.0, 0.25, 6), (1.0, 1.5, 2), (0.4, 0.8, 3), (0.1, 0.6, 3)):
         for _ in range(turns):
             for sign in (1.0, -1.0):
                 t += seconds
-                points.append(Waypoint(time=t, position=sign * amplitude * wound))
-    return [*points, Waypoint(time=t + 0.5, position=0.0)]
+                points.append(Waypoint(time=t, position=sign * amplitude * reach))
+    return [*points, Waypoint(time=t + 0.5, position=0.0)], Controller(kp=stiffness, kd=0.01 * stiffness, ki=0.0)

@@ -1,39 +1,49 @@
 """How well a diagnosis knows the joint that it has found, for the joint's description (`models.joint.Uncertainty`).
 
 The covariance of the fit's unknowns becomes that of the description's numbers, effects and discrepancies, by their derivatives.
-What the description could not hold, the model discrepancy that was learned beside them, goes with it as an rms a balance.
+What the description could not hold, the model discrepancy that was learned beside them, goes with it as an rms a balance; how it
+grows beyond the data, the ends of their ranges say, each kept from a fit of its own (`fit.regions`).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..models.joint import Joint, Uncertainty
 from .data.segments import BALANCES
-from .diagnose import Diagnosis
+from .fit.regions import Region, region_masks, valid_range
 from .fit.residual import Problem
-from .fit.solver import Fit
+from .fit.solver import Fit, covariances
 
 _STEP = 1e-3
 _DIGITS = 4
+_DEEP = 0.01  # mean distance of a region from the rest of the data, in ranges, from which on it says how errors grow
+_STEEP, _STEEPEST = (
+    10.0,
+    30.0,
+)  # growth over a range, in what the fit cannot hold: where no region says, and the largest
 
 
-def stated(problem: Problem, fit: Fit, joint: Joint) -> Uncertainty:
+def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) -> Uncertainty:
     """How well a fit knows the joint that was extended by it.
 
     Args:
       joint: the extended joint; its last effects and discrepancies are those of the fit's model, in order.
+      regions: of the measurement, each kept from a fit of its own.
     """
+    covariance = larger(*covariances(problem, fit))
     names, period, values = _quantities(problem, fit, joint)
     base = values(fit.theta)
     changes = np.stack([values(fit.theta + _STEP * e) - base for e in np.eye(len(fit.theta))], axis=1)
-    changes -= period[:, None] * np.round(changes / np.where(period > 0, period, 1.0)[:, None])  # of an angle, the short way
+    changes -= period[:, None] * np.round(
+        changes / np.where(period > 0, period, 1.0)[:, None]
+    )  # of an angle, the short way
     slope = changes / _STEP
-    root = np.linalg.cholesky(fit.covariance + 1e-14 * np.diag(np.diag(fit.covariance)))
+    root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
     # L of L Lᵀ = (slope·root)(slope·root)ᵀ, also where numbers share all that is not known of them.
-    lower = np.linalg.qr((slope @ root).T, mode="r").T
+    lower = np.asarray(np.linalg.qr((slope @ root).T, mode="r")).T
     n = len(names)
     factor = np.zeros((n, n))
     factor[:, : lower.shape[1]] = lower * np.sign(np.where(np.diag(lower) == 0, 1.0, np.diag(lower)))
@@ -43,7 +53,45 @@ def stated(problem: Problem, fit: Fit, joint: Joint) -> Uncertainty:
         names=names,
         factor=[[_rounded(x) for x in row[: i + 1]] for i, row in enumerate(factor)],
         discrepancy={name: _rounded(x) for name, x, there in zip(BALANCES, rms, formed, strict=True) if there},
+        beyond=_rounded(growth(problem, fit, regions)),
     )
+
+
+def growth(problem: Problem, fit: Fit, regions: Sequence[Region]) -> float:
+    """How many times as large what a fit cannot hold is a whole range beyond its data.
+
+    Of each region that lies beyond the rest of the data: what its error gains by not having been seen, over the error, by how far
+    it lies beyond the rest, in ranges; the median of these.
+    """
+    masks = region_masks(problem)
+    slopes = []
+    for region in regions:
+        rest = valid_range(problem, fit, [~mask for mask in masks[region.name]])
+        if rest is None:
+            continue
+        far = [
+            rest.distance(s.link_position[use], s.state[use, 3], s.load[use])
+            for s, mask in zip(problem.segments, masks[region.name], strict=True)
+            if (use := mask & ~s.at_rest & s.usable.any(axis=1)).any()
+        ]
+        depth = float(np.mean(np.concatenate(far))) if far else 0.0
+        if depth > _DEEP:
+            gained = np.sqrt(max(region.unseen**2 - region.extended**2, 0.0)) / max(region.extended, 1e-12)
+            slopes.append(gained / depth)
+    return 1.0 + min(float(np.median(slopes)), _STEEPEST) if slopes else 1.0 + _STEEP
+
+
+def larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The covariance that is at least as large as either of two, shape (n, n) each, for every combination of the unknowns.
+
+    With one = L Lᵀ and L⁻¹ other L⁻ᵀ = V Λ Vᵀ it is L V max(Λ, 1) Vᵀ Lᵀ.
+    """
+    scale = np.sqrt(np.diag(one))
+    root = np.linalg.cholesky(one / scale[:, None] / scale + 1e-12 * np.eye(len(one)))
+    inner = np.linalg.solve(root, np.linalg.solve(root, other / scale[:, None] / scale).T)
+    values, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
+    wide = scale[:, None] * (root @ vectors) * np.sqrt(np.maximum(values, 1.0))
+    return wide @ wide.T
 
 
 def _rounded(x: float) -> float:
@@ -75,18 +123,7 @@ def _quantities(problem: Problem, fit: Fit, joint: Joint):
                 found += [h.values(u)[q.name] for q in h.free]
         for h, u in zip(fit.model, parts, strict=True):
             if not h.free:
-                found += list(h.values(u)["coefficients"])
+                found += np.atleast_1d(h.values(u)["coefficients"]).tolist()
         return np.array(found)
 
     return names, np.array(period), values
-
-
-def with_uncertainty(diagnosis: Diagnosis) -> Diagnosis:
-    """The diagnosis whose extended joint states how well it is known."""
-    problem, final = diagnosis.problem, diagnosis.final
-    if problem is None or final is None:
-        return diagnosis
-    known = stated(problem, final, diagnosis.extended)
-    extended = diagnosis.extended.model_copy(update={"uncertainty": known})
-    extended._path = diagnosis.extended._path
-    return replace(diagnosis, extended=extended)

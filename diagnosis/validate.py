@@ -1,7 +1,8 @@
 """How well a joint's description predicts a measurement. Nothing is fitted.
 
 The described joint is driven with the measured motion (`fit.replay`); what its sensors should then have read stands beside what
-they read, at the samples of the recording. Of two encoders both ends are driven, for current and torques; the link encoder's
+they read, at the samples of the recording. Of two encoders both ends are driven, for current and torques (the rotor alone for the
+current, where the encoders' zeros are not known against each other); the link encoder's
 reading is simulated with the rotor alone driven, where no push of unknown size moved the link. Errors are taken in motion: at
 rest friction may be anything up to its level.
 
@@ -10,7 +11,8 @@ itself: the root of the sum of squares of
 
 * what the description leaves open: changes along its independent directions (`models.uncertainty`),
 * what a diagnosis found that it cannot hold (`Uncertainty.discrepancy`), the more the further beyond the range of validity,
-* what the noise of the measured motion makes of the simulation, from noise replicates; at rest, friction's own level.
+* what the noise of the measured motion makes of the simulation, from noise replicates; at rest, friction's own level;
+* what of the measured channel is faster than the smoothed motion can say.
 """
 
 from __future__ import annotations
@@ -28,10 +30,12 @@ from ..models.dynamics import State
 from ..models.errors import InputError
 from ..models.joint import EncoderSpec, Joint, ValidRange
 from ..models.kernels import kernel
+from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
 from .data.mistakes import Mistake, find_mistakes
+from .data.sampling import timing_error
 from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
 from .fit.replay import parallel, readings, transmission
 
@@ -42,6 +46,7 @@ BINS = 4
 FEWEST = 20
 """Samples in motion that a region must have."""
 _AROUND = 500  # steps, half a second, over which the noise of the motion is averaged
+_LOOSE = 0.05  # rated torques that the encoders' zeros may be worth before the rotor alone is driven for the current
 _BATCH = 8  # directions that are replayed at once
 _BALANCE_OF = {"motor_current": CURRENT, "motor_torque": CURRENT, "joint_torque": TORQUE, "external_torque": LINK}
 
@@ -164,6 +169,15 @@ class Validation:
     mistakes: tuple[Mistake, ...] = ()
     recordings: tuple[Channels, ...] = field(default=(), repr=False)
 
+    def _repr_html_(self) -> str:
+        rows = [(name, e.rms, e.noise, e.unit, f"{100 * e.inside:.1f} %") for name, e in self.residual.items()]
+        beyond = [f"{100 * share:.2g} % beyond the range of {name}" for name, share in self.beyond.items()]
+        return (
+            paragraph(self.joint, ", ".join(beyond))
+            + html_table(("channel", "error, RMS", "noise", "unit", "inside the band"), rows)
+            + "".join(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes)
+        )
+
     def to_json(self) -> dict[str, Any]:
         """What `validation.json` holds."""
         return {
@@ -224,27 +238,55 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
     parts = _parts(recording, joint, [name for name in _BALANCE_OF if name in recording])
     of = {name: [part for part in parts if name in part.values] for name in _BALANCE_OF}
     if {"motor_position", "link_position"} <= set(recording.columns) and recording.external != "unmeasured":
-        of["link_position"] = _parts(recording.without("link_position"), joint, ["link_position"])
+        alone = ["link_position", *(n for n in ("motor_current", "motor_torque") if n in recording and _loose(joint))]
+        one_end = _parts(recording.without("link_position"), joint, alone)
+        of |= {name: [part for part in one_end if name in part.values] for name in alone}
     measured = {name: recording[name] for name in CHANNELS if of.get(name)}
     since = recording.time - recording.time[0]
-    simulated, deviation, noise = {}, {}, {}
-    for name in measured:
-        simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
-        variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
-        motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
-        deviation[name] = np.sqrt(variance + motion)
-        noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
     angle, velocity, load, moving = (
         _joined(parts, since, [of_part(part.segment) for part in parts])
         for of_part in (
             lambda s: s.link_position, lambda s: s.state[:, 3], lambda s: s.load, lambda s: _counts(s).astype(float),
         )
     )  # fmt: skip
+    simulated, deviation, noise = {}, {}, {}
+    for name in measured:
+        simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
+        variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
+        motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
+        if name == "link_position":  # a sample with a wrong time is off by the speed times that
+            motion = motion + (np.nan_to_num(velocity) * _clock_error(recording)) ** 2
+        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], _sensor_noise(joint, name)))
+        noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
     return Channels(
         name=recording.name, time=recording.time, measured=measured, simulated=simulated, deviation=deviation,
         noise=noise, moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
         units={name: CHANNELS[name].unit for name in measured},
     )  # fmt: skip
+
+
+def _loose(joint: Joint) -> bool:
+    """Whether the zeros of the encoders are so little known against each other that torsion says nothing of the torque."""
+    zero = joint.sensors.link_encoder.zero
+    known = 0.0 if zero is None else zero.deviation if zero.std is None else zero.std
+    return joint.numbers["K1"].value * known > _LOOSE * joint.numbers["rated_torque"].value
+
+
+def _clock_error(recording: Recording) -> float:
+    """Error of the time stamps [s rms], where both encoders show it."""
+    motor, link = recording["motor_position"], recording["link_position"]
+    return max((timing_error(recording.time[s], motor[s], link[s]) for s in recording.segments), default=0.0)
+
+
+def _fast(recording: Recording, name: str, parts: Sequence[_Part], noise: float) -> np.ndarray | float:
+    """Mean square of a measured channel beyond the smoother's passband and its sensor's noise, shape (n,)."""
+    if name not in ("motor_current", "joint_torque"):
+        return 0.0
+    since = recording.time - recording.time[0]
+    slow = _joined(parts, since, [part.segment.measured[:, _BALANCE_OF[name]] for part in parts])
+    rest = np.nan_to_num(recording[name] - slow) ** 2
+    around = max(round(_AROUND * 1e-3 / recording.interval), 1)
+    return np.maximum(uniform_filter1d(rest, around, mode="nearest") - noise**2, 0.0)
 
 
 def _joined(parts: Sequence[_Part], since: np.ndarray, values: Sequence[np.ndarray]) -> np.ndarray:
@@ -339,7 +381,7 @@ def _discrepancy(joint: Joint, name: str) -> float:
     stated = joint.uncertainty
     if stated is None:
         return 0.0
-    known = dict(stated.discrepancy)
+    known: dict[str, float] = {balance: rms for balance, rms in stated.discrepancy.items()}
     value = {symbol: number.value for symbol, number in joint.numbers.items()}
     if name == "motor_torque":
         return known.get("motor_current", 0.0) * value["Kt"]
@@ -377,12 +419,15 @@ def _residual(recordings: Sequence[Channels]) -> dict[str, ChannelError]:
         if not any(u.any() for u in use):
             continue
 
-        def joined(x: Callable[[Channels], np.ndarray], having=having, use=use) -> np.ndarray:
-            return np.concatenate([x(r)[u] for r, u in zip(having, use, strict=True)])
-
-        error = joined(lambda r, name=name: r.measured[name] - r.simulated[name])
-        noise = joined(lambda r, name=name: r.noise[name])
-        half = SIGMAS * np.hypot(joined(lambda r, name=name: r.deviation[name]), noise)
+        error, noise, deviation = (
+            np.concatenate([x[u] for x, u in zip(columns, use, strict=True)])
+            for columns in (
+                [r.measured[name] - r.simulated[name] for r in having],
+                [r.noise[name] for r in having],
+                [r.deviation[name] for r in having],
+            )
+        )
+        half = SIGMAS * np.hypot(deviation, noise)
         inside = float(np.mean(np.abs(error) <= half))
         found[name] = ChannelError(
             _rms(error), float(np.mean(error)), _rms(noise), CHANNELS[name].unit, inside, len(error)

@@ -127,7 +127,7 @@ def diagnosed(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[float
     for name, (fit, test) in [("nothing", (everything, everything)), *hold_outs(q).items()]:
         part = taken(recording, fit)
         answer = diagnose(Measurement(part.name, Path(), (part,)), joint)
-        found = external_torques(recording, answer.extended_joint())
+        found = external_torques(recording, answer.extended)
         errors = [(found[e] - recording["external_torque"])[test & moving] for e in DIAGNOSED]
         yield name, answer, [float(np.sqrt(np.mean(e**2))) for e in errors]
 

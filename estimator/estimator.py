@@ -19,6 +19,7 @@ import numpy as np
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from ..models.kernels import kernel
+from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
@@ -68,10 +69,16 @@ class Spread:
             # Of two quadratures, each has both errors by half.
             kinematic[i] = math.hypot(_deviation(amplitude), amplitude.value * _deviation(phase)) / math.sqrt(2.0)
         return cls(
-            *(_relative(joint, name) for name in ("K2", "Kw0", "Cw", "Kt", "bw")),
-            *(_deviation(joint.link_tolerances.get(name)) for name in ("gravity_moment", "inertia")),
-            kinematic, _deviation(joint.sensors.motor_current.offset),
-        )  # fmt: skip
+            stiffness=_relative(joint, "K2"),
+            wave_generator=_relative(joint, "Kw0"),
+            wave_generator_curve=_relative(joint, "Cw"),
+            torque_constant=_relative(joint, "Kt"),
+            viscous=_relative(joint, "bw"),
+            gravity=_deviation(joint.link_tolerances.get("gravity_moment")),
+            inertia=_deviation(joint.link_tolerances.get("inertia")),
+            kinematic=kinematic,
+            current_offset=_deviation(joint.sensors.motor_current.offset),
+        )
 
     def within(self, share: float) -> Spread:
         """The same, `share` times as wide."""
@@ -198,6 +205,17 @@ class Posterior:
     robust: np.ndarray | None = None
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     external: np.ndarray | None = None
+
+    def _repr_html_(self) -> str:
+        rows = [("joint torque", "N·m", float(np.min(self.mean)), float(np.max(self.mean)))]
+        if self.external is not None:
+            rows.append(("external torque", "N·m", float(np.min(self.external)), float(np.max(self.external))))
+        text = f"{len(self.time)} samples"
+        if self.variance is not None:
+            text += f"; believes its error to be {math.sqrt(float(np.mean(self.variance))):.3g} N·m RMS"
+        if self.robust is not None:
+            text += f"; robust in {100 * float(np.mean(self.robust)):.3g} % of them"
+        return paragraph(self.estimator, text) + html_table(("estimate", "unit", "smallest", "largest"), rows)
 
     @property
     def nis(self) -> np.ndarray | None:

@@ -19,7 +19,7 @@ No estimator reads the columns `joint_torque` and `external_torque`.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -35,6 +35,7 @@ from ..models.signals import Signals
 from ..models.tables import write_table
 from . import registry, smoothed
 from .arrays import run
+from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
@@ -115,6 +116,7 @@ class Estimates:
       external_torque: torque on the link that its own gravity and inertia do not explain, by estimator, likewise.
       left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
       notes: what was found on the way, one entry a segment (`Prepared.note`).
+      deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty where nobody asked.
     """
 
     name: str
@@ -123,13 +125,22 @@ class Estimates:
     external_torque: dict[str, np.ndarray]
     left_out: dict[str, str] = field(default_factory=dict)
     notes: list[dict[str, float]] = field(default_factory=list)
+    deviation: dict[str, np.ndarray] = field(default_factory=dict)
+    external_deviation: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All columns as they are written: `time` [s], `torque_…` and `external_torque_…` [N·m]."""
+        """All columns as they are written: `time` [s], `torque_…` and `external_torque_…` [N·m], with their 95 % bands,
+        `…_low` and `…_high`, where these are known."""
         columns = {"time": self.time}
-        columns.update({f"torque_{name}": values for name, values in self.torque.items()})
-        columns.update({f"external_torque_{name}": values for name, values in self.external_torque.items()})
+        for what, found, deviation in (
+            ("torque", self.torque, self.deviation), ("external_torque", self.external_torque, self.external_deviation),
+        ):  # fmt: skip
+            for name, values in found.items():
+                columns[f"{what}_{name}"] = values
+                if name in deviation:
+                    half = SIGMAS * deviation[name]
+                    columns[f"{what}_{name}_low"], columns[f"{what}_{name}_high"] = values - half, values + half
         return columns
 
 
@@ -143,13 +154,16 @@ class Score:
     max: float
 
 
-def estimate_recording(recording: Recording, joint: Joint, names: Sequence[str] | None = None) -> Estimates:
+def estimate_recording(
+    recording: Recording, joint: Joint, names: Sequence[str] | None = None, bands: bool = False
+) -> Estimates:
     """Run estimators over a recording of a joint.
 
     Args:
       recording: its `joint_torque` and `external_torque` are not read.
       joint: the description, with the effects that are known of it.
       names: of the registry; all by default.
+      bands: whether each estimate is told how far it may be off (`bands`): some ten times the work.
 
     Raises:
       InputError: a name that is none.
@@ -157,32 +171,89 @@ def estimate_recording(recording: Recording, joint: Joint, names: Sequence[str] 
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
     known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
     blind = recording.signals.without("joint_torque", "external_torque")
-    torque = {name: np.full(len(recording.time), np.nan) for name in estimators}
-    external = {name: np.full(len(recording.time), np.nan) for name in estimators}
+    n = len(recording.time)
+    found: dict[str, dict[str, np.ndarray]] = {what: {} for what in _QUANTITIES}
+    deviation: dict[str, dict[str, np.ndarray]] = {what: {} for what in _QUANTITIES}
     left_out: dict[str, str] = {}
     notes = []
     for segment in recording.segments:
         if segment.stop - segment.start < SHORTEST:
             continue
-        ready = prepare(blind.part(segment), known)
+        signals = blind.part(segment)
+        ready = prepare(signals, known)
         notes.append(ready.note)
-        for name, estimator in estimators.items():
-            if name in left_out:
-                continue
-            reason = ready.lacks(estimator)
-            if reason is not None:
-                left_out[name] = reason
-                continue
-            try:
-                found = ready.ready(estimator).estimate(ready.signals, ready.known)
-            except (FilterDiverged, InputError) as error:
-                left_out[name] = str(error)
-                continue
-            torque[name][segment] = ready.known.as_read(found.mean, ready.signals.time)
-            external[name][segment] = ready.own_torque - found.mean if found.external is None else found.external
-    for name in left_out:
-        del torque[name], external[name]
-    return Estimates(recording.name, recording.time, torque, external, left_out, notes)
+        chosen = {name: e for name, e in estimators.items() if name not in left_out}
+        beliefs: dict[str, np.ndarray] = {}
+        estimates = _estimates(ready, chosen, left_out, beliefs)
+        for (what, name), values in estimates.items():
+            found[what].setdefault(name, np.full(n, np.nan))[segment] = values
+        if bands:
+            chosen = {name: e for name, e in chosen.items() if name not in left_out}
+
+            def again(
+                s: Signals, k: KnownJoint, chosen: dict[str, Estimator] = chosen
+            ) -> dict[tuple[str, str], np.ndarray]:
+                return _estimates(prepare(s, k), chosen, {})
+
+            reference = reference_torque(ready.signals, ready.known)
+            seen = {
+                "torque": ready.known.as_read(reference, signals.time),
+                "external_torque": ready.own_torque - reference,
+            }
+            for (what, name), values in deviations(signals, known, joint, recording.link, again).items():
+                apart = disagreement(signals.time, estimates[what, name], seen[what])
+                own = np.sqrt(beliefs.get(name, 0.0))
+                together = np.sqrt(values**2 + apart**2 + own**2)
+                deviation[what].setdefault(name, np.full(n, np.nan))[segment] = together
+    kept = [name for name in estimators if name not in left_out]
+    empty = np.full(n, np.nan)
+    torque, external = ({name: found[what].get(name, empty) for name in kept} for what in _QUANTITIES)
+    told = ({name: deviation[what].get(name, empty) for name in kept} if bands else {} for what in _QUANTITIES)
+    return Estimates(recording.name, recording.time, torque, external, left_out, notes, *told)
+
+
+def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
+    """Shares of the samples in motion beyond a joint's range of validity (`ValidRange.beyond`); empty where it states none."""
+    if joint.valid is None:
+        return {}
+    known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
+    motions = []
+    for segment in recording.segments:
+        if segment.stop - segment.start < SHORTEST:
+            continue
+        motion, load = motion_and_load(recording.signals.part(segment), known)
+        moving = np.abs(motion.motor_velocity) > _MOVING * known.p["vs"]
+        motions.append(np.stack([motion.link_position, motion.link_velocity, load])[:, moving])
+    return joint.valid.beyond(*np.concatenate(motions, axis=1)) if motions else {}
+
+
+_QUANTITIES = ("torque", "external_torque")
+
+
+def _estimates(
+    ready: Prepared,
+    estimators: Mapping[str, Estimator],
+    left_out: dict[str, str],
+    beliefs: dict[str, np.ndarray] | None = None,
+) -> dict[tuple[str, str], np.ndarray]:
+    """Joint torque and external torque of a segment by quantity and estimator; adds to `left_out` why there is none, and to
+    `beliefs` what estimators believe their error variance to be."""
+    found = {}
+    for name, estimator in estimators.items():
+        reason = ready.lacks(estimator)
+        if reason is not None:
+            left_out[name] = reason
+            continue
+        try:
+            one = ready.ready(estimator).estimate(ready.signals, ready.known)
+        except (FilterDiverged, InputError) as error:
+            left_out[name] = str(error)
+            continue
+        if beliefs is not None and one.variance is not None:
+            beliefs[name] = np.maximum(one.variance, 0.0)
+        found["torque", name] = ready.known.as_read(one.mean, ready.signals.time)
+        found["external_torque", name] = ready.own_torque - one.mean if one.external is None else one.external
+    return found
 
 
 def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str, dict[str, Score]]:

@@ -1,4 +1,4 @@
-"""Joint torque with harmonic drives: simulate, estimate, compare, diagnose, validate.
+"""Joint torque with harmonic drives: simulate, estimate, compare, diagnose, plan, validate.
 
     import flexspline as fs
 
@@ -6,6 +6,7 @@
     fs.compare(["link_sweep", "external_push"], ["RAREKF", "dynamics_ekf"])   # estimators on the same signals, a table
     fs.estimate("recording.parquet")                                    # joint torque of a measurement, a table over time
     fs.diagnose("measurement/").causes                                  # what the description gets wrong
+    fs.plan("measurement/").sentences()                                 # what to measure next
     fs.validate("measurement/", joint="extended.yaml")                  # how well a description predicts, nothing fitted
 
 SI units throughout; torques [N·m] on the output side. Input that cannot be used raises `InputError`, a `ValueError` whose
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from .diagnosis.diagnose import Diagnosis
+    from .diagnosis.planning import Plan
     from .diagnosis.validate import Validation
     from .estimator.errors import FilterDiverged
     from .estimator.estimator import Estimator, Posterior
@@ -41,6 +43,7 @@ _ELSEWHERE = {
     "InputError": "models.errors",
     "Joint": "models.joint",
     "Measurement": "models.recording",
+    "Plan": "diagnosis.planning",
     "Posterior": "estimator.estimator",
     "Recording": "models.recording",
     "Run": "scenarios.run",
@@ -55,6 +58,7 @@ __all__ = [
     "InputError",
     "Joint",
     "Measurement",
+    "Plan",
     "Posterior",
     "Recording",
     "Run",
@@ -69,6 +73,7 @@ __all__ = [
     "joints",
     "load_joint",
     "load_recording",
+    "plan",
     "simulate",
     "validate",
 ]
@@ -180,7 +185,8 @@ def compare(
     Returns:
       A table with index (scenario, filter) and the measures of `scenarios.evaluation.metrics` after the transient: `rms`, `max`
       and `noise` of the error against the true joint torque, `rms_to_sensor` [N·m], `noise_ratio` to the raw compliance
-      model's [1], `delay_ms` and `response_ms` to pushes [ms], `robust_share` [1], `mean_nis` [1]; NaN where one is not defined.
+      model's [1], `delay_ms` and `response_ms` [ms], of pushes after the truth, `robust_share` [1], `mean_nis` [1]; NaN where
+      one is not defined.
 
     Raises:
       InputError, FilterDiverged: as `simulate`.
@@ -210,13 +216,16 @@ def compare(
 
 
 def diagnose(
-    measurement: str | Path | Recording | Measurement | Sequence[Recording], joint: str | Path | Joint | None = None
+    measurement: str | Path | Recording | Measurement | Sequence[Recording],
+    joint: str | Path | Joint | None = None,
+    seconds: float = float("inf"),
 ) -> Diagnosis:
     """What a joint's description gets wrong about a measurement, and why.
 
     Args:
       measurement: a recording or a folder of several taken on the same joint, or its path.
       joint: its description; by default the one that the recordings name.
+      seconds: after which no further stage begins: the answer is the best by then [s].
 
     Returns:
       The diagnosis: `verdict`; `causes` with parameters, their standard deviations and confidence; what was calibrated,
@@ -228,7 +237,32 @@ def diagnose(
     from .diagnosis.diagnose import diagnose as diagnose_measurement
 
     data = _measurement(measurement)
-    return diagnose_measurement(data, _joint(data, joint))
+    return diagnose_measurement(data, _joint(data, joint), seconds=seconds)
+
+
+def plan(
+    measurement: str | Path | Recording | Measurement | Sequence[Recording],
+    joint: str | Path | Joint | None = None,
+    diagnosis: Diagnosis | None = None,
+) -> Plan:
+    """What to measure next: experiments that are simulated, and what each would tell about what a measurement left open.
+
+    Args:
+      measurement: a recording or a folder of several taken on the same joint, or its path.
+      joint: its description; by default the one that the recordings name.
+      diagnosis: of that measurement with that joint; made here where it is not given.
+
+    Returns:
+      The plan: `questions` that are open; `proposals`, the one that answers most first; `sentences()` for people.
+
+    Raises:
+      InputError: a measurement or joint that is wrong; names file, column and row.
+    """
+    from .diagnosis.planning import plan as plan_measurement
+
+    data = _measurement(measurement)
+    described = _joint(data, joint)
+    return plan_measurement(data, described, diagnosis if diagnosis is not None else diagnose(data, described))
 
 
 def validate(

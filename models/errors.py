@@ -18,7 +18,8 @@ class InputError(ValueError):
     """
 
     def __init__(self, message: str):
-        super().__init__(one_line(message))
+        text = one_line(message)
+        super().__init__(text if len(text) <= 1000 else f"{text[:600]} … {text[-300:]}")
 
 
 def one_line(text: str) -> str:
@@ -32,16 +33,24 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
+def is_there(path: Path) -> bool:
+    """Whether there is a file or folder; a name that no file can have stands for none."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # too long, or with a null byte
+        return False
+
+
 def read_text(path: Path, what: str) -> str:
     """Read a text file; an unreadable one raises `InputError` that names it and says what it should be."""
     try:
-        if path.exists() and not path.is_file():  # a folder; or a pipe, which may never end
+        if is_there(path) and not path.is_file():  # a folder; or a pipe, which may never end
             raise InputError(f"{path}: cannot read {what}: not a file")
-        if path.exists() and path.stat().st_size > LARGEST_TEXT:
+        if is_there(path) and path.stat().st_size > LARGEST_TEXT:
             raise InputError(f"{path}: cannot read {what}: expected at most {LARGEST_TEXT} bytes")
         return path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise InputError(f"{path}, line {line}: cannot read {what}: not UTF-8 text") from error
-    except OSError as error:
-        raise InputError(f"{path}: cannot read {what}: {error.strerror}") from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot read {what}: {getattr(error, 'strerror', None) or error}") from error

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from .errors import InputError, nearest, read_text
+from .errors import InputError, is_there, nearest, read_text
 from .output import described, write_whole
 
 
@@ -43,7 +43,7 @@ class _Loader(_SafeLoader):
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, Hashable):
                 raise yaml.constructor.ConstructorError(
-                    None, None, f"expected a word for a key, got {_shown(key)}", key_node.start_mark
+                    None, None, f"expected a word for a key, got {shown(key)}", key_node.start_mark
                 )
             if key in seen:
                 raise yaml.constructor.ConstructorError(
@@ -68,7 +68,7 @@ def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
       InputError: neither; one line.
     """
     path = known.get(str(source), Path(source))
-    if not path.exists():
+    if not is_there(path):
         hint = nearest(str(source), known)
         raise InputError(f"{what} {str(source)!r}: expected a path or one of {sorted(known)}, found neither{hint}")
     return path
@@ -158,7 +158,7 @@ def _finite(value: Any) -> Any:
 def parse(data: Any, model: type[M], where: str) -> M:
     """Check `data` against a pydantic model; the first thing wrong raises `InputError` in one line."""
     if not isinstance(data, dict):
-        raise InputError(f"{where}: expected a mapping of keys, got {_shown(data)}")
+        raise InputError(f"{where}: expected a mapping of keys, got {shown(data)}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -174,7 +174,7 @@ def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:
     """One line for the first error that pydantic found, a misspelt key before what is missing: field, expected, came."""
     first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
     field = ".".join(str(part) for part in first["loc"]) or "top level"
-    kind, came = first["type"], _shown(first["input"])
+    kind, came = first["type"], shown(first["input"])
     if kind == "extra_forbidden":
         return f"{field}: unknown key{nearest(str(first['loc'][-1]), _siblings(model, first['loc'][:-1]))}"
     if kind == "missing":
@@ -206,7 +206,8 @@ def _model_in(annotation: Any) -> Any:
     return None
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
+    """A value as people write it in code, short enough for a message."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -220,7 +221,7 @@ def check_name(name: str, where: str) -> str:
     if not _NAME.fullmatch(name) or not name.isprintable():
         raise InputError(
             f"{where}: expected a name of at most 100 letters, digits and signs, without slashes and not beginning with a "
-            f"dot or a blank, got {_shown(name)}"
+            f"dot or a blank, got {shown(name)}"
         )
     return name
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
@@ -11,8 +11,10 @@ import numpy as np
 from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from . import causes, units
-from .errors import InputError, nearest
+from .errors import InputError, is_there, nearest
 from .files import Line, Strict, load, write_into_place, yaml_text
+from .mjcf import mjcf_files
+from .notebook import html_table, paragraph
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
 
@@ -66,6 +68,10 @@ class Order(Strict):
     phase: Number
 
 
+LOCKED = 1e6
+"""Inertia [kg·m²] of a mounting from which on it is the bench's."""
+
+
 class Mounting(Strict):
     """What is bolted to the output: inertia about the joint axis and gravity moment at horizontal."""
 
@@ -73,6 +79,11 @@ class Mounting(Strict):
     gravity_moment: Annotated[float, Field(ge=0, description="N·m")]
     gravity_angle: Annotated[float, Field(description="rad")] = 0.0
     """Angle of its centre of mass from the link's axis, which hangs straight down at θl + gravity angles = 0."""
+
+    @property
+    def locked(self) -> bool:
+        """Whether it stands for the bench, to which the output is bolted: nothing that a joint can do moves it."""
+        return self.inertia >= LOCKED
 
 
 class EncoderSpec(Strict):
@@ -282,6 +293,21 @@ class ValidRange(Strict):
 
 _SLACK = 0.05
 """Part of a range by which a sample may be beyond it and still count as seen."""
+_BEYOND = {
+    "link_position": "link angle", "link_velocity": "link speed", "joint_torque": "load",
+    "driving": "motion that the motor drives", "driven": "motion that the load drives",
+}  # fmt: skip
+
+
+def beyond_sentence(beyond: Mapping[str, float]) -> str:
+    """What of a motion lies beyond a joint's range of validity (`ValidRange.beyond`), for people; empty where nothing does."""
+    if not beyond:
+        return ""
+    parts = [f"{_BEYOND.get(name, name)} {100 * share:.2g} %" for name, share in beyond.items()]
+    return (
+        f"beyond the range of the data behind the joint's description (share of the samples in motion): {', '.join(parts)}; what "
+        "is said there is extrapolated"
+    )
 
 
 class Uncertainty(Strict):
@@ -484,14 +510,49 @@ class Joint(Strict):
             p["discrepancy_count"][k] = len(one.coefficients)
             p["discrepancy_coefficient"][k, : len(one.coefficients)] = one.coefficients
 
+    def _repr_html_(self) -> str:
+        rows = [
+            (symbol, n.value, n.unit, f"± {100 * n.tolerance:.3g} %" if n.tolerance else "", n.source)
+            for symbol, n in self.numbers.items()
+        ]
+        effects = [
+            (e.name.replace("_", " "), f"{name} = {p.value:.4g} {p.unit}".strip())
+            for e in self.effects
+            for name, p in e.parameters.items()
+        ]
+        return (
+            paragraph(self.name, " ".join(self.description.split()))
+            + html_table(("effect", "parameter"), effects)
+            + html_table(("number", "value", "unit", "tolerance", "source"), rows)
+        )
+
     def write(self, path: Path) -> None:
-        """Write the description as YAML; `load_joint` reads it back."""
+        """Write the description as YAML, its MJCF beside it unless that is shipped; `load_joint` reads it back.
+
+        Raises:
+          InputError: it cannot be written, or another MJCF of that name is there.
+        """
+        self._copy_mjcf(path.parent)
         data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
         if self.uncertainty is not None:
             data["uncertainty"]["names"] = Line(self.uncertainty.names)
             data["uncertainty"]["factor"] = [Line(row) for row in self.uncertainty.factor]
         with write_into_place(path) as temporary:
             temporary.write_text(yaml_text(data), encoding="utf-8")
+
+    def _copy_mjcf(self, folder: Path) -> None:
+        mjcf = self.mjcf
+        if mjcf.parent.resolve() == shipped().resolve() or not mjcf.is_file():
+            return
+        for file in mjcf_files(mjcf):
+            target = folder / file.resolve().relative_to(mjcf.parent.resolve())
+            content = file.read_bytes()
+            if target.is_file() and target.read_bytes() == content:
+                continue
+            if target.exists():
+                raise InputError(f"{target}: expected the file that joint {self.name} names, got another of that name")
+            with write_into_place(target) as temporary:
+                temporary.write_bytes(content)
 
 
 PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())
@@ -517,6 +578,9 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
       source: a shipped joint's name (`test-joint`) or a path.
       beside: folder of the file that names the joint, to which a path in it is relative.
 
+    Returns:
+      The description: `numbers` by symbol with unit, source and tolerance, `mountings`, `sensors`, `effects`.
+
     Raises:
       InputError: no such joint, or a description that is wrong; one line.
     """
@@ -526,7 +590,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
         path = known[name]
     else:
         path = Path(source) if beside is None else beside / source
-        if not path.exists():
+        if not is_there(path):
             raise InputError(
                 f"joint {str(source)!r}: expected a path or one of {sorted(known)}, found neither{nearest(name, known)}"
             )

@@ -21,6 +21,31 @@ def check_mjcf(path: Path) -> None:
     _check(path, path.resolve().parent, _DEEPEST)
 
 
+def mjcf_files(path: Path) -> list[Path]:
+    """An MJCF and the files that it names (includes, meshes, textures) as far as they are there; all lie in its folder.
+
+    Raises:
+      InputError: as `check_mjcf`.
+    """
+    check_mjcf(path)
+    folder, found, waiting = path.resolve().parent, [path], [path]
+    while waiting:
+        root = ElementTree.fromstring(read_text(waiting.pop(), "an MJCF file"))
+        places = [
+            folder,
+            *(folder / v for c in root.iter("compiler") for k, v in c.attrib.items() if k.endswith("dir")),
+        ]
+        for element in root.iter():
+            for name, value in element.attrib.items():
+                if name.startswith("file") and element.tag != "compiler":
+                    new = [
+                        place / value for place in places if (place / value).is_file() and place / value not in found
+                    ]
+                    found += new
+                    waiting += new if element.tag in ("include", "model") else []
+    return found
+
+
 def _check(path: Path, folder: Path, depth: int) -> None:
     if not path.is_file():
         raise InputError(f"{path}: expected an MJCF file, no such file")

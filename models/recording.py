@@ -27,6 +27,7 @@ from .arm import column as arm_column
 from .errors import InputError, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
+from .notebook import html_table, paragraph
 from .output import recover
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .tables import write_table
@@ -137,6 +138,12 @@ class Recording:
     def __contains__(self, channel: str) -> bool:
         return channel in self.columns
 
+    def _repr_html_(self) -> str:
+        rows = [(name, CHANNELS[name].unit, float(x.min()), float(x.max())) for name, x in self.columns.items()]
+        seconds = float(self.time[-1] - self.time[0])
+        text = f"{self.joint}, {seconds:.1f} s at {1 / self.interval:.4g} Hz, {len(self.segments)} segment(s)"
+        return paragraph(self.name, text) + html_table(("channel", "unit", "smallest", "largest"), rows)
+
     @property
     def signals(self) -> Signals:
         """Its channels for whoever needs no more: an estimator, a view."""
@@ -210,6 +217,10 @@ class Measurement:
         """The files that it was read from: tables and their YAML files."""
         tables = [Path(recording.source) for recording in self.recordings if recording.source]
         return [file for table in tables for file in (table, table.with_suffix(".yaml"))]
+
+    def _repr_html_(self) -> str:
+        rows = [(r.name, float(r.time[-1] - r.time[0]), 1 / r.interval, ", ".join(r.columns)) for r in self.recordings]
+        return paragraph(self.name) + html_table(("recording", "duration [s]", "rate [Hz]", "channels"), rows)
 
     def load_joint(self, option: str | Path | None = None) -> Joint:
         """Load the joint that the recordings name, or the one of the command line, which wins."""
@@ -289,7 +300,9 @@ def read_recording(path: str | Path) -> Recording:
     )
     if sidecar.arm is None:
         if angles:
-            raise InputError(f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link")
+            raise InputError(
+                f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link"
+            )
         return recording
     return in_arm(recording, sidecar.arm, angles, sidecar_path)
 
@@ -395,7 +408,7 @@ def _check_header(path: Path, names: list[str]) -> None:
 def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     try:
         table = pa.parquet.read_table(path)
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable Parquet file: {_first_line(error)}") from error
     table = table.drop_columns([name for name in table.column_names if name.startswith("__index_level")])
     _check_header(path, table.column_names)

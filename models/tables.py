@@ -50,7 +50,7 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
     """
     try:
         table = pq.read_table(path)
-    except (OSError, pa.ArrowException) as error:
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not a readable Parquet file: {(str(error).splitlines() or ['?'])[0]}") from error
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}

@@ -8,7 +8,7 @@ change taken over a whole standard deviation).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -16,16 +16,43 @@ from . import causes
 from .calibration import Calibration, slots
 from .joint import Joint, Mounting
 
+Change = Mapping[str, float]
+"""By how much quantities change, by the names of `joint.Uncertainty`, in their units."""
+
 
 def directions(joint: Joint, mounting: Mounting | None = None) -> list[np.ndarray]:
     """Parameter records, shape (1,) each, of a joint in a mounting: one standard deviation off in each independent direction."""
-    return [_moved(joint, mounting, changes) for changes in _changes(joint)]
+    return [moved(joint, mounting, change) for change in independent_changes(joint)]
 
 
-def _changes(joint: Joint) -> list[dict[str, float]]:
-    """Changes of quantities by name that make one direction each."""
+def principal(changes: Sequence[Change], responses: np.ndarray, left: float, most: int) -> list[Change]:
+    """The few independent changes that matter to something: combinations of `changes` by the singular vectors of the responses.
+
+    Args:
+      changes: independent, m of them.
+      responses: of what matters to each, shape (n, m).
+      left: share of the responses' energy that may be left out. most: changes at most.
+    """
+    if not len(changes):
+        return []
+    energy, vectors = np.linalg.eigh(responses.T @ responses)
+    energy, vectors = np.maximum(energy[::-1], 0.0), vectors[:, ::-1]
+    total = float(np.sum(energy))
+    kept = int(np.searchsorted(np.cumsum(energy), (1 - left) * total)) + 1 if total > 0 else 0
+    found: list[Change] = []
+    for vector in vectors.T[: min(kept, most)]:
+        change: dict[str, float] = {}
+        for weight, one in zip(vector, changes, strict=True):
+            for name, x in one.items():
+                change[name] = change.get(name, 0.0) + float(weight) * x
+        found.append(change)
+    return found
+
+
+def independent_changes(joint: Joint) -> list[Change]:
+    """One standard deviation of what is not known of a joint in each of independent directions."""
     stated = joint.uncertainty
-    found: list[dict[str, float]] = []
+    found: list[Change] = []
     told: set[str] = set()
     if stated is not None:
         told = set(stated.names)
@@ -46,12 +73,12 @@ def _changes(joint: Joint) -> list[dict[str, float]]:
         x = at.copy()
         x[j] = 1.0
         open_ = [s for s in calibration.slots if s.name not in told]
-        moved = {s.name: calibration.value(s, x) - calibration.value(s, at) for s in open_}
-        found.append({name: change for name, change in moved.items() if change})
-    return [changes for changes in found if changes]
+        values = {s.name: calibration.value(s, x) - calibration.value(s, at) for s in open_}
+        found.append({name: change for name, change in values.items() if change})
+    return [change for change in found if change]
 
 
-def _moved(joint: Joint, mounting: Mounting | None, changes: Mapping[str, float]) -> np.ndarray:
+def moved(joint: Joint, mounting: Mounting | None, changes: Change) -> np.ndarray:
     """The joint's record, shape (1,), with some quantities changed."""
     mounting = joint.mount() if mounting is None else mounting
     record = joint.bare_record(mounting)

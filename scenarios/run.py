@@ -12,7 +12,8 @@ import numpy as np
 from ..estimator import registry
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.errors import InputError
-from ..models.joint import Joint
+from ..models.joint import Joint, beyond_sentence
+from ..models.notebook import html_table, paragraph
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
@@ -22,6 +23,10 @@ from .scenario import Scenario
 
 _RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
 _WHERE_STATED = ("motor_torque", "temperature")
+
+
+_LIMITED = 0.005
+"""Share of the time at the current limit from which on it is told: no shipped scenario is there at all."""
 
 
 @dataclass(frozen=True)
@@ -78,9 +83,29 @@ class Run:
         """Raw compliance model [N·m], shape (n,): what the paper's filters filter."""
         return registry.get("model").estimate(self.signals, self.known).mean
 
+    def _repr_html_(self) -> str:
+        shown = {"rms": "error [N·m RMS]", "noise": "noise [N·m RMS]", "delay_ms": "delay [ms]"}
+        rows = [(name, *(m.get(key) for key in shown)) for name, m in self.metrics["filters"].items()]
+        text = f"{self.joint.name}, {self.scenario.duration:g} s, seed {self.scenario.seed}"
+        notes = "".join(paragraph("Note:", note) for note in self.notes)
+        return paragraph(self.name, text) + html_table(("filter", *shown.values()), rows) + notes
+
     def truth(self, name: str) -> np.ndarray:
         """A true signal, one of `sim.loop.TRUTH`, shape (n,)."""
         return np.ascontiguousarray(self.simulation.truth[name])
+
+    @cached_property
+    def beyond(self) -> dict[str, float]:
+        """Shares of the motion beyond the range of validity of the plant's joint or of the one that the estimators know, the
+        larger (`models.joint.ValidRange.beyond`); empty where neither states one."""
+        names = ("link_position", "link_velocity", "joint_torque")
+        moving = np.abs(self.truth("motor_velocity")) > 2.5 * self.joint.numbers["vs"].value
+        motion = [self.truth(name)[moving] for name in names]
+        found: dict[str, float] = {}
+        for joint in (self.joint, self.known_joint):
+            for name, share in (joint.valid.beyond(*motion) if joint.valid is not None else {}).items():
+                found[name] = max(share, found.get(name, 0.0))
+        return found
 
     def reading(self, name: str) -> np.ndarray:
         """What a sensor gave, one of `models.signals.SENSED`, shape (n,)."""
@@ -96,6 +121,33 @@ class Run:
         return reference_of(self.simulation, self.model_torque, self.external_torque, self.scenario.transient)
 
     @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What whoever reads the measures should know: disturbances that do not act, a drive at its limit, no measures."""
+        found, end = [], self.scenario.duration
+        for i, d in enumerate(self.scenario.disturbances):
+            if d.start >= end:
+                found.append(f"disturbances.{i} starts at {d.start:g} s, after the end at {end:g} s: it never acts")
+            elif d.start + d.duration > end:
+                found.append(
+                    f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
+                )
+        limit = self.joint.numbers["current_limit"].value
+        limited = float(np.mean(np.abs(self.simulation.command) >= (1 - 1e-9) * limit))
+        if limited > _LIMITED:
+            off = float(np.max(np.abs(self.position_command - self.truth("link_position"))))
+            found.append(
+                f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: the motion asks for more than "
+                f"it gives, and the link is up to {off:.2g} rad off its command"
+            )
+        for name, one in self.estimates.items():
+            missing = int(np.sum(~np.isfinite(one.mean)))
+            if missing:
+                found.append(f"{name} gives no estimate for {missing} of {len(one.mean)} samples and is not measured")
+        if self.beyond:
+            found.append(beyond_sentence(self.beyond))
+        return tuple(found)
+
+    @cached_property
     def metrics(self) -> dict[str, Any]:
         """Measures of every filter, of the raw compliance model and of the torque sensor (`evaluation.metrics`)."""
         reference = self.reference
@@ -107,10 +159,8 @@ class Run:
             "filters": {name: reference.evaluate_posterior(found) for name, found in self.estimates.items()},
             "model": reference.evaluate(self.model_torque),
             "sensor": reference.evaluate(reference.reading),
-            "truth": {
-                "response_ms": reference.response_ms(truth),
-                "joint_torque_range": [float(truth[kept].min()), float(truth[kept].max())],
-            },
+            "notes": list(self.notes),
+            "truth": {"joint_torque_range": [float(truth[kept].min()), float(truth[kept].max())]},
             "position_error": {
                 "rms": float(np.sqrt(np.mean(error**2))),
                 "max": float(np.max(np.abs(self.position_command - self.truth("link_position")))),

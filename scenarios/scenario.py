@@ -126,7 +126,7 @@ class Scenario(Strict):
     temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
         start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE
     )
-    filters: Annotated[list[FilterEntry], Field(min_length=1, default_factory=paper_entries)]
+    filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
     record: Annotated[
         list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
     ] = []

@@ -117,7 +117,8 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
     data.qpos[:3] = 0.0 if position is None else position
     data.qvel[:] = 0.0
     data.act[:] = 0.0
-    mujoco.mj_forward(model, data)
+    with native.quiet():
+        mujoco.mj_forward(model, data)
     memory = activation(model, "rotor_velocity")
     data.act[memory : memory + model.nv] = -1.5 * h * data.qacc
     data.qvel[:] = -0.5 * h * data.qacc

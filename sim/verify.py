@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
-from . import plant
+from . import native, plant
 from .callbacks import LINK, transmission_at
 
 CLOSED_LOOP = {"no_load": "no_load", "link_sweep": "link", "external_push": "link"}
@@ -56,6 +56,11 @@ def verify(folder: Path, joint: Joint, timestep: float = plant.TIMESTEP) -> list
     """
     if not 0 < timestep <= _PERIOD or abs(_PERIOD / timestep - round(_PERIOD / timestep)) > 1e-6:
         raise InputError(f"timestep: expected a whole fraction of {_PERIOD:g} s, got {timestep:g} s")
+    with native.quiet():
+        return _verify(folder, joint, timestep)
+
+
+def _verify(folder: Path, joint: Joint, timestep: float) -> list[Difference]:
     differences = []
     for name, mounting in CLOSED_LOOP.items():
         reference = _read(
@@ -160,6 +165,8 @@ def loop_width(link: np.ndarray, torque: np.ndarray) -> float:
 
 
 def _read(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
+    if path.exists() and not path.is_file():  # a pipe, which may never end
+        raise InputError(f"{path}: cannot read a reference solution: not a file")
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:

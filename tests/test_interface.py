@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import re
 import typing
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 import flexspline as fs
+from flexspline.diagnosis.diagnose import Diagnosis, Finding
+from flexspline.diagnosis.planning import Plan, Proposal, Question
+from flexspline.diagnosis.validate import ChannelError
 from flexspline.estimator import registry
 from flexspline.models import causes
 from flexspline.models.recording import read_recording, write_recording
@@ -114,3 +119,30 @@ def test_annotations_are_real():
     names = {name: getattr(fs, name) for name in fs.__all__ if isinstance(getattr(fs, name), type)}
     for name in FUNCTIONS:
         typing.get_type_hints(getattr(fs, name), {**vars(fs), **names, "pd": pd})
+
+
+def test_results_show_themselves_in_a_notebook(run):
+    """Small tables that hold the numbers, every text in them escaped."""
+    recording = run.as_recording()
+    error = ChannelError(0.031, 0.0, 0.012, "A", 0.94, 800)
+    shown = {
+        "run": run._repr_html_(),
+        "joint": run.joint.model_copy(update={"description": "<script>"})._repr_html_(),
+        "recording": recording._repr_html_(),
+        "measurement": fs.Measurement("<b>", Path(), (recording,))._repr_html_(),
+        "posterior": run.estimates["RAREKF"]._repr_html_(),
+        "validation": fs.Validation("joint", {"motor_current": error}, (), {"angle": 0.1})._repr_html_(),
+    }
+    for name, text in shown.items():
+        assert text.count("<table>") == text.count("</table>") >= 1, name
+        assert "<script" not in text and "<b><b>" not in text, name
+        assert "nan" not in re.sub(r"<[^>]*>", " ", text).split(), name
+    assert f"{run.metrics['filters']['lowpass']['rms']:.4g}" in shown["run"]
+    assert "motor_current" in shown["recording"] and "robust in" in shown["posterior"]
+    finding = Finding("unknown", "link", 0.6, {}, 0.4, 1.2, "a torque that <depends>", ("link_position",))
+    plan = Plan((Question(("backlash",), 0.0, 3.7),), (Proposal("sweeps", "Move <it>", 20.0, (9.0,)),))
+    alike, open_ = (("payload", "gravity_moment"),), {"backlash": "no reversal"}
+    diagnosis = Diagnosis("discrepancy", "", (finding,), {}, alike, open_, {}, (), run.joint, plan=plan)
+    text = diagnosis._repr_html_()
+    assert "a torque that &lt;depends&gt;" in text and "Move &lt;it&gt; (20 s): would show backlash" in text
+    assert plan._repr_html_().count("<li>") == 1

@@ -11,9 +11,7 @@ import mujoco
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
-from flexspline import commands
 from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.models import laws
 from flexspline.models.joint import load_joint
@@ -119,32 +117,27 @@ def test_another_payload_is_not_the_remembered_one(recording, page):
         assert np.sqrt(np.mean(error**2)) < 2.3, name
 
 
-def test_commands(log, tmp_path):
-    commands._register()
-    runner = CliRunner()
-    done = runner.invoke(commands.app, ["import", "lara8", str(log), "--out", str(tmp_path / "m")])
-    assert done.exit_code == 0, done.output
-    done = runner.invoke(commands.app, ["check", str(tmp_path / "m")])
-    assert done.exit_code == 0 and "never reverses" in done.output
-    arguments = ["estimate", str(tmp_path / "m"), "--joint", "lara8-joint3-extended", "--out", str(tmp_path / "e")]
-    done = runner.invoke(commands.app, arguments)
-    assert done.exit_code == 0, done.output
+def test_commands(flexspline, log, tmp_path):
+    code, _, error = flexspline("import", "lara8", log, "--out", tmp_path / "m")
+    assert code == 0, error
+    code, text, error = flexspline("check", tmp_path / "m")
+    assert code == 0 and "never reverses" in text, error
+    code, _, error = flexspline(
+        "estimate", tmp_path / "m", "--joint", "lara8-joint3-extended", "--out", tmp_path / "e"
+    )  # fmt: skip
+    assert code == 0, error
     names = pq.read_schema(tmp_path / "e" / "joint3_outbound.parquet").names
     assert {"time", "torque_model", "torque_RAREKF", "torque_current", "external_torque_EKF"} <= set(names)
     metrics = json.loads((tmp_path / "e" / "metrics.json").read_text())
     assert metrics["joint3_outbound"]["external_torque"]["payload_smoothed"]["rms"] < 1.5
 
 
-def test_diagnosis_extends_a_joint_with_a_gravity_angle(log, tmp_path):
+def test_diagnosis_extends_a_joint_with_a_gravity_angle(flexspline, log, tmp_path):
     """The joint states numbers that others do not; the extended one has them too, and can be read back."""
     sweep, out = tmp_path / "sweep", tmp_path / "out"
-    commands._register()
-    runner = CliRunner()
-    assert runner.invoke(commands.app, ["import", "lara8", str(log), "--out", str(sweep)]).exit_code == 0
-    answer = runner.invoke(
-        commands.app, ["diagnose", str(sweep), "--joint", "lara8-joint3", "--no-report", "--out", str(out)]
-    )
-    assert answer.exit_code == 0, answer.output
+    assert flexspline("import", "lara8", log, "--out", sweep)[0] == 0
+    code, _, error = flexspline("diagnose", sweep, "--joint", "lara8-joint3", "--no-report", "--out", out)
+    assert code == 0, error
     assert json.loads((out / "diagnosis.json").read_text())["verdict"] in ("consistent", "discrepancy", "inconclusive")
     extended = load_joint(out / "joint.yaml")
     assert extended.gravity_angle is not None and extended.gravity_angle.nominal is not None

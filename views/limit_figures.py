@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 BASELINES = {
     "model": "#C8B68E", "current": "#9AA3AD", "lowpass": "#17BECF", "lowpass_first_order": "#0E7C8A",
     "kalman": "#2CA02C", "h_infinity": "#8C9A2B", "strong_tracking": "#E377C2", "huber": "#8C6D4F",
-    "momentum": "#B5BCC4", "momentum_torsion": "#6B7BB8", "dynamics_ekf": "#111418", "dynamics_ekf_calibrating": "#5B6670",
+    "momentum": "#B5BCC4", "momentum_torsion": "#6B7BB8", "dynamics_ekf": "#111418", "augmented": "#5B6670",
     "dynamics_ukf": "#7A3E9D", "rts_smoother": "#C0392B",
 }  # fmt: skip
 """Colour of each baseline; the paper's filters have theirs in `style`."""

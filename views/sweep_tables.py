@@ -12,7 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from .style import filter_colors
-from .tables import COLUMNS, RESPONSE, Column, narrow_table
+from .tables import COLUMNS, Column, narrow_table
 
 if TYPE_CHECKING:
     from ..scenarios.studies.statistics import Aggregate, Interval
@@ -21,18 +21,12 @@ if TYPE_CHECKING:
 BETTER, WORSE = "▾", "▴"
 """Marks of a mean that is lower, or higher, than the reference's: the interval of the paired difference leaves out zero."""
 _UNLIMITED = 10_000  # characters: how wide a table would be with all the room that it wants
-_OWN = (
-    Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state"),
-    # The rows have no truth beside them, so that this is not the response of other tables, which is after the truth.
-    Column(
-        RESPONSE, "90 % of a push", "ms", 1, 1, "made so long after the push's onset, the torque's own time included"
-    ),
-)
+_NOISE = Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state")
 
 
 def metric_column(metric: str) -> Column:
     """Heading, unit and scale of a metric."""
-    return next(c for c in (*_OWN, *COLUMNS) if c.key == metric)
+    return next(c for c in (_NOISE, *COLUMNS) if c.key == metric)
 
 
 def with_interval(value: Interval, scale: float = 1.0) -> str:

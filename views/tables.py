@@ -14,7 +14,6 @@ from rich.text import Text
 
 from .style import filter_colors
 
-RESPONSE = "response_ms"
 _SHORT = 7  # characters of a heading's line
 RAW_MODEL = "raw model"
 """How the compliance model without any filter is called in a table."""
@@ -49,7 +48,7 @@ COLUMNS = (
     Column("max", "max error", "N·m", 1, 3, "largest, likewise"),
     Column("noise_ratio", "noise ratio", "", 1, 2, "noise in steady state relative to the raw model's"),
     Column("delay_ms", "delay", "ms", 1, 1, "shift of the truth that explains the estimate best around the pushes"),
-    Column(RESPONSE, "response", "ms", 1, 1, "how long after the truth the estimate has made 90 % of a push"),
+    Column("response_ms", "response", "ms", 1, 1, "how long after the truth the estimate has made 90 % of a push"),
     Column("robust_share", "robust", "%", 100, 1, "share of the time in robust mode"),
     Column("mean_nis", "mean NIS", "", 1, 2, "normalised innovation squared; 1 where P_Y is right"),
     Column("rms_to_sensor", "RMS to sensor", "N·m", 1, 3, "against the noisy torque sensor"),
@@ -61,21 +60,14 @@ def comparison_rows(metrics: Mapping[str, Mapping]) -> list[tuple[str, ...]]:
     """Cells of the comparison as text: scenario, filter, then `COLUMNS`.
 
     Args:
-      metrics: a run's metrics by scenario name: `{"filters": {name: {…}}, "model": {…}, "truth": {…}}`.
+      metrics: a run's metrics by scenario name: `{"filters": {name: {…}}, "model": {…}}`.
     """
     rows = []
     for scenario, run in metrics.items():
         entries = {RAW_MODEL: run["model"]} if run.get("model") else {}
         for name, values in (entries | dict(run.get("filters", {}))).items():
-            shown = {**values, RESPONSE: _after_truth(values, run.get("truth", {}))}
-            rows.append((scenario, name, *(column.text(shown) for column in COLUMNS)))
+            rows.append((scenario, name, *(column.text(values) for column in COLUMNS)))
     return rows
-
-
-def _after_truth(values: Mapping, truth: Mapping) -> float | None:
-    """Response after the truth's own [ms]: the metrics have both from the push's onset on."""
-    own, itself = values.get(RESPONSE), truth.get(RESPONSE)
-    return None if own is None or itself is None else own - itself
 
 
 def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque estimates") -> Table:

@@ -1,8 +1,8 @@
 """Changes that would mend a measurement, and which of them the agreement of its channels asks for.
 
-A change says what is wrong with a column of the file (a unit, a sign, …) and makes the channels as they would be without. Each has a
-price in log likelihood: nobody makes a mistake without need. The search applies the change that gains most, and looks again; the
-last few best are kept, as a first step may only look good.
+A change says what is wrong with a column of the file (a unit, a sign, …) and makes the channels as they would be without. Each
+has a price in log likelihood: nobody makes a mistake without need. The search applies the change that gains most, and looks
+again; the last few best are kept, as a first step may only look good.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
-from .plausibility import Fit, Motion, Plausibility, motion_of
+from .plausibility import EFFECTIVE, Fit, Motion, Plausibility, motion_of
 
 PRICE = 9.0
 """Of a mistake, in log likelihood; a number that is free costs `FREE` more."""
@@ -30,6 +30,8 @@ _DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
 _SLOPE = 0.004  # relative: by how much the encoders' ratio may be off at the least to be another gear ratio
 _OFFSETS = 24  # of the angle's zero, that are tried in a turn
 _SMALLEST_OFFSET = 0.015  # rad between the encoders
+GRAVITY = "gravity_angle"
+"""What stands for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
 _SLOW = 0.05  # s between samples, from which on time may be in other units than seconds
 
 
@@ -41,6 +43,7 @@ class Change:
       name, column: of the mistake; description: of it, for people.
       factor, offset: as in `mistakes.Mistake`; price: in log likelihood.
       also: changes of other columns that are the same mistake.
+      ratio: of the gear.
     """
 
     name: str
@@ -50,14 +53,24 @@ class Change:
     offset: float | None = None
     price: float = PRICE
     also: tuple[Change, ...] = ()
+    ratio: float = 1.0
 
     def apply(self, motion: Motion) -> Motion:
         """The channels without the mistake; the same where the column is not there."""
+        if self.column == GRAVITY:  # all angles less a half turn instead: nothing but gravity knows where they begin
+            return replace(self, name="angle_zero", column="").apply(motion)
         if self.column in motion or self.name == "swapped":
             motion = self._own(motion)
         for one in self.also:
             motion = one.apply(motion)
         return motion
+
+    @property
+    def shrinkage(self) -> float:
+        """What it costs in each recording that smaller torques look like nothing, whatever they are."""
+        if self.name != "unit" or self.column not in (*DRIVING, "external_torque") or self.factor is None:
+            return 0.0
+        return 0.5 * EFFECTIVE * max(-math.log(self.factor), 0.0)
 
     def _own(self, motion: Motion) -> Motion:
         if self.name == "swapped":
@@ -65,7 +78,7 @@ class Change:
         x = motion.channels[self.column]
         factor = 1.0 if self.factor is None else self.factor
         if self.name == "velocity":
-            return motion.with_channels(**{self.column: integrated(motion.time, factor * x, self.offset or 0.0)})
+            return motion.with_channels(**{self.column: self._position(motion, factor * x)})
         if self.name == "gear_ratio" and self.column == "motor_position":
             factor = 1 / factor
         if self.name == "sign":
@@ -75,6 +88,16 @@ class Change:
             x = x + np.array([self.offset, 0.0, 0.0])
         return motion.with_channels(**{self.column: x})
 
+    def _position(self, motion: Motion, velocity: np.ndarray) -> np.ndarray:
+        """The position of a velocity; where another position or the command says it, from there."""
+        x = integrated(motion.time, velocity)
+        for name in (*POSITIONS, "position_command"):
+            if name != self.column and name in motion:
+                sides = [self.ratio if n == "motor_position" else 1.0 for n in (self.column, name)]
+                x[:, 0] += np.median(sides[0] / sides[1] * motion.channels[name][:, 0] - x[:, 0])
+                break
+        return x
+
 
 def swapped(motion: Motion) -> Motion:
     """Both positions exchanged; the only one under the other's name."""
@@ -83,10 +106,10 @@ def swapped(motion: Motion) -> Motion:
     return motion.without(*names).with_channels(**{others[name]: motion.channels[name] for name in names})
 
 
-def integrated(time: np.ndarray, velocity: np.ndarray, start: float) -> np.ndarray:
-    """Position and two derivatives, shape (n, 3), of a channel that holds a velocity; gaps are bridged by the mean."""
+def integrated(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Position from zero and two derivatives, shape (n, 3), of a channel that holds a velocity; the mean bridges gaps."""
     steps = 0.5 * np.diff(time) * (velocity[1:, 0] + velocity[:-1, 0])
-    position = start + np.concatenate([[0.0], np.cumsum(steps)])
+    position = np.concatenate([[0.0], np.cumsum(steps)])
     return np.column_stack([position, velocity[:, 0], velocity[:, 1]])
 
 
@@ -96,13 +119,12 @@ class Found:
 
     Attributes:
       change: that mends; recordings: indices of those that have the mistake.
-      confidence: of it; rivals: changes that would mend it as well.
+      confidence: of it.
     """
 
     change: Change
     recordings: tuple[int, ...]
     confidence: float
-    rivals: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -124,7 +146,7 @@ def _total(fits: dict[str, Fit]) -> float:
 
 
 def time_unit(recordings: Sequence[Recording], joint: Joint) -> float:
-    """What one unit of time is [s]: where samples are so far apart that it may not be seconds, the unit that suits the channels."""
+    """What one unit of time is [s]: where samples are too far apart for seconds, the unit that suits the channels."""
     interval = min(r.interval for r in recordings)
     if interval < _SLOW:
         return 1.0
@@ -146,8 +168,6 @@ class Suspicions:
     """What is wrong with the channels of a measurement as a whole.
 
     Attributes:
-      motions: the channels of each recording as they would be without; None of a recording too short to tell.
-      fits: the relations between them.
       found: changes, in the order in which they mend.
     """
 
@@ -155,8 +175,7 @@ class Suspicions:
         self.joint = joint
         self.recordings = tuple(recordings)
         self._plausible = [Plausibility(joint, r) for r in recordings]
-        best = self._search(self._state())
-        self.motions, self.fits, self.found = best.motions, best.fits, best.found
+        self.found = self._search(self._state()).found
 
     def _state(self) -> _State:
         motions = tuple(motion_of(r) for r in self.recordings)
@@ -189,10 +208,13 @@ class Suspicions:
         for change in self._changes(state):
             motions = [m if m is None else change.apply(m) for m in state.motions]
             fits = [
-                f if m is None or m is old else self._fits(i, m)
+                f if m is None or m is old else self._plausible[i].agreement(m, old, f)
                 for i, (m, old, f) in enumerate(zip(motions, state.motions, state.fits, strict=True))
             ]
-            gains = [_total(new) - _total(old) for new, old in zip(fits, state.fits, strict=True)]
+            gains = [
+                _total(new) - _total(old) - (0.0 if new is old else change.shrinkage)
+                for new, old in zip(fits, state.fits, strict=True)
+            ]
             everywhere = all(gain > _WORSE for gain in gains)
             chosen = [i for i, g in enumerate(gains) if everywhere or g > change.price + _SURE]
             price = change.price if everywhere else (change.price + _ONE_OF_SEVERAL) * max(len(chosen), 1)
@@ -202,10 +224,12 @@ class Suspicions:
             found = Found(change, tuple(chosen), 1 / (1 + math.exp(-min(gain, 50.0) / 3)))
             steps.append(
                 _State(
-                    tuple(m if i in chosen else old for i, (m, old) in enumerate(zip(motions, state.motions, strict=True))),
+                    tuple(
+                        m if i in chosen else old for i, (m, old) in enumerate(zip(motions, state.motions, strict=True))
+                    ),
                     tuple(f if i in chosen else old for i, (f, old) in enumerate(zip(fits, state.fits, strict=True))),
                     (*state.found, found),
-                    state.price + price,
+                    state.price + price + change.shrinkage * len(chosen),
                 )
             )
         return steps
@@ -271,27 +295,10 @@ class Suspicions:
         for column in positions:
             side = 1 / N if column == "link_position" else N
             for said, factor in (("rad/s", 1.0), ("deg/s", _DEGREE), ("rpm", _RPM), ("rad/s of the other side", side)):
-                start = self._start_of(column, factor, state)
                 yield Change(
                     "velocity", column, f"a velocity ({said}) where the position belongs", None if factor == 1.0 else factor,
-                    start, PRICE + (0.0 if factor == 1.0 else 3.0),
+                    price=PRICE + (0.0 if factor == 1.0 else 3.0), ratio=N,
                 )  # fmt: skip
-
-    def _start_of(self, column: str, factor: float, state: _State) -> float:
-        """Where a position starts whose column holds its velocity: as the other encoder or the command has it, or else zero."""
-        N = self.joint.numbers["N"].value
-        side = N if column == "motor_position" else 1.0
-        starts = []
-        for motion in state.motions:
-            if motion is None or column not in motion:
-                continue
-            x = integrated(motion.time, factor * motion.channels[column], 0.0)[:, 0]
-            for name in (*POSITIONS, "position_command"):
-                if name != column and name in motion:
-                    y = motion.channels[name][:, 0] / (N if name == "motor_position" else 1.0)
-                    starts.append(float(np.median(side * y - x)))
-                    break
-        return float(np.median(starts)) if starts else 0.0
 
     def _fitted(self, there: set[str], state: _State) -> Iterator[Change]:
         """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
@@ -344,9 +351,18 @@ class Suspicions:
             yield _zero("position_command", -command)
         angle = self._hanging(state)
         if angle is not None:
+            if abs(angle) == math.pi and any(abs(p.p["gravity_angle"]) > 0.3 for p in self._plausible):
+                yield self._gravity(there, angle)
             yield _zeros(positions, angle, N)
             if "position_command" in there:
                 yield _zeros([*positions, "position_command"], angle, N)
+
+    def _gravity(self, there: set[str], angle: float) -> Change:
+        """Gravity's direction turned round, where the description says that it has one."""
+        angles = [n for n in (*POSITIONS, "position_command") if n in there]
+        turned = _zeros(angles, angle, self.joint.numbers["N"].value)
+        text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
+        return Change("sign", GRAVITY, text, price=PRICE - 1, also=(turned,))
 
     def _median(self, state: _State, a: str, b: str) -> float | None:
         """Median of one position less another on the output side [rad], of all recordings that have both."""
@@ -372,7 +388,9 @@ class Suspicions:
             for i in weights:
                 motion = state.motions[i]
                 assert motion is not None
-                turned = _zeros([n for n in POSITIONS if n in motion], angle, self.joint.numbers["N"].value).apply(motion)
+                turned = _zeros([n for n in POSITIONS if n in motion], angle, self.joint.numbers["N"].value).apply(
+                    motion
+                )
                 total += sum(fit.agreement for n, fit in self._plausible[i].torques(turned).items())
             return total
 
@@ -418,5 +436,7 @@ def _zeros(columns: Sequence[str], offset: float, N: float) -> Change:
         _zero(column, offset * (N if column == "motor_position" else 1.0))
         for column in sorted(columns, key=lambda name: name != "link_position")
     ]
-    price = PRICE + (0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else FREE)
-    return replace(changes[0], price=price + 2.0 * (len(changes) - 1), also=tuple(changes[1:]))
+    price = PRICE + (
+        0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else 1.0
+    )  # of one angle, it shows in its counterpart
+    return replace(changes[0], price=price, also=tuple(changes[1:]))

@@ -255,6 +255,9 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
     time = channels["time"].read(table)
     columns = {target: channel.read(table, time) for target, channel in channels.items() if target != "time"}
     angles = {target: columns.pop(target) for target in list(columns) if target not in CHANNELS}
+    external = layout.external_torque
+    if external == "measured" and "external_torque" not in columns:
+        external = "unmeasured"
     recording = Recording(
         name=name or path.stem,
         time=time,
@@ -262,9 +265,9 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
         joint=joint or layout.joint,
         description=f"{path.name}, imported as {layout.name}",
         link=layout.link or Mounting(inertia=1.0, gravity_moment=0.0),
-        external="unmeasured" if layout.external_torque == "measured" and "external_torque" not in columns else layout.external_torque,
+        external=external,
         source=str(path),
-    )  # fmt: skip
+    )
     if layout.arm is None:
         return recording
     return in_arm(recording, layout.arm, angles, path)

@@ -1,10 +1,234 @@
+"""Columns that are late against the others: each relation between two of them, at every shift of one against the other.
+
+    motor and link encoder     θm/N − θl is wind-up: a sum of known shapes of the motion
+    drive and each encoder     N Kt i is gravity, inertia and friction: shapes of that encoder's motion
+    torque and each encoder    Ts is gravity and inertia, likewise
+
+Shapes are free here (their sizes were looked at before); what a shift leaves unexplained says how well it suits. A late column
+shifts all relations that it is in, and no other: that tells whose fault it is. A link encoder that is late by less than what
+`encoder_delay` may be, and what sensors and filters are late anyway, is no mistake.
+"""
+
 from __future__ import annotations
+
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+import numpy as np
+
+from ...estimator.motion import smooth
+from ...models.joint import Joint
+from ...models.recording import Recording
+from ...models.signals import DRIVING, POSITIONS
+
+_STEP = 5e-3  # s: of shifts that are tried, and of samples
+_FARTHEST = 0.3  # s
+_CUTOFF = 12.0  # Hz: of the smoother
+_BIN = 4e-3  # s: over which samples are averaged before
+_EFFECTIVE = (6.0, 60.0)  # samples that a second of a relation counts as, and a recording at the most
+_SURE = 7.0  # gain in log likelihood from which on a column is late
+_WORSE = -3.0  # loss in a recording from which on not all have it
+_ONE_OF_SEVERAL = 12.0  # more gain that it takes where not all have it
+_SLIDING = 2.5  # Stribeck velocities above which friction is known by its direction
+_HATS = 24  # of the angle, whose functions gravity, cables, stops and the like are
+_FEWEST, _MOST = 200, 2500  # samples
+_FLOOR = 1e-9  # of a relation's variance that is never explained
+_PEAK, _PEAKED = 0.03, 4.0  # s beside the best shift at which it is worse by that much, in log likelihood
+_ORDINARY = {"link_position": (-2e-3, 14e-3)}  # s: by how much a column is late in sound data, by causes and filters
+_OTHERS = (-2e-3, 5e-3)
+_TRAVEL = 0.05  # rad of the link below which motion says nothing
+
+
 @dataclass(frozen=True)
 class LateColumn:
+    """A column that is late against the others by `seconds` in some recordings (indices), with its probability."""
+
     column: str
     seconds: float
     recordings: tuple[int, ...]
     confidence: float
-def late_columns(recordings, joint):
-    return ()
+
+
+@dataclass(frozen=True)
+class _Relation:
+    """What two columns leave unexplained at each shift of the second against the first: log likelihood lost, shape (d,)."""
+
+    first: str
+    second: str
+    left: np.ndarray
+
+
+def _shifts() -> np.ndarray:
+    n = round(_FARTHEST / _STEP)
+    return _STEP * np.arange(-n, n + 1)
+
+
+def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[LateColumn, ...]:
+    """The column that is late, of a measurement in which all else is right: in all its recordings, or in some."""
+    relations = [_relations(recording, joint) for recording in recordings]
+    best = _latest([r for found in relations for r in found])
+    if best is not None:
+        name, seconds, gain = best
+        lost = [_gain(found, name, seconds) < _WORSE for found in relations]
+        if not any(lost):
+            return (LateColumn(name, seconds, tuple(range(len(recordings))), _probability(gain)),)
+    if len(recordings) == 1:
+        return ()
+    found = []
+    for i, one in enumerate(relations):
+        best = _latest(one)
+        if best is not None and best[2] > _SURE + _ONE_OF_SEVERAL:
+            found.append((i, *best))
+    out = []
+    for name in dict.fromkeys(f[1] for f in found):
+        mine = [f for f in found if f[1] == name]
+        seconds = float(np.median([f[2] for f in mine]))
+        out.append(LateColumn(name, seconds, tuple(f[0] for f in mine), _probability(sum(f[3] for f in mine))))
+    return tuple(out)
+
+
+def _probability(gain: float) -> float:
+    return float(1 / (1 + np.exp(-min(gain - _SURE, 50.0) / 3)))
+
+
+def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
+    """The column whose lateness explains most: its name, by how much [s], and the gain."""
+    shifts = _shifts()
+    best: tuple[str, float, float] | None = None
+    for name in sorted({r.first for r in relations} | {r.second for r in relations}):
+        for d in shifts[shifts > _ordinary_of(name)[1]].tolist():
+            gain = _gain(relations, name, d)
+            if best is None or gain > best[2]:
+                best = (name, d, gain)
+    if best is None or best[2] < _SURE:
+        return None
+    # The best shift of all, small ones of the other columns left aside.
+    name = best[0]
+    mine = [r for r in relations if name in (r.first, r.second)]
+    left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
+    near = np.where(np.abs(shifts - best[1]) < 0.02, left, np.inf)
+    i = int(np.argmin(near))
+    side = round(_PEAK / _STEP)
+    if not side <= i < len(shifts) - side:
+        return None
+    rise = min(left[i - side], left[i + side]) - left[i]
+    if rise < _PEAKED:  # no shift is better than another, or they get better and better
+        return None
+    before, at, after = left[i - 1 : i + 2]
+    bend = before - 2 * at + after
+    off = 0.5 * (before - after) / bend if bend > 0 else 0.0
+    return name, float(shifts[i] + _STEP * np.clip(off, -0.5, 0.5)), best[2]
+
+
+def _gain(relations: list[_Relation], late: str, d: float) -> float:
+    """By how much a column that is late by d [s] explains relations better than none, in log likelihood."""
+    total = 0.0
+    for r in relations:
+        if late in (r.first, r.second):
+            total += _least(r, 0.0, "") - _least(r, d, late)
+    return total
+
+
+def _ordinary_of(name: str) -> tuple[float, float]:
+    return _ORDINARY.get(name, _OTHERS)
+
+
+def _least(relation: _Relation, d: float, late: str) -> float:
+    """What a relation leaves at the best shift of ordinary size, where one column is late by d [s]."""
+    (a, b), (c, e) = (_ordinary_of(name) for name in (relation.first, relation.second))
+    if late == relation.first:
+        a = b = d
+    if late == relation.second:
+        c = e = d
+    shifts = _shifts()
+    low, high = c - b, e - a
+    inside = relation.left[(shifts > low) & (shifts < high)]
+    ends = np.interp([low, high], shifts, relation.left)
+    return float(min(ends.min(), inside.min() if len(inside) else np.inf))
+
+
+def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
+    """All relations of a recording whose link moves, at every shift."""
+    names = [n for n in (*POSITIONS, *DRIVING) if n in recording]
+    positions = [n for n in POSITIONS if n in names]
+    p = joint.record(recording.link)[0]
+    N = float(p["N"])
+    limit = _TRAVEL * (1.0 if "link_position" in names else N)
+    if np.ptp(recording[positions[-1]]) < limit or len(recording.time) < 50:
+        return []
+    parts = _evenly(recording, names)
+    pairs = [(m, n) for m in positions for n in names if n in DRIVING]
+    if recording.external == "unmeasured":  # pushes are in no shape
+        pairs = []
+    if len(positions) == 2:
+        pairs.append((positions[0], positions[1]))
+    k = len(_shifts()) // 2
+    stride = max(sum(len(values) for _, values in parts) // _MOST, 1)
+    found = []
+    for first, second in pairs:
+        A, B = [], []
+        for time, values in parts:
+            i = np.arange(k, len(values) - k, stride)
+            motion = values[:, names.index(first)] / (N if first == "motor_position" else 1.0)
+            y = values[:, names.index(second), 0] / (N if second == "motor_position" else 1.0)
+            shifted = np.lib.stride_tricks.sliding_window_view(y, 2 * k + 1)[::stride]
+            if second in POSITIONS:
+                shifted = shifted - motion[i, :1]
+            sliding = N * motion[i, 1] / float(p["vs"])
+            use = np.abs(sliding) > _SLIDING if second != "joint_torque" else np.ones(len(i), bool)
+            A.append(_shapes(time[i], motion[i], sliding, second)[use])
+            B.append(shifted[use])
+        if not A or sum(map(len, A)) < _FEWEST:
+            continue
+        shapes, y = np.concatenate(A), np.concatenate(B)
+        count = min(_EFFECTIVE[0] * _STEP * stride * len(y), _EFFECTIVE[1])
+        found.append(_Relation(first, second, 0.5 * count * np.log(_unexplained(shapes, y))))
+    return found
+
+
+def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Mean square of what shapes, shape (n, s), and functions of the first do not explain of y, shape (n, d): shape (d,)."""
+    A = np.column_stack([shapes, *_hats(shapes[:, 0])])
+    A = A / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-12)
+    values, vectors = np.linalg.eigh(A.T @ A)
+    kept = values > 1e-10 * values[-1]
+    along = (A @ vectors[:, kept] / np.sqrt(values[kept])).T @ y
+    total = np.einsum("ij,ij->j", y, y)
+    left = np.maximum(total - np.einsum("ij,ij->j", along, along), 0.0) / len(y)
+    return left + _FLOOR * float(np.mean(total)) / len(y) + 1e-300
+
+
+def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Times and channels with two derivatives, shape (n, channels, 3), of parts without gaps, `_STEP` apart."""
+    found = []
+    margin = round(_FARTHEST / _STEP)
+    for part in recording.segments:
+        time = recording.time[part]
+        if len(time) < 20 or time[-1] - time[0] < 3 * _FARTHEST:
+            continue
+        every = max(int(_BIN / recording.interval), 1)
+        begins = np.arange(0, len(time), every)
+        count = np.diff(begins, append=len(time))
+        mean = [np.add.reduceat(x, begins) / count for x in (time, *(recording[n][part] for n in names))]
+        s = smooth(mean[0], np.column_stack(mean[1:]), _STEP, _CUTOFF)
+        if len(s.time) > 2 * margin + 50:
+            found.append((s.time - recording.time[0], np.stack([s.value, s.rate, s.acceleration], axis=-1)))
+    return found
+
+
+def _shapes(time: np.ndarray, motion: np.ndarray, sliding: np.ndarray, second: str) -> np.ndarray:
+    """What a torque, or the wind-up of a transmission, depends on beside the angle, shape (n, shapes); the angle first."""
+    theta, v, a = motion.T
+    shapes = [theta, a]
+    if second != "joint_torque":
+        direction = np.tanh(sliding)
+        shapes += [direction, *(direction * wave(k * theta) for k in (1, 2, 3) for wave in (np.sin, np.cos))]
+    if second not in (*POSITIONS, "joint_torque"):
+        shapes += [v, v * np.abs(v), direction * np.exp(-time / 10.0), a * direction]
+    return np.column_stack(shapes)
+
+
+def _hats(theta: np.ndarray) -> list[np.ndarray]:
+    """Piecewise linear functions of the angle, that sum up to one."""
+    at = (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (_HATS - 1)
+    return [np.maximum(1 - np.abs(at - i), 0.0) for i in range(_HATS)]

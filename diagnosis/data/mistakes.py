@@ -11,15 +11,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
+from ...models.errors import InputError
 from ...models.joint import Joint
 from ...models.recording import Measurement, Recording, check_channels
 from ...models.signals import POSITIONS
-from .changes import Found, Suspicions, time_unit
+from .changes import GRAVITY, Found, Suspicions, time_unit
 from .lateness import late_columns
 from .samples import SampleMistake, bridged, unwrapped, wrong_samples
 
 _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
+_TURN = 2 * np.pi
 _BESIDE = ("position_command", "temperature")  # columns that no balance takes
 
 
@@ -34,7 +37,7 @@ class Mistake:
       description: for people.
       confidence: probability of it.
       factor: that mends the column (of `gear_ratio`: that mends N); of `wrapped` a whole turn in the column's unit.
-      seconds: by which the column is late. offset: that mends it, added; of `velocity`, where the position starts.
+      seconds: by which the column is late. offset: that mends it, added.
       rows: of the table that have it, from 0.
       also: further columns that have the same offset, the motor's on its own side of the gear.
       severe: whether it makes physics meaningless.
@@ -68,13 +71,18 @@ class Mistake:
         return data | {"description": self.description, "confidence": round(self.confidence, 3)}
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, for which threads are but a burden
+@np.errstate(all="ignore")  # units may make anything of a number
 def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
     """Mistakes in a measurement of a joint, in the order in which `mended` undoes them.
 
     A cause of ordinary size (`spec/recording.md`), tolerances and what is imperfect in every real joint are none.
     """
-    recordings = measurement.recordings
-    found: list[Mistake] = []
+    # With the output bolted to the bench neither encoder says what the other should.
+    moving = tuple(r for r in measurement.recordings if not r.link.locked)
+    if not moving:
+        return ()
+    recordings, found = moving, list[Mistake]()
     second = time_unit(recordings, joint)
     if second != 1.0:
         said = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[second]
@@ -83,11 +91,14 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     for recording in recordings:
         found += [_of_samples(m, recording) for m in wrong_samples(recording, joint)]
     found = _merged(found, len(recordings))
-    recordings = _apply(measurement.recordings, joint, found)
+    try:
+        recordings = _apply(moving, joint, found)
+    except InputError:  # what does not move is all there is
+        return tuple(found)
     suspicions = Suspicions(recordings, joint)
     further = [m for f in suspicions.found for m in _of_change(f, recordings)]
     recordings = _apply(recordings, joint, further)
-    late = [m for m in late_columns(recordings, joint)]
+    late = late_columns(recordings, joint)
     names = [r.name for r in recordings]
     for one in late:
         where = [""] if len(one.recordings) == len(names) else [names[i] for i in one.recordings]
@@ -126,11 +137,10 @@ def _of_change(found: Found, recordings: Sequence[Recording]) -> list[Mistake]:
     change = found.change
     where = [""] if len(found.recordings) == len(recordings) else [recordings[i].name for i in found.recordings]
     text = change.description
-    if found.rivals:
-        text += "; or else " + ", or ".join(f"{c.name} of {c.column or 'the positions'}" for c in found.rivals)
     one = Mistake(
-        change.name, change.column, "", text, found.confidence, factor=change.factor, offset=change.offset,
-        also=tuple(c.column for c in change.also),
+        change.name, change.column, "", text, found.confidence, factor=change.factor,
+        offset=np.pi if change.column == GRAVITY else change.offset,
+        also=() if change.column == GRAVITY else tuple(c.column for c in change.also),
     )  # fmt: skip
     return [replace(one, recording=name) for name in where]
 
@@ -156,6 +166,11 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
         if m.name == "swapped":
             _swap(columns)
             continue
+        if m.column == GRAVITY:
+            turned = float(np.remainder(recording.link.gravity_angle + np.pi, _TURN))
+            turned -= _TURN if turned > np.pi else 0.0
+            recording = replace(recording, link=recording.link.model_copy(update={"gravity_angle": turned}))
+            continue
         for column in (m.column, *m.also):
             if column not in columns:
                 continue
@@ -164,6 +179,7 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
                 assert m.rows is not None
                 if len(m.rows) == len(time):
                     del columns[column]
+                    check_channels(f"{recording.source or recording.name}: without {column}, which is stuck", columns)
                 else:
                     lost[list(m.rows)] = True
             elif m.name == "late":
@@ -172,7 +188,6 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
                 lost |= (time + m.seconds > time[-1]) | (time + m.seconds < time[0])
             else:
                 columns[column] = _column(m, column, time, x, columns, N)
-    check_channels(f"{recording.source or recording.name}: without what is stuck", columns)
     found = replace(recording, time=time, columns=columns)
     if lost.any():
         found = found.at(~lost)
@@ -185,11 +200,19 @@ def _column(m: Mistake, column: str, time: np.ndarray, x: np.ndarray, columns: d
     if m.name == "glitch":
         return bridged(time, x, np.array(m.rows, int))
     if m.name == "wrapped":
-        guide = next((columns[n] for n in (*POSITIONS, "position_command") if n in columns and n != column), None)
-        return unwrapped(time, x, np.array(m.rows, int), factor, guide)
+        guide = next((n for n in (*POSITIONS, "position_command") if n in columns and n != column), None)
+        jumps = np.array(m.rows, int)
+        if guide is None:
+            return unwrapped(time, x, jumps, factor)
+        start = _side(column, guide, N) * float(columns[guide][0]) if factor == _TURN else 0.0
+        return unwrapped(time, x, jumps, factor, columns[guide], start)
     if m.name == "velocity":
         steps = 0.5 * np.diff(time) * (x[1:] + x[:-1])
-        return (m.offset or 0.0) + factor * np.concatenate([[0.0], np.cumsum(steps)])
+        position = factor * np.concatenate([[0.0], np.cumsum(steps)])
+        guide = next((n for n in (*POSITIONS, "position_command") if n in columns and n != column), None)
+        if guide is None:
+            return position
+        return position + float(np.median(_side(column, guide, N) * columns[guide] - position))
     if m.name == "sign":
         return -x
     if m.name == "gear_ratio" and column == "motor_position":
@@ -198,8 +221,13 @@ def _column(m: Mistake, column: str, time: np.ndarray, x: np.ndarray, columns: d
         return factor * x
     offset = m.offset or 0.0
     if column != m.column:
-        offset *= (N if column == "motor_position" else 1.0) / (N if m.column == "motor_position" else 1.0)
+        offset *= _side(column, m.column, N)
     return x + offset
+
+
+def _side(column: str, other: str, N: float) -> float:
+    """Angle of a column's shaft over that of another's."""
+    return (N if column == "motor_position" else 1.0) / (N if other == "motor_position" else 1.0)
 
 
 def _swap(columns: dict[str, np.ndarray]) -> None:

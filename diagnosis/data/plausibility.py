@@ -7,10 +7,10 @@ Four relations hold between the channels of a joint, however they were recorded:
     joint torque   Ts moves the link against gravity
     command        the link follows its command
 
-Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and all
-causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as pushes, bumps
-and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few milliseconds apart
-say the same thing, so a recording counts as `EFFECTIVE` samples.
+Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and
+all causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as
+pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few
+milliseconds apart say the same thing, so a recording counts as `EFFECTIVE` samples.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from ...estimator.motion import smooth
 from ...models.joint import Joint, Number
 from ...models.kernels import kernel
 from ...models.recording import GAP, Recording
-from ...models.signals import POSITIONS
+from ...models.signals import DRIVING, POSITIONS
 
-EFFECTIVE = 60.0
+EFFECTIVE = 90.0
 """Samples that a recording counts as in a relation between its channels."""
-_SAMPLES = 700  # of a recording that are looked at
+_SAMPLES = 320  # of a recording that are looked at
 _CUTOFF = 6.0  # Hz: of the smoother
 _BIN = 0.01  # s: over which samples are averaged before
 _FREEDOM = 3.0  # of the Student-t distribution
@@ -124,7 +124,9 @@ def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
     beta[:] = centre
     G, g = np.empty((p, p)), np.empty(p)
     w = np.empty(n)
+    before = np.empty(p)
     for _ in range(10):
+        before[:] = beta
         for i in range(n):
             r = y[i]
             for a in range(p):
@@ -156,6 +158,11 @@ def _fit(A, y, sigma, low, high, centre, spread, weight, beta):
                 beta[a] = best
             if change < 1e-4:
                 break
+        moved = 0.0
+        for a in range(p):
+            moved = max(moved, abs(beta[a] - before[a]) / spread[a])
+        if moved < 1e-3:
+            break
     total = 0.0
     for i in range(n):
         r = y[i]
@@ -177,7 +184,9 @@ class _Shapes:
         self._columns: list[np.ndarray] = []
         self._numbers: list[tuple[float, float, float, float]] = []
 
-    def add(self, shape: np.ndarray | float, low: float, high: float, centre: float = 0.0, spread: float | None = None) -> None:
+    def add(
+        self, shape: np.ndarray | float, low: float, high: float, centre: float = 0.0, spread: float | None = None
+    ) -> None:
         """A shape whose coefficient lies between `low` and `high`, about `centre` (a third of the range by default)."""
         if high > low:
             self._columns.append(np.broadcast_to(shape, (self._n,)))
@@ -190,7 +199,7 @@ class _Shapes:
         beta = np.empty(len(low))
         misfit = float(_fit(A, y, sigma, low, high, centre, spread, effective / self._n, beta))
         known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
-        return Fit(misfit + known, misfit / effective, A @ beta, sigma)
+        return Fit(misfit + known, misfit / effective)
 
 
 @dataclass(frozen=True)
@@ -201,13 +210,15 @@ class Fit:
       agreement: log likelihood.
       misfit: its part that readings and priors make up, per effective sample: 0 where all is as expected, −0.6 where readings
         are off by one `sigma`.
-      expected: of the reading, shape (n,); sigma: how far from it is nothing, shape (n,).
     """
 
     agreement: float
     misfit: float
-    expected: np.ndarray
-    sigma: np.ndarray
+
+
+def _same(a: Motion, b: Motion, channels: tuple[str, ...]) -> bool:
+    """Whether some channels are the very same, and both tell the link's motion by the same encoder."""
+    return a.position == b.position and all(a.channels.get(n) is b.channels.get(n) for n in channels)
 
 
 class Plausibility:
@@ -220,24 +231,45 @@ class Plausibility:
         self._size = joint.numbers["rated_torque"].value / _TEST
         self._turned = joint.gravity_angle is not None
 
-    def agreement(self, motion: Motion) -> dict[str, Fit]:
-        """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel."""
+    def agreement(
+        self, motion: Motion, before: Motion | None = None, known: Mapping[str, Fit] | None = None
+    ) -> dict[str, Fit]:
+        """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel.
+
+        Args:
+          motion: the channels.
+          before, known: other channels and their relations, of which those are taken over whose channels are the same.
+        """
         found = {}
-        if all(name in motion for name in POSITIONS):
-            found["encoders"] = self._encoders(motion)
-        if "position_command" in motion:
-            found["command"] = self._command(motion)
-        return found | self.torques(motion)
+        for name, needed in self._relations(motion).items():
+            if before is not None and known is not None and name in known and _same(motion, before, needed):
+                found[name] = known[name]
+            else:
+                found[name] = self._fit(name, motion)
+        return found
 
     def torques(self, motion: Motion) -> dict[str, Fit]:
         """The relations of torques alone."""
-        found = {}
-        for name in ("motor_current", "motor_torque"):
+        return {name: self._fit(name, motion) for name in self._relations(motion) if name in DRIVING}
+
+    def _relations(self, motion: Motion) -> dict[str, tuple[str, ...]]:
+        """Relations that the channels allow, each with the channels that it is between."""
+        found: dict[str, tuple[str, ...]] = {}
+        if all(name in motion for name in POSITIONS):
+            found["encoders"] = POSITIONS
+        if "position_command" in motion:
+            found["command"] = (motion.position, "position_command")
+        for name in DRIVING:
             if name in motion:
-                found[name] = self._drive(motion, name)
-        if "joint_torque" in motion:
-            found["joint_torque"] = self._joint_torque(motion)
+                found[name] = (motion.position, name, "external_torque")
         return found
+
+    def _fit(self, name: str, motion: Motion) -> Fit:
+        if name == "encoders":
+            return self._encoders(motion)
+        if name == "command":
+            return self._command(motion)
+        return self._joint_torque(motion) if name == "joint_torque" else self._drive(motion, name)
 
     def link(self, motion: Motion) -> np.ndarray:
         """The link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""

@@ -1,7 +1,7 @@
 """What is wrong with single samples of a recording: far off, jumped by a turn, not moving, at the sensor's end.
 
-Each column is held against its own neighbourhood, and positions against each other; units do not matter. Steps between samples are
-taken less the local speed times the interval, so that motion, jitter and missing samples are none.
+Each column is held against its own neighbourhood, and positions against each other; units do not matter. Steps between samples
+are taken less the local speed times the interval, so that motion, jitter and missing samples are none.
 """
 
 from __future__ import annotations
@@ -23,7 +23,6 @@ _ALONE = 5.0  # times the largest ordinary step nearby
 _NEARBY = 25  # samples
 _LONGEST = 3  # samples of a glitch
 _QUANTA = 20.0  # smallest steps of a column that a glitch is larger than
-_TURN_FIT = 0.06  # relative, by how much a jump may differ from a whole turn
 _STILL = (0.2, 20)  # seconds, samples that a column does not move at the least to be stuck
 _MOVED = (0.03, 0.02)  # share of its range, radians on the output side by which others move meanwhile
 _FLAT = 8  # samples at a sensor's end at the least
@@ -54,14 +53,20 @@ def wrong_samples(recording: Recording, joint: Joint) -> tuple[SampleMistake, ..
     for name in columns:
         if name == "temperature":
             continue
+        angle = name in (*POSITIONS, "position_command")
+        if angle:
+            jumps, turn = _within_a_turn(recording.time, columns[name], _turns(name, joint))
+            if len(jumps):
+                found.append(SampleMistake("wrapped", name, tuple(jumps.tolist()), turn))
+                columns[name] = unwrapped(recording.time, columns[name], jumps, turn)
         steps = _Steps(recording.time, columns[name])
         glitches = steps.glitches()
         if len(glitches):
             found.append(SampleMistake("glitch", name, tuple(glitches.tolist())))
             columns[name] = bridged(recording.time, columns[name], glitches)
             steps = _Steps(recording.time, columns[name])
-        if name in (*POSITIONS, "position_command"):
-            jumps, turn = steps.wraps(_turns(name, joint))
+        if angle:
+            jumps, turn = steps.wraps(_turns(name, joint)[: 2 + (name in POSITIONS)])
             if len(jumps):
                 found.append(SampleMistake("wrapped", name, tuple(jumps.tolist()), turn))
                 columns[name] = unwrapped(recording.time, columns[name], jumps, turn)
@@ -80,9 +85,11 @@ def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def unwrapped(
-    time: np.ndarray, x: np.ndarray, jumps: np.ndarray, turn: float, guide: np.ndarray | None = None
+    time: np.ndarray, x: np.ndarray, jumps: np.ndarray, turn: float, guide: np.ndarray | None = None, start: float = 0.0
 ) -> np.ndarray:
     """The angle without jumps, shape (n,): whole turns are added after each; over gaps as a guide's motion has it.
+
+    The first one is within half a turn of `start`.
 
     Args:
       time, x: of the samples [s], and the angle, shape (n,).
@@ -93,6 +100,7 @@ def unwrapped(
     steps = np.diff(x)
     change[jumps] = -turn * np.round(steps[jumps - 1] / turn)
     out = x + np.cumsum(change)
+    out -= turn * np.round((out[0] - start) / turn)
     gaps = np.flatnonzero(np.diff(time) > GAP)
     if len(gaps) == 0:
         return out
@@ -147,7 +155,7 @@ class _Steps:
             near = usual[max(k - _NEARBY, 0) : k + _NEARBY]
             if size[k] < _ALONE * float(near.max()):
                 continue
-            if k == 0 and not far[1] or k == n - 2 and not far[n - 3]:
+            if (k == 0 and not far[1]) or (k == n - 2 and not far[n - 3]):
                 rows.append(0 if k == 0 else n - 1)
                 continue
             for width in range(1, _LONGEST + 1):
@@ -157,34 +165,32 @@ class _Steps:
         return np.array(sorted(set(rows)), int)
 
     def wraps(self, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
-        """Samples after jumps by whole turns, and what a turn is; none where there is no such jump."""
-        none = np.empty(0, int), 0.0
+        """Samples after jumps by exactly a whole turn, of an angle that makes several; none where there is no such jump."""
         ordinary = self.size[self.inside]
-        if len(ordinary) < 2 * _NEIGHBOURS:
-            return none
-        usual = max(float(np.quantile(ordinary, 0.8)), self.quantum, 1e-9)
-        far = np.flatnonzero(self.size > max(6 * usual, _QUANTA * self.quantum))
-        if not len(far):
-            return none
-        jumps = np.abs(self.off[far])
-        for turn in turns:
-            if turn < 12 * usual:
-                continue
-            large = jumps > 0.5 * turn
-            count = np.round(jumps[large] / turn)
-            fits = np.abs(jumps[large] / turn - count) < _TURN_FIT + 3 * usual / turn
-            whole = float(np.ptp(self.x)) <= 1.02 * turn + 6 * usual
-            if large.any() and fits.mean() > 0.95 and (np.all(count == 1) or np.all(jumps[large] > 3 * turn)):
-                if not whole and len(count) > 1 and np.any(count > 1):
-                    continue
-                if whole or _fits_closely(jumps[large], turn, usual):
-                    return far[large] + 1, turn
-        return none
+        if len(ordinary) >= 2 * _NEIGHBOURS:
+            usual = max(float(np.quantile(ordinary, 0.99)), self.quantum, 1e-9)
+            far = np.flatnonzero(self.size > max(_FAR * usual, _QUANTA * self.quantum))
+            jumps = np.abs(self.off[far])
+            moved = [bool(np.any(self.step[max(k - _STILL[1], 0) : k])) for k in far]  # else it was stuck before
+            for turn in turns:
+                exact = np.abs(jumps - turn) < 2e-3 * turn + usual
+                if len(far) and turn > 12 * usual and np.all(exact) and all(moved):
+                    return far + 1, turn
+        return np.empty(0, int), 0.0
 
 
-def _fits_closely(jumps: np.ndarray, turn: float, usual: float) -> bool:
-    """Whether jumps of a column that has more than one turn are whole ones so exactly that it is no chance."""
-    return bool(np.all(np.abs(jumps - turn) < 0.01 * turn + usual))
+def _within_a_turn(time: np.ndarray, x: np.ndarray, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
+    """Samples after jumps of an angle that never leaves one turn, and what a turn is; none where it makes sense as it is."""
+    extent = float(np.ptp(x))
+    inside = np.diff(time) <= max(GAP, 5 * float(np.median(np.diff(time))))
+    for turn in turns:
+        if not 0.9 * turn < extent <= 1.001 * turn:
+            continue
+        jumps = np.flatnonzero((np.abs(np.diff(x)) > 0.5 * turn) & inside) + 1
+        rest = np.abs(np.diff(unwrapped(time, x, jumps, turn)))[inside]
+        if len(jumps) and float(np.quantile(rest, 0.995)) < 0.35 * turn:
+            return jumps, turn
+    return np.empty(0, int), 0.0
 
 
 def _turns(name: str, joint: Joint) -> tuple[float, ...]:
@@ -218,15 +224,16 @@ def _still(time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: fl
     ordinary = 1 if name in POSITIONS else float(np.quantile(lengths, 0.95))
     stuck: list[int] = []
     flat: list[int] = []
-    for begin, length in zip(begins.tolist(), lengths.tolist(), strict=True):
+    long = lengths >= max(_STILL[1], 12 * ordinary)
+    for begin, length in zip(begins[long].tolist(), lengths[long].tolist(), strict=True):
         end = begin + length
-        if length < max(_STILL[1], 12 * ordinary) or time[end - 1] - time[begin] < _STILL[0]:
+        if time[end - 1] - time[begin] < _STILL[0]:
             continue
         if len(clipped) and float(x[begin]) in ends:
             continue
         if not _moves_meanwhile(columns, name, begin, end, N):
             continue
-        at_end = name in POSITIONS and float(x[begin]) in ends and end < len(x) and _leaves_softly(x, begin, end)
+        at_end = name in POSITIONS and float(x[begin]) in ends and _leaves_softly(x, begin, end)
         (flat if at_end else stuck).extend(range(begin, end))
     if stuck:
         found.append(SampleMistake("stuck", name, tuple(stuck)))
@@ -248,27 +255,30 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, begin: int, e
     if others:
         return False
     command = columns.get("position_command")
-    if command is not None and np.ptp(command[part]) > 0.1 * np.ptp(command) and np.ptp(command[part]) > 0.1:
+    if command is not None and np.ptp(command[part]) > 0.5 * np.ptp(command) and np.ptp(command[part]) > 0.1:
         return True
     return _stops_at_once(columns[name], begin, end)
 
 
 def _stops_at_once(x: np.ndarray, begin: int, end: int) -> bool:
-    """Whether an angle comes to rest, or leaves it, within a sample from a speed far above its resolution."""
+    """Whether an angle comes to rest from a speed far above its resolution within a sample, or leaves it by a jump."""
     steps = np.abs(np.diff(x))
     moving = steps[steps > 0]
     if not len(moving):
         return False
     fast = max(8 * float(moving.min()), 0.1 * float(np.quantile(moving, 0.99)))
-    before, after = steps[max(begin - 5, 0) : max(begin - 1, 0)], steps[end : end + 4]
-    return any(len(part) >= 3 and float(np.median(part)) > fast for part in (before, after))
+    before = steps[max(begin - 6, 0) : begin]
+    enters = len(before) >= 4 and float(np.median(before)) > fast and before[-1] > 0.5 * float(np.median(before))
+    after = steps[end : end + 5]
+    leaves = len(after) >= 3 and steps[end - 1] > max(fast, 5 * float(np.median(after)))
+    return bool(enters or leaves)
 
 
 def _leaves_softly(x: np.ndarray, begin: int, end: int) -> bool:
-    """Whether an angle moves on from a run of equal values without a jump."""
+    """Whether a column moves on from a run of equal values without a jump; not where it never does."""
     steps = np.abs(np.diff(x))
     after = steps[end : end + 5]
-    return not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12
+    return end < len(x) and (not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12)
 
 
 def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarray:
@@ -278,7 +288,10 @@ def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarr
     if len(values) < 50:
         return np.empty(0, int)
     for end, beside in ((-1, slice(-9, -1)), (0, slice(1, 9))):
-        longest = int(lengths[x[begins] == values[end]].max())
+        mine = x[begins] == values[end]
+        longest = int(lengths[mine].max())
+        if mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]), int(begins[mine][0]) + longest):
+            continue
         if counts[end] >= _FLAT and longest >= 3 and counts[end] > _PEAKED * counts[beside].max():
             found.append(np.flatnonzero(x == values[end]))
     return np.sort(np.concatenate(found)) if found else np.empty(0, int)

@@ -1,18 +1,19 @@
 """Recordings as the replay takes them: segments of smooth motion on an even grid, with the readings that it must explain.
 
-Every channel of a segment goes through the same linear smoother (`estimator.motion`), so that where the joint is linear no smoothing error
-enters the comparison of torques computed from motion with torques that were measured. Each segment has *noise replicates*: the same
-motion and readings with the sensors' stated noise added a second time, drawn anew. The difference between the two tells what the
-noise of the motion does to a residual, at any parameters.
+Every channel of a segment goes through the same linear smoother (`estimator.motion`), so that where the joint is linear no
+smoothing error enters the comparison of torques computed from motion with torques that were measured. Each segment has *noise
+replicates*: the same motion and readings with the sensors' stated noise added a second time, drawn anew. The difference between
+the two tells what the noise of the motion does to a residual, at any parameters.
 
-With one encoder the other end's motion is not known. The rotor's motion then follows from the encoder that there is and the joint's
-description, and the link moves as the replay simulates it (`Segment.link_measured`).
+With one encoder the other end's motion is not known. The rotor's motion then follows from the encoder that there is and the
+joint's description, and the link moves as the replay simulates it (`Segment.link_measured`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
@@ -121,7 +122,7 @@ class Segment:
     @cached_property
     def coarse(self) -> Segment:
         """The same segment for a replay of twice the step: good enough for derivatives."""
-        every = {
+        every: dict[str, Any] = {
             name: np.ascontiguousarray(getattr(self, name)[::2])
             for name in ("time", "rotor", "link", "torque", "external", "temperature")
         }
@@ -183,7 +184,9 @@ def segments(
     return found, replicates
 
 
-def _segment(recording, index: int, part: slice, joint: Joint, rng, settings: SegmentSettings) -> tuple[Segment, Segment]:
+def _segment(
+    recording, index: int, part: slice, joint: Joint, rng, settings: SegmentSettings
+) -> tuple[Segment, Segment]:
     p = joint.record(recording.link)[0]
     channels, noise, time = _channels(recording, part, joint, p, rng)
     names = list(channels)
@@ -280,8 +283,8 @@ def _channels(recording: Recording, part: slice, joint: Joint, p: np.void, rng: 
 def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None:
     """The motion of the encoder that is not there, from the other and the joint's description; in place.
 
-    The transmission's wind-up under the link's own weight and inertia, and its kinematic error: what the replay then simulates differs
-    from it by what the description does not know.
+    The transmission's wind-up under the link's own weight and inertia, and its kinematic error: what the replay then simulates
+    differs from it by what the description does not know.
     """
     known = "motor_position" if "motor_position" in columns else "link_position"
     missing = "link_position" if known == "motor_position" else "motor_position"

@@ -2,8 +2,8 @@
 
 The residual of a balance in a segment is the sum of
 
-* *sensor noise*: what the stated noise of encoders, current and torque sensor leaves after smoothing and replay, an autoregression
-  fitted to noise replicates (`data.segments`);
+* *sensor noise*: what the stated noise of encoders, current and torque sensor leaves after smoothing and replay, an
+  autoregression fitted to noise replicates (`data.segments`);
 * *model discrepancy*: what the description can never hold. Ornstein–Uhlenbeck processes of fixed correlation times, one a
   frequency band, whose variances are learned for each balance beside the parameters. A real joint has some in every band; a
   joint that follows the laws has next to none. What lies within it decides neither between causes nor about parameters;
@@ -90,7 +90,8 @@ class Noise:
 def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, log_s):
     """Innovations of x, shape (k, c), over their standard deviation into out; zero where unusable. Returns Σ log S.
 
-    State: the autoregression's last values, the bands, the disturbance at rest; the residual is the sum of the first and all others.
+    State: the autoregression's last values, the bands, the disturbance at rest; the residual is the sum of the first and all
+    others.
     """
     k, c = x.shape
     p, m = len(ar), len(bands)

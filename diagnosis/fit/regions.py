@@ -7,7 +7,7 @@ again without it (in the linear model about the fit, exact to first order) and j
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,11 +176,11 @@ class _System:
         return self._solve(kept) - self.reference
 
 
-def valid_range(problem: Problem, f: Fit) -> ValidRange | None:
-    """Where the data of a fit have been; None where nothing moved."""
+def valid_range(problem: Problem, f: Fit, kept: Sequence[np.ndarray] | None = None) -> ValidRange | None:
+    """Where the data of a fit have been (of `kept`, residuals by segment, shape (k,), alone); None where nothing moved."""
     angle, speed, load, drives = [], [], [], []
-    for s in problem.segments:
-        use = s.usable.any(axis=1)
+    for i, s in enumerate(problem.segments):
+        use = s.usable.any(axis=1) & (True if kept is None else kept[i])
         angle.append(s.link_position[use])
         speed.append(s.state[use, 3])
         load.append(s.load[use])
@@ -193,7 +193,7 @@ def valid_range(problem: Problem, f: Fit) -> ValidRange | None:
         return [float(f"{v:.4g}") for v in np.quantile(np.concatenate(x), [share, 1 - share])]
 
     signs = np.concatenate(drives)
-    loads = [name for name, sign in (("driving", 1), ("driven", -1)) if np.mean(signs == sign) > 0.02]
+    loads = [name for name, sign in (("driving", 1), ("driven", -1)) if len(signs) and np.mean(signs == sign) > 0.02]
     return ValidRange(link_position=ends(angle), link_velocity=ends(speed), joint_torque=ends(load), loads=loads)
 
 

@@ -336,6 +336,7 @@ class Fitter:
                     np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
                 )
                 common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
+            assert common is not None
             jacobian = self._with_effects(model, theta, common, jacobian or None)
             noise = learn(problem.segments, residual, replicates, problem.quantum())
             normal = normal_equations(
@@ -366,6 +367,7 @@ class Fitter:
             good = cost - after > settings.good * expected
             fresh = near is None and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
         # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
+        assert common is not None
         jacobian = self._with_effects(model, theta, common, jacobian or None)
         other = problem.residuals([theta], [model], replicate=True)[0]
         own = [b - a for a, b in zip(residual, other, strict=True)]
@@ -486,9 +488,16 @@ def _godambe(S: np.ndarray, V: np.ndarray, prior: np.ndarray, rcond: float) -> n
 
 
 def with_dispersion(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -> Fit:
-    """The fit with a covariance that no noise model has to be right for, where that is the larger one.
+    """The fit with a covariance that no noise model has to be right for, where that is the larger one (`covariances`)."""
+    _, covariance = covariances(problem, f, settings)
+    larger = np.sqrt(np.maximum(np.diag(covariance) / np.diag(f.covariance), 1.0))
+    return replace(f, covariance=f.covariance * larger[:, None] * larger)
 
-    The score's own scatter between pieces of `cluster` seconds takes the place of its expected variance (the
+
+def covariances(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -> tuple[np.ndarray, np.ndarray]:
+    """Covariance of the unknowns by the noise model (Laplace), and one that no noise model has to be right for.
+
+    In the latter the score's own scatter between pieces of `cluster` seconds takes the place of its expected variance (the
     sandwich of Huber and White, clustered): what the laws leave over, in time together, then counts as what it is.
     """
     normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, settings)
@@ -505,9 +514,7 @@ def with_dispersion(problem: Problem, f: Fit, settings: SolverSettings = SETTING
     prior = np.diag(1 / problem.spread(f.model) ** 2)
     S, V = normal.hessian - prior, total.T @ total
     unbiased = max(len(total) - len(V) - 1, 0.25 * len(total)) / len(total)  # of an inverse Wishart matrix
-    covariance = _inverse(unbiased * _godambe(S, V, prior, 1e-9) + prior)
-    larger = np.sqrt(np.maximum(np.diag(covariance) / np.diag(f.covariance), 1.0))
-    return replace(f, covariance=f.covariance * larger[:, None] * larger)
+    return _inverse(normal.hessian), _inverse(unbiased * _godambe(S, V, prior, 1e-9) + prior)
 
 
 def _scores(rows: np.ndarray, limit: float, weight: np.ndarray) -> np.ndarray:

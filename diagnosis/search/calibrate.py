@@ -130,6 +130,7 @@ def _shares(problem: Problem, slots: list[Slot], x: np.ndarray, factor: float) -
         if len(shared) != 1:
             return None
         name = shared.pop()
+        assert name is not None
         spread = joint.shared_tolerances[name]
         logs = np.log([ratios[s.name] for s in slots])
         own = np.array([s.number.tolerance for s in slots])

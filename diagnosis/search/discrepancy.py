@@ -1,9 +1,9 @@
 """What no known cause explains: a nonparametric model discrepancy, where it acts and on what it depends.
 
 For every place in the joint (`models.parameters.PLACES`) and every variable (`VARIABLES`) a cubic spline is tried in the
-linear model about a fit, with all other unknowns free: on top of the causes that were found, and in place of some of them. The best few
-are fitted through the replay, coefficients and everything else together. The best of these is where the discrepancy sits and
-what it depends on; with its coefficients the joint is extended all the same.
+linear model about a fit, with all other unknowns free: on top of the causes that were found, and in place of some of them. The
+best few are fitted through the replay, coefficients and everything else together. The best of these is where the discrepancy
+sits and what it depends on; with its coefficients the joint is extended all the same.
 """
 
 from __future__ import annotations

@@ -193,8 +193,8 @@ class _Linear:
 def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings = SETTINGS) -> tuple[Screened, ...]:
     """Linearised gain in log evidence of every hypothesis, best first; one per cause and order, its best start.
 
-    What a cause does slowly counts little as long as all that is slow is taken for discrepancy, also its own. So the ones that are
-    judged again are the best under the noise that was learned and the best under white noise as loud as the residual.
+    What a cause does slowly counts little as long as all that is slow is taken for discrepancy, also its own. So the ones that
+    are judged again are the best under the noise that was learned and the best under white noise as loud as the residual.
     """
     if not library.hypotheses:
         return ()
@@ -261,7 +261,7 @@ def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | No
     """Log evidence of the linear model at a fit, of a hypothesis in it; comparable between noises."""
     residual, theta, spread = at.point.residual, at.theta, problem.spread(at.model)
     parts = [at.jacobian]
-    if columns is not None:
+    if s is not None:
         here = s.hypothesis.magnitudes
         change = s.start[here] - origin[here]
         theta = theta + s.shift
@@ -279,6 +279,6 @@ def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | No
         + white.log_determinant
         + prior_cost(problem, theta, at.model)
     )
-    if columns is not None:
+    if s is not None:
         cost += float(np.sum((s.start[here] / s.hypothesis.spread[here]) ** 2))
     return -0.5 * (cost + float(np.linalg.slogdet(H * spread[:, None] * spread)[1]))

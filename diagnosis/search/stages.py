@@ -6,8 +6,8 @@ linear model of a second library, one after the other; *settle* fits all of them
 
 Every stage returns a frozen result, and every hypothesis that was looked at leaves a decision that says why it was taken or not.
 The noise, with what no description can hold (`fit.noise`), is learned for every model that is compared: a cause is worth what it
-makes likelier *beside* its own discrepancy, not in units of the encoders' noise. Among causes that the data speak for, the one that
-is worth most to a user comes first: the mean square of the simulation's error that it alone removes (`worth`).
+makes likelier *beside* its own discrepancy, not in units of the encoders' noise. Among causes that the data speak for, the one
+that is worth most to a user comes first: the mean square of the simulation's error that it alone removes (`worth`).
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class AcceptSettings:
       smallest: part of the ordinary size below which it is not named: the laws themselves are not better than that.
       significant: standard deviations that it must be away from absent, by those that no noise model has to be right for too
         (`solver.with_dispersion`).
-      worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is one of
-        many things that the description does not hold, and no answer to what the simulation gets wrong.
+      worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
+        one of many things that the description does not hold, and no answer to what the simulation gets wrong.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
       race: rivals that are worth more than this part of the best are fitted to the end.
-      finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors' noise
-        and the linear model no good judge; per_cause: at most of one cause.
+      finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
+        noise and the linear model no good judge; per_cause: at most of one cause.
       most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
@@ -374,9 +374,9 @@ def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], F
     for f in fitted:
         h, reason = f.fit.model[-1], reasons[id(f)]
         rms = float(np.sqrt(max(f.removed, 0.0)))
-        if f is chosen:
+        if chosen is not None and f is chosen:
             reason = f"adds {f.gain:.0f} to the log evidence and takes {rms:.2g} N·m RMS from the simulation's error"
-        elif not reason:
+        elif chosen is not None and not reason:
             reason = f"explains less than {chosen.name.replace('_', ' ')}; judged again with that in the model"
         decisions.append(
             Decision("fit", f.name, h.fixed, f.gain, rms, size_of(problem, f.fit), True, f is chosen, reason)
@@ -446,7 +446,7 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     block = problem.place(f.model, index % len(f.model))
     where = block.start + np.asarray(h.magnitudes)
     away = amount_of(problem, f, index)[h.magnitudes]
-    return float(np.sqrt(max(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away), 0.0)))
+    return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
 
 
 def _rivals_of(
@@ -488,17 +488,18 @@ def _select(
         stage = f"select {len(at.model) + len(chosen) + 1}"
         good: list[tuple[Screened, Worth]] = []
         for s in screened:
-            key = (s.hypothesis.cause.name, *s.hypothesis.fixed.items())
+            name = s.hypothesis.cause.name
+            key = (name, *s.hypothesis.fixed.items())
             if s.gain <= settings.threshold or s.size <= settings.smallest or s.noise is None:
                 seen[key] = _not_fitted(s, settings, stage)
                 continue
             w = _worth_of(problem, here, rest, s)
             if w.share < settings.worth:
                 reason = (
-                    f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square that the "
-                    f"description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
+                    f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square "
+                    f"that the description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
                 )
-                seen[key] = Decision(stage, key[0], s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
+                seen[key] = Decision(stage, name, s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
                 continue
             good.append((s, w))
         if not good or len(at.model) + len(chosen) >= settings.most:
@@ -510,11 +511,9 @@ def _select(
         reason = (
             f"would add {best.gain:.0f} to the log evidence and take {w.rms:.2g} N·m RMS from the simulation's error"
         )
-        key = (best.hypothesis.cause.name, *best.hypothesis.fixed.items())
-        seen.pop(key, None)
-        decisions.append(
-            Decision(stage, key[0], best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason)
-        )
+        name = best.hypothesis.cause.name
+        seen.pop((name, *best.hypothesis.fixed.items()), None)
+        decisions.append(Decision(stage, name, best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason))
         before = (best, gains)
         chosen.append(best)
         here = _with(problem, here, rest, best)
@@ -604,7 +603,10 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
             elif away < settings.significant:
                 reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
             elif w.share < settings.worth:
-                reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error once all causes are fitted together, too little to name"
+                reason = (
+                    f"takes {w.rms:.2g} N·m RMS from the simulation's error once all causes are fitted together, "
+                    "too little to name"
+                )
             verdicts.append((w, size, reason))
         bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
         if not bad:

@@ -39,8 +39,9 @@ class Worth:
 
     Attributes:
       own: mean squares of the residual that it alone removes, by balance [N·m]².
-      share: mean square that it removes where it acts over what is left there beyond the sensors' noise, in the balance where that
-        is most: means weighted by the square of what it removes, so that an effect that acts rarely is judged where it does.
+      share: mean square that it removes where it acts over what is left there beyond the sensors' noise, in the balance where
+        that is most: means weighted by the square of what it removes, so that an effect that acts rarely is judged where it
+        does.
     """
 
     own: np.ndarray

@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -120,7 +120,7 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
     x, effects = np.zeros(calibration.size), _effects(challenge, index, size, nominal, streams[0])
     if not challenge.exact:
         x, effects = _beyond_tolerance(challenge, index, size, calibration, streams[1])
-    scenarios = _scenarios(challenge, nominal, streams[2])
+    scenarios = drawn_scenarios(challenge, index, nominal)
     true, flaws = nominal, None
     if challenge.real:
         flaws = imperfections(nominal, np.random.default_rng([challenge.seed, index, 4]))
@@ -164,6 +164,7 @@ def _beyond_tolerance(
             x = calibration.draw(rng)
             if not any(within_tolerance(calibration, x, effect) for effect in whole):
                 return x, effects
+    raise AssertionError("counting has no end")
 
 
 @lru_cache
@@ -176,7 +177,7 @@ def _drowned(name: str) -> frozenset[str]:
     def hidden(cause: causes.Cause) -> bool:
         rng = np.random.default_rng(0)
         drawn = (cause.draw(record, rng) for _ in range(_REDRAWN))
-        effects = (HiddenEffect(cause.name, cause.component, v, "", lambda p, v=v: cause.apply(p, v)) for v in drawn)
+        effects = (HiddenEffect(cause.name, cause.component, v, "", partial(cause.apply, values=v)) for v in drawn)
         return all(within_tolerance(calibration, x, effect) for effect in effects)
 
     return frozenset(n for n in causes.of(joint) if hidden(causes.get(n)))
@@ -229,12 +230,14 @@ def _effects(challenge: Challenge, index: int, size: float, nominal: Joint, rng)
         cause = causes.get(name)
         values = cause.draw(record[0], rng, size)
         found.append(
-            HiddenEffect(name, cause.component, values, cause.description, lambda p, c=cause, v=values: c.apply(p, v))
+            HiddenEffect(name, cause.component, values, cause.description, partial(cause.apply, values=values))
         )
     return tuple(found)
 
 
-def _scenarios(challenge: Challenge, nominal: Joint, rng: np.random.Generator) -> list[Scenario]:
+def drawn_scenarios(challenge: Challenge, index: int, nominal: Joint) -> list[Scenario]:
+    """The motions of draw number `index`."""
+    rng = np.random.default_rng([challenge.seed, index, 2])
     if challenge.scenarios:
         return [load_scenario(name)[0] for name in challenge.scenarios]
     mountings = list(nominal.mountings)

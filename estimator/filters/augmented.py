@@ -8,7 +8,7 @@ can be told from them. The state carries them with the tolerances as prior (a Sc
 observable: what does not show keeps its variance, and the variance of the torque says so):
 
     θl, ωl    link                                       ωl' = (T + τ + (1 + μ)·link torques)/Jl
-    T         joint torque Ts                            random walk beside what the link's weight changes by
+    T         joint torque Ts                            random walk beside what weight, or in contact the spring, does
     τ         external torque                            random walk, quiet or loud; nothing most of the time
     ε         place within the motor encoder's count     kept while the count stays, new with every count
     κ, ζ      stiffness [1], zero of the link encoder    constant
@@ -24,9 +24,13 @@ Measurements are scalar, one after the other, with Δθf, Tw and the wave genera
     T_i    =  T − N·(f·friction·sgn ωm − κt·Kt·i)        from the current (`current`), while friction slides one way
     0      =  τ                                          while τ is within its own uncertainty of nothing
 
-Counts are cells, not noise: at rest a count says the same thing again and again, which ε has learned once. Contacts are rare: τ and
-T walk loudly only while the innovations of encoder or torsion are larger than their variance (adaptive process noise, Mehra
-1972, as in `dynamics_filter`).
+Regressors are predictions (κ·T, not κ·k(Δθf)): one that shares its noise with the innovation would be learned from noise
+(errors in variables). Constants are learned only in calm, and not from every sample: what the laws leave out is no white noise.
+In between they are considered, not estimated (Schmidt 1966).
+
+Counts are cells, not noise: at rest a count says the same thing again and again, which ε has learned once. Contacts are rare:
+τ and T walk loudly only while the innovations of encoder or torsion are larger than their variance (adaptive process noise,
+Mehra 1972, as in `dynamics_filter`).
 """
 
 from __future__ import annotations
@@ -55,8 +59,9 @@ ORDERS = 3
 LINK, RATE, TORQUE, EXTERNAL, COUNT, STIFFNESS, ZERO, WAVE, CURVE, WEIGHT, FRICTION, CONSTANT, KINEMATIC = range(13)
 SIZE = KINEMATIC + 2 * ORDERS
 _FIELDS = (
-    "link_variance", "count", "torsion_variance", "ripple", "torque_quiet", "torque_loud", "external_quiet", "external_loud",
-    "free", "gate", "current_variance", "sliding", "settled", "memory", "low", "high", "wander", "cutoff", "back", "pause", "every", "wait",
+    "link_variance", "torsion_variance", "ripple", "torque_quiet", "torque_loud", "external_quiet", "external_loud", "free",
+    "gate", "current_variance", "sliding", "settled", "memory", "low", "high", "wander", "cutoff", "back", "pause", "every",
+    "wait", "least", "drive", "ringing",
 )  # fmt: skip
 SETTINGS = np.dtype(
     [(name, np.float64) for name in _FIELDS]
@@ -64,15 +69,21 @@ SETTINGS = np.dtype(
 )
 MEMORY = np.dtype(
     [
-        ("torsion", TORSION), ("current", CURRENT), ("motor_torque", LOWPASS), ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)),
-        ("H", np.float64, SIZE), ("PH", np.float64, SIZE), ("motor_reading", np.float64), ("torsion_ratio", np.float64),
-        ("link_ratio", np.float64), ("calm", np.float64), ("untouched", np.float64), ("slid", np.float64), ("direction", np.float64),
+        ("torsion", TORSION), ("current", CURRENT), ("motor_torque", LOWPASS), ("drive", LOWPASS),
+        ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
+        *((name, np.float64) for name in (
+            "motor_reading", "torsion_ratio", "link_ratio", "calm", "loud", "untouched", "slid", "direction",
+        )),
     ]
 )  # fmt: skip
+"""What `measure` and `torque_of_current` remember; motor torque and drive behind low-passes; state, covariance, scratch; last
+reading of the motor encoder; mean NIS of torsion and link encoder; times [s] since either was loud, and of sliding one way."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
-    "weight_error", "friction_error", "link_innovation", "wave_error", "curve_error", "count_error", "constant_error",
+    "wave_generator_error", "weight_error", "friction_error", "constant_error",
 )])  # fmt: skip
+_LATE = 3.0
+"""Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
 _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
@@ -120,32 +131,42 @@ def _start(m, reading, link, p, c):
 
 
 @kernel
-def _predict(m, weight, slope, h, p, c):
-    """Move on by `h` [s]; weight: link torques [N·m] at x, slope: of them over the link's angle [N·m/rad]."""
+def _predict(m, weight, slope, stiffness, driven, h, p, c):
+    """Move on by `h` [s], torque first, then velocity, then angle: stable as long as the spring turns less than 2 rad.
+
+    Args:
+        weight: link torques [N·m] at x; slope: of them over the link's angle [N·m/rad].
+        stiffness: of transmission and wave generator in series [N·m/rad]; driven: velocity of the drive [rad/s, output side].
+    """
     x, P = m.x, m.P
-    acceleration = (x[TORQUE] + x[EXTERNAL] + (1.0 + x[WEIGHT]) * weight) / p.Jl
-    moved = h * x[RATE]
-    x[LINK] += moved + 0.5 * h * h * acceleration
-    x[TORQUE] -= slope * moved
-    x[RATE] += h * acceleration
-    a = h / p.Jl
+    loud, touched = _share(m.torsion_ratio, c), _share(m.link_ratio, c)
+    loud = max(loud, touched)
+    m.loud = loud if loud > m.loud else m.loud + (1.0 - math.exp(-h / c.ringing)) * (loud - m.loud)
+    spring, a = m.loud * h * min(stiffness, p.Jl / (h * h)), h / p.Jl
+    creep = (1.0 - m.loud) * h * slope
+    x[TORQUE] += spring * (driven - x[RATE]) - creep * x[RATE]
+    x[RATE] += a * (x[TORQUE] + x[EXTERNAL] + (1.0 + x[WEIGHT]) * weight)
+    x[LINK] += h * x[RATE]
     for j in range(SIZE):  # F P
-        rate = P[RATE, j]
+        P[TORQUE, j] -= (spring + creep) * P[RATE, j]
         P[RATE, j] += a * (P[TORQUE, j] + P[EXTERNAL, j] + slope * P[LINK, j] + weight * P[WEIGHT, j])
-        P[LINK, j] += h * rate
-        P[TORQUE, j] -= slope * h * rate
+        P[LINK, j] += h * P[RATE, j]
     for j in range(SIZE):  # (F P) Fᵀ
-        rate = P[j, RATE]
+        P[j, TORQUE] -= (spring + creep) * P[j, RATE]
         P[j, RATE] += a * (P[j, TORQUE] + P[j, EXTERNAL] + slope * P[j, LINK] + weight * P[j, WEIGHT])
-        P[j, LINK] += h * rate
-        P[j, TORQUE] -= slope * h * rate
+        P[j, LINK] += h * P[j, RATE]
     for i in range(SIZE):
         for j in range(i):
             P[i, j] = P[j, i]
-    loud, touched = _share(m.torsion_ratio, c), _share(m.link_ratio, c)
-    P[TORQUE, TORQUE] += h * (c.torque_quiet**2 + max(loud, touched) * c.torque_loud**2)
+    P[TORQUE, TORQUE] += h * (c.torque_quiet**2 + loud * c.torque_loud**2)
     P[EXTERNAL, EXTERNAL] += h * (c.external_quiet**2 + touched * c.external_loud**2)
-    P[ZERO, ZERO] += c.wander**2 * abs(moved)
+    P[ZERO, ZERO] += c.wander**2 * h * abs(x[RATE])
+
+
+@kernel
+def _softness(torque, p):
+    """Compliance of the wave generator [rad/(N·m), motor side] at a torque [N·m, motor side]: Eq. (4) inverted."""
+    return math.exp(-p.Cw * abs(torque)) / p.Kw0
 
 
 @kernel
@@ -165,6 +186,7 @@ def _step(memory, sample, record, settings, out):
     x, P, H = m.x, m.P, m.H
     found = measure(m.torsion, s, p)
     by_current = torque_of_current(m.current, s, c.current, p)
+    lowpass(m.drive, found.motor_position, h, c.drive)
     lowpass(m.motor_torque, found.motor_torque, h, c.cutoff)
     theta, w = found.wave_generator_position, m.current.motor.rate
     # Calm for a while, and not at every sample: what the laws leave is no white noise.
@@ -176,16 +198,16 @@ def _step(memory, sample, record, settings, out):
     if h == 0.0:
         _start(m, s.motor_position, found.link_position, p, c)
         x[TORQUE] = found.torque
-    still = dynamics.drive_state(
-        found.motor_position, w, x[LINK], x[RATE], 0.0, 0.0, s.time, temperature(s, p)
-    )
+    still = dynamics.drive_state(found.motor_position, w, x[LINK], x[RATE], 0.0, 0.0, s.time, temperature(s, p))
     weight = dynamics.link_torque(still, x[TORQUE], p)
     if h > 0.0:
         ahead = dynamics.drive_state(
             found.motor_position, w, x[LINK] + 1e-4, x[RATE], 0.0, 0.0, s.time, temperature(s, p)
         )
         slope = (dynamics.link_torque(ahead, x[TORQUE], p) - weight) / 1e-4
-        _predict(m, weight, slope, h, p, c)
+        ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
+        yielding = 1.0 / laws.flexspline_stiffness(found.torsion, p) + _softness(m.motor_torque.value, p) / p.N**2
+        _predict(m, weight, slope, 1.0 / yielding, m.drive.rate * ratio, h, p, c)
         if s.motor_position != m.motor_reading:
             _new_count(m, c)
         m.motor_reading = s.motor_position
@@ -193,7 +215,6 @@ def _step(memory, sample, record, settings, out):
         H[:] = 0.0
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
-        o.link_innovation = e
         S = _update(m, e, c.link_variance, learn)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
     # Torsion.
@@ -202,7 +223,7 @@ def _step(memory, sample, record, settings, out):
     torsion = found.torsion + (asked - wound) / p.N
     seen = found.torque + laws.flexspline_spring(torsion, p) - laws.flexspline_spring(found.torsion, p)
     K = laws.flexspline_stiffness(torsion, p)
-    soft = math.exp(-min(p.Cw * abs(Tw), 30.0)) / p.Kw0
+    soft = _softness(Tw, p)
     H[:] = 0.0
     H[TORQUE], H[RATE], H[STIFFNESS], H[ZERO], H[COUNT] = 1.0, p.bl, -x[TORQUE], -K, -K
     H[WAVE], H[CURVE] = -K * wound / p.N, -K * (wound - Tw * soft) / p.N
@@ -233,46 +254,54 @@ def _step(memory, sample, record, settings, out):
         _update(m, e, c.current_variance, learn)
     # Nobody touches it.
     m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
-    if m.untouched > c.wait and abs(x[EXTERNAL]) < c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2):
+    sure = c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2)
+    if m.untouched > c.wait and abs(x[EXTERNAL]) < max(sure, c.least):
         H[:] = 0.0
         H[EXTERNAL] = 1.0
-        _update(m, -x[EXTERNAL], c.free**2 * c.back / h, learn)
+        # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
+        spread = c.free**2 if abs(x[EXTERNAL]) < sure else c.free**2 + x[EXTERNAL] ** 2
+        _update(m, -x[EXTERNAL], spread * c.back / h, learn)
     o.torque, o.variance, o.external_torque = x[TORQUE], P[TORQUE, TORQUE], x[EXTERNAL]
-    o.stiffness_error, o.zero_error, o.weight_error = x[STIFFNESS], x[ZERO], x[WEIGHT]
-    o.friction_error, o.wave_error, o.curve_error, o.count_error = x[FRICTION], x[WAVE], x[CURVE], x[COUNT]
-    o.constant_error = x[CONSTANT]
+    o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
+    o.weight_error, o.friction_error, o.constant_error = x[WEIGHT], x[FRICTION], x[CONSTANT]
     return 0 if math.isfinite(o.torque + o.variance) else 1
 
 
 @dataclass(frozen=True)
 class Augmented(CausalEstimator):
-    """Augmented Kalman filter; see the module.
+    """Augmented Kalman filter; see the module. Torques are relative to T2, of the joint's own size.
 
     Attributes:
         torque: intensity of the joint torque's walk [T2/√s]; torque_loud: while innovations contradict.
         external: intensity of the external torque's walk [T2/√s]; push: while the link encoder contradicts.
-        free: external torque that a joint that nobody touches has all the same [T2]; back: over which time [s] that counts.
-        gate: deviations of the external torque from nothing beyond which somebody touches the joint.
-        ripple: noise of the motor torque [Kt·A].
-        cutoff: of the motor torque's low-pass [Hz].
+        free: external torque [T2] that a joint has all the same while nobody touches it; back: over which time [s] that
+            counts; wait: after the last contradiction [s].
+        gate: standard deviations of the external torque from nothing beyond which somebody touches the joint, if it is more
+            than `least` [T2].
+        ripple: noise of the motor torque that stands for the wave generator's [Kt·A].
+        cutoff: of that motor torque's low-pass [Hz]; drive: of the drive's velocity [Hz], which counts during contacts and for
+            `ringing` [s] after.
         current: noise of the torque that the current means, in one sample [T2].
+        pause: calm [s] before constants are learned; every: between samples from which they are [s].
         memory: share of the mean NIS that is kept per sample.
-        threshold: mean NIS from which on the noise grows, and where it has grown in full.
-        model: what a perfectly known joint departs from its laws by: stiffness [1] and zero [counts of the motor encoder].
+        low, high: mean NIS from which on the noise grows, and where it has grown in full.
     """
 
     name: str = "augmented"
-    torque: float = 0.03
-    torque_loud: float = 0.5
-    external: float = 0.001
+    torque: float = 0.025
+    torque_loud: float = 2.0
+    external: float = 0.0004
     push: float = 4.0
     free: float = 0.001
-    back: float = 0.1
+    back: float = 0.05
     gate: float = 4.0
-    ripple: float = 0.01
-    cutoff: float = 30.0
+    least: float = 0.03
+    ripple: float = 0.03
+    cutoff: float = 100.0
+    drive: float = 150.0
+    ringing: float = 0.3
     current: float = 0.1
-    pause: float = 0.2
+    pause: float = 0.5
     every: float = 0.02
     wait: float = 0.05
     memory: float = 0.8
@@ -296,7 +325,10 @@ class Augmented(CausalEstimator):
         found = np.zeros(1, SETTINGS)
         c = found[0]
         link = noise.link_noise**2 + noise.link_resolution**2 / 6.0
-        c["link_variance"], c["count"] = link, count
+        c["link_variance"] = link
+        if p["link_delay"] > 0.0:  # a line's end (`compliance`), and what happens meanwhile
+            link += (_LATE * count) ** 2
+            c["link_variance"] = link
         c["torsion_variance"] = link + (noise.motor_noise / p["N"]) ** 2 + (0.1 * count) ** 2
         c["ripple"] = p["Kt"] * self.ripple
         c["torque_quiet"], c["torque_loud"] = self.torque * scale, self.torque_loud * scale
@@ -305,8 +337,10 @@ class Augmented(CausalEstimator):
         c["current_variance"] = (self.current * scale) ** 2
         c["sliding"], c["settled"] = 2.5 * p["vs"], 0.05
         c["memory"], c["low"], c["high"] = self.memory, self.low, self.high
+        c["least"] = self.least * scale
         c["wander"] = joint.link_wander
         c["cutoff"] = 2 * math.pi * self.cutoff
+        c["drive"], c["ringing"] = 2 * math.pi * self.drive, self.ringing
         c["pause"], c["every"], c["wait"] = self.pause, self.every, self.wait
         prior = c["prior"]
         prior[[LINK, RATE, TORQUE]] = math.sqrt(link), 1.0 / p["N"], scale

@@ -2,8 +2,9 @@
 
 State and laws: `joint_model`; the filter: `dynamics_filter`. The current is an input, the encoders are the measurements.
 
-`dynamics_ekf` takes the record as it is; `dynamics_ekf_calibrating` also estimates stiffness and torque constant, with the
-tolerances of a data sheet (7 %, 2 %) as prior: better where the record is wrong, worse where it is right.
+It takes the record as it is. With `process.stiffness` and `process.motor_constant` (0.07 and 0.02, the tolerances of a data
+sheet) it estimates those two; kinematic error that is off then passes for stiffness, and on joints known within tolerance
+that is worse than leaving them (`augmented` is for those).
 """
 
 from __future__ import annotations
@@ -57,7 +58,4 @@ class DynamicsEKF(CausalEstimator):
         return found
 
 
-ESTIMATORS = (
-    DynamicsEKF(),
-    DynamicsEKF("dynamics_ekf_calibrating", ProcessNoise(stiffness=0.07, motor_constant=0.02)),
-)
+ESTIMATORS = (DynamicsEKF(),)

@@ -99,7 +99,10 @@ class RTSSmoother(Estimator):
             )
         states = out[:, fields_of(OUT).index(STATES[0]) :].copy()
         torque, variance = out[:, 0].copy(), out[:, 1].copy()
-        backward(samples["time"], states, joint.record, settings, F, predicted, covariance, P, torque, variance)
+        try:
+            backward(samples["time"], states, joint.record, settings, F, predicted, covariance, P, torque, variance)
+        except np.linalg.LinAlgError as error:  # a covariance that is finite and whose inverse is not
+            raise FilterDiverged(self.name, n - 1, float(signals.time[-1]), f"its smoother: {error}") from error
         out[:, 0], out[:, 1], out[:, fields_of(OUT).index(STATES[0]) :] = torque, variance, states
         return filtered.posterior(signals.time, out)
 

@@ -6,7 +6,8 @@ to chance, so that measures of draws are independent and an interval over them m
 
 * the joint: every number that has a tolerance, drawn within `tolerance` times it (`models.calibration`);
 * the motion: start angle, within one turn of the motor to either side or more, and with it the motor's phase; its duration;
-* pushes: onset, duration, size and sign; * the sensors' noise.
+* pushes: onset, duration, size and sign;
+* the sensors' noise.
 
 The estimators are told the nominal numbers, and how well those are known.
 """
@@ -26,7 +27,7 @@ from ...models.signals import Signals
 from ...sim.loop import Simulation
 from ...sim.sensors import stream
 from ..experiment import Experiment, signals_of
-from ..scenario import Disturbance, Scenario, Waypoint
+from ..scenario import Disturbance, Scenario
 from .intervals import Interval, interval
 
 TURNS = 3.0
@@ -66,25 +67,20 @@ class Draw:
 
 
 def varied(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with another start, pace and pushes, and with the seed as its own; without waypoints before the first
-    motion the start alone moves."""
+    """The scenario with another start, pace and pushes, and with the seed as its own; no motion ends after the scenario that
+    did not before."""
     rng = stream(seed, f"draw {scenario.name}")
     start = rng.uniform(-TURNS, TURNS) * 2 * math.pi / 100.0
     pace = 1.0 + rng.uniform(-PACE, PACE)
-    first = scenario.trajectory[0].time
+    first, last = scenario.trajectory[0].time, scenario.trajectory[-1].time
+    if first < last <= scenario.duration:
+        pace = min(pace, (scenario.duration - first) / (last - first))
     waypoints = [
-        w.model_copy(
-            update={"time": min(first + pace * (w.time - first), scenario.duration), "position": w.position + start}
-        )
+        w.model_copy(update={"time": first + pace * (w.time - first), "position": w.position + start})
         for w in scenario.trajectory
     ]
     pushes = [_varied_push(d, rng, scenario.duration) for d in scenario.disturbances]
-    update = {
-        "trajectory": [Waypoint.model_validate(w.model_dump()) for w in waypoints],
-        "disturbances": pushes,
-        "seed": seed,
-    }
-    return scenario.model_copy(update=update)
+    return scenario.model_copy(update={"trajectory": waypoints, "disturbances": pushes, "seed": seed})
 
 
 def _varied_push(push: Disturbance, rng: np.random.Generator, end: float) -> Disturbance:

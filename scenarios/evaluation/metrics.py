@@ -15,6 +15,7 @@ _STEADY_RATE = 0.5  # N·m/s: slower than this is steady
 _LONGEST_DELAY = 0.1  # s
 _EARLIEST = 5  # samples by which an estimate may be early
 _RESPONSE = 0.9
+_LEVEL = 0.05  # s before a push, over which an estimate's level is taken
 _LONGEST_PUSH = 2.0  # s: a disturbance that lasts longer is a load, not a push
 
 
@@ -103,22 +104,33 @@ def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
 
 
 def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
-    """Mean time [s] from a push's onset until the estimate has made 90 % of the torque's first swing.
+    """Mean of `responses` [s] over the pushes that the estimate follows; None where there is none."""
+    times = responses(estimate, truth, dt, events)
+    return float(np.nanmean(times)) if np.isfinite(times).any() else None
 
-    The swing ends at the first extremum of the true torque that exceeds half the largest change during the push.
-    None where there is no push, or the estimate never gets there during one.
+
+def responses(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> np.ndarray:
+    """Time [s] after the truth at which the estimate has made 90 % of the first swing that each push gives the torque.
+
+    The swing ends at the first extremum of the true torque that exceeds half the largest change during the push; the time
+    counts from where the true torque itself has made 90 % of it. Both count from their own level before the push, the mean of
+    50 ms: an estimate that is off by a constant is neither early nor late.
+
+    Returns:
+      Shape (pushes,), of those that change the torque by 0.2 N·m or more; NaN where the estimate never gets there during one.
     """
-    times = []
+    times, before = [], max(round(_LEVEL / dt), 1)
     for begin, end in events:
         change = truth[begin:end] - truth[begin]
         if len(change) < 3 or np.max(np.abs(change)) < 0.2:
             continue
         extremum = _first_peak(np.abs(change), 0.5 * float(np.max(np.abs(change))))
         goal = _RESPONSE * change[extremum]
-        made = (estimate[begin:end] - truth[begin]) * np.sign(goal) >= abs(goal)
-        if np.any(made):
-            times.append(int(np.argmax(made)) * dt)
-    return float(np.mean(times)) if times else None
+        level = float(np.mean(estimate[max(begin - before, 0) : begin + 1]))
+        made = (estimate[begin:end] - level) * np.sign(goal) >= abs(goal)
+        itself = int(np.argmax(change * np.sign(goal) >= abs(goal)))
+        times.append((int(np.argmax(made)) - itself) * dt if np.any(made) else np.nan)
+    return np.array(times, dtype=np.float64)
 
 
 def _first_peak(x: np.ndarray, height: float) -> int:
@@ -182,7 +194,7 @@ class Reference:
         return during
 
     def response_ms(self, estimate: np.ndarray) -> float | None:
-        """Mean 90 % response to a push [ms] of an estimate, shape (n,) [N·m] (`response_time`)."""
+        """Mean time after the truth to 90 % of a push [ms] of an estimate, shape (n,) [N·m] (`response_time`)."""
         response = response_time(estimate, self.truth, self.dt, self.events)
         return None if response is None else 1e3 * response
 

@@ -24,10 +24,11 @@ from ...models import causes
 from ...models.errors import InputError
 from ...models.files import parse
 from ...sim import sensors
+from ..evaluation import draws
 from ..experiment import Experiment
 from ..filters import FilterEntry
 from ..scenario import Scenario, load_scenario, put
-from .study import CauseAxis, LoadAxis, ScaleAxis, SettingAxis, Study, Value, points, varies
+from .study import CauseAxis, LoadAxis, ScaleAxis, SettingAxis, Study, ToleranceAxis, Value, points, varies
 
 
 @dataclass(frozen=True)
@@ -176,8 +177,28 @@ class Design:
 
     def noise_seed(self, cell: Cell, seed: int) -> int:
         """Seed of the sensors' noise of a run."""
-        words = np.random.SeedSequence([self.study.seed, zlib.crc32(cell.scenario.encode()), seed]).generate_state(2)
-        return (int(words[0]) << 31) ^ int(words[1])
+        return _mixed(self.study.seed, zlib.crc32(cell.scenario.encode()), seed)
+
+    def drawn(self, cell: Cell, seed: int, experiment: Experiment) -> tuple[Experiment, np.ndarray | None]:
+        """A cell's experiment as a seed draws it, and the plant's record, shape (1,), where it is not the experiment's own.
+
+        A joint within tolerance depends on study and seed alone; motion and pushes on the scenario as well.
+        """
+        if self.study.vary:
+            scenario = draws.varied(experiment.scenario, self.noise_seed(cell, seed))
+            position, velocity = scenario.commands()
+            experiment = replace(
+                experiment, scenario=scenario, position=position, velocity=velocity,
+                external_torque=scenario.external_torque(),
+            )  # fmt: skip
+        record = None
+        for axis in self.study.axes:
+            if isinstance(axis, ToleranceAxis):
+                tolerance = float(cell.columns[axis.name])
+                record = draws.drawn_record(experiment, _mixed(self.study.seed, seed), tolerance, axis.tared)
+                experiment = replace(experiment, known=draws.told(experiment.known, tolerance, axis.tared))
+        hidden = self.hidden(cell, seed, experiment.record if record is None else record)
+        return experiment, record if hidden is None else hidden
 
     def hidden(self, cell: Cell, seed: int, record: np.ndarray) -> np.ndarray | None:
         """The plant's record with the cell's cause in it, shape (1,); None where there is none."""
@@ -190,6 +211,12 @@ class Design:
         one = causes.get(cause)
         one.apply(hidden[0], one.draw(hidden[0], rng, float(cell.columns[axis.name])))
         return hidden
+
+
+def _mixed(*numbers: int) -> int:
+    """One seed of several numbers."""
+    words = np.random.SeedSequence(numbers).generate_state(2)
+    return (int(words[0]) << 31) ^ int(words[1])
 
 
 def _variant(entry: FilterEntry, axes: list[SettingAxis], columns: dict[str, Value]) -> Estimator:

@@ -11,7 +11,7 @@ from pydantic import Field, model_validator
 
 from ...models import causes
 from ...models.errors import InputError, nearest
-from ...models.files import Strict, find, load
+from ...models.files import Strict, find, load, shown
 from ..filters import FilterEntry, paper_entries, parameters_of
 
 METRICS = (
@@ -102,7 +102,21 @@ class CauseAxis(Axis):
         return self
 
 
-AnyAxis = Annotated[SettingAxis | ScaleAxis | LoadAxis | CauseAxis, Field(discriminator="kind")]
+class ToleranceAxis(Axis):
+    """The plant's joint drawn within so many times its tolerances, per seed; the estimators are told the nominal numbers, and
+    how well those are known.
+
+    The draw at another tolerance is the same draw, farther or nearer, and every scenario has the same joints. `tared`: the link
+    encoder's zero is known; otherwise it is drawn, too.
+    """
+
+    kind: Literal["tolerance"]
+    name: Annotated[str, Field(pattern=_NAME)] = "tolerance"
+    values: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)]
+    tared: bool = True
+
+
+AnyAxis = Annotated[SettingAxis | ScaleAxis | LoadAxis | CauseAxis | ToleranceAxis, Field(discriminator="kind")]
 
 
 class Seeds(Strict):
@@ -135,8 +149,11 @@ class Study(Strict):
     seeds: Seeds | Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)]
     scenarios: Annotated[list[ScenarioChoice], Field(min_length=1)]
     set: Annotated[dict[str, Value | bool], Field(description="changes to dotted keys of every scenario")] = {}
+    vary: Annotated[bool, Field(description="draw start, pace and pushes per seed, so that runs are independent")] = (
+        False
+    )
     axes: Annotated[list[AnyAxis], Field(max_length=6)] = []
-    filters: Annotated[list[FilterEntry], Field(min_length=1, default_factory=paper_entries)]
+    filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
     metrics: Annotated[list[Literal[METRICS]], Field(min_length=1)] = list(METRICS)  # type: ignore[valid-type]
     reference: Annotated[str, Field(description="filter that the others are compared to")] = ""
 
@@ -157,11 +174,13 @@ class Study(Strict):
             taken.append(axis.name)
             values = axis.sizes if isinstance(axis, CauseAxis) else axis.values
             if len({str(v) for v in values}) < len(values) or len({isinstance(v, str) for v in values}) > 1:
-                raise ValueError(f"axes.{i}: expected values of one kind, each once, got {values}")
+                raise ValueError(f"axes.{i}: expected values of one kind, each once, got {shown(values)}")
             if isinstance(axis, SettingAxis) and axis.of_filters:
                 self._check_parameter(i, axis)
-        if sum(isinstance(axis, CauseAxis) for axis in self.axes) > 1:
-            raise ValueError("axes: expected at most one of kind cause, got more")
+        for kind in (CauseAxis, ToleranceAxis):
+            if sum(isinstance(axis, kind) for axis in self.axes) > 1:
+                name = next(axis.kind for axis in self.axes if isinstance(axis, kind))
+                raise ValueError(f"axes: expected at most one of kind {name}, got more")
         if len(set(self.seed_list)) < len(self.seed_list):
             raise ValueError("seeds: expected every seed once, got one twice")
         return self

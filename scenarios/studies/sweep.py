@@ -61,9 +61,9 @@ def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -
         if stop is not None and stop.is_set():
             return None
         seed = design.study.seed_list[run]
-        record = design.hidden(cell, seed, experiment.record)
-        plant = model if record is None else experiment.build(record)
-        outcomes = outcomes_of(design, cell, seed, experiment, record, plant)
+        drawn, record = design.drawn(cell, seed, experiment)
+        plant = model if record is None else drawn.build(record)
+        outcomes = outcomes_of(design, cell, seed, drawn, record, plant)
         head: dict[str, Any] = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
         for variant, outcome in zip(design.variants, outcomes, strict=True):
             rows.append(head | variant.columns | {"filter": variant.name, "failure": outcome.failure} | outcome.metrics)

@@ -127,3 +127,21 @@ def test_json_has_no_infinity():
         "a": [1.5, None],
         "b": [None, "µ", None, 3],
     }
+
+
+def test_brackets_in_names_are_no_markup(flexspline, tmp_path):
+    out = tmp_path / "a[" / "b][bold]"  # which reads as the end of a markup tag
+    code, text, err = flexspline(*RUN, "--out", out)
+    assert code == 0, err
+    assert str(out / "no_load") in text.replace("\n", "")
+
+
+@pytest.mark.parametrize("command", [["check"], ["view"], ["verify"], ["run"], ["import", "lara8"], ["sweep"]])
+def test_a_pipe_is_refused_at_once(flexspline, tmp_path, command):
+    (tmp_path / "in").mkdir()
+    for name in ("m.csv", "m.yaml", "run.rrd", "no_load.parquet"):
+        os.mkfifo(tmp_path / "in" / name)
+    place = {"check": "m.csv", "view": "run.rrd", "verify": "", "run": "m.yaml", "import": "m.csv", "sweep": "m.yaml"}
+    out = [] if command[0] in ("check", "view", "verify") else ["--out", tmp_path / "out"]
+    code, _, err = flexspline(*command, tmp_path / "in" / place[command[0]], *out)
+    assert code == 2 and err.count("\n") == 1, err

@@ -37,9 +37,10 @@ def test_check_says_what_is_there(flexspline, measurement):
         assert text in out
 
 
-def test_check_says_what_cannot_show(flexspline, tmp_path):
+def test_check_says_what_cannot_show(flexspline, tmp_path, rng):
     n = 3000
-    columns = {"motor_position": np.full(n, 0.1), "link_position": np.full(n, 0.001), "motor_current": np.zeros(n)}
+    noise = 0.01 * rng.standard_normal(n)
+    columns = {"motor_position": np.full(n, 0.1), "link_position": np.full(n, 0.001), "motor_current": noise}
     write_recording(Recording("still", np.arange(n) * 1e-3, columns, external="unmeasured"), tmp_path)
     code, out, _ = flexspline("check", tmp_path)
     assert code == 0

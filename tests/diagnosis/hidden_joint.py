@@ -9,16 +9,18 @@ import math
 from pathlib import Path
 
 import numpy as np
-from flexspline.sim.recording import Measurement, Recording
 from numba import njit
 
 from flexspline.models import causes, laws
 from flexspline.models.calibration import Calibration
 from flexspline.models.joint import Joint
+from flexspline.models.parameters import REFERENCE_TEMPERATURE
+from flexspline.models.recording import Measurement, Recording
 
 SUBSTEPS = 20
 COUNT = 2 * math.pi / 4096
 LINK_COUNT = 2 * math.pi / 2**20
+_COLUMNS = ("motor_position", "link_position", "motor_current", "joint_torque")
 
 
 @njit(cache=True)
@@ -57,13 +59,13 @@ def _simulate(p, command, push, bump, gains, noise):
                 out[k, 1] = round(reading / LINK_COUNT) * LINK_COUNT
                 out[k, 2] = laws.current_reading(current, p) + 0.01 * noise[k, 1]
                 out[k, 3] = laws.torque_reading(Ts, time, p) + 0.03 * noise[k, 2]
-            g = laws.friction_level(w, thl, Tf, time + s * h, p)
+            g = laws.stribeck_friction(w, thl, Tf, time + s * h, REFERENCE_TEMPERATURE, p)
             z = laws.bristle_step(z, w, g, h, p)
-            friction = laws.mesh_friction(z, w, g, p) + p.bw * w
+            friction = laws.mesh_friction(z, w, g, p) + laws.viscous_friction(w, REFERENCE_TEMPERATURE, p)
             Tw = laws.wave_generator_spring(thm - thw, p) + p.dw * (vm - w)
             on_link = Ts + laws.gravity_torque(thl, p) + laws.link_torque(thl, p) + push[k]
             on_link += bump[0] * math.exp(-0.5 * ((thl - bump[1]) / bump[2]) ** 2)
-            vm += h * (p.Kt * current - p.bm * vm - Tw + laws.rotor_torque(thm, p)) / p.Jm
+            vm += h * (p.Kt * current - p.bm * vm - Tw + laws.cogging_torque(thm, p)) / p.Jm
             w += h * (Tw - friction - Tf * slope) / p.Jw
             vl += h * on_link / p.Jl
             thm += h * vm
@@ -143,10 +145,9 @@ def measure(
             Recording(
                 name=name,
                 time=1e-3 * kept,
-                motor_position=read[kept, 0],
-                link_position=read[kept, 1],
-                motor_current=read[kept, 2],
-                joint_torque=None if bare else read[kept, 3],
+                columns={
+                    name: read[kept, i] for i, name in enumerate(_COLUMNS) if not (bare and name == "joint_torque")
+                },
                 link=mounting,
                 external="unmeasured" if name == "push" else "none",
             )

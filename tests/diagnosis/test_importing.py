@@ -1,13 +1,17 @@
-"""Mapping files: other programs' logs as recordings."""
+"""Mapping files: other programs' logs as recordings; `flexspline import`."""
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 import pytest
 import yaml
-from flexspline.diagnosis.importing import import_recording, known_layouts, load_layout
+from typer.testing import CliRunner
 
+from flexspline import commands
+from flexspline.diagnosis.data.importing import import_recording, known_layouts, load_layout
 from flexspline.models.errors import InputError
+from flexspline.models.recording import read_measurement
 
 LAYOUT = {
     "format": 1,
@@ -46,25 +50,30 @@ def log(tmp_path, text=LOG):
 def test_units_signs_zeros_and_sums(tmp_path):
     r = import_recording(layout(tmp_path), log(tmp_path))
     np.testing.assert_allclose(r.time, [0, 1e-3])
-    np.testing.assert_allclose(r.motor_position, [0.5, 0.5 - np.pi / 2])
-    np.testing.assert_allclose(np.diff(r.link_position), np.deg2rad(1))
-    assert np.mean(r.link_position) == pytest.approx(0.1)
-    np.testing.assert_allclose(r.motor_current, [0.1, 0.2])
-    np.testing.assert_allclose(r.joint_torque, [2.0, 3.0])
-    assert r.external_torque is None and r.external == "none" and r.joint == "test-joint"
+    np.testing.assert_allclose(r["motor_position"], [0.5, 0.5 - np.pi / 2])
+    np.testing.assert_allclose(np.diff(r["link_position"]), np.deg2rad(1))
+    assert np.mean(r["link_position"]) == pytest.approx(0.1)
+    np.testing.assert_allclose(r["motor_current"], [0.1, 0.2])
+    np.testing.assert_allclose(r["joint_torque"], [2.0, 3.0])
+    assert "external_torque" not in r and r.external == "none" and r.joint == "test-joint"
 
 
 def test_an_encoder_that_wraps_is_unwrapped(tmp_path):
     wraps = {"column": "m", "unit": "counts", "counts": 4096, "wraps": True}
     text = "t;m;l;i;fx;my;angle\n" + "".join(f"{k};{(k * 1000) % 4096};0;0;0;0;0\n" for k in range(20))
     r = import_recording(layout(tmp_path, **columns(motor_position=wraps)), log(tmp_path, text))
-    np.testing.assert_allclose(np.diff(r.motor_position), 2 * np.pi * 1000 / 4096)
+    np.testing.assert_allclose(np.diff(r["motor_position"]), 2 * np.pi * 1000 / 4096)
 
 
 @pytest.mark.parametrize(
     "changes, words",
     [
-        ({"columns": {"time": {"column": "t", "unit": "s"}}}, ["columns.motor_position: missing"]),
+        ({"columns": {"motor_position": {"column": "t", "unit": "rad"}}}, ["columns.time: missing"]),
+        (
+            {"columns": {"time": {"column": "t", "unit": "s"}}},
+            ["columns", "a position", "motor_position", "link_position"],
+        ),
+        (columns(motor_position={"column": "m", "unit": "rpm"}), ["columns.motor_position.unit", "'rad'"]),
         (columns(motor_curent={"column": "i", "unit": "A"}), ["motor_curent", "did you mean 'motor_current'"]),
         (columns(motor_current={"column": "i", "unit": "amp"}), ["unit", "'amp'"]),
         (columns(motor_current={"column": "i", "unit": "rad"}), ["columns.motor_current.unit", "'A'"]),
@@ -101,8 +110,138 @@ def test_a_bad_log_is_named(tmp_path, text, words):
 
 
 def test_the_shipped_layouts_are_valid():
-    assert "lara8" in known_layouts()
+    assert {"lara8", "ur3e"} <= set(known_layouts())
     for name in known_layouts():
         assert load_layout(name).name == name
     with pytest.raises(InputError, match="did you mean 'lara8'"):
         load_layout("lara9")
+
+
+def test_decimal_commas_semicolons_latin_1_and_speeds(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = "".join(f"{k / 100:.2f}".replace(".", ",") + f";6,0;{k % 3},5;25 °C\n" for k in range(50))
+    path.write_bytes(("Zeit;Drehzahl;I;Wärme µ\n" + rows).encode("latin-1"))
+    data = {
+        "format": 1, "name": "german", "joint": "test-joint", "link": LAYOUT["link"], "decimal": ",",
+        "columns": {
+            "time": {"column": "Zeit", "unit": "s"},
+            "motor_position": {"column": "Drehzahl", "unit": "rpm", "integrate": True, "offset": 1.0},
+            "motor_current": {"column": "I", "unit": "A"},
+            "joint_torque": {"column": "M", "unit": "N·m", "optional": True},
+        },
+    }  # fmt: skip
+    mapping = tmp_path / "german.yaml"
+    mapping.write_text(yaml.safe_dump(data, allow_unicode=True))
+    r = import_recording(load_layout(mapping), path)
+    np.testing.assert_allclose(r["motor_position"], 1.0 + 6.0 * 2 * np.pi / 60 * r.time, atol=1e-12)
+    np.testing.assert_allclose(r["motor_current"][:4], [0.5, 1.5, 2.5, 0.5])
+    assert "joint_torque" not in r
+    path.write_bytes(path.read_bytes().replace(b"0,10;6,0", "0,10;6,0°".encode("latin-1")))
+    with pytest.raises(InputError, match=r"'Drehzahl', row 11 .*6,0°"):
+        import_recording(load_layout(mapping), path)
+
+
+def test_a_zero_that_is_known_is_kept(tmp_path):
+    zero = {"column": "angle", "unit": "rad", "beyond": 0.05}
+    known = {"column": "l", "unit": "rad", "offset": -9.5, "zero": zero}
+    text = "t;m;l;i;fx;my;angle\n" + "".join(f"{k};0;{10 + 0.01 * k};0;0;0;{0.5 + 0.01 * k}\n" for k in range(5))
+    near = import_recording(layout(tmp_path, **columns(link_position=known)), log(tmp_path, text))
+    assert near["link_position"][0] == pytest.approx(0.5)
+    off = import_recording(layout(tmp_path, **columns(link_position={**known, "offset": -9.46})), log(tmp_path, text))
+    assert off["link_position"][0] == pytest.approx(0.54)
+    away = import_recording(layout(tmp_path, **columns(link_position={**known, "offset": -7.0})), log(tmp_path, text))
+    assert away["link_position"][0] == pytest.approx(0.5)
+
+
+def run(*arguments):
+    return CliRunner().invoke(commands.app, ["import", *map(str, arguments)])
+
+
+@pytest.fixture
+def mapping(tmp_path):
+    layout(tmp_path)
+    return tmp_path / "mine.yaml"
+
+
+def test_several_logs_at_once(tmp_path, mapping):
+    for stem in ("a", "b"):
+        (tmp_path / f"{stem}.csv").write_text(LOG)
+    result = run(mapping, tmp_path / "a.csv", tmp_path / "b.csv", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert [r.name for r in read_measurement(tmp_path / "out").recordings] == ["a", "b"]
+
+
+def test_nothing_is_overwritten_or_written_elsewhere(tmp_path, mapping):
+    out = tmp_path / "out"
+    assert run(mapping, log(tmp_path), "--out", out).exit_code == 0
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    for arguments in (
+        (mapping, log(tmp_path), "--out", out),
+        (mapping, log(tmp_path), "--out", out, "--name", "../esc"),
+        (mapping, log(tmp_path), log(tmp_path), "--out", out, "--force"),
+        (mapping, "--out", out),
+        (out, "--out", out, "--force"),
+    ):
+        result = run(*arguments)
+        assert isinstance(result.exception, InputError) and "\n" not in str(result.exception)
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+    assert not (tmp_path / "esc.parquet").exists()
+    (out / "own.parquet").write_text("somebody's")
+    assert isinstance(run(mapping, log(tmp_path), "--out", out, "--name", "own", "--force").exception, InputError)
+    assert (out / "own.parquet").read_text() == "somebody's"
+    (tmp_path / "log.csv").write_text(LOG.replace("100", "300"))
+    assert run(mapping, tmp_path / "log.csv", "--out", out, "--force").exit_code == 0
+    assert read_measurement(out / "log.parquet").recordings[0]["motor_current"][0] == pytest.approx(0.3)
+
+
+def test_a_joint_beside_the_mapping_is_found_from_the_recording(tmp_path, mapping):
+    from flexspline.models.joint import known_joints
+
+    (tmp_path / "j.yaml").write_text(known_joints()["test-joint"].read_text())
+    (tmp_path / "test_joint.xml").write_text((known_joints()["test-joint"].parent / "test_joint.xml").read_text())
+    layout(tmp_path, joint="j.yaml")
+    assert run(mapping, log(tmp_path), "--out", tmp_path / "deep" / "out").exit_code == 0
+    assert read_measurement(tmp_path / "deep" / "out").load_joint().name == "test-joint"
+
+
+def test_the_ur3e_shoulder_hangs_on_its_arm(shared, tmp_path):
+    source = shared / "data" / "ur3e" / "shoulder_first_half.csv"
+    assert run("ur3e", source, "--out", tmp_path).exit_code == 0
+    recording = read_measurement(tmp_path).recordings[0]
+    assert set(recording.columns) == {"link_position", "motor_current", "position_command"}
+    assert recording.link.inertia == pytest.approx(0.82, rel=0.01)
+    assert recording.link.gravity_moment == pytest.approx(18.6, rel=0.01)
+    result = CliRunner().invoke(commands.app, ["check", str(tmp_path)])
+    assert result.exit_code == 0 and "torsion cannot be seen" in result.output and "no mistake" in result.output
+
+
+def test_the_ur3e_shoulder_is_pulled_as_its_arm_says():
+    from flexspline.models import laws
+    from flexspline.models.joint import load_joint
+    from flexspline.sim import plant
+
+    joint = load_joint("ur3e-shoulder")
+    record, model = joint.record(), plant.build(joint)
+    data = mujoco.MjData(model)
+    for q in (-3.0, -1.5, 0.0):
+        plant.start(model, data, np.array([101 * q, 101 * q, q]))
+        mujoco.mj_forward(model, data)
+        assert -data.qfrc_bias[2] == pytest.approx(laws.gravity_torque(q, record[0]), rel=1e-9)
+        assert -data.qfrc_bias[2] == pytest.approx(18.61 * np.cos(q), abs=1e-3)
+
+
+def test_lara8_takes_a_file_of_another_power_up(shared, tmp_path):
+    source = shared / "data" / "lara8" / "joint3_outbound.csv"
+    one = import_recording(load_layout("lara8"), source)
+    lines = source.read_text().splitlines()
+    names = lines[0].split(",")
+    motor, target = names.index("encoder_motorinc_3"), names.index("target_joint_angles_3")
+    rows = [line.split(",") for line in lines]
+    for row in rows[1:]:
+        row[motor] = str(int(row[motor]) + 123456789)
+    text = "\n".join(",".join(cell for i, cell in enumerate(row) if i != target) for row in rows)
+    (tmp_path / "other.csv").write_text(text + "\n")
+    other = import_recording(load_layout("lara8"), tmp_path / "other.csv")
+    assert "position_command" not in other
+    torsion = [r["motor_position"] / 101 - r["link_position"] for r in (one, other)]
+    assert np.abs(np.mean(torsion[1])) < 5e-3 and np.ptp(torsion[0] - torsion[1]) < 1e-9

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
+import subprocess
 from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
@@ -80,7 +82,7 @@ def report(measured) -> Report:
     gained = improvement(measured[1], joint, found)
     plan = Plan(
         (Question(("backlash",), 1.0, 7.0), Question(("cogging", "kinematic_error"), 2.0, 4.5)),
-        (Proposal("link_sweep", "slow", True, 40.0, (9.0, 3.0)),),
+        (Proposal("link_sweep", "slow", 40.0, (9.0, 3.0)),),
     )
     return Report(measured[1], joint, with_improvement(found, gained), gained, plan)
 
@@ -117,6 +119,41 @@ def test_page_is_readable_in_the_dark_on_a_phone_and_on_paper(report):
     light, dark = (dict(re.findall(r"--(\w+):(#\w+)", part)) for part in style.split("@media screen")[:2])
     assert set(re.findall(r"var\(--(\w+)\)", style)) <= set(light)
     assert {name: dark.get(name) for name in light} and set(light) == set(dark)
+
+
+LOOK = """<script>
+const wide = [...document.querySelectorAll("main *")].filter(e => e.getBoundingClientRect().right > innerWidth + 1);
+const size = `${innerWidth} ${document.documentElement.scrollWidth}`;
+document.title = `${size} ${wide.length} ${wide.slice(0, 3).map(e => e.tagName + "." + e.getAttribute("class"))}`;
+</script>"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [500, 800, 1400])
+def test_nothing_is_wider_than_the_window(report, width, tmp_path):
+    """In a browser; 500 px is the narrowest window that a headless one makes, a frame is narrower."""
+    browser = next((b for b in ("chromium", "chromium-browser", "google-chrome") if shutil.which(b)), None)
+    if browser is None:
+        pytest.skip("no Chromium here")
+    page = html(report).replace("<details", "<details open")
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--window-size={width},1000", "--dump-dom"]
+
+    def title(name: str, text: str) -> str:
+        path = tmp_path / name
+        path.write_text(text, encoding="utf-8")
+        done = subprocess.run([*command, path.as_uri()], capture_output=True, text=True, timeout=60)
+        assert "ERROR:CONSOLE" not in done.stderr
+        return re.search(r"<title>(.*?)</title>", done.stdout).group(1)
+
+    inner, whole, count, *which = title("page.html", page.replace("</body>", LOOK + "</body>")).split(" ", 3)
+    assert int(whole) <= int(inner) and count == "0", which
+    if width == 500:
+        (tmp_path / "inner.html").write_text(page.replace("</body>", LOOK + "</body>"), encoding="utf-8")
+        frame = '<title>?</title><iframe src="inner.html" style="width:360px;height:900px;border:0"></iframe>'
+        look = "<script>onload = () => { document.title = frames[0].document.title }</script>"
+        command.insert(1, "--allow-file-access-from-files")
+        inner, whole, count, *which = title("frame.html", frame + look).split(" ", 3)
+        assert int(inner) == 360 and int(whole) <= 360 and count == "0", which
 
 
 def test_report_answers_what_a_colleague_asks(report):
@@ -243,6 +280,16 @@ def test_mistakes_in_the_data_come_first_and_say_what_mends_them(report):
     assert "flexspline check '" in head and "--fix --out MENDED" in head
 
 
+def test_what_makes_physics_meaningless_is_a_mistake_and_no_effect(measured):
+    scaled = tuple(
+        replace(r, columns={**r.columns, "motor_current": 1e3 * r["motor_current"]}) for r in measured[1].recordings
+    )
+    found = diagnose(replace(measured[1], recordings=scaled), load_joint("test-joint"))
+    assert found.verdict == "inconclusive" and found.minor == () and found.problem is None
+    assert [(m.name, m.column) for m in found.mistakes] == [("unit", "motor_current")]
+    assert found.to_json()["mistakes"][0]["factor"] == pytest.approx(1e-3)
+
+
 def test_a_measurement_that_made_no_sense_has_a_page_too(report, tmp_path):
     d = report.diagnosis
     wrong = Mistake("swapped", "", "", "the encoders are swapped", 0.99)
@@ -360,7 +407,7 @@ def test_diagnose_writes_the_answer_as_specified(flexspline, measured, report, t
     [
         (["nowhere", "--out", "out"], "nowhere: expected a recording"),
         (["{folder}", "--joint", "gremlin", "--out", "out"], "joint 'gremlin': expected a path or one of"),
-        (["{folder}", "--out", "{folder}"], "expected another folder than"),
+        (["{folder}", "--out", "{folder}"], "expected a folder that is not in the measurement's"),
         (["{folder}", "--out", "full"], "expected an empty or new folder"),
     ],
 )

@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
-from flexspline.diagnosis.challenge import Challenge, draw
-from flexspline.diagnosis.replay import drives, residual
-from flexspline.diagnosis.sampling import between, fresh, timing_error
+
+from flexspline.diagnosis.data.sampling import between, fresh, timing_error
+from flexspline.diagnosis.data.segments import segments
+from flexspline.diagnosis.fit.replay import residual
+from flexspline.diagnosis.trials.draw import Challenge, draw
 
 
 def hold(time, signal, rate):
@@ -58,13 +60,14 @@ def test_noise_of_encoders_is_no_error_of_time(rng):
     assert timing_error(time[:3], motor[:3], link[:3]) == 0.0
 
 
+@pytest.mark.slow
 def test_slow_sensors_in_a_fast_log_leave_their_noise_alone():
     """The LARA8 joint: encoders of 250 Hz and a torque sensor of 100 Hz, logged at 1 kHz; torques six times the test joint's."""
     drawn = draw(Challenge(joint="lara8-joint3", hidden="none", seed=5), 0)
-    stretches, twins = drives(list(drawn.measurement.recordings), drawn.nominal)
-    for drive, twin, record in zip(stretches, twins, drawn.records, strict=True):
-        r, again = residual(drive, record), residual(twin, record)
+    found, replicates = segments(list(drawn.measurement.recordings), drawn.nominal)
+    for segment, replicate, record in zip(found, replicates, drawn.records, strict=True):
+        r, again = residual(segment, record), residual(replicate, record)
         for c in (1, 2):  # the current has what the controller does between the encoders' readings, too
-            use = drive.usable[:, c] & ~drive.at_rest
+            use = segment.usable[:, c] & ~segment.at_rest
             if use.any():
                 assert np.std(r[use, c]) == pytest.approx(np.std((again - r)[use, c]), rel=0.12)

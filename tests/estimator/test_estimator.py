@@ -28,7 +28,7 @@ CAUSAL = [name for name in NAMES if registry.get(name).causal]
 def test_names_and_errors(known, signals):
     assert {
         "EKF", "AREKF", "RAREKF", "REKF", "model", "current", "lowpass", "kalman", "h_infinity", "strong_tracking", "huber",
-        "momentum", "momentum_torsion", "dynamics_ekf", "dynamics_ekf_calibrating", "dynamics_ukf", "rts_smoother",
+        "momentum", "momentum_torsion", "dynamics_ekf", "augmented", "dynamics_ukf", "rts_smoother",
         "current_smoothed", "payload", "payload_smoothed",
     } <= set(NAMES)  # fmt: skip
     with pytest.raises(InputError, match="did you mean 'kalman'"):

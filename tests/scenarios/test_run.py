@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from flexspline.models.errors import InputError
+from flexspline.models.files import yaml_text
+from flexspline.models.joint import shipped
 from flexspline.models.recording import read_recording
 from flexspline.models.signals import SENSED
 from flexspline.scenarios.run import run_scenario
@@ -164,3 +167,43 @@ def test_a_folder_that_is_not_ours_is_kept(run, tmp_path):
 def test_no_run_folder(tmp_path):
     with pytest.raises(InputError, match=r"expected a run folder, found no scenario\.yaml"):
         load_run(tmp_path)
+
+
+def test_what_the_measures_do_not_say_is_told():
+    """Pushes that never act or are cut off, a motion that asks for more than the drive gives; nothing for what is well."""
+    scenario, folder = load_scenario("link_sweep", ["duration=2", "filters=[RAREKF]"])
+    assert run_scenario(scenario, folder).notes == ()
+    changes = [
+        "duration=2", "filters=[RAREKF]", "trajectory=[{time: 0.2, position: 0}, {time: 0.3, position: 2.5}]",
+        "disturbances=[{kind: push, start: 5, duration: 0.3, torque: 1}, {kind: push, start: 1.9, duration: 0.3, torque: 1}]",
+    ]  # fmt: skip
+    odd = run_scenario(*load_scenario("link_sweep", changes))
+    never, cut, limit = odd.notes
+    assert "disturbances.0" in never and "never acts" in never
+    assert "disturbances.1" in cut and "cuts it off" in cut
+    assert "limit of 3.3 A" in limit and "off its command" in limit
+    assert odd.metrics["notes"] == list(odd.notes)
+
+
+def test_a_run_folder_has_the_mjcf_of_a_joint_of_ones_own(tmp_path):
+    """With what it includes: the folder alone is enough to load the run, and to run it again."""
+    (tmp_path / "in" / "parts").mkdir(parents=True)
+    text = shipped("test_joint.xml").read_text(encoding="utf-8")
+    head, rest = text.split("<worldbody>", 1)
+    (tmp_path / "in" / "own.xml").write_text(
+        f'{head}<include file="parts/looks.xml"/><worldbody>{rest}', encoding="utf-8"
+    )
+    looks = '<mujoco><asset><material name="of_ones_own" rgba="1 0 0 1"/></asset></mujoco>'
+    (tmp_path / "in" / "parts" / "looks.xml").write_text(looks)
+    text = shipped("test_joint.yaml").read_text(encoding="utf-8").replace("model: test_joint.xml", "model: own.xml")
+    (tmp_path / "in" / "j.yaml").write_text(text, encoding="utf-8")
+    data = {"name": "s", "joint": "j.yaml", "duration": 1.5, "transient": 0.5, "filters": ["EKF"]}
+    data["trajectory"] = [{"time": 0.0, "position": 0.0}, {"time": 1.0, "position": 0.2}]
+    (tmp_path / "in" / "s.yaml").write_text(yaml_text(data))
+    chosen, folder = load_scenario(tmp_path / "in" / "s.yaml")
+    save_run(run_scenario(chosen, folder), tmp_path / "out")
+    shutil.rmtree(tmp_path / "in")
+    assert (tmp_path / "out" / "parts" / "looks.xml").read_text() == looks
+    before = load_run(tmp_path / "out")
+    again = run_scenario(*load_scenario(tmp_path / "out" / "scenario.yaml"))
+    assert again.metrics == before.metrics

@@ -25,7 +25,6 @@ METRICS = {
                        "robust_share": 0.123, "mean_nis": 1.0, "rms_to_sensor": 0.3},
         },
         "model": {"rms": 1.0, "max": 3.0, "noise_ratio": 1.0, "rms_to_sensor": 1.1},
-        "truth": {"response_ms": 10.0},
     },
     "rest": {"filters": {"EKF": {"rms": 0.1}}},
 }  # fmt: skip
@@ -34,7 +33,7 @@ METRICS = {
 def test_rows_are_scenario_by_filter_with_units_applied():
     rows = comparison_rows(METRICS)
     assert [row[:2] for row in rows] == [("push", RAW_MODEL), ("push", "EKF"), ("push", "RAREKF"), ("rest", "EKF")]
-    assert rows[2] == ("push", "RAREKF", "0.250", "2.000", "0.40", "1.5", "2.3", "12.3", "1.00", "0.300")
+    assert rows[2] == ("push", "RAREKF", "0.250", "2.000", "0.40", "1.5", "12.3", "12.3", "1.00", "0.300")
     assert rows[1][5:9] == ("0.0", "–", "0.0", "–")  # no minus zero, no None, no NaN
 
 
@@ -46,14 +45,10 @@ def test_markdown_has_a_row_each_and_explains_its_columns():
     assert all(column.meaning in lines[-1] for column in COLUMNS)
 
 
-def test_response_is_after_the_truth_and_nothing_else():
+def test_response_is_one_quantity_everywhere():
     (column,) = (c for c in COLUMNS if c.heading == "response")
     assert "after the truth" in column.meaning and column.unit == "ms"
-    without = {"push": {key: value for key, value in METRICS["push"].items() if key != "truth"}}
-    assert comparison_rows(without)[2][2 + COLUMNS.index(column)] == "–"
-    # Rows of a sweep have no truth beside them: theirs is another quantity, of another name.
-    other = metric_column("response_ms")
-    assert other.heading != column.heading and "onset" in other.meaning
+    assert metric_column("response_ms") is column
 
 
 def test_markdown_of_some_columns():

@@ -95,12 +95,9 @@ def against(run: Run, name: str) -> str:
 
 def response(run: Run) -> str:
     """How long after the truth each filter has made 90 % of a push, and its noise; empty without pushes."""
-    itself = run.metrics.get("truth", {}).get("response_ms")
-    if itself is None:
-        return ""
     values = {name: (m.get("response_ms"), m.get("noise_ratio")) for name, m in run.metrics.get("filters", {}).items()}
     parts = [
-        f"{name} {time - itself:.1f} ms" + (f" (noise {noise:.2f})" if noise is not None else "")
+        f"{name} {time:.1f} ms" + (f" (noise {noise:.2f})" if noise is not None else "")
         for name, (time, noise) in values.items()
         if time is not None
     ]

@@ -159,6 +159,7 @@ def _notes(run: Run) -> str:
         + (f" Reproduces the paper's {scenario.figure}." if scenario.figure else ""),
         "",
     ]
+    lines += [f"* {note}" for note in run.notes]
     if run.metrics.get("filters"):
         table = comparison_markdown({run.name: run.metrics}, keys=("rms", "max", "robust_share"))
         lines += ["Errors against the noise-free joint torque:", "", table]

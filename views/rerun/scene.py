@@ -10,6 +10,8 @@ import numpy as np
 import rerun as rr
 
 from ...models.errors import InputError
+from ...models.mjcf import check_mjcf
+from ...sim.native import quiet
 from ..style import TRUTH, filter_colors, main_filter
 from .arrows import send_arc, send_push
 from .recording import TIMELINE
@@ -28,8 +30,10 @@ def shape_of(joint: Joint) -> mujoco.MjModel:
     Raises:
       InputError: an MJCF that cannot be read.
     """
+    check_mjcf(joint.mjcf)
     try:
-        return mujoco.MjModel.from_xml_path(str(joint.mjcf))
+        with quiet():
+            return mujoco.MjModel.from_xml_path(str(joint.mjcf))
     except ValueError as error:
         raise InputError(f"{joint.mjcf}: not a readable MJCF: {' '.join(str(error).split())}") from error
 

@@ -87,20 +87,38 @@ def test_pushes():
 
 
 def test_response_time():
-    """A push that swings as 4·sin² in 0.4 s; 90 % of the first swing is reached at a known time, later if late."""
+    """A push that swings as 4·sin² in 0.4 s: 90 % of the first swing is made as much after the truth as one is late."""
     truth = np.zeros_like(T)
     inside = (T >= 5) & (T < 5.4)
     truth[inside] = 4 * np.sin(np.pi * (T[inside] - 5) / 0.4) ** 2
     events = [(5000, 5400)]
-    expected = 0.4 / np.pi * np.arcsin(np.sqrt(0.9))
-    assert metrics.response_time(truth, truth, DT, events) == pytest.approx(expected, abs=1.5e-3)
+    assert metrics.response_time(truth, truth, DT, events) == 0.0
+    reached = 0.4 / np.pi * np.arcsin(np.sqrt(0.9))  # s after the onset
+    early = np.where(inside, 10.0, 0.0)
+    assert metrics.response_time(early, truth, DT, events) == pytest.approx(-reached, abs=1.5e-3)
     for ticks in (5, 20):
         got = metrics.response_time(lagged(truth, ticks), truth, DT, events)
-        assert got == pytest.approx(expected + ticks * DT, abs=1.5e-3)
+        assert got == pytest.approx(ticks * DT)
     assert metrics.response_time(-truth, truth, DT, events) is None
     assert metrics.response_time(truth, truth, DT, []) is None
-    down = metrics.response_time(-truth, -truth, DT, events)
-    assert down == pytest.approx(expected, abs=1.5e-3)
+    assert metrics.response_time(-lagged(truth, 7), -truth, DT, events) == pytest.approx(7 * DT)
+
+
+def test_response_counts_from_ones_own_level():
+    """An estimate that is off by a constant is neither early nor late, and a push that is never followed is missed."""
+    truth = np.zeros_like(T)
+    events = []
+    for start in (2.0, 5.0, 8.0):
+        inside = (T >= start) & (T < start + 0.4)
+        truth[inside] = 4 * np.sin(np.pi * (T[inside] - start) / 0.4) ** 2
+        events.append((round(start / DT), round((start + 0.4) / DT)))
+    for offset in (-3.0, 1.0, 5.0):
+        found = metrics.responses(lagged(truth, 7) + offset, truth, DT, events)
+        assert found == pytest.approx(np.full(3, 7 * DT))
+    once = np.where(T < 4.0, truth, 0.0)
+    found = metrics.responses(once, truth, DT, events)
+    assert found[0] == 0.0 and np.isnan(found[1:]).all()
+    assert metrics.response_time(once, truth, DT, events) == 0.0
 
 
 def test_evaluate_puts_it_together(rng):

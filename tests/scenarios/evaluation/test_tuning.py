@@ -116,7 +116,8 @@ def test_front_of_noise_against_delay(runs):
     front = tuning.pareto(ekf, test[0], count=12)
     delay, noise = front.points.T
     assert len(delay) > 6 and (np.diff(delay) > 0).all() and (np.diff(noise) < 0).all()
-    # Each point is what its settings give; the default is on the curve of a filter with one tuning parameter, or between its points.
+    # Each point is what its settings give; the default is on the curve of a filter with one tuning parameter, or between
+    # its points.
     middle = len(delay) // 2
     again = tuning.noise_and_delay(tuning.with_parameters(ekf, front.settings[middle]), test[0])
     assert again == pytest.approx(front.points[middle])

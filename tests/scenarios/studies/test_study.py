@@ -143,3 +143,8 @@ def test_the_shipped_studies_are_the_full_ones():
     model_error, _ = load_study("model_error")
     assert {"current", "momentum", "dynamics_ekf"} <= set(model_error.names)
     assert len(model_error.axes[0].causes) == 19
+
+
+def test_more_seeds_than_there_may_be_are_one_line():
+    with pytest.raises(InputError, match="--seeds: expected at most 10000000, got 10000001"):
+        Study.model_validate(study().model_dump()).with_seeds(10_000_001)

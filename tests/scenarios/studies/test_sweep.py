@@ -268,3 +268,22 @@ def test_a_fed_back_filter_that_the_study_does_not_list_still_feeds_back(tmp_pat
 def test_files_say_which_versions_made_them(done):
     assert b"mujoco" in pq.read_schema(done.parts(0)[0][2]).metadata[b"versions"]
     assert rows(done).num_rows == done.design.runs * 3
+
+
+def test_joints_within_tolerance(tmp_path):
+    """Per seed another joint and another motion; the same joint in every scenario, and at every tolerance in its direction."""
+    axis = {"kind": "tolerance", "values": [0, 0.2, 1]}
+    design = Design.of(study(axes=[axis], vary=True))
+    cells = [c for c in design.cells if c.columns["tolerance"] == 1]
+    drawn = {(c.scenario, s): design.drawn(c, s, design.experiment(c)) for c in cells for s in (4, 5)}
+    stiffness = {key: record[0]["K2"] for key, (_, record) in drawn.items()}
+    assert stiffness["link_sweep", 4] == stiffness["no_load", 4] != stiffness["link_sweep", 5]
+    starts = {key: experiment.position[0] for key, (experiment, _) in drawn.items()}
+    assert len(set(starts.values())) == 4
+    exact = design.drawn(design.cells[0], 4, design.experiment(design.cells[0]))
+    assert exact[1].tobytes() == design.experiment(design.cells[0]).record.tobytes()
+    assert exact[0].known.spread.stiffness == 0.0 and drawn["link_sweep", 4][0].known.spread.stiffness > 0.07
+    found = rows(run(tmp_path / "data", study(axes=[axis], vary=True, seeds=[4], scenarios=["link_sweep"])))
+    rms = dict(zip(zip(found["tolerance"].to_pylist(), found["filter"].to_pylist(), strict=True), found["rms"].to_pylist(),
+                   strict=True))  # fmt: skip
+    assert rms[1.0, "RAREKF"] > 2 * rms[0.0, "RAREKF"]

@@ -1,0 +1,451 @@
+"""Reliability in numbers: inputs made at random, processes killed, disks that fill up, memory over long recordings.
+
+`python -m benchmarks.reliability` runs all of it (an hour), with names of parts (fuzz, exchanges, kills, disk, memory) these;
+`--inputs`, `--kills` and `--seed` say how much of it. Exit code 1 where anything failed. docs/reliability.md has the figures.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from flexspline.models.errors import InputError
+from flexspline.models.output import MANIFEST, output_folder, recover
+from flexspline.models.recording import Recording, write_recording
+
+HANG = 60.0
+"""Seconds of a processor after which an input counts as one that hangs, compiling included."""
+_BATCH = 200
+PARTS = ["fuzz", "exchanges", "kills", "disk", "memory"]
+
+
+# --- inputs -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Fuzzed:
+    """What became of inputs: by kind and outcome, and a line for each that failed."""
+
+    outcomes: Counter[tuple[str, str]]
+    failures: list[str]
+
+
+def fuzz(count: int, seed: int, processes: int = 2) -> Fuzzed:
+    """Use `count` inputs in processes of their own, so that one that hangs or takes its process down is seen."""
+    spans = [(begin, min(begin + _BATCH, count)) for begin in range(0, count, _BATCH)]
+    outcomes: Counter[tuple[str, str]] = Counter()
+    failures: list[str] = []
+    with ThreadPoolExecutor(processes) as pool:
+        for lines in pool.map(lambda span: list(_batch(seed, *span)), spans):
+            for kind, became, failure in lines:
+                outcomes[kind, became] += 1
+                failures += [failure] if failure else []
+    return Fuzzed(outcomes, failures)
+
+
+def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
+    """Kind, outcome and failure of the inputs of a span, in one process after the other where one ends early."""
+    while begin < end:
+        words = [sys.executable, "-m", "benchmarks.fuzzing", str(seed), str(begin), str(end)]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        assert process.stdout is not None
+        at = begin
+        while True:
+            used, ready = _seconds_used(process.pid), False
+            while not ready and _seconds_used(process.pid) - used < HANG:
+                ready = bool(select.select([process.stdout], [], [], 2.0)[0])
+            line = process.stdout.readline() if ready else None
+            if not line:
+                break
+            what, number, *rest = line.rstrip("\n").split("\t")
+            if what == "begin":
+                at = int(number)
+            elif what == "end":
+                kind, became, *failure = rest
+                yield kind, became, f"{kind} {number}: {' '.join(failure)}" if failure[0] else ""
+                begin = int(number) + 1
+        if begin < end:
+            why = "hangs" if process.poll() is None else f"took its process down ({process.wait()})"
+            yield "?", "failed", f"input {at}: {why}"
+            begin = at + 1
+        process.kill()
+        process.wait()
+
+
+def _seconds_used(process: int) -> float:
+    """Processor time [s] of a process (Linux), which does not grow while others are at work; elsewhere, time."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return time.monotonic()
+
+
+# --- kills ------------------------------------------------------------------------------------------------------------
+
+_DYING = """
+import os, shutil, sys
+left = int(sys.argv.pop(1))
+def dying(function):
+    def call(*arguments, **options):
+        global left
+        left -= 1
+        if left < 0:
+            os.kill(os.getpid(), 9)
+        return function(*arguments, **options)
+    return call
+for name in ("rename", "replace"):
+    setattr(os, name, dying(getattr(os, name)))
+from flexspline.commands import main
+main()
+"""
+"""The command line, killed before the n-th time that it moves something into place."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A command that writes to a folder: words before and after it, with an earlier output (`old`) and a new one (`new`)."""
+
+    name: str
+    old: list[str]
+    new: list[str]
+
+    def words(self, which: str, out: Path) -> list[str]:
+        """The command line that writes one of the two to `out`."""
+        return [*(self.old if which == "old" else self.new), "--out", str(out)]
+
+
+def jobs(folder: Path) -> list[Job]:
+    """Commands with two outputs each, of different content under the same names, and their inputs."""
+    for name, amplitude in (("a", 0.4), ("b", 0.3)):
+        write_recording(recording(6.0, amplitude), folder / name)
+    log = folder / "log.csv"
+    log.write_text("t,qm,ql,i\n" + "\n".join(f"{k / 250},{k / 10},{k / 1000},{k % 7}" for k in range(400)) + "\n")
+    columns = "columns: {time: {column: t, unit: s}, motor_position: {column: qm, unit: rad}, "
+    columns += "link_position: {column: ql, unit: rad}, motor_current: {column: i, unit: A, scale: SCALE}}\n"
+    for name, scale in (("one", "1.0"), ("two", "2.0")):
+        head = f"format: 1\nname: {name}\njoint: test-joint\nlink: {{inertia: 0.1, gravity_moment: 1.0}}\n"
+        (folder / f"{name}.yaml").write_text(head + columns.replace("SCALE", scale))
+    study = (
+        "name: small\nseeds: {count: 2}\nscenarios: [no_load]\nset: {duration: 2.0}\nfilters: [EKF]\nmetrics: [rms]\n"
+    )
+    (folder / "study.yaml").write_text(study)
+    run = ["run", "no_load", "--no-figures", "--no-recording", "--set"]
+    sweep = ["sweep", str(folder / "study.yaml"), "--no-figures", "--chunk", "1"]
+    shutil.copytree(folder / "a", folder / "m")
+    return [
+        Job("import", *(["import", str(folder / f"{name}.yaml"), str(log), "--force"] for name in ("one", "two"))),
+        Job("run", [*run, "duration=2"], [*run, "duration=3"]),
+        Job("estimate", *(["estimate", str(folder / "m"), "--filter", name] for name in ("EKF", "model"))),
+        Job("sweep", [*sweep, "--seeds", "2"], [*sweep, "--seeds", "4"]),
+    ]
+
+
+def recording(seconds: float, amplitude: float = 0.4) -> Recording:
+    """A smooth motion of the test joint, sampled at 1 kHz."""
+    t = np.arange(round(seconds * 1000)) * 1e-3
+    q = amplitude * np.sin(t)
+    torque = 9.0 * np.sin(q)
+    noise = np.random.default_rng(1).normal
+    columns = {
+        "motor_position": 100 * (q + torque / 8000) + noise(0, 1e-4, len(t)),
+        "link_position": q + noise(0, 1e-6, len(t)),
+        "motor_current": torque / 11 + 0.3 * np.sign(np.cos(t)) + noise(0, 4e-3, len(t)),
+        "joint_torque": torque + noise(0, 0.05, len(t)),
+    }
+    return Recording("slow", t, columns)
+
+
+def kills(random_moments: int, chosen: int, seed: int) -> tuple[Counter[str], list[str]]:
+    """Kill commands while they replace earlier output; what was done, and what was torn, refused or left.
+
+    Args:
+      random_moments: kills (SIGKILL, SIGTERM, SIGINT) at moments drawn over a command's duration.
+      chosen: kills at most before each time that something is moved into place, one command after the other.
+      seed: of the moments.
+    """
+    rng, done, wrong = random.Random(seed), Counter[str](), []
+    with _folder() as folder:
+        every = jobs(folder)
+        complete = {job.name: _outputs(job, folder) for job in every}
+        for number in range(random_moments):
+            job = every[number % len(every)]
+            name = rng.choice(["SIGKILL", "SIGTERM", "SIGINT"])
+            at = rng.uniform(0.05, 1.15) * complete[job.name][2]
+            done[f"{job.name}, {name}"] += 1
+            wrong += _killed(job, complete[job.name], folder, [], getattr(signal, name), at)
+        for job in every:
+            for step in range(chosen):
+                before = len(wrong)
+                wrong += _killed(job, complete[job.name], folder, [str(step)], None, 0.0)
+                if _ran_through:
+                    break
+                done[f"{job.name}, before it moves something"] += 1
+                if len(wrong) > before:
+                    wrong[-1] += f" (step {step})"
+    return done, wrong
+
+
+_ran_through: list[bool] = []
+
+
+def _outputs(job: Job, folder: Path) -> tuple[dict[str, bytes], dict[str, bytes], float]:
+    """Complete outputs of a job, the earlier and the new one over it, and how long the latter takes [s]."""
+    out = folder / "complete" / job.name
+    _call(job.words("old", out))
+    old = _content(out)
+    began = time.monotonic()
+    _call(job.words("new", out))
+    return old, _content(out), time.monotonic() - began
+
+
+def _killed(
+    job: Job, complete: tuple[dict[str, bytes], dict[str, bytes], float], folder: Path, step: list[str],
+    number: int | None, at: float,
+) -> list[str]:  # fmt: skip
+    """Kill a job at a time, or at a step; what is wrong afterwards."""
+    print(f"{job.name} {step} {number} {at:.2f}", file=sys.stderr, flush=True)
+    old, new, _ = complete
+    out = folder / "killed" / job.name
+    shutil.rmtree(out, ignore_errors=True)
+    shutil.copytree(folder / "old" / job.name, out) if (folder / "old" / job.name).exists() else _call(
+        job.words("old", out)
+    )
+    if not (folder / "old" / job.name).exists():
+        shutil.copytree(out, folder / "old" / job.name)
+    (out / "mine.txt").write_text("a person's own")
+    program = ["-c", _DYING, *step] if step else ["-m", "flexspline"]
+    process = subprocess.Popen(
+        [sys.executable, *program, *job.words("new", out)], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
+    )
+    if number is not None:
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(at)
+        process.send_signal(number)
+    _, err = process.communicate(timeout=120)
+    _ran_through[:] = [True] if step and process.returncode == 0 else []
+    wrong = []
+    if b"Traceback" in err and at > 0.3:
+        wrong.append(f"{job.name}: a traceback: {err.decode()[-200:]}")
+    for place in (out, *(p for p in out.iterdir() if p.is_dir())):
+        recover(place)
+    found = _content(out)
+    if job.name == "sweep":  # grows file by file
+        whole = all(found[name] in (old.get(name), new.get(name)) for name in found)
+    else:
+        whole = found in (old, new)
+    if not whole:
+        wrong.append(f"{job.name}: torn: {sorted(found)}")
+    code, err_text = _call(job.words("new", out))
+    if code != 0:
+        wrong.append(f"{job.name}: refused to start again: {err_text}")
+    elif _content(out) != new:
+        wrong.append(f"{job.name}: another result after it was killed")
+    if (out / "mine.txt").read_text() != "a person's own":
+        wrong.append(f"{job.name}: a person's own file is gone")
+    left = [p.name for p in out.rglob(".*") if p.name != MANIFEST]
+    if left:
+        wrong.append(f"{job.name}: left {left}")
+    return wrong
+
+
+def _content(out: Path) -> dict[str, bytes]:
+    return {
+        p.relative_to(out).as_posix(): p.read_bytes()
+        for p in out.rglob("*")
+        if p.is_file() and not any(part.startswith(".") for part in p.relative_to(out).parts) and p.name != "mine.txt"
+    }
+
+
+def _call(words: list[str]) -> tuple[int, str]:
+    done = subprocess.run([sys.executable, "-m", "flexspline", *words], capture_output=True, text=True, timeout=300)
+    return done.returncode, done.stderr.strip()
+
+
+def exchanges(count: int, seed: int) -> tuple[Counter[str], list[str]]:
+    """Kill processes that do nothing but replace a folder's files, over and over: the part of a command that matters here.
+
+    Every generation has other names and other content; after each kill there must be exactly one generation.
+    """
+    rng, done, wrong = random.Random(seed), Counter[str](), []
+    with _folder() as folder:
+        out = folder / "out"
+        _generation(out, 0)
+        (out / "mine.txt").write_text("a person's own")
+        for number in range(count):
+            process = os.fork()
+            if process == 0:
+                with suppress(BaseException):
+                    for k in range(1_000_000):
+                        _generation(out, number * 1_000_000 + k)
+                os._exit(0)
+            time.sleep(rng.expovariate(1 / 0.02))
+            name = rng.choice(["SIGKILL", "SIGTERM"])
+            os.kill(process, getattr(signal, name))
+            os.waitpid(process, 0)
+            done[name] += 1
+            done["of these in the middle"] += any(out.glob(f"{MANIFEST}-done-*"))
+            recover(out)
+            found = _content(out)
+            generations = {content.split(b"\n")[0] for content in found.values()}
+            if len(generations) != 1 or len(found) != 6:
+                wrong.append(f"kill {number}: torn: {sorted(found)}, generations {generations}")
+            if (out / "mine.txt").read_text() != "a person's own":
+                wrong.append(f"kill {number}: a person's own file is gone")
+        try:
+            _generation(out, -1)
+        except InputError as error:
+            wrong.append(f"refused to start again: {error}")
+        left = [p.name for p in out.rglob(".*") if p.name != MANIFEST]
+        wrong += [f"left {left}"] if left else []
+    return done, wrong
+
+
+def _generation(out: Path, number: int) -> None:
+    with output_folder(out, "run", whole=True) as new:
+        (new / "sub").mkdir()
+        for name in ("a", "b", "c", "sub/d", f"odd{number % 3}", f"sub/odd{number % 2}"):
+            (new / name).write_text(f"{number}\n" + "x" * 20_000)
+
+
+# --- a full disk ------------------------------------------------------------------------------------------------------
+
+
+def full_disk(steps: int) -> tuple[Counter[str], list[str]] | None:
+    """Let every command write to a disk that has less and less room; None where none can be made (needs root, Linux)."""
+    done, wrong = Counter[str](), []
+    with _folder() as folder:
+        every = jobs(folder)
+        disk = folder / "disk"
+        disk.mkdir()
+        if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "none", str(disk)], capture_output=True).returncode:
+            return None
+        try:
+            for job in every:
+                _call(job.words("old", disk / job.name))
+                old = _content(disk / job.name)
+                for step in range(steps):
+                    kept = disk / "filler"
+                    room = 0 if step == 0 else 4096 * 4**step
+                    status = os.statvfs(disk)
+                    size = max(0, status.f_bavail * status.f_frsize - room)
+                    kept.write_bytes(bytes(size))
+                    code, err = _call(job.words("new", disk / job.name))
+                    kept.unlink()
+                    done[f"{job.name}, {'done' if code == 0 else 'refused'}"] += 1
+                    print(f"{job.name} {room} {code} {err}", file=sys.stderr, flush=True)
+                    if code not in (0, 2) or "Traceback" in err or (code == 2 and err.count("\n") > 0):
+                        wrong.append(f"{job.name}, {room} bytes: exit code {code}: {err[-300:]}")
+                    found = _content(disk / job.name)
+                    if code == 2 and job.name != "sweep" and found != old:
+                        wrong.append(f"{job.name}, {room} bytes: torn")
+                    left = [p.name for p in (disk / job.name).rglob(".*") if p.name != MANIFEST]
+                    if left:
+                        wrong.append(f"{job.name}, {room} bytes: left {left}")
+                    if code == 0:
+                        break
+                shutil.rmtree(disk / job.name)
+        finally:
+            subprocess.run(["umount", str(disk)], capture_output=True)
+    return done, wrong
+
+
+# --- memory -----------------------------------------------------------------------------------------------------------
+
+
+def memory(hours: float) -> list[tuple[str, float, float]]:
+    """Largest memory [MB] and time [s] of commands over a recording of so many hours at 1 kHz, and over a simulation."""
+    found = []
+    with _folder() as folder:
+        write_recording(recording(3600 * hours), folder / "m")
+        estimators = [word for name in ("EKF", "model", "current") for word in ("--filter", name)]
+        run = ["run", "no_load", "--set", "duration=600", "--no-figures", "--no-recording"]
+        for name, words in (
+            ("check", ["check", str(folder / "m")]),
+            ("estimate, three filters", ["estimate", str(folder / "m"), "--out", str(folder / "e"), *estimators]),
+            ("run, 600 s", [*run, "--out", str(folder / "r")]),
+        ):
+            began = time.monotonic()
+            process = subprocess.Popen(
+                [sys.executable, "-m", "flexspline", *words],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+            assert process.stderr is not None
+            err = process.stderr.read()
+            _, status, usage = os.wait4(process.pid, 0)
+            if os.waitstatus_to_exitcode(status):
+                name += f" ({(err.strip().splitlines() or ['?'])[-1]})"
+            found.append((name, usage.ru_maxrss / 1024, time.monotonic() - began))
+    return found
+
+
+@contextmanager
+def _folder() -> Iterator[Path]:
+    folder = Path(tempfile.mkdtemp(prefix="reliability"))
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def main() -> None:
+    """Run what is asked and print its figures."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability", description=__doc__)
+    parser.add_argument("parts", nargs="*", metavar="part", help=f"any of {', '.join(PARTS)}; all by default")
+    parser.add_argument("--inputs", type=int, default=12_000)
+    parser.add_argument("--kills", type=int, default=100, help="at random moments")
+    parser.add_argument("--chosen", type=int, default=12, help="moments of each command, at most")
+    parser.add_argument("--seed", type=int, default=1)
+    asked = parser.parse_args()
+    parts = asked.parts or PARTS
+    failed = False
+    if "fuzz" in parts:
+        found = fuzz(asked.inputs, asked.seed, os.cpu_count() or 1)
+        print(f"inputs, seed {asked.seed}: {sum(found.outcomes.values())}, failed: {len(found.failures)}")
+        for (kind, became), count in sorted(found.outcomes.items()):
+            print(f"  {kind:10} {became:8} {count}")
+        print(*(f"  {line}" for line in found.failures), sep="\n")
+        failed |= bool(found.failures)
+    for part, result in (
+        ("exchanges", lambda: exchanges(20 * asked.kills, asked.seed)),
+        ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed)),
+        ("disk", lambda: full_disk(8)),
+    ):
+        if part in parts:
+            answer = result()
+            if answer is None:
+                print(f"{part}: not run, no disk could be made")
+                continue
+            done, wrong = answer
+            total = sum(n for what, n in done.items() if not what.startswith("of these"))
+            print(f"{part}: {total}, wrong: {len(wrong)}")
+            for what, count in sorted(done.items()):
+                print(f"  {what:40} {count}")
+            print(*(f"  {line}" for line in wrong), sep="\n")
+            failed |= bool(wrong)
+    if "memory" in parts:
+        for name, size, seconds in memory(1.0):
+            print(f"memory: {name}: {size:.0f} MB, {seconds:.0f} s")
+    sys.exit(failed)
+
+
+if __name__ == "__main__":
+    main()

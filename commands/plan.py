@@ -1,0 +1,63 @@
+"""`flexspline plan`: what to measure next."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..models.errors import InputError, read_text
+
+_BY = 1.0
+"""Time [s] after which the search begins no further stage: what is open is known once the joint is calibrated."""
+
+
+def command(
+    source: Annotated[
+        Path, typer.Argument(help="a measurement, or the folder of a diagnosis", metavar="MEASUREMENT|DIAGNOSIS")
+    ],
+    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="print it as JSON")] = False,
+) -> None:
+    """Say what to measure next, and what each experiment is expected to tell: simulated, nothing is moved."""
+    from ._console import console
+
+    proposals = _of_diagnosis(source) if (source / "diagnosis.json").is_file() else _of_measurement(source, joint)
+    if as_json:
+        print(json.dumps(proposals, indent=1, ensure_ascii=False))
+        return
+    terminal = console()
+    if not proposals:
+        terminal.print("no experiment that was looked at would tell more than this measurement does")
+    for number, one in enumerate(proposals, 1):
+        terminal.print(f"{number}. {one['sentence']}", markup=False, highlight=False)
+
+
+def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:
+    """The proposals that a diagnosis wrote.
+
+    Raises:
+      InputError: a file that is none of a diagnosis.
+    """
+    path = folder / "diagnosis.json"
+    try:
+        return [{**one, "sentence": str(one["sentence"])} for one in json.loads(read_text(path, "a diagnosis"))["next"]]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: next: expected proposals, found none; plan from the measurement instead") from error
+
+
+def _of_measurement(source: Path, option: str | None) -> list[dict[str, Any]]:
+    """The proposals for a measurement, calibrated and searched as far as a few seconds go."""
+    from ..diagnosis.diagnose import diagnose
+    from ..diagnosis.planning import plan
+    from ..models.recording import read_measurement
+    from ._console import stages
+
+    data = read_measurement(source)
+    described = data.load_joint(option)
+    with stages(f"looking at {data.name}") as stage:
+        found = diagnose(data, described, progress=lambda name, done: stage(name, 0.6 * done), seconds=_BY)
+        stage("what to measure next", 0.6)
+        return plan(data, described, found).to_json()

@@ -1,0 +1,78 @@
+"""What a measurement can show at all: by its channels and its motion, before anything is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from swing import recording
+
+from flexspline.diagnosis.data.coverage import balances, can_show, missing_columns, summarise, undetermined
+from flexspline.models import causes
+from flexspline.models.joint import load_joint
+from flexspline.models.recording import Measurement
+
+JOINT = load_joint("test-joint")
+TORSION = {"stiffness", "hysteresis", "backlash", "link_encoder_eccentricity", "encoder_delay"}
+DRIVE = {"torque_constant", "viscous_friction", "mesh_friction", "cogging", "rotor_inertia"}
+
+
+def measurement(*without: str, **columns: np.ndarray) -> Measurement:
+    r = recording()
+    r = replace(r, columns={**r.columns, **columns})
+    return Measurement("m", Path(), (r.without(*without),))
+
+
+@pytest.mark.parametrize("missing", ["motor_position", "link_position"])
+def test_one_encoder_does_not_show_the_torsion_and_shows_all_else(missing):
+    reasons = undetermined(measurement(missing), JOINT)
+    for name in TORSION:
+        assert "one encoder" in reasons[name]
+        assert not can_show(name, measurement(missing), link_measured=False)
+    assert not (DRIVE | {"gravity_moment", "link_inertia"}) & set(reasons)
+
+
+def test_without_current_friction_is_undetermined_and_torsion_is_not():
+    reasons = undetermined(measurement("motor_current"), JOINT)
+    assert set(reasons) >= DRIVE and not {"stiffness", "gravity_moment"} & set(reasons)
+    assert "motor current" in reasons["viscous_friction"]
+
+
+def test_without_a_torque_sensor_its_causes_are_undetermined():
+    reasons = undetermined(measurement("joint_torque"), JOINT)
+    assert {"torque_sensor_gain", "torque_sensor_offset", "torque_sensor_drift"} <= set(reasons)
+    assert "joint_torque" in reasons["torque_sensor_gain"]
+
+
+def test_a_motion_one_way_shows_no_reversal():
+    r = recording()
+    forward = np.flatnonzero(r.time < 0.9)
+    reasons = undetermined(Measurement("m", Path(), (r.at(forward),)), JOINT)
+    assert reasons["hysteresis"] == "the motion never reverses"
+
+
+def test_everything_shows_in_a_full_measurement_but_what_has_no_column():
+    reasons = undetermined(measurement(temperature=np.full(7000, 25.0)), JOINT)
+    assert set(reasons) <= {"friction_temperature", "hard_stop"}
+    assert "changes by 0 K" in reasons["friction_temperature"]
+    assert set(reasons) <= set(causes.of(JOINT))
+
+
+def test_balances_are_those_of_the_channels():
+    assert [b.name for b in balances(measurement())] == ["motor_current", "joint_torque", "link_balance"]
+    assert [b.name for b in balances(measurement("link_position"))] == ["motor_current", "joint_torque"]
+    assert [b.name for b in balances(measurement("joint_torque", "motor_position"))] == ["motor_current"]
+    assert "motor torque" in balances(measurement("motor_current", motor_torque=np.ones(7000)))[0].description
+    assert "joint_torque" in missing_columns(measurement("joint_torque"))
+
+
+def test_a_summary_is_in_numbers():
+    s = summarise(recording(), JOINT)
+    assert (s.samples, s.missing, s.gaps, s.late) == (7000, 0, (), 0.0)
+    assert s.interval == pytest.approx(2e-3) and s.duration == pytest.approx(13.998)
+    assert s.link_speed == pytest.approx(1.365, rel=0.02) and s.motor_speed == pytest.approx(136.5, rel=0.02)
+    assert s.reversals >= 5 and s.load_measured and s.load[1] > 5.0
+    one = summarise(recording().without("link_position"), JOINT)
+    assert one.link_speed == pytest.approx(1.365, rel=0.02)

@@ -1,0 +1,99 @@
+"""What a diagnosis gains for estimation: counted where no fit has been, and nothing where nothing was measured."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from flexspline.diagnosis.data.segments import SETTINGS, segments
+from flexspline.diagnosis.diagnose import Diagnosis, calibrated
+from flexspline.diagnosis.fit.regions import held_out_regions
+from flexspline.diagnosis.fit.residual import Problem
+from flexspline.diagnosis.fit.solver import Fitter
+from flexspline.diagnosis.improvement import ESTIMATORS, Improvement, held_out, improvement, with_improvement
+from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
+from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
+from flexspline.estimator.offline import estimate_recording
+
+SEED = 31
+
+
+@cache
+def diagnosed() -> tuple[Draw, Diagnosis]:
+    """A joint within its tolerances on one sweep at 250 Hz, calibrated: what diagnosis says of it where it finds no cause."""
+    print(f"seed {SEED}")
+    drawn = draw(Challenge(seed=SEED, hidden="none", scenarios=("link_sweep",)), 0)
+    (recording,) = drawn.measurement.recordings
+    measurement = replace(drawn.measurement, recordings=(recording.at(slice(None, None, 4)),))
+    drawn = replace(drawn, measurement=measurement)
+    problem = Problem(*segments(list(measurement.recordings), drawn.nominal), drawn.nominal)
+    fit = calibrate(problem, Fitter(problem), CalibrateSettings(iterations=3))
+    extended = calibrated(problem, fit, drawn.nominal)
+    regions = held_out_regions(problem, fit)
+    found = Diagnosis("consistent", "", (), {}, (), {}, {}, regions, extended)
+    return drawn, replace(found, problem=problem, search=SimpleNamespace(base=fit), final=fit)
+
+
+@cache
+def measured() -> Improvement:
+    """What it gains."""
+    drawn, found = diagnosed()
+    gained = improvement(drawn.measurement, drawn.nominal, found)
+    assert gained is not None
+    return gained
+
+
+def test_calibration_gains_where_no_fit_has_been():
+    (_, found), gained = diagnosed(), measured()
+    assert gained.quantity == "joint_torque" and gained.main == "RAREKF"
+    before, after = gained.errors["RAREKF"]
+    assert after < 0.5 * before and after > 0
+    answer = with_improvement(found, gained).to_json()["estimation"]
+    assert answer["filter"] == "RAREKF" and answer["unit"] == "N·m"
+    assert (answer["before"], answer["after"]) == (before, after)
+    assert gained.regions, "the regions of the measurement, the one where it gains least first"
+    shares = [r.after / r.before for r in gained.regions]
+    assert shares == sorted(shares, reverse=True)
+
+
+def test_errors_are_those_of_the_blocks_that_no_fit_saw():
+    (drawn, found), gained = diagnosed(), measured()
+    (recording,) = drawn.measurement.recordings
+    kept = held_out(recording, 0)
+    assert 0.1 < kept.mean() < 0.25, f"every {SETTINGS.held_out_every}th block"
+    for segment in found.problem.segments:
+        nearest = np.searchsorted(recording.time - recording.time[0], segment.at).clip(0, len(kept) - 1)
+        inside = segment.usable.any(axis=1)
+        assert np.mean(kept[nearest][inside]) < 0.02, "what was fitted is not counted"
+    torque = estimate_recording(recording, found.extended, ("RAREKF",)).torque["RAREKF"]
+    rms = float(np.sqrt(np.mean((torque - recording["joint_torque"])[kept] ** 2)))
+    assert gained.errors["RAREKF"][1] == pytest.approx(rms, rel=1e-9)
+
+
+def test_estimates_do_not_read_the_sensor_they_are_held_against():
+    drawn, found = diagnosed()
+    (recording,) = drawn.measurement.recordings
+    lying = {**recording.columns, "joint_torque": recording["joint_torque"] + 5.0}
+    one, other = (
+        estimate_recording(r, found.extended, ESTIMATORS) for r in (recording, replace(recording, columns=lying))
+    )
+    for name, values in one.torque.items():
+        np.testing.assert_array_equal(values, other.torque[name], err_msg=name)
+
+
+def test_nothing_is_gained_without_a_sensor():
+    drawn, found = diagnosed()
+    bare = tuple(r.without("joint_torque") for r in drawn.measurement.recordings)
+    gained = improvement(replace(drawn.measurement, recordings=bare), drawn.nominal, found)
+    assert gained is None
+    assert with_improvement(found, gained).to_json()["estimation"] is None
+
+
+def test_nothing_is_gained_where_nothing_was_computed():
+    drawn, found = diagnosed()
+    empty = replace(found, problem=None, search=None, final=None)
+    assert improvement(drawn.measurement, drawn.nominal, empty) is None

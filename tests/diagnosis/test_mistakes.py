@@ -1,0 +1,153 @@
+"""Mistakes in the data: each is named with what mends it, and none where there is none."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from swing import SEED, recording
+from typer.testing import CliRunner
+
+from benchmarks.mistakes import Hidden, hidden_mistakes, hide
+from flexspline import commands
+from flexspline.diagnosis.data.mistakes import find_mistakes, mended
+from flexspline.models.errors import InputError
+from flexspline.models.joint import load_joint
+from flexspline.models.recording import Measurement, Recording, read_measurement, write_recording
+
+ALL = {h.label: h for h in hidden_mistakes()}
+"""Mistakes by their labels."""
+
+
+def measurement(*recordings: Recording) -> Measurement:
+    return Measurement("m", Path(), recordings or (recording(),))
+
+
+JOINT = load_joint("test-joint")
+SAMPLE = [
+    "unit motor_position degrees", "unit link_position counts", "unit motor_current mA", "unit motor_current N·m output",
+    "unit joint_torque mN·m", "unit time ms", "sign motor_position", "sign motor_current", "sign joint_torque",
+    "gear_ratio 1.01", "gear_ratio 0.5", "swapped", "late link_position 50 ms", "late joint_torque 50 ms",
+    "late motor_current 50 ms", "wrapped motor_position 0.0", "wrapped link_position", "velocity link_position",
+    "velocity motor_position rpm", "angle_zero 1.57", "angle_zero 0.50", "stuck link_position 0.3", "stuck joint_torque 0.3",
+    "stuck motor_current 1", "glitch motor_position 6.3 × 1", "glitch joint_torque 1 × 5", "clipped joint_torque 0.6",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("label", SAMPLE)
+def test_a_hidden_mistake_is_named_and_mended(label):
+    one: Hidden = ALL[label]
+    sound = measurement()
+    spoilt = hide(one, sound, JOINT, np.random.default_rng(SEED))
+    found = find_mistakes(spoilt, JOINT)
+    assert one.found(found), found
+    assert one.alone(found), found
+    if one.name in ("stuck", "clipped"):
+        return
+    again = mended(spoilt, JOINT, found)
+    assert find_mistakes(again, JOINT) == ()
+    if one.name in ("unit", "sign", "swapped", "wrapped"):
+        for name, x in sound.recordings[0].columns.items():
+            assert np.abs(again.recordings[0][name] - x).max() < 1e-3 * max(np.ptp(x), 1.0), name
+
+
+def test_nothing_is_claimed_of_sound_data():
+    for seed in range(3):
+        r = recording(seed=seed)
+        for fewer in (
+            (),
+            ("motor_position",),
+            ("link_position",),
+            ("joint_torque",),
+            ("motor_current",),
+            ("position_command",),
+        ):
+            assert find_mistakes(measurement(r.without(*fewer)), JOINT) == (), (seed, fewer)
+
+
+def test_a_link_encoder_late_by_an_ordinary_delay_is_a_cause_and_no_mistake():
+    r = recording()
+    for seconds in (4e-3, 11e-3):
+        late = np.interp(r.time - seconds, r.time, r["link_position"])
+        one = measurement(replace(r, columns={**r.columns, "link_position": late}))
+        assert find_mistakes(one, JOINT) == ()
+
+
+def test_a_mistake_in_one_recording_is_named_there():
+    sound = measurement(recording("a"), recording("b", seed=1), recording("c", seed=2))
+    spoilt = hide(ALL["sign motor_current"], sound, JOINT, np.random.default_rng(SEED), only=1)
+    (found,) = find_mistakes(spoilt, JOINT)
+    assert (found.name, found.column, found.recording) == ("sign", "motor_current", "b")
+    assert find_mistakes(mended(spoilt, JOINT, [found]), JOINT) == ()
+
+
+def test_rows_of_a_glitch_are_told():
+    r = recording()
+    x = r["link_position"].copy()
+    x[[1000, 3000]] += 0.5
+    (found,) = find_mistakes(measurement(replace(r, columns={**r.columns, "link_position": x})), JOINT)
+    assert found.name == "glitch" and found.rows == (1000, 3000) and found.severe
+    assert found.to_json()["rows"] == [1000, 3000]
+
+
+def test_check_says_it_and_import_mends_it(tmp_path):
+    r = recording()
+    write_recording(
+        replace(r, columns={**r.columns, "motor_position": np.rad2deg(r["motor_position"])}), tmp_path / "in"
+    )
+    result = CliRunner().invoke(commands.app, ["check", str(tmp_path / "in"), "--json"])
+    assert result.exit_code == 0, result.output
+    report = json.loads(result.output)
+    (told,) = report["mistakes"]
+    assert told["name"] == "unit" and told["column"] == "motor_position"
+    assert told["factor"] == pytest.approx(math.pi / 180, rel=1e-5)
+    assert "stiffness" in report["can_show"] and "friction_temperature" in report["undetermined"]
+    shown = CliRunner().invoke(commands.app, ["check", str(tmp_path / "in")])
+    assert "degrees taken for rad" in shown.output and "0.0174533" in shown.output
+    arguments = ["import", str(tmp_path / "in"), "--fix", "--out", str(tmp_path / "out")]
+    result = CliRunner().invoke(commands.app, arguments)
+    assert result.exit_code == 0, result.output
+    again = read_measurement(tmp_path / "out").recordings[0]
+    np.testing.assert_allclose(again["motor_position"], r["motor_position"], rtol=1e-9, atol=1e-9)
+
+
+def odd(r: Recording) -> dict[str, Recording]:
+    """Recordings that people make, and that hold little."""
+
+    def of(**columns: np.ndarray) -> Recording:
+        return replace(r, columns={**r.columns, **columns})
+
+    zero = np.zeros_like(r.time)
+    slow = {f"{rate:g} Hz": r.at(slice(None, None, int(500 / rate))) for rate in (1, 2, 5, 10, 20)}
+    return {
+        "2 samples": r.at(slice(0, 2)), "5 samples": r.at(slice(0, 5)), "40 samples": r.at(slice(0, 40)), **slow,
+        "all zero": of(**dict.fromkeys(r.columns, zero)), "motor zero": of(motor_position=zero),
+        "current alone": of(link_position=zero, motor_position=zero), "constant": of(**dict.fromkeys(r.columns, zero + 3)),
+        "huge": of(joint_torque=1e5 * np.sign(r["joint_torque"])), "vast": of(link_position=1e300 * r["link_position"]),
+        "one encoder, zero": r.without("link_position", "position_command", "joint_torque").at(slice(0, 100)),
+        "gaps": r.at(np.arange(len(r.time)) % 500 < 30),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", odd(recording()))
+def test_odd_recordings_are_no_reason_to_break(name, tmp_path):
+    r = odd(recording())[name]
+    found = find_mistakes(measurement(r), JOINT)
+    if name in ("all zero", "motor zero"):
+        assert "stuck" in {m.name for m in found}
+    write_recording(r, tmp_path / "in")
+    result = CliRunner().invoke(commands.app, ["check", str(tmp_path / "in")])
+    assert result.exception is None or (isinstance(result.exception, InputError) and "\n" not in str(result.exception))
+
+
+@pytest.mark.parametrize(
+    "label", ["unit motor_position turns", "late motor_current 50 ms", "sign of gravity", "gear_ratio 1.01"]
+)
+def test_mistakes_in_shared_examples(shared, label):
+    sound = read_measurement(shared / "data" / "examples" / "bare" / "01")
+    assert find_mistakes(sound, JOINT) == ()
+    assert ALL[label].found(find_mistakes(hide(ALL[label], sound, JOINT, np.random.default_rng(SEED)), JOINT))

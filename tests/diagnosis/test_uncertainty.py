@@ -1,0 +1,160 @@
+"""How well an extended joint is known: what a fit states, how it is written, and the bands that come of it."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flexspline.diagnosis.data.segments import segments
+from flexspline.diagnosis.diagnose import calibrated
+from flexspline.diagnosis.fit.regions import held_out_regions, valid_range
+from flexspline.diagnosis.fit.residual import Problem
+from flexspline.diagnosis.fit.solver import Fitter, with_dispersion
+from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
+from flexspline.diagnosis.trials import bands
+from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
+from flexspline.diagnosis.uncertainty import larger, stated
+from flexspline.diagnosis.validate import validate
+from flexspline.estimator.offline import beyond_range, estimate_recording, write_estimates
+from flexspline.models.joint import Joint, ValidRange, beyond_sentence, load_joint
+from flexspline.models.recording import Measurement
+from flexspline.models.tables import read_table
+from flexspline.models.uncertainty import independent_changes, principal
+
+SEED = 23
+
+
+@cache
+def known() -> tuple[Draw, Joint]:
+    """A joint within its tolerances, calibrated on one sweep that goes to one side, stating how well it is known."""
+    print(f"seed {SEED}")
+    drawn = draw(Challenge(seed=SEED, hidden="none", scenarios=("link_sweep",)), 0)
+    problem = Problem(*segments(list(drawn.measurement.recordings), drawn.nominal), drawn.nominal)
+    fitter = Fitter(problem)
+    fit = with_dispersion(problem, calibrate(problem, fitter, CalibrateSettings(iterations=4)))
+    found = calibrated(problem, fit, drawn.nominal)
+    regions = held_out_regions(problem, fit)
+    update = {"valid": valid_range(problem, fit), "uncertainty": stated(problem, fit, found, regions)}
+    return drawn, found.model_copy(update=update)
+
+
+def test_covariance_agrees_with_the_deviations_beside_the_numbers():
+    _, joint = known()
+    assert joint.uncertainty is not None
+    deviation = dict(zip(joint.uncertainty.names, np.sqrt(np.sum(joint.uncertainty.matrix**2, axis=1)), strict=True))
+    for name in ("Kt", "K2", "Fc", "bw", "Kw0"):
+        assert deviation[name] == pytest.approx(joint.numbers[name].std, rel=0.5), name
+    assert set(joint.uncertainty.discrepancy) == {"motor_current", "joint_torque", "link_balance"}
+    assert joint.uncertainty.beyond >= 1
+
+
+def test_written_and_read_again(tmp_path):
+    _, joint = known()
+    joint.write(tmp_path / "joint.yaml")
+    again = load_joint(tmp_path / "joint.yaml")
+    assert again.uncertainty == joint.uncertainty and again.valid == joint.valid
+    assert len(independent_changes(again)) == len(independent_changes(joint))
+
+
+def test_independent_changes_have_the_stated_covariance():
+    _, joint = known()
+    changes = independent_changes(joint)
+    for name in ("Kt", "K1", "link_encoder_zero"):
+        i = joint.uncertainty.names.index(name)
+        together = np.sqrt(sum(c.get(name, 0.0) ** 2 for c in changes))
+        assert together == pytest.approx(np.sqrt(np.sum(joint.uncertainty.matrix[i] ** 2)), rel=1e-9)
+
+
+def test_a_description_of_a_person_is_as_open_as_its_tolerances():
+    joint = load_joint("test-joint")
+    changes = independent_changes(joint)
+    number = joint.numbers["Kt"]
+    assert np.sqrt(sum(c.get("Kt", 0.0) ** 2 for c in changes)) == pytest.approx(number.tolerance * number.value)
+
+
+def test_few_directions_keep_what_matters(rng):
+    changes = [{f"x{i}": 1.0} for i in range(6)]
+    responses = np.outer(rng.standard_normal(50), [3.0, 4.0, 0, 0, 0, 0]) + 1e-3 * rng.standard_normal((50, 6))
+    (one,) = principal(changes, responses, left=0.01, most=4)
+    assert abs(one["x0"]) == pytest.approx(0.6, abs=0.01) and abs(one["x1"]) == pytest.approx(0.8, abs=0.01)
+    assert principal([], np.empty((50, 0)), 0.01, 4) == []
+
+
+def test_larger_covariance_is_at_least_both(rng):
+    A, B = (x @ x.T + 0.1 * np.eye(5) for x in rng.standard_normal((2, 5, 5)))
+    both = larger(A, B)
+    for one in (A, B):
+        assert np.linalg.eigvalsh(both - one).min() > -1e-9
+    np.testing.assert_allclose(larger(A, 0.5 * A), A, rtol=1e-9)
+
+
+def test_bands_widen_beyond_the_data():
+    drawn, joint = known()
+    wide = joint.uncertainty.model_copy(update={"beyond": 20.0, "discrepancy": {"motor_current": 0.02}})
+    low, high = joint.valid.link_position
+    narrow = joint.valid.model_copy(update={"link_position": [low, 0.5 * (low + high)]})
+    there = joint.model_copy(update={"uncertainty": wide, "valid": narrow})
+    one, other = (validate(drawn.measurement, j).recordings[0] for j in (joint, there))
+    beyond = one.moving & (one.angle > 0.6 * high)
+    ratio = np.median(other.deviation["motor_current"][beyond]) / np.median(one.deviation["motor_current"][beyond])
+    assert ratio > 2
+
+
+def test_estimates_carry_bands_that_hold_the_torque(tmp_path):
+    drawn, joint = known()
+    recording = drawn.measurement.recordings[0].at(slice(None, None, 4))
+    found = estimate_recording(recording, joint, ("RAREKF", "current"), bands=True)
+    plain = estimate_recording(recording, joint, ("RAREKF", "current"))
+    assert plain.deviation == {}
+    for name in ("RAREKF", "current"):
+        np.testing.assert_array_equal(found.torque[name], plain.torque[name])
+        error = np.abs(found.torque[name] - recording["joint_torque"])
+        noise = joint.sensors.joint_torque.noise
+        inside = np.mean(error <= 1.96 * np.hypot(found.deviation[name], noise))
+        assert inside > 0.9, name
+        assert np.median(found.deviation[name]) < 0.05 * joint.numbers["rated_torque"].value, name
+    columns, notes = read_table(write_estimates(found, tmp_path))
+    assert notes["torque_RAREKF_low"]["unit"] == "N·m"
+    assert np.all(columns["external_torque_current_low"] <= columns["external_torque_current_high"])
+
+
+def test_what_is_beyond_is_told_by_estimates():
+    drawn, joint = known()
+    recording = drawn.measurement.recordings[0]
+    assert beyond_range(recording, drawn.nominal) == {}
+    assert set(beyond_range(recording, joint)) <= {"joint_torque", "link_velocity"}, "it is the range of these data"
+    narrow = ValidRange(link_position=[-0.3, 0.3], link_velocity=[-3, 3], joint_torque=[-30, 30])
+    found = beyond_range(recording, joint.model_copy(update={"valid": narrow}))
+    assert set(found) == {"link_position"} and "link angle" in beyond_sentence(found)
+
+
+def test_a_run_tells_that_it_leaves_the_range(tmp_path, flexspline):
+    import flexspline as fs
+
+    _, joint = known()
+    valid = joint.valid.model_copy(update={"link_position": [-0.05, 0.05]})
+    joint.model_copy(update={"valid": valid}).write(tmp_path / "joint.yaml")
+    run = fs.simulate("link_sweep", duration=8, joint=str(tmp_path / "joint.yaml"))
+    assert run.beyond["link_position"] > 0.05
+    assert any("extrapolated" in note for note in run.notes)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("real", [False, True])
+def test_bands_hold_where_the_fit_has_not_been(real):
+    """One draw each way; `bands` is how the numbers in the documentation were measured over many."""
+    part = bands.diagnosed_part(Challenge(seed=5, hidden="none", real=real), 0)
+    for name, held in bands.channels_held(part).items():
+        assert held.samples > 5000 and 0.8 < held.inside, (name, held)
+    for name, held in bands.estimates_held(part, ("RAREKF", "current")).items():
+        assert 0.8 < held.inside, (name, held)
+
+
+def test_one_encoder_has_bands_too():
+    drawn, joint = known()
+    recordings = tuple(r.without("link_position") for r in drawn.measurement.recordings)
+    found = validate(Measurement("one encoder", Path(), recordings), joint)
+    assert found.residual["motor_current"].inside > 0.9

@@ -1,0 +1,56 @@
+"""The augmented Kalman filter on a joint within tolerance: better than torsion, honest about it, still at rest."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flexspline.estimator import registry
+from flexspline.scenarios.evaluation.draws import Draw, draw, rms
+from flexspline.scenarios.scenario import load_scenario
+
+
+@pytest.fixture(scope="module")
+def pushed() -> Draw:
+    """14 s of the pushed sweep with a joint drawn within its tolerances."""
+    scenario, folder = load_scenario("external_push")
+    few = [d for d in scenario.disturbances if d.start < 12.5]
+    return draw(scenario.model_copy(update={"duration": 14.0, "disturbances": few}), folder, 201)
+
+
+def test_on_a_joint_within_tolerance(pushed):
+    found = registry.get("augmented").estimate(pushed.signals, pushed.known)
+    error = found.mean - pushed.truth
+    torsion = registry.get("RAREKF").estimate(pushed.signals, pushed.known).mean - pushed.truth
+    print(f"{rms(error, pushed.kept):.4f} N·m, RAREKF {rms(torsion, pushed.kept):.4f} N·m")
+    assert rms(error, pushed.kept) < 0.5 * rms(torsion, pushed.kept)
+    nees = np.mean(error[pushed.kept] ** 2 / found.variance[pushed.kept])
+    assert 0.05 < nees < 4.0
+    push = np.abs(pushed.external_torque) > 2.0
+    assert np.corrcoef(found.external[push], pushed.external_torque[push])[0, 1] > 0.9
+
+
+def test_an_exact_joint_has_nothing_to_learn(pushed):
+    """Without spread every constant stays what the record says; with it, they move, within what is known of them."""
+    told = registry.get("augmented").estimate(pushed.signals, pushed.known)
+    exact = registry.get("augmented").estimate(pushed.signals, replace(pushed.known.within(0.0)))
+    for name in ("stiffness_error", "wave_generator_error", "weight_error", "friction_error", "constant_error"):
+        assert not exact.columns[name].any()
+        assert told.columns[name].any()
+    spread = pushed.known.spread
+    assert abs(told.columns["weight_error"][-1]) < 3 * spread.gravity
+    assert abs(told.columns["stiffness_error"][-1]) < 3 * spread.stiffness
+
+
+def test_still_at_rest():
+    """20 s of rest under load: the estimate does not drift, and its variance does not fall to nothing."""
+    scenario, folder = load_scenario("link_sweep")
+    rest = scenario.model_copy(update={"trajectory": [scenario.trajectory[-1]], "duration": 20.0})
+    one = draw(rest, folder, 202)
+    found = registry.get("augmented").estimate(one.signals, one.known)
+    means = found.mean[2000:].reshape(-1, 2000).mean(axis=1)
+    print(f"means over 2 s: {np.round(means, 4)} N·m, standard deviation {np.sqrt(found.variance[-1]):.4f}")
+    assert np.ptp(means) < 0.05
+    assert np.sqrt(found.variance[-1]) > 0.01

@@ -1,0 +1,134 @@
+"""README and docs are true: files that they name are there, commands and options exist, snippets are read and run."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import shlex
+from pathlib import Path
+from typing import get_args, get_type_hints
+
+import pytest
+import yaml
+
+from flexspline import commands
+from flexspline.models.files import parse
+from flexspline.scenarios.scenario import Scenario
+from flexspline.scenarios.studies.study import Study
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+ROOMS = (
+    "commands",
+    "diagnosis",
+    "estimator",
+    "models",
+    "scenarios",
+    "sim",
+    "views",
+    "benchmarks",
+    "docs",
+    "flexspline",
+)
+MADE = {
+    "joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv", "diagnosis.json", "DIR/NAME.yaml",
+    "study.yaml", "cause.py", "models/causes/NAME.py",
+}  # fmt: skip
+"""Files that commands or people make, and patterns."""
+OWN = re.compile(r"(?:^    (?:\S*/)?|`)flexspline ([a-z]+)(?: ([^`#\n]*))?", re.MULTILINE)
+
+
+def ids(pages):
+    return [page.name for page in pages]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
+def test_files_that_are_named_are_there(page):
+    text = page.read_text(encoding="utf-8")
+    named = set(re.findall(r"`([\w./-]+\.(?:py|yaml|xml|md|csv))`", text)) - MADE
+    anywhere = {path.name for room in ROOMS for path in (ROOT / room).rglob("*")}
+    within = [ROOT, ROOT / "diagnosis", ROOT / "estimator"]
+    missing = [
+        name
+        for name in named
+        if not (any((top / name).exists() for top in within) if "/" in name else name in anywhere)
+    ]
+    missing += [
+        link for link in re.findall(r"\]\((?!http)([^)#]+)", text) if not (page.parent / link).resolve().exists()
+    ]
+    assert not missing
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
+def test_commands_and_their_options_are_there(page):
+    wrong = []
+    for name, rest in OWN.findall(page.read_text(encoding="utf-8")):
+        if name not in commands._files():
+            wrong.append(name)
+            continue
+        known = options(name)
+        wrong += [f"{name} {word}" for word in re.findall(r"(?<![\w-])--[a-z-]+", rest) if word not in known]
+    assert not wrong
+
+
+def options(name: str) -> set[str]:
+    """Options of a command as they are typed."""
+    function = importlib.import_module(f"flexspline.commands.{commands._files()[name]}").command
+    found = {"--help"}
+    for parameter, hint in get_type_hints(function, include_extras=True).items():
+        for info in get_args(hint)[1:]:
+            declared = [
+                d
+                for word in (getattr(info, "default", ""), *(getattr(info, "param_decls", None) or ()))
+                for d in str(word).split("/")
+                if d.startswith("--")
+            ]
+            if type(info).__name__ == "OptionInfo":
+                plain = "--" + parameter.replace("_", "-")
+                found |= set(declared) or {plain, plain.replace("--", "--no-", 1)}
+    return found
+
+
+def snippets(page: Path, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
+
+
+def test_scenario_and_study_are_read():
+    scenario, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
+    parse(scenario, Scenario, "the scenario")
+    parse(study, Study, "the study")
+
+
+def test_the_readme_is_short():
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 150
+
+
+@pytest.mark.slow
+def test_the_first_five_minutes(flexspline, shared, tmp_path, monkeypatch):
+    """The commands of the README, one after the other, and its program."""
+    (tmp_path / "here").mkdir()
+    (tmp_path / "shared").symlink_to(shared)
+    monkeypatch.chdir(tmp_path / "here")
+    text = (ROOT / "README.md").read_text(encoding="utf-8").split("## Five minutes")[1].split("## ")[0]
+    typed = [shlex.split(line, comments=True) for line in text.splitlines() if line.startswith("    flexspline ")]
+    assert len(typed) >= 5
+    for _, *words in typed:
+        if words[0] != "view":
+            code, _, error = flexspline(*words)
+            assert code == 0, (words, error)
+    assert (tmp_path / "here" / "diagnosis" / "report.html").is_file()
+    (program,) = snippets(ROOT / "README.md", "python")
+    exec(program, {})
+
+
+def test_public_functions_say_what_they_take_and_give():
+    import flexspline as fs
+
+    for name in fs.__all__:
+        one = getattr(fs, name)
+        if inspect.isfunction(one):
+            text = inspect.getdoc(one) or ""
+            assert "Returns:" in text, name
+            if inspect.signature(one).parameters:
+                assert "Args:" in text and "Raises:" in text, name
