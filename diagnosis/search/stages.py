@@ -41,6 +41,7 @@ class AcceptSettings:
         (`solver.with_dispersion`).
       worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
         one of many things that the description does not hold, and no answer to what the simulation gets wrong.
+      slight: part of the root mean square of what nothing explains that it must be worth.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
@@ -54,6 +55,7 @@ class AcceptSettings:
     smallest: float = 0.03
     significant: float = 4.0
     worth: float = 0.5
+    slight: float = 0.25
     held_out_share: float = 0.2
     race: float = 0.6
     finalists: int = 3
@@ -586,6 +588,7 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
     for _ in range(2 * len(f.model)):
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
+        left = float(np.sum(unexplained(problem, f.point)))
         verdicts = []
         for i, h in enumerate(f.model):
             block = problem.place(f.model, i)
@@ -598,6 +601,8 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
+            elif w.rms < settings.slight * left**0.5:
+                reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error, {left**0.5:.2g} is left that nothing explains"
             elif id(h) in kept:
                 reason = ""
             elif away < settings.significant:
@@ -625,9 +630,9 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
             and not _is_calibration(problem, f, i)
         ):
             kept.add(id(h))
-            left = f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
+            reason = f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
             gain = f.log_evidence - other.log_evidence
-            dropped.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, True, left))
+            dropped.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, True, reason))
             continue
         dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
         rivals = [r for j, r in enumerate(rivals) if j != i]
