@@ -19,7 +19,7 @@ from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.regions import Region, held_out_regions, valid_range
 from .fit.residual import Problem
-from .fit.solver import Fit, Fitter, with_dispersion
+from .fit.solver import Fit, Fitter, tamed, with_dispersion
 from .search import discrepancy
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
@@ -390,13 +390,13 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
     real = quiet_rms(problem, final) > ANSWER.quiet
     findings: list[Finding] = []
     minor: list[Finding] = []
-    worths = []
+    worths, linear = [], tamed(problem, final)
     for i, h in enumerate(final.model):
         block = problem.place(final.model, i)
         effect = block.start + np.asarray(h.magnitudes)
         others = np.setdiff1d(np.arange(len(final.theta)), np.arange(block.start, block.stop))
         amount = amount_of(problem, final, i)[h.magnitudes]
-        worths.append(worth(problem, final, final.jacobian, effect, others, amount))
+        worths.append(worth(problem, final, linear.jacobian, effect, others, amount))
     total = max(sum(w.rms**2 for w in worths), 1e-30)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
@@ -442,9 +442,10 @@ def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -
     rivals = found.rivals[index] if index < len(found.rivals) else None
     if rivals is None:
         return 0.5
-    best = max([rivals.gain, *(g for _, g in rivals.others)])
+    others = [g for n, g in rivals.others if n != name and _superseded(found, n)]
+    best = max([rivals.gain, *others])
     temper = ANSWER.temper + ANSWER.inexact * min(rivals.gain, 500.0)
-    weights = [np.exp((g - best) / temper) for n, g in rivals.others if n != name and _superseded(found, n)]
+    weights = [np.exp((g - best) / temper) for g in others]
     own = float(np.exp((rivals.gain - best) / temper))
     none = float(np.exp(-(best - 3.5) / temper))
     p = own / (own + sum(weights) + none)

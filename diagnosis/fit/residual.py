@@ -109,7 +109,7 @@ class Problem:
     ) -> list[list[np.ndarray]]:
         """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel.
 
-        `coarse`: by a replay of twice the step, for derivatives.
+        `coarse`: by a replay of twice the step, for screening.
         """
         chosen = self.replicates if replicate else self.segments
         if coarse:
@@ -144,7 +144,7 @@ class Problem:
         step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
         replayed = [j for j in columns if not self.calibration.size <= j < self.size]
         points = [theta, *(theta + step[j] * np.eye(n)[j] for j in replayed)]
-        base, *moved = self.residuals(points, [model] * len(points), replicate, coarse=True)
+        base, *moved = self.residuals(points, [model] * len(points), replicate)
         done = dict(zip(replayed, moved, strict=True))
         found = []
         for s, segment in enumerate(self.replicates if replicate else self.segments):

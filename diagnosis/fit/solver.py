@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..data.segments import BALANCES
 from .noise import Noise, White, learn, rows_of, whiten
 from .residual import Model, Problem
 
@@ -200,6 +201,22 @@ def leverage_weight(
     if noise is not None:
         far = np.maximum(far, np.max(np.abs(noise) / usual, axis=1) / noise_limit)
     return 1.0 / np.maximum(far, 1.0) ** 2
+
+
+def tamed(problem: Problem, at: Fit, settings: SolverSettings = SETTINGS) -> Fit:
+    """A fit with derivatives for a linear model: small in rows of extreme leverage.
+
+    Where the replay is about to leave the range of a law, derivatives are huge and say nothing of a change of any size.
+    """
+    white = whiten(problem.segments, at.noise, [j[..., : problem.size] for j in at.jacobian]).rows
+    root = np.sqrt(leverage_weight(white, settings.leverage))
+    jacobian, first = [], 0
+    for one, j in zip(problem.segments, at.jacobian, strict=True):
+        blocks = len(one.at[:: one.block])
+        rows = root[first : first + blocks * len(BALANCES)].reshape(len(BALANCES), blocks)
+        first += rows.size
+        jacobian.append(j * np.repeat(rows, one.block, axis=1).T[: len(j), :, None])
+    return replace(at, jacobian=jacobian)
 
 
 def products(rows: np.ndarray, limit: float, weight: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:

@@ -17,7 +17,17 @@ from ..fit.coordinates import Hypothesis
 from ..fit.noise import Noise, SensorNoise, learn, whiten
 from ..fit.residual import Problem
 from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Columns, Fit, bounded_step, huber_loss, huber_weight, leverage_weight, prior_cost, stacked
+from ..fit.solver import (
+    Columns,
+    Fit,
+    bounded_step,
+    huber_loss,
+    huber_weight,
+    leverage_weight,
+    prior_cost,
+    stacked,
+    tamed,
+)
 from .worth import mean_squares
 
 
@@ -95,14 +105,13 @@ class Library:
                 u[j] += probe
                 thetas.append(np.concatenate([at.theta, u]))
                 models.append((*at.model, h))
-        base, *moved = problem.residuals([at.theta, *thetas], [at.model, *models], coarse=True)
+        base, *moved = problem.residuals([at.theta, *thetas], [at.model, *models])
         done = iter(moved)
         self.columns: list[Columns] = []
         for h in self.hypotheses:
             parts = [next(done) for _ in h.magnitudes]
-            self.columns.append(
-                [np.stack([(part[s] - base[s]) / probe for part in parts], -1) for s in range(len(base))]
-            )
+            columns = [np.stack([(part[s] - base[s]) / probe for part in parts], -1) for s in range(len(base))]
+            self.columns.append(columns)
 
     def of(self, hypothesis: Hypothesis) -> Columns:
         """Columns of one hypothesis."""
@@ -189,6 +198,7 @@ def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings
     """
     if not library.hypotheses:
         return ()
+    at = tamed(problem, at)
     ranked = _ranked(problem, at, library, at.noise)
     plain = _ranked(problem, at, library, plain_noise(problem, at))
     chosen: dict[tuple, Screened] = {}

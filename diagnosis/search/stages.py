@@ -21,7 +21,7 @@ import numpy as np
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
-from ..fit.solver import Fit, Fitter, Point, huber_loss, losses_of, prior_cost, with_dispersion
+from ..fit.solver import Fit, Fitter, Point, huber_loss, losses_of, prior_cost, tamed, with_dispersion
 from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over, roughness, tared
 from .screen import Library, Screened, ScreenSettings, screen
 from .worth import Worth, unexplained, worth
@@ -41,10 +41,12 @@ class AcceptSettings:
         (`solver.with_dispersion`).
       worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
         one of many things that the description does not hold, and no answer to what the simulation gets wrong.
+      slight: part of the root mean square of what nothing explains that it must be worth.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
       race: rivals that are worth more than this part of the best are fitted to the end.
-      finalists: hypotheses fitted in the first round; per_cause: at most of one cause.
-      most: causes at once.
+      finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
+        noise and the linear model no good judge; per_cause: at most of one cause.
+      most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
     """
@@ -53,11 +55,15 @@ class AcceptSettings:
     smallest: float = 0.03
     significant: float = 4.0
     worth: float = 0.5
+    slight: float = 0.25
     held_out_share: float = 0.2
     race: float = 0.6
     finalists: int = 3
+    far_finalists: int = 6
+    far: float = 10.0
     per_cause: int = 2
     most: int = 5
+    rounds: int = 3
     gross: float = 60.0
     coarse: tuple[float, ...] = (-1.5, -0.7, 0.4, 0.7, 1.0, 1.5)
 
@@ -182,7 +188,8 @@ def _start(problem: Problem, base: Fit, s: Screened) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Finalist:
-    """A hypothesis fitted on top of a base: its log evidence over the base's, the mean square that it alone removes [N·m]²."""
+    """A hypothesis fitted on top of a base: its log evidence over the base's, and by how much the mean square of what is not
+    explained is smaller than the base's [N·m]²."""
 
     fit: Fit
     gain: float
@@ -198,11 +205,12 @@ def _finalists(problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[S
     """The best hypotheses, fitted through the replay; a close race is decided by fits at their ends."""
     good = [s for s in screened if s.noise and s.gain > 0.5 * settings.threshold and s.size > 0.5 * settings.smallest]
     chosen: list[Screened] = []
-    for s in sorted(good, key=lambda s: -s.removed)[: settings.finalists - 1] + good:
+    most = settings.finalists if quiet_rms(problem, base) < settings.far else settings.far_finalists
+    for s in sorted(good, key=lambda s: -s.removed)[: most - 1 - most // 4] + good:
         taken = [c.hypothesis.cause.name for c in chosen]
         if any(c is s for c in chosen) or taken.count(s.hypothesis.cause.name) >= settings.per_cause:
             continue
-        if len(chosen) < settings.finalists:
+        if len(chosen) < most:
             chosen.append(s)
     fitted = [
         _as_finalist(
@@ -249,11 +257,8 @@ def _coarse(
 
 
 def _as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
-    block = problem.place(f.model, len(f.model) - 1)
-    effect = block.start + np.asarray(f.model[-1].magnitudes)
-    amount = amount_of(problem, f, -1)[f.model[-1].magnitudes]
-    removed = worth(problem, f, f.jacobian, effect, np.arange(block.start), amount).own.sum()
-    return Finalist(f, f.log_evidence - base.log_evidence, float(removed))
+    removed = float(np.sum(unexplained(problem, base.point)) - np.sum(unexplained(problem, f.point)))
+    return Finalist(f, f.log_evidence - base.log_evidence, removed)
 
 
 def search(
@@ -271,52 +276,62 @@ def search(
     """
     fitter, accept = Fitter(problem), settings.accept
     progress("calibrating the joint", 0.02)
-    base = calibrate(problem, fitter, settings.calibrate)
+    at = first = calibrate(problem, fitter, settings.calibrate)
     decisions: list[Decision] = []
     rivals: list[Rivals] = []
-    first = base
-    for attempt in range(2):
-        progress("screening the library of causes", 0.2 + 0.1 * attempt)
-        quiet = quiet_rms(problem, base)
+    pending: tuple[Finalist, dict[str, float]] | None = None
+    afreshed, late = False, False
+    while True:
+        quiet = quiet_rms(problem, at)
         probe = settings.screen.probe if quiet < settings.screen.quiet else settings.screen.coarse_probe
-        library = Library(problem, base, hypotheses, probe)
-        screened = screen(problem, base, library, settings.screen)
-        progress("fitting the causes that look best", 0.35 + 0.1 * attempt)
-        fitted = _finalists(problem, fitter, base, screened, accept)
-        if quiet > settings.accept.gross and not attempt:
+        progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
+        library = Library(problem, at, _others(hypotheses, at.model), settings.screen.probe if at.model else probe)
+        if at.model and (quiet < accept.far or len(at.model) >= accept.rounds):
+            break  # what is left is small: the linear model serves
+        screened = screen(problem, at, library, settings.screen)
+        if pending is not None:
+            rivals.append(_rivals_of(*pending, _gains(screened), accept))
+            pending = None
+        late = time.monotonic() > deadline
+        if late:
+            break
+        progress("fitting the causes that look best", 0.3 + 0.15 * len(at.model))
+        fitted = _finalists(problem, fitter, at, screened, accept)
+        if quiet > accept.gross and not at.model and not afreshed:
             # So far off that the linear model says little.
             for h, start in _coarse(problem, hypotheses, settings):
-                f = fitter.fit((h,), start, None, settings.calibrate.iterations, base.point.noise)
-                fitted = sorted([*fitted, _as_finalist(problem, base, f)], key=lambda f: -f.gain)
-        decisions, chosen = _first(problem, base, screened, fitted, accept)
-        if chosen is not None or attempt or not doubtful(problem, base, quiet, settings.calibrate):
-            break
-        other = afresh(problem, fitter, base, settings.calibrate)
-        if other.log_evidence < base.log_evidence + 1.0:
-            break
-        base = first = other
-    at, late = first, time.monotonic() > deadline
-    if chosen is not None and not late:
-        progress(f"settling {chosen.name.replace('_', ' ')}", 0.5)
+                f = fitter.fit((h,), start, None, settings.calibrate.iterations, at.point.noise)
+                fitted = sorted([*fitted, _as_finalist(problem, at, f)], key=lambda f: -f.gain)
+        seen, chosen = _first(problem, at, screened, fitted, accept)
+        decisions += seen
+        if chosen is None:
+            if at.model or afreshed or not doubtful(problem, at, quiet, settings.calibrate):
+                break
+            afreshed = True
+            other = afresh(problem, fitter, at, settings.calibrate)
+            if other.log_evidence < at.log_evidence + 1.0:
+                break
+            at = first = other
+            continue
+        progress(f"settling {chosen.name.replace('_', ' ')}", 0.4 + 0.15 * len(at.model))
         at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
         if doubtful(problem, at, quiet_rms(problem, at), settings.calibrate):
             at = max((at, afresh(problem, fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
-        rivals.append(_rivals_of(chosen, fitted))
-        quiet = quiet_rms(problem, at)
-        progress("screening the library again", 0.6)
-        library = Library(problem, at, _others(hypotheses, at.model), settings.screen.probe)
-    late = time.monotonic() > deadline
+        pending = (chosen, {f.name: f.gain for f in reversed(fitted)})
+    late = late or time.monotonic() > deadline
     if not late:
         progress("selecting further causes", 0.7)
-        more, seen, others = _select(problem, at, library, accept, settings.screen)
+        more, seen, others = _select(problem, at, library, accept, settings.screen, pending)
         decisions += seen
+        rivals += others
         if more:
             progress("settling all causes", 0.8)
-            found = _together(problem, fitter, at, library, more)
-            rivals += others
-            found, rivals, dropped = _prune(problem, fitter, found, rivals, accept)
+            at = _together(problem, fitter, at, library, more)
+        if len(at.model) > 1:
+            at, rivals, dropped = _prune(problem, fitter, at, rivals, accept)
             decisions += dropped
-            at = found
+    elif pending is not None:
+        rivals.append(_rivals_of(*pending, {}, accept))
     return Search(
         first,
         at,
@@ -326,6 +341,14 @@ def search(
         (quiet_rms(problem, first), quiet_rms(problem, at)),
         not late,
     )
+
+
+def _gains(screened: Sequence[Screened]) -> dict[str, float]:
+    """The largest gain of each cause."""
+    gains: dict[str, float] = {}
+    for s in screened:
+        gains[s.hypothesis.cause.name] = max(s.gain, gains.get(s.hypothesis.cause.name, -np.inf))
+    return gains
 
 
 def _others(hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothesis]:
@@ -428,39 +451,42 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
 
 
-def _rivals_of(chosen: Finalist, fitted: Sequence[Finalist]) -> Rivals:
-    others: dict[str, float] = {}
-    for f in fitted:
-        if f.name != chosen.name:
-            others[f.name] = max(f.gain, others.get(f.name, -np.inf))
-    return Rivals(chosen.name, chosen.gain, tuple(others.items()))
+def _rivals_of(
+    chosen: Finalist | Screened, before: dict[str, float], after: dict[str, float], settings: AcceptSettings
+) -> Rivals:
+    """Rivals of a cause that was accepted: those that it has made superfluous, by gains before and after."""
+    name = chosen.name if isinstance(chosen, Finalist) else chosen.hypothesis.cause.name
+    others = tuple(
+        (n, g) for n, g in before.items() if n != name and g > settings.threshold and after.get(n, 0.0) < 0.2 * g
+    )
+    return Rivals(name, chosen.gain, others)
 
 
 # --- further causes, in the linear model -------------------------------------------------------------------------------
 
 
-def _select(problem: Problem, at: Fit, library: Library, settings: AcceptSettings, screening: ScreenSettings):
-    """Further causes one after the other in the linear model about a fit: the one first that is worth most."""
+def _select(
+    problem: Problem,
+    at: Fit,
+    library: Library,
+    settings: AcceptSettings,
+    screening: ScreenSettings,
+    before: tuple[Finalist | Screened, dict[str, float]] | None,
+):
+    """Further causes one after the other in the linear model about a fit: the one first that is worth most.
+
+    `before`: the cause that was accepted last, with the gains of all when it was.
+    """
     chosen: list[Screened] = []
     decisions: list[Decision] = []
     rivals: list[Rivals] = []
-    here, rest = at, library
-    before: list[tuple[Screened, dict[str, float]]] = []
+    here, rest = tamed(problem, at), library
     seen: dict[tuple, Decision] = {}
     while len(at.model) + len(chosen) < settings.most + 1:
         screened = screen(problem, here, rest, screening)
-        gains: dict[str, float] = {}
-        for s in screened:
-            gains[s.hypothesis.cause.name] = max(s.gain, gains.get(s.hypothesis.cause.name, -np.inf))
-        if before:
-            # Rivals of the last one: what it has made superfluous.
-            last, earlier = before[-1]
-            others = tuple(
-                (name, g)
-                for name, g in earlier.items()
-                if name != last.hypothesis.cause.name and g > settings.threshold and gains.get(name, 0.0) < 0.2 * g
-            )
-            rivals.append(Rivals(last.hypothesis.cause.name, last.gain, others))
+        gains = _gains(screened)
+        if before is not None:
+            rivals.append(_rivals_of(*before, gains, settings))
         stage = f"select {len(at.model) + len(chosen) + 1}"
         good: list[tuple[Screened, Worth]] = []
         for s in screened:
@@ -490,7 +516,7 @@ def _select(problem: Problem, at: Fit, library: Library, settings: AcceptSetting
         name = best.hypothesis.cause.name
         seen.pop((name, *best.hypothesis.fixed.items()), None)
         decisions.append(Decision(stage, name, best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason))
-        before.append((best, gains))
+        before = (best, gains)
         chosen.append(best)
         here = _with(problem, here, rest, best)
         rest = rest.keeping(_others(rest.hypotheses, (best.hypothesis,)))
@@ -527,7 +553,7 @@ def _worth_of(problem: Problem, f: Fit, library: Library, s: Screened) -> Worth:
 
 def _together(problem: Problem, fitter: Fitter, at: Fit, library: Library, chosen: Sequence[Screened]) -> Fit:
     """All causes fitted together through the replay, from where the linear model puts them."""
-    here, rest = at, library
+    here, rest = tamed(problem, at), library
     for s in chosen:
         here = _with(problem, here, rest, s)
     half = np.concatenate([0.5 * (at.theta + here.theta[: len(at.theta)]), here.theta[len(at.theta) :]])
@@ -559,20 +585,26 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
 def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings):
     """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
     dropped: list[Decision] = []
-    for _ in range(len(f.model)):
-        honest = with_dispersion(problem, f)
+    kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
+    for _ in range(2 * len(f.model)):
+        honest, linear = with_dispersion(problem, f), tamed(problem, f)
+        left = float(np.sum(unexplained(problem, f.point)))
         verdicts = []
         for i, h in enumerate(f.model):
             block = problem.place(f.model, i)
             effect = block.start + np.asarray(h.magnitudes)
             others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
-            w = worth(problem, f, f.jacobian, effect, others, amount_of(problem, f, i)[h.magnitudes])
+            w = worth(problem, f, linear.jacobian, effect, others, amount_of(problem, f, i)[h.magnitudes])
             size, away = size_of(problem, f, i), significance(problem, honest, i)
             reason = ""
             if _is_calibration(problem, f, i):
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
+            elif w.rms < settings.slight * left**0.5:
+                reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error, {left**0.5:.2g} is left that nothing explains"
+            elif id(h) in kept:
+                reason = ""
             elif away < settings.significant:
                 reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
             elif w.share < settings.worth:
@@ -591,6 +623,17 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
         i, other = max(trials, key=lambda trial: trial[1].log_evidence)
         w, size, reason = verdicts[i]
         h = f.model[i]
+        here, there = (float(np.sum(unexplained(problem, x.point))) for x in (f, other))
+        if (
+            other.log_evidence < f.log_evidence - settings.threshold
+            and there > (1 + settings.worth) * here
+            and not _is_calibration(problem, f, i)
+        ):
+            kept.add(id(h))
+            reason = f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
+            gain = f.log_evidence - other.log_evidence
+            dropped.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, True, reason))
+            continue
         dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
         rivals = [r for j, r in enumerate(rivals) if j != i]
         f = other
