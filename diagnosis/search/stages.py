@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...models import causes
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
@@ -46,6 +47,7 @@ class AcceptSettings:
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
         noise and the linear model no good judge; per_cause: at most of one cause.
+      general: part of a cause's gain that a more general one must add to it.
       most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
@@ -62,6 +64,7 @@ class AcceptSettings:
     far_finalists: int = 6
     far: float = 10.0
     per_cause: int = 2
+    general: float = 0.02
     most: int = 5
     rounds: int = 3
     gross: float = 60.0
@@ -327,6 +330,8 @@ def search(
         if more:
             progress("settling all causes", 0.8)
             at = _together(problem, fitter, at, library, more)
+        at, rivals, simpler = _simplified(problem, fitter, at, rivals, hypotheses, accept)
+        decisions += simpler
         if len(at.model) > 1:
             at, rivals, dropped = _prune(problem, fitter, at, rivals, accept)
             decisions += dropped
@@ -368,10 +373,9 @@ def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], F
     good = [f for f in fitted if not reasons[id(f)]]
     chosen = max(good, key=lambda f: f.removed, default=None)
     if chosen is not None:
-        # What explains the same as the best by evidence, and less likely, is no rival by worth.
-        best = max(good, key=lambda f: f.gain)
-        if chosen is not best and chosen.removed < 1.5 * best.removed:
-            chosen = best
+        # Of those that explain about the same the likeliest.
+        most = chosen.removed
+        chosen = max((f for f in good if 1.5 * f.removed >= most), key=lambda f: f.gain)
     decisions = []
     for f in fitted:
         h, reason = f.fit.model[-1], reasons[id(f)]
@@ -455,11 +459,17 @@ def _rivals_of(
     chosen: Finalist | Screened, before: dict[str, float], after: dict[str, float], settings: AcceptSettings
 ) -> Rivals:
     """Rivals of a cause that was accepted: those that it has made superfluous, by gains before and after."""
-    name = chosen.name if isinstance(chosen, Finalist) else chosen.hypothesis.cause.name
+    cause = (chosen.fit.model[-1] if isinstance(chosen, Finalist) else chosen.hypothesis).cause
     others = tuple(
-        (n, g) for n, g in before.items() if n != name and g > settings.threshold and after.get(n, 0.0) < 0.2 * g
+        (n, g)
+        for n, g in before.items()
+        if n != cause.name
+        and cause.name not in causes.get(n).generalises
+        and n not in cause.generalises
+        and g > settings.threshold
+        and after.get(n, 0.0) < 0.2 * g
     )
-    return Rivals(name, chosen.gain, others)
+    return Rivals(cause.name, chosen.gain, others)
 
 
 # --- further causes, in the linear model -------------------------------------------------------------------------------
@@ -580,6 +590,49 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
     return fitter.fit(model, f.theta[kept], f, 4)
+
+
+def _simplified(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: list[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """Causes that are special cases of accepted ones in their places, where the data do not ask for more."""
+    decisions: list[Decision] = []
+    for i, h in enumerate(f.model):
+        for g in hypotheses:
+            if g.cause.name not in h.cause.generalises or any(o.cause.name == g.cause.name for o in f.model):
+                continue
+            parts = problem.split(f.theta, f.model)
+            values = h.values(parts[i])
+            u = g.confine(g.coordinates({q.name: values[q.name] for q in g.cause.parameters}))
+            theta = np.concatenate([f.theta[: problem.size], *(u if j == i else p for j, p in enumerate(parts))])
+            model = tuple(g if j == i else o for j, o in enumerate(f.model))
+            other = fitter.fit(model, theta, f if len(theta) == len(f.theta) else None, 4)
+            more = f.log_evidence - other.log_evidence
+            gain = rivals[i].gain if i < len(rivals) else 0.0
+            asked = more > max(settings.threshold, settings.general * gain)
+            reason = f"{h.cause.name.replace('_', ' ')}, which is more general, adds {more:.0f} to the log evidence"
+            decisions.append(
+                Decision(
+                    "settle",
+                    g.cause.name,
+                    g.fixed,
+                    -more,
+                    float("nan"),
+                    size_of(problem, other, i),
+                    True,
+                    not asked,
+                    reason,
+                )
+            )
+            if not asked:
+                f = other
+                rivals = [replace(r, cause=g.cause.name) if j == i else r for j, r in enumerate(rivals)]
+    return f, rivals, decisions
 
 
 def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings):
