@@ -507,7 +507,10 @@ def covariances(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -
         rows = whiten(problem.segments, f.noise, stacked(f.point.noise, f.noise_jacobian)).rows
         score -= _scores(rows, settings.huber, normal.weight)
     segment, _, at = rows_of(problem.segments)
-    _, cluster = np.unique(np.stack([segment, np.floor(at / settings.cluster)]), axis=1, return_inverse=True)
+    # There must be more pieces than unknowns for their scatter to say something.
+    seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)
+    piece = min(settings.cluster, seconds / (4 * score.shape[1]))
+    _, cluster = np.unique(np.stack([segment, np.floor(at / piece)]), axis=1, return_inverse=True)
     total = np.zeros((int(cluster.max()) + 1, score.shape[1]))
     np.add.at(total, cluster.reshape(-1), score)
     total = total[np.any(total, axis=1)]
