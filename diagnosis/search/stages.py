@@ -374,8 +374,8 @@ def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], F
     chosen = max(good, key=lambda f: f.removed, default=None)
     if chosen is not None:
         # Of those that explain about the same the likeliest.
-        most = chosen.removed
-        chosen = max((f for f in good if 1.5 * f.removed >= most), key=lambda f: f.gain)
+        least = min(chosen.removed, chosen.removed / 1.5)
+        chosen = max((f for f in good if f.removed >= least), key=lambda f: f.gain)
     decisions = []
     for f in fitted:
         h, reason = f.fit.model[-1], reasons[id(f)]
