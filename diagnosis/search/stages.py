@@ -42,7 +42,12 @@ class AcceptSettings:
         (`solver.with_dispersion`).
       worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
         one of many things that the description does not hold, and no answer to what the simulation gets wrong.
-      slight: part of the root mean square of what nothing explains that it must be worth.
+      large, worth_large: from this part of the ordinary size on, so much is enough to be fitted beside the others; what holds
+        there is decided by `worth` again.
+      alike: part of the mean square that a cause takes away that another one must take away to be its rival.
+      slight: part of the root mean square of what nothing explains that it must be worth, where that is not far above the noise
+        (where it is, something is there that the library does not have).
+      little: part of the mean square of what is not explained that a cause must take away, for another one to be fitted after it.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
@@ -57,7 +62,11 @@ class AcceptSettings:
     smallest: float = 0.03
     significant: float = 4.0
     worth: float = 0.5
+    large: float = 0.3
+    worth_large: float = 0.15
+    alike: float = 0.3
     slight: float = 0.25
+    little: float = 0.1
     held_out_share: float = 0.2
     race: float = 0.6
     finalists: int = 3
@@ -283,14 +292,14 @@ def search(
     decisions: list[Decision] = []
     rivals: list[Rivals] = []
     pending: tuple[Finalist, dict[str, float]] | None = None
-    afreshed, late = False, False
+    afreshed = late = slight = False
     while True:
         quiet = quiet_rms(problem, at)
         probe = settings.screen.probe if quiet < settings.screen.quiet else settings.screen.coarse_probe
         progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
         library = Library(problem, at, _others(hypotheses, at.model), settings.screen.probe if at.model else probe)
-        if at.model and (quiet < accept.far or len(at.model) >= accept.rounds):
-            break  # what is left is small: the linear model serves
+        if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
+            break  # what is left is small, or no cause of the library explains it: the linear model serves
         screened = screen(problem, at, library, settings.screen)
         if pending is not None:
             rivals.append(_rivals_of(*pending, _gains(screened), accept))
@@ -317,10 +326,10 @@ def search(
             at = first = other
             continue
         progress(f"settling {chosen.name.replace('_', ' ')}", 0.4 + 0.15 * len(at.model))
-        at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
-        if doubtful(problem, at, quiet_rms(problem, at), settings.calibrate):
-            at = max((at, afresh(problem, fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
-        pending = (chosen, {f.name: f.gain for f in reversed(fitted)})
+        slight = chosen.removed < accept.little * float(np.sum(unexplained(problem, at.point)))
+        at = _settled(problem, fitter, chosen, settings.calibrate)
+        alike = [f for f in fitted if f.removed > accept.alike * chosen.removed]
+        pending = (chosen, {f.name: f.gain for f in reversed(alike)})
     late = late or time.monotonic() > deadline
     if not late:
         progress("selecting further causes", 0.7)
@@ -346,6 +355,14 @@ def search(
         (quiet_rms(problem, first), quiet_rms(problem, at)),
         not late,
     )
+
+
+def _settled(problem: Problem, fitter: Fitter, chosen: Finalist, settings: CalibrateSettings) -> Fit:
+    """A finalist fitted to its end with derivatives of its own."""
+    at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
+    if doubtful(problem, at, quiet_rms(problem, at), settings):
+        at = max((at, afresh(problem, fitter, at, settings)), key=lambda f: f.log_evidence)
+    return at
 
 
 def _gains(screened: Sequence[Screened]) -> dict[str, float]:
@@ -506,10 +523,11 @@ def _select(
                 seen[key] = _not_fitted(s, settings, stage)
                 continue
             w = _worth_of(problem, here, rest, s)
-            if w.share < settings.worth:
+            needed = settings.worth if s.size < settings.large else settings.worth_large
+            if w.share < needed:
                 reason = (
                     f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square "
-                    f"that the description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
+                    f"that the description does not hold beside it; {100 * needed:.0f} % is worth naming"
                 )
                 seen[key] = Decision(stage, name, s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
                 continue
@@ -526,7 +544,7 @@ def _select(
         name = best.hypothesis.cause.name
         seen.pop((name, *best.hypothesis.fixed.items()), None)
         decisions.append(Decision(stage, name, best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason))
-        before = (best, gains)
+        before = (best, _gains([s for s in screened if s.removed > settings.alike * best.removed]))
         chosen.append(best)
         here = _with(problem, here, rest, best)
         rest = rest.keeping(_others(rest.hypotheses, (best.hypothesis,)))
@@ -641,7 +659,7 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
     for _ in range(2 * len(f.model)):
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
-        left = float(np.sum(unexplained(problem, f.point)))
+        left, near = float(np.sum(unexplained(problem, f.point))), quiet_rms(problem, f) < settings.far
         verdicts = []
         for i, h in enumerate(f.model):
             block = problem.place(f.model, i)
@@ -654,7 +672,7 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
-            elif w.rms < settings.slight * left**0.5:
+            elif near and w.rms < settings.slight * left**0.5:
                 reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error, {left**0.5:.2g} is left that nothing explains"
             elif id(h) in kept:
                 reason = ""
