@@ -386,6 +386,7 @@ class Fitter:
             extra = [b - a for a, b in zip(jacobian, again, strict=True)]
         noise = self._learn(point, jacobian, f.covariance)
         history = list(f.history)
+        refused = np.zeros(len(theta))
         for _ in range(iterations):
             normal = normal_equations(problem, noise, f.model, theta, point, jacobian, extra, settings)
             cost = normal.loss + prior_cost(problem, theta, f.model)
@@ -399,9 +400,12 @@ class Fitter:
                 if after < cost:
                     theta, point, moved = theta + part * step, trial, True
                     break
+            refused = np.zeros(len(theta)) if moved else step
             if not moved or cost - after < settings.tolerance:
                 break
-        return self.finish(f.model, theta, point, jacobian, extra, noise, tuple(history))
+        found = self.finish(f.model, theta, point, jacobian, extra, noise, tuple(history))
+        # Where the corrected equations and the corrected objective disagree, neither is right to better than that.
+        return replace(found, covariance=found.covariance + np.outer(refused, refused))
 
     def _with_effects(self, model: Model, theta: np.ndarray, common: Columns, known: Columns | None = None) -> Columns:
         """Derivatives in the common unknowns and in a model's effects; of those that give their own, the `known` ones."""
