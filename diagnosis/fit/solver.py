@@ -130,7 +130,7 @@ def corrected_loss(
     """Robust loss of a whitened residual less that of the noise's share of it.
 
     What is left of a segment's balance is about zero at best; what is below that by more than chance counts as if it were
-    above. Where the replicate is a little louder than the data, parameters that make all noise louder would win otherwise.
+    above. Where the replicate has a little more noise than the data, parameters that make all noise large would win otherwise.
     """
     whole = weight * huber_loss(r, settings.huber)
     if share is None:
