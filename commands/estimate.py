@@ -24,6 +24,7 @@ def command(
     filter_: Estimators = None,
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
+    from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, score, write_estimates
     from ..models.files import json_text
@@ -42,6 +43,7 @@ def command(
     stems = [recording.name for recording in data.recordings]
     written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
+    require_sound(data, described)
     terminal = console()
     report: dict[str, dict[str, Any]] = {}
     with output_folder(out, maker) as folder:

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flexspline.diagnosis.data.importing import import_recording, load_layout
-from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.diagnose import calibrated, diagnose
 from flexspline.models import laws
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement
@@ -136,20 +136,19 @@ def test_commands(flexspline, log, tmp_path):
 
 def test_diagnosis_extends_a_joint_with_a_gravity_angle(recording, tmp_path):
     """The joint states numbers that others do not; the extended one has them too, and can be read back."""
-    answer = diagnose(Measurement(recording.name, Path(), (recording,)), load_joint(recording.joint))
+    joint = load_joint(recording.joint)
+    answer = diagnose(Measurement(recording.name, Path(), (recording,)), joint)
     assert answer.verdict in ("consistent", "discrepancy", "inconclusive")
     assert json.loads(json.dumps(answer.to_json()))["verdict"] == answer.verdict
-    answer.extended.write(tmp_path / "joint.yaml")
-    extended = load_joint(tmp_path / "joint.yaml")
-    assert extended.gravity_angle is not None and extended.gravity_angle.nominal is not None
+    # What does worse than the description where no fit has been is not written: the numbers of the fit all the same.
+    for i, found in enumerate((answer.extended, calibrated(answer.problem, answer.final, joint))):
+        found.write(tmp_path / f"{i}.yaml")
+        assert load_joint(tmp_path / f"{i}.yaml").gravity_angle == found.gravity_angle is not None
+    assert found.gravity_angle.nominal == joint.gravity_angle.value
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True,
-    reason="inconclusive, 14.5 A are left where the noise is 1.4: the screen of linear models turns the eccentricity down "
-    "(log evidence -10.8)",
-)
+@pytest.mark.xfail(strict=False, reason="names something else on this half, and leaves ten times the noise and more")
 def test_diagnosis_alone_finds_what_the_torsion_hides(recording, page):
     """Of the three effects the eccentricity, worth 50 N·m in torsion, is the one that one-way motion leaves no doubt of."""
     name, answer, errors = next(page.diagnosed(recording))
