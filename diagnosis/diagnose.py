@@ -56,6 +56,7 @@ class AnswerSettings:
       minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
         joint, and told, but none of the causes.
+      inflation: largest factor on standard deviations where more than noise is left.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
@@ -68,6 +69,7 @@ class AnswerSettings:
     nearly_all: float = 2 / 3
     minor: float = 0.12
     quiet: float = 1.6
+    inflation: float = 5.0
     slight: float = 0.25
     far: float = 5.0
     worth: float = 0.02
@@ -291,6 +293,7 @@ def diagnose(
     final, found = (
         _settled(problem, fitter, found) if unknown is None else (with_dispersion(problem, unknown.fit), found)
     )
+    final = _inflated(problem, final)
     undetermined, alike = _limits(problem, found, final, tried, missing)
     findings, minor = _findings(problem, found, final, unknown)
     nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
@@ -330,6 +333,15 @@ def diagnose(
         complete=found.complete,
         seconds=time.monotonic() - begin,
     )
+
+
+def _inflated(problem: Problem, f: Fit) -> Fit:
+    """The fit with standard deviations inflated by its residual's normalised RMS, where more than noise is left (Birge's ratio).
+
+    What no description holds is not random: it leans on the parameters the same way all the time.
+    """
+    ratio = quiet_rms(problem, f)
+    return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2) if ratio > ANSWER.quiet else f
 
 
 def _holds_back(share: float) -> str:
