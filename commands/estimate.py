@@ -25,8 +25,9 @@ def command(
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one.
 
-    With a joint that says how well it is known (`diagnose` writes such), estimates have 95 % bands: of the estimators that simulate
-    the joint's dynamics only where `--filter` names them. Data with a mistake that makes physics meaningless are refused.
+    With a joint that says how well it is known (`diagnose` writes such), estimates have 95 % bands: of the estimators that
+    simulate the joint's dynamics only where `--filter` names them. Data with a mistake that makes physics
+    meaningless are refused.
     """
     from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
