@@ -512,8 +512,9 @@ def track_zero(
         x = x + gain * (seen[k] - H @ x)
         P = P - np.outer(gain, H @ P)
         xs[k], Ps[k] = x, P
+    gains = Ps[:-1] @ F @ np.linalg.pinv(Pp[1:])
     for k in range(n - 2, -1, -1):
-        G = Ps[k] @ F @ np.linalg.pinv(Pp[k + 1])
+        G = gains[k]
         xs[k] += G @ (xs[k + 1] - xp[k + 1])
         Ps[k] += G @ (Ps[k + 1] - Pp[k + 1]) @ G.T
     return xs[:, 0], np.sqrt(np.maximum(Ps[:, 0, 0], 0.0))

@@ -189,6 +189,7 @@ def test_examples_of_an_independent_simulator(shared, example):
 # --- the challenge itself ----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_draws_are_reproducible_and_paired_over_sizes():
     challenge = Challenge(seed=3, only=("hysteresis",))
     one, again, small = (draw(challenge, 0, size) for size in (1.0, 1.0, 0.1))
