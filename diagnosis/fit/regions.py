@@ -7,14 +7,14 @@ again without it (in the linear model about the fit, exact to first order) and j
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ...models.joint import ValidRange
-from ..data.segments import BALANCES, Segment
+from ..data.segments import BALANCES
 from .noise import rows_of, whiten
 from .residual import Problem
 from .solver import SETTINGS as SOLVER
@@ -71,10 +71,6 @@ class Region:
             "region": self.name, "samples": self.samples, "described": self.described, "extended": self.extended,
             "unseen": self.unseen, "worse": self.worse, "unit": "N·m",
         }  # fmt: skip
-
-
-Chosen = Callable[[Segment], np.ndarray]
-"""Which residuals of a segment lie in a region, shape (k,), bool."""
 
 
 def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[str, list[np.ndarray]]:

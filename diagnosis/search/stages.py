@@ -295,9 +295,10 @@ def search(
     afreshed = late = slight = False
     while True:
         quiet = quiet_rms(problem, at)
-        probe = settings.screen.probe if quiet < settings.screen.quiet else settings.screen.coarse_probe
+        coarse = not at.model and quiet >= settings.screen.quiet
+        probe = settings.screen.coarse_probe if coarse else settings.screen.probe
         progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
-        library = Library(problem, at, _others(hypotheses, at.model), settings.screen.probe if at.model else probe)
+        library = Library(problem, at, _others(hypotheses, at.model), probe)
         if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
             break  # what is left is small, or no cause of the library explains it: the linear model serves
         screened = screen(problem, at, library, settings.screen)

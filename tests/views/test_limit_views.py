@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import replace
 
 import matplotlib.image
 import numpy as np
 import pytest
-from rich.console import Console
+from terminal import rendered
 
 from flexspline.estimator import registry
 from flexspline.estimator.consistency import Mean
@@ -57,15 +56,6 @@ def test_tuned_rows():
     assert row[0] == "EKF" and row[1:3] == ("0.1000", "0.0500") and row[4] == "0.0600"
     assert row[5].startswith("-0.0500 [") and row[6] == "W 1e-08!"
     assert limit_tables.markdown(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |"
-
-
-def rendered(table, width: int = 80) -> str:
-    out = io.StringIO()
-    Console(file=out, width=width).print(table)
-    text = out.getvalue()
-    assert max(len(line) for line in text.splitlines()) <= width
-    assert "…" not in text
-    return text
 
 
 def test_limits_are_whole_at_80_columns(limits):
