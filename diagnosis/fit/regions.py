@@ -71,7 +71,7 @@ class Region:
         """As plain data."""
         return {
             "region": self.name, "samples": self.samples, "described": self.described, "extended": self.extended,
-            "unseen": self.unseen, "worse": self.worse, "unit": "N·m",
+            "unseen": self.unseen, "ratio": self.ratio, "worse": self.worse, "unit": "N·m",
         }  # fmt: skip
 
 

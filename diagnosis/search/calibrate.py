@@ -26,6 +26,7 @@ class CalibrateSettings:
       iterations: of Gauss–Newton.
       stuck: a number that the data know well and that sits so many standard deviations from nominal may stand in for an effect.
       unsettled: normalised RMS against the sensors' noise from which on a second start is tried.
+      slow: ratio of slow to fast model discrepancy from which on the fit is also tried from least squares.
       tempered: log evidence that e times as much left unexplained has to be worth.
     """
 
@@ -33,6 +34,7 @@ class CalibrateSettings:
     iterations: int = 9
     stuck: float = 0.92 * REACH
     unsettled: float = 1.35
+    slow: float = 2.0
     tempered: float = 10.0
 
 
@@ -52,14 +54,16 @@ def _of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: Calibrat
     maximum with much of it. Where the evidence does not clearly speak for it, the fit that leaves less is the better one.
     """
     annealed = fitter.fit(model, start, iterations=settings.iterations)
-    slow = annealed.noise.discrepancy[:, 2:]
-    if np.all(slow < annealed.noise.discrepancy[:, :2].max(axis=1, keepdims=True)):
+    fast, slow = np.split(annealed.noise.discrepancy, [2], axis=1)
+    if np.all(slow.max(axis=1) <= settings.slow * fast.max(axis=1)):
         return annealed
     quick = Fitter(fitter.problem, fitter.settings, EVEN).fit(model, start, iterations=settings.iterations)
     other = fitter.fit(model, quick.theta, iterations=settings.iterations)
 
     def merit(f: Fit) -> float:
-        return f.log_evidence - settings.tempered * 0.5 * float(np.log(np.sum(unexplained(fitter.problem, f.point))))
+        return f.log_evidence - settings.tempered * 0.5 * float(
+            np.log(np.sum(unexplained(fitter.problem, f.point)) + 1e-30)
+        )
 
     return max((annealed, other), key=merit)
 
