@@ -15,6 +15,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..models import plugins
+
 if TYPE_CHECKING:
     from ..scenarios.run import Run
 
@@ -52,8 +54,8 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
         first = (f"{_PACKAGE}.{_ROOM}._server", __name__, f"{_PACKAGE}.scenarios.run")
         context.set_forkserver_preload([*first, *(module for view in views for module in _MODULES[view])])
     count = min(os.cpu_count() or 1, runs * len(views) * _SHARES)
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready) as pool:
-        starting = threading.Thread(target=lambda: [pool.submit(_ready) for _ in range(count)])
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),)) as pool:
+        starting = threading.Thread(target=lambda: [pool.submit(_ready, ()) for _ in range(count)])
         starting.start()
         try:
             yield [lambda run, folder: _begin(pool, views, run, folder)]
@@ -85,8 +87,9 @@ def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Pa
     return finish
 
 
-def _ready() -> None:
-    """Leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
+def _ready(known: Sequence[Path]) -> None:
+    """Know the plugins, leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
+    plugins.load_all(known)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     gc.freeze()
     gc.enable()
