@@ -13,6 +13,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ..models import plugins
+
 if TYPE_CHECKING:
     from ..scenarios.run import Run
 
@@ -47,8 +49,8 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     if method == "forkserver":  # a server that has loaded what is needed, from which each of them begins
         context.set_forkserver_preload([module for view in views for module in _MODULES[view]])
     count = min(os.cpu_count() or 1, runs * len(views))
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready) as pool:
-        starting = threading.Thread(target=lambda: [pool.submit(_ready) for _ in range(count)])
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),)) as pool:
+        starting = threading.Thread(target=lambda: [pool.submit(_ready, ()) for _ in range(count)])
         starting.start()
         try:
             yield [lambda run, folder: _begin(pool, views, run, folder)]
@@ -75,8 +77,9 @@ def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Pa
     return finish
 
 
-def _ready() -> None:
-    """Leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
+def _ready(known: Sequence[Path]) -> None:
+    """Know the plugins, leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
+    plugins.load_all(known)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
     if parent is not None and not _watching:

@@ -218,7 +218,9 @@ class Effect(Strict):
     def _known(self) -> Effect:
         known = causes.names()
         if self.name not in known:
-            raise ValueError(f"expected the name of a known cause, got {self.name!r}{nearest(self.name, known)}")
+            raise ValueError(
+                f"expected the name of a known cause (a plugin's with --plugin), got {self.name!r}{nearest(self.name, known)}"
+            )
         expected = {p.name: p for p in causes.get(self.name).parameters}
         for name in self.parameters:
             if name not in expected:
@@ -510,12 +512,8 @@ class Joint(Strict):
         p = record[0]
         for effect in self.effects:
             causes.get(effect.name).apply(p, effect.values)
-        for k, one in enumerate(self.discrepancies):
-            p["discrepancy_place"][k] = PLACES.index(one.place)
-            p["discrepancy_variable"][k] = VARIABLES.index(one.variable)
-            p["discrepancy_low"][k], p["discrepancy_high"][k] = one.low, one.high
-            p["discrepancy_count"][k] = len(one.coefficients)
-            p["discrepancy_coefficient"][k, : len(one.coefficients)] = one.coefficients
+        for one in self.discrepancies:
+            causes.put_discrepancy(p, one.place, one.variable, one.low, one.high, one.coefficients)
 
     def _repr_html_(self) -> str:
         rows = [

@@ -34,6 +34,7 @@ ROOMS = (
 MADE = {
     "joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv", "diagnosis.json", "DIR/NAME.yaml",
     "study.yaml", "cause.py", "models/causes/NAME.py",
+    "my_filter.py", "my_cause.py",
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 OWN = re.compile(r"(?:^    (?:\S*/)?|`)flexspline ([a-z]+)(?: ([^`#\n]*))?", re.MULTILINE)
