@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import BSpline
 
+from ...models.causes import put_discrepancy
 from ...models.joint import Discrepancy, Joint
 from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
@@ -152,12 +153,7 @@ class Spline:
 
     def apply(self, p: np.void, values: dict[str, np.ndarray]) -> None:
         """Put the spline into the first free place of a record."""
-        slot = int(np.flatnonzero(p["discrepancy_place"] == 0)[0])
-        p["discrepancy_place"][slot] = PLACES.index(self.place)
-        p["discrepancy_variable"][slot] = VARIABLES.index(self.variable)
-        p["discrepancy_low"][slot], p["discrepancy_high"][slot] = self.low, self.high
-        p["discrepancy_count"][slot] = self.count
-        p["discrepancy_coefficient"][slot, : self.count] = values["coefficients"]
+        put_discrepancy(p, self.place, self.variable, self.low, self.high, values["coefficients"])
 
     def basis(self, segment: Segment) -> np.ndarray:
         """Values of the splines at a segment's residuals, shape (k, count)."""
