@@ -162,8 +162,12 @@ def held_out_regions(
         formed = np.isfinite(before)
         # Where both are noise, neither is worse.
         ratio = float(np.max(np.sqrt((after**2 + noise**2) / (before**2 + noise**2))[formed], initial=0.0))
-        rms = [float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)]
-        found.append(Region(name, name.startswith("recording "), samples, *rms, ratio))
+        described_rms, extended_rms, unseen_rms = (
+            float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)
+        )
+        found.append(
+            Region(name, name.startswith("recording "), samples, described_rms, extended_rms, unseen_rms, ratio)
+        )
     return tuple(sorted(found, key=lambda r: -r.ratio))
 
 
