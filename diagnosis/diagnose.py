@@ -59,7 +59,8 @@ class AnswerSettings:
       minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
         joint, and told, but none of the causes.
-      inflation: largest factor on standard deviations where more than noise is left.
+      inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
+        that may then be small imperfections which look like it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
@@ -74,6 +75,7 @@ class AnswerSettings:
     minor: float = 0.12
     quiet: float = 1.6
     inflation: float = 5.0
+    lookalike: float = 0.015
     slight: float = 0.25
     far: float = 5.0
     worth: float = 0.02
@@ -358,10 +360,17 @@ def diagnose(
 def _inflated(problem: Problem, f: Fit) -> Fit:
     """The fit with standard deviations inflated by its residual's normalised RMS, where more than noise is left (Birge's ratio).
 
-    What no description holds is not random: it leans on the parameters the same way all the time.
+    What no description holds is not random: it leans on the parameters the same way all the time. Small imperfections that look
+    like an effect (an encoder's eccentricity like a kinematic error) are part of its size, however well that is known.
     """
     ratio = quiet_rms(problem, f)
-    return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2) if ratio > ANSWER.quiet else f
+    if ratio <= ANSWER.quiet:
+        return f
+    inexact = np.zeros(len(f.theta))
+    for i, h in enumerate(f.model):
+        if h.free:
+            inexact[problem.place(f.model, i)] = ANSWER.lookalike
+    return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2 + np.diag(inexact**2))
 
 
 def _holds_back(share: float, held_out: bool) -> str:
