@@ -18,7 +18,7 @@ from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .fit.coordinates import Hypothesis, hypotheses
-from .fit.regions import Region, drawn_back, held_out_regions, valid_range
+from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, tamed, with_dispersion
 from .search import discrepancy
@@ -62,6 +62,8 @@ class AnswerSettings:
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
+      simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, the joint with its
+        numbers as described is preferred to one with numbers that calibration moved.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
 
@@ -79,6 +81,7 @@ class AnswerSettings:
     slight: float = 0.25
     far: float = 5.0
     worth: float = 0.02
+    simpler: float = 2.0
 
 
 ANSWER = AnswerSettings()
@@ -302,17 +305,23 @@ def diagnose(
     final = _inflated(problem, final)
     progress("regions that a fit has not seen", 0.97)
     share, drawn, regions = drawn_back(problem, final)
-    surest = 1.0
-    if share == 0.0:  # what does not hold where it was not fitted is not sure to be there
-        surest = ANSWER.unsure
-        problem_as_described = problem.as_described()
-        other = as_described(problem_as_described, tried, settings) if time.monotonic() < deadline else None
-        if other is not None:
-            problem, unknown, surest = problem_as_described, None, ANSWER.beside
-            found = replace(other, decisions=(*found.decisions, *other.decisions), complete=found.complete)
-            final = drawn = _inflated(problem, with_dispersion(problem, other.chosen))
-            share, regions = 1.0, held_out_regions(problem, final)
     undetermined, alike = _limits(problem, found, final, tried, missing)
+    nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
+    surest = 1.0
+    if share == 0.0 or (found.chosen.model and nearly_all):
+        # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
+        surest = ANSWER.unsure if share == 0.0 else 1.0
+        described = problem.as_described()
+        other = as_described(described, tried, settings) if time.monotonic() < deadline else None
+        if other is not None:
+            there = _inflated(described, with_dispersion(described, other.chosen))
+            unseen = held_out_regions(described, there)
+            if share == 0.0 or mean_ratio(unseen) < ANSWER.simpler * mean_ratio(regions):
+                problem, unknown, surest = described, None, ANSWER.beside
+                found = replace(other, decisions=(*found.decisions, *other.decisions), complete=found.complete)
+                final = drawn = there
+                share, regions = 1.0, unseen
+                undetermined, alike = _limits(problem, found, final, tried, missing)
     findings, minor = _findings(problem, found, final, unknown)
     findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
     final = drawn
@@ -327,7 +336,7 @@ def diagnose(
     if share < 1.0:
         reason = "; ".join([part for part in (reason, _holds_back(share, bool(regions))) if part])
     elif problem.held.any():
-        reason = "; ".join([part for part in (reason, _as_described(regions)) if part])
+        reason = "; ".join([part for part in (reason, _as_described(regions, found.confusable)) if part])
     extended = joint
     if share > 0.0:
         extended = _extended(problem, final, joint, unknown)
@@ -338,7 +347,7 @@ def diagnose(
         reason=reason,
         causes=tuple(sorted(findings, key=lambda f: -f.worth)),
         calibration=_shifts(problem, final),
-        confusable=tuple(sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found)]})),
+        confusable=tuple(sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found), *found.confusable]})),
         undetermined=undetermined,
         residual=residual,
         regions=regions,
@@ -385,13 +394,17 @@ def _holds_back(share: float, held_out: bool) -> str:
     )
 
 
-def _as_described(regions: Sequence[Region]) -> str:
+def _as_described(regions: Sequence[Region], confusable: Sequence[tuple[str, str]]) -> str:
     """What is to be said of causes that hold only with all numbers as described."""
     worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in regions if r.worse)
-    return (
+    names = " or ".join(name.replace("_", " ") for name in dict.fromkeys(n for pair in confusable for n in pair))
+    told = [
         "no numbers within tolerance hold where a fit has not seen the data: they are left as described, and the causes are what "
-        "explains most with these"
-    ) + (f"; on regions that were kept from the fit worse than the description in {worse}" if worse else "")
+        "explains most with these",
+        f"on regions that were kept from the fit worse than the description in {worse}" if worse else "",
+        f"what is left beside may be {names}, which this motion cannot tell apart" if names else "",
+    ]
+    return "; ".join(part for part in told if part)
 
 
 def _settled(problem: Problem, fitter: Fitter, found: Search) -> tuple[Fit, Search]:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from ...estimator.motion import passband, smooth
+from ...estimator.motion import CUTOFF, passband, smooth
 from ...models import dynamics, laws
 from ...models.joint import EncoderSpec, Joint, Mounting
 from ...models.kernels import kernel
@@ -47,6 +47,7 @@ class SegmentSettings:
       rest_travel: of the rotor within ±40 ms, below which neither its encoder's counts nor presliding friction average out
         [rad].
       shortest: segments of fewer samples or seconds are left out.
+      mistimed: passband [Hz] of the smoother where time stamps are wrong: an error of the time is one of the acceleration.
       block: most residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
       above_noise: power of the measured acceleration over its noise's, from which on it is motion.
     """
@@ -58,6 +59,7 @@ class SegmentSettings:
     rest_travel: float = 0.06
     shortest: tuple[int, float] = (50, 0.5)
     block: int = 8
+    mistimed: float = 25.0
     above_noise: float = 10.0
 
 
@@ -191,7 +193,11 @@ def _segment(
     channels, noise, time = _channels(recording, part, joint, p, rng)
     names = list(channels)
     values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
-    s = smooth(time, values, STEP)
+    mistimed = {"link_position", "motor_position"} <= set(recording.columns) and timing_error(
+        time, channels["motor_position"], channels["link_position"]
+    ) > 0.0
+    cutoff = settings.mistimed if mistimed else CUTOFF
+    s = smooth(time, values, STEP, cutoff)
     place = {name: i for i, name in enumerate(names)}
 
     def of(name: str, what: np.ndarray, noisy: bool = False) -> np.ndarray:
@@ -231,10 +237,8 @@ def _segment(
         external=external, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
         state=state, load=load, balances=balances, usable=usable, held_out=held_out, at_rest=at_rest,
-        passband=1 / (2 * np.pi * passband(time)),
+        passband=1 / (2 * np.pi * passband(time, cutoff)),
     )  # fmt: skip
-    # Wrong stamps are larger in the accelerations than all that the replicate has of noise.
-    mistimed = link_measured and timing_error(time, channels["motor_position"], channels["link_position"]) > 0.0
     if not link_measured:
         block = 1  # the motion's noise is the current's, and a ripple of the gear is faster than any motion
     else:

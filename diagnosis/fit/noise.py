@@ -53,6 +53,8 @@ EVEN = NoiseSettings(bands=SETTINGS.bands[:1])
 """All model discrepancy in the fastest band: fits are least squares, and nothing slow is taken for discrepancy."""
 _STEADY = 3
 """Samples in a row with the same gain after which a filter's covariance is taken for its steady one."""
+_STATIONARY = 0.9999
+"""Largest root of an autoregression that counts as stationary."""
 _ROBUST = 1.4826  # standard deviation of a normal distribution per median absolute deviation
 
 
@@ -320,8 +322,18 @@ def _autoregression(x: np.ndarray, use: np.ndarray, settings: NoiseSettings) -> 
     for lag in range(settings.order + 1):
         both = use[lag:] & use[: len(use) - lag]
         gamma[lag] = np.sum(y[lag:] * y[: len(y) - lag] * both) / max(both.sum(), 1)
-    gamma[0] = max(gamma[0] * (1 + 1e-9), settings.floor**2)
-    ar = solve_toeplitz(gamma[:-1], gamma[1:])
+    gamma[0] = max(gamma[0], settings.floor**2)
+    companion = np.eye(settings.order, k=-1)
+    for ridge in (
+        1e-9,
+        1e-6,
+        1e-4,
+        1e-2,
+        1.0,
+    ):  # of few samples, autocovariances need not be those of any stationary process
+        companion[0] = ar = solve_toeplitz(np.r_[(1 + ridge) * gamma[0], gamma[1:-1]], gamma[1:])
+        if np.max(np.abs(np.linalg.eigvals(companion))) < _STATIONARY:
+            break
     variance = gamma[0] - ar @ gamma[1:]
     return SensorNoise(ar, float(np.sqrt(max(variance, 1e-3 * gamma[0]))))
 

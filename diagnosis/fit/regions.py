@@ -171,6 +171,11 @@ def held_out_regions(
     return tuple(sorted(found, key=lambda r: -r.ratio))
 
 
+def mean_ratio(regions: Sequence[Region]) -> float:
+    """Geometric mean of the regions' ratios; one where there are none."""
+    return float(np.exp(np.mean([np.log(max(r.ratio, 1e-6)) for r in regions]))) if regions else 1.0
+
+
 def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndarray:
     """Root mean square over samples in use by balance [N·m at the output], shape (len(BALANCES),); NaN where there are none."""
     total, count = np.zeros(len(BALANCES)), np.zeros(len(BALANCES))
@@ -233,4 +238,13 @@ def valid_range(problem: Problem, f: Fit, kept: Sequence[np.ndarray] | None = No
     return ValidRange(link_position=ends(angle), link_velocity=ends(speed), joint_torque=ends(load), loads=loads)
 
 
-__all__ = ["Region", "RegionSettings", "drawn_back", "held_out_regions", "region_masks", "rows_of", "valid_range"]
+__all__ = [
+    "Region",
+    "RegionSettings",
+    "drawn_back",
+    "held_out_regions",
+    "mean_ratio",
+    "region_masks",
+    "rows_of",
+    "valid_range",
+]

@@ -25,7 +25,7 @@ move the same number (its own tolerance and a shared one) reach little further t
 (`models.calibration.WITHIN`)."""
 _STEP_X, _STEP_U = 0.05, 0.03  # of the differences that stand for derivatives
 _LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
-_ZEROS = ("link_encoder_zero", "current_offset", "torque_sensor_offset")
+_ZEROS = ("link_encoder_zero", "torque_sensor_offset")
 _TIMED = (CURRENT, TORQUE)
 
 Model = tuple[Hypothesis, ...]
@@ -56,7 +56,7 @@ class Problem:
         self.held = np.zeros(self.size, bool)
 
     def as_described(self) -> Problem:
-        """The same problem where nothing but zeros and offsets may differ from the description."""
+        """The same problem where nothing but zeros may differ from the description; a current's is like friction."""
         other = copy(self)
         other.held = np.zeros(self.size, bool)
         other.held[: self.calibration.size] = [name not in _ZEROS for name in self.calibration.names]

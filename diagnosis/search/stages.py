@@ -145,6 +145,7 @@ class Search:
       decisions: about every hypothesis, stage by stage.
       quiet: normalised RMS against the sensors' noise of `base` and of `chosen`.
       complete: whether all stages were done; not so where time was up.
+      confusable: pairs of causes of which one is there that the measurement cannot tell.
     """
 
     base: Fit
@@ -154,6 +155,7 @@ class Search:
     decisions: tuple[Decision, ...]
     quiet: tuple[float, float]
     complete: bool = True
+    confusable: tuple[tuple[str, str], ...] = ()
 
 
 # --- stages ----------------------------------------------------------------------------------------------------------
