@@ -62,8 +62,8 @@ class AnswerSettings:
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
-      simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, the joint with its
-        numbers as described is preferred to one with numbers that calibration moved.
+      simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
+        as described are preferred to numbers that calibration moved.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
 
