@@ -24,20 +24,26 @@ def arrow_column(values: np.ndarray) -> pa.Array:
 
 
 def write_table(
-    path: Path, columns: Mapping[str, np.ndarray], units: Mapping[str, str], notes: Notes | None = None
+    path: Path,
+    columns: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    notes: Notes | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> None:
     """Write columns, shape (n,) each, as Parquet.
 
     Args:
       path: of the file.
       columns: by name. units: of every column.
-      notes: what else a column's metadata says, by column.
+      notes: what else a column's metadata says, by column. metadata: of the table.
     """
     fields = [
         pa.field(name, pa.float64(), nullable=False, metadata={"unit": units[name], **(notes or {}).get(name, {})})
         for name in columns
     ]
-    table = pa.Table.from_arrays([arrow_column(values) for values in columns.values()], schema=pa.schema(fields))
+    table = pa.Table.from_arrays(
+        [arrow_column(values) for values in columns.values()], schema=pa.schema(fields, dict(metadata or {}))
+    )
     # Measured numbers hardly repeat: a dictionary of them costs time and saves nothing.
     pq.write_table(table, path, compression="zstd", use_dictionary=False)
 
