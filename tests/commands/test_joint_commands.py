@@ -162,6 +162,14 @@ def test_what_is_known_takes_the_place_of_a_rule(flexspline):
     assert (joint.mountings["link"].inertia, joint.mountings["link"].gravity_moment) == (0.2, 4)
 
 
+def test_a_slip_of_a_unit_is_said_when_the_joint_is_made(flexspline):
+    code, out, error = flexspline("joint", "new", *words(rotor_inertia="0.181"))  # kg·cm², and no unit said
+    assert code == 0, error
+    assert "csg_14_100.yaml: warning: numbers.Jm: expected" in out and "mechanical time constant" in out
+    code, out, _ = flexspline("joint", "new", *words(), "--force", "--json")
+    assert json.loads(out)["problems"] == []
+
+
 def test_a_new_joint_runs(flexspline):
     """From where one stands, as the command says itself."""
     code, out, _ = flexspline("joint", "new", *words())
