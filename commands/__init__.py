@@ -166,10 +166,17 @@ def main() -> None:
 _otherwise = warnings.showwarning
 
 
-def _notice(message: Any, category: type, *where: Any) -> None:
+def _notice(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: Any = None,
+    line: str | None = None,
+) -> None:
     """Say a warning of ours in one line, once; any other as Python does."""
     if not issubclass(category, InputWarning):
-        _otherwise(message, category, *where)
+        _otherwise(message, category, filename, lineno, file, line)
         return
     from rich.console import Console
 
