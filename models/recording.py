@@ -18,9 +18,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
 from pydantic import model_validator
 
 from . import units
@@ -426,6 +423,9 @@ def _check_header(path: Path, names: list[str]) -> None:
 
 
 def _read_parquet(path: Path) -> dict[str, np.ndarray]:
+    import pyarrow as pa
+    import pyarrow.parquet
+
     try:
         table = pa.parquet.read_table(path)
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
@@ -511,6 +511,9 @@ def csv_header(path: Path, form: CsvFormat = _OWN) -> list[str]:
 
 def read_csv_columns(path: Path, wanted: list[str], form: CsvFormat = _OWN) -> dict[str, np.ndarray]:
     """Read columns of a CSV file as float64; a cell that is no number is an error that names row and column."""
+    import pyarrow as pa
+    import pyarrow.csv
+
     names = csv_header(path, form)
     options = pa.csv.ConvertOptions(
         column_types={name: pa.float64() for name in wanted}, include_columns=wanted, null_values=[""],

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from .errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Notes = Mapping[str, Mapping[str, str]]
 
@@ -19,6 +21,8 @@ def arrow_column(values: np.ndarray) -> pa.Array:
 
     `pyarrow.array` would import pandas to see whether they are one of its types.
     """
+    import pyarrow as pa
+
     numbers = np.ascontiguousarray(values, dtype=np.float64)
     return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
 
@@ -37,6 +41,9 @@ def write_table(
       columns: by name. units: of every column.
       notes: what else a column's metadata says, by column. metadata: of the table.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     fields = [
         pa.field(name, pa.float64(), nullable=False, metadata={"unit": units[name], **(notes or {}).get(name, {})})
         for name in columns
@@ -54,6 +61,9 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
     Raises:
       InputError: not a Parquet file.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
