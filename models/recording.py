@@ -384,6 +384,9 @@ def _digest(text: str) -> str:
 
 def edited(path: Path) -> bool:
     """Whether the YAML file beside a recording's table is another than was written with it; False where that is not known."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
     try:
         written = (pa.parquet.read_schema(path).metadata or {}).get(_WRITTEN.encode(), b"").decode()
         return bool(written) and _digest(path.with_suffix(".yaml").read_text(encoding="utf-8")) != written
