@@ -135,7 +135,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show µ or °
             stream.reconfigure(errors="replace")
-    warnings.showwarning = functools.partial(_notice, warnings.showwarning)
+    warnings.showwarning = _notice
     try:
         app()
     except InputError as error:
@@ -163,10 +163,20 @@ def main() -> None:
         raise
 
 
-def _notice(otherwise: Any, message: Any, category: type, *where: Any) -> None:
+_otherwise = warnings.showwarning
+
+
+def _notice(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: Any = None,
+    line: str | None = None,
+) -> None:
     """Say a warning of ours in one line, once; any other as Python does."""
     if not issubclass(category, InputWarning):
-        otherwise(message, category, *where)
+        _otherwise(message, category, filename, lineno, file, line)
         return
     from rich.console import Console
 

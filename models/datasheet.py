@@ -97,7 +97,7 @@ def gear_name(text: str, where: str) -> tuple[str, float, float]:
     try:
         gear(found[1], float(found[2]), float(found[3]))
     except InputError as error:
-        raise InputError(f"{where}: {error}") from error
+        raise InputError(f"{where}: {str(error).removeprefix('gear: ')}") from error
     return found[1], float(found[2]), float(found[3])
 
 

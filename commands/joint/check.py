@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .._options import with_plugins
+
 if TYPE_CHECKING:
     from ...models.plausibility import Problem
 
 
+@with_plugins
 def command(
     joint: Annotated[str, typer.Argument(help="A joint description, or the name of a shipped one.", metavar="FILE")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
@@ -33,13 +36,14 @@ def command(
         print(json.dumps(found, indent=1, ensure_ascii=False))
     else:
         for problem in checked.problems:
-            print(_line(checked.path, problem))
+            print(line(checked.path, problem))
         print(f"{checked.path}: {_count(checked.errors, 'error')}, {_count(warnings, 'warning')}")
     if checked.errors:
         raise typer.Exit(2)
 
 
-def _line(path: Path, problem: Problem) -> str:
+def line(path: Path, problem: Problem) -> str:
+    """A problem as it is printed, with the meaning of its symbol."""
     from ...models.errors import one_line
     from ...models.joint import SYMBOLS
     from ...views.glossary import meaning

@@ -73,6 +73,7 @@ def command(
     --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit"`
     """
     from ...models.datasheet import Datasheet, new_joint, quantity, write_joint
+    from ...models.plausibility import check
 
     answers = {
         "gear": gear, "Kt": torque_constant, "R": resistance, "L": inductance, "Jm": rotor_inertia,
@@ -102,7 +103,10 @@ def command(
             raise InputError(f"{target}: expected no such file, --force replaces it")
     path, mjcf = write_joint(made.joint, path)
     if as_json:
-        found = {"file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled]}
+        found = {
+            "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
+            "problems": [asdict(p) for p in check(path).problems],
+        }  # fmt: skip
         print(json.dumps(found, indent=1, ensure_ascii=False))
         return
     _show(made, path, mjcf)
@@ -155,8 +159,11 @@ def _share(symbol: str, text: str) -> float:
 def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
     from rich.text import Text
 
+    from ...models.characteristics import drive_gains
+    from ...models.plausibility import check
     from ...views.tables import narrow_table
     from .._console import console
+    from .check import line
 
     terminal = console()
     table = narrow_table(f"{made.joint.name}: filled by rules, not from a datasheet", "±: relative standard deviation")
@@ -169,9 +176,9 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
         tolerance = f"{100 * f.tolerance:.0f} %" if f.tolerance else ""
         table.add_row(Text(f.name), Text(f"{f.value:.4g}{unit}"), tolerance, Text(f.rule))
     terminal.print(table)
+    for problem in check(path).problems:
+        terminal.print(line(path, problem), style="yellow", highlight=False, markup=False, soft_wrap=True)
     terminal.print(f"{path} and {mjcf}", highlight=False, markup=False)
-    from ...models.characteristics import drive_gains
-
     kp, kd = drive_gains(made.joint)
     terminal.print(
         f"now: flexspline joint show {path}\n     flexspline run link_sweep --set joint={path} --set controller.kp={kp:.2g} "

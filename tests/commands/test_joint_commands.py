@@ -89,7 +89,7 @@ def test_numbers_are_read_as_datasheets_write_them(flexspline, option, same):
     ("changes", "expected"),
     [
         ({"gear": "CSG25"}, "--gear: expected series-size-ratio (CSG-25-100), got 'CSG25'"),
-        ({"gear": "XYZ-25-100"}, "--gear: gear: expected one of CSF, CSG"),
+        ({"gear": "XYZ-25-100"}, "--gear: expected one of CSF, CSG"),
         ({"gear": "CSG-200-100"}, "--gear: size: expected 8 to 65, got 200"),
         ({"rotor_inertia": "181 kg"}, "--rotor-inertia: expected one of the units kg·m^2, kg·cm^2, g·cm^2"),
         ({"rotor_inertia": "heavy"}, "--rotor-inertia: expected a number"),
@@ -160,6 +160,14 @@ def test_what_is_known_takes_the_place_of_a_rule(flexspline):
     assert joint.numbers["K1"].value == pytest.approx(3.4 * 60 * 180 / np.pi)
     assert (joint.numbers["K1"].source, joint.numbers["K1"].tolerance) == ("measured", 0.01)
     assert (joint.mountings["link"].inertia, joint.mountings["link"].gravity_moment) == (0.2, 4)
+
+
+def test_a_slip_of_a_unit_is_said_when_the_joint_is_made(flexspline):
+    code, out, error = flexspline("joint", "new", *words(rotor_inertia="0.181"))  # kg·cm², and no unit said
+    assert code == 0, error
+    assert "csg_14_100.yaml: warning: numbers.Jm: expected" in out and "mechanical time constant" in out
+    code, out, _ = flexspline("joint", "new", *words(), "--force", "--json")
+    assert json.loads(out)["problems"] == []
 
 
 def test_a_new_joint_runs(flexspline):
@@ -285,9 +293,7 @@ def test_what_check_refuses_for_its_fields_commands_refuse_too(flexspline, tmp_p
     """N and Jm beyond all that is made are slips: no command takes them."""
     for field in ("numbers.Jm", "numbers.N"):
         (tmp_path / "mine.yaml").write_text(broken(field), encoding="utf-8")
-        code, _, error = flexspline(
-            "run", "no_load", "--set", "joint=mine.yaml", "--set", "duration=1.5", "--out", "runs"
-        )
+        code, _, error = flexspline("joint", "show", "mine.yaml")
         assert code == 2 and f"{field}.value: expected" in error
 
 
