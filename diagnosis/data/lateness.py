@@ -29,6 +29,7 @@ _EFFECTIVE = (6.0, 60.0)  # samples that a second of a relation counts as, and a
 _SURE = 7.0  # gain in log likelihood from which on a column is late
 _WORSE = -3.0  # loss in a recording from which on not all have it
 _ONE_OF_SEVERAL = 12.0  # more gain that it takes where not all have it
+_FAR_OFF, _NEAR = 300.0, 0.03  # more per second beyond so many: what is so late fits nothing, and suits no shape a little
 _SLIDING = 2.5  # Stribeck velocities above which friction is known by its direction
 _HATS = 24  # of the angle, whose functions gravity, cables, stops and the like are
 _FEWEST, _MOST = 200, 2500  # samples
@@ -77,7 +78,7 @@ def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[LateCol
     found = []
     for i, one in enumerate(relations):
         best = _latest(one)
-        if best is not None and best[2] > _SURE + _ONE_OF_SEVERAL:
+        if best is not None and best[2] > _SURE + _ONE_OF_SEVERAL + _FAR_OFF * max(abs(best[1]) - _NEAR, 0.0):
             found.append((i, *best))
     out = []
     for name in dict.fromkeys(f[1] for f in found):
