@@ -498,6 +498,8 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
             for q in h.cause.parameters
         }
         confidence = _confidence(found, h.cause.name, i, unknown)
+        if h.cause.resonance and not problem.link_measured:
+            confidence = min(confidence, ANSWER.beside)
         small = real and size_of(problem, final, i) < ANSWER.minor
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant

@@ -29,7 +29,10 @@ _EFFECTIVE = (6.0, 60.0)  # samples that a second of a relation counts as, and a
 _SURE = 7.0  # gain in log likelihood from which on a column is late
 _WORSE = -3.0  # loss in a recording from which on not all have it
 _ONE_OF_SEVERAL = 12.0  # more gain that it takes where not all have it
-_FAR_OFF, _NEAR = 300.0, 0.03  # more per second beyond so many: what is so late fits nothing, and suits no shape a little
+_FAR_OFF, _NEAR = (
+    300.0,
+    0.03,
+)  # more per second beyond so many: what is so late fits nothing, and suits no shape a little
 _SLIDING = 2.5  # Stribeck velocities above which friction is known by its direction
 _HATS = 24  # of the angle, whose functions gravity, cables, stops and the like are
 _FEWEST, _MOST = 200, 2500  # samples

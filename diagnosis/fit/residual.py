@@ -41,6 +41,7 @@ class Problem:
       mountings: of the link, one a segment.
       size: number of unknowns that every model has: calibration and two sample times.
       linear: of these, the ones whose derivatives do not depend on where they are taken, shape (m,).
+      zeros: of these, zeros of link encoder and torque sensor, of which a description says next to nothing.
       held: of these, the ones that stay as described, shape (size,), bool.
     """
 
@@ -54,12 +55,14 @@ class Problem:
         at = [i for i, name in enumerate(self.calibration.names) if name in linear]
         self.linear = np.array([*at, *range(self.calibration.size, self.size)])
         self.held = np.zeros(self.size, bool)
+        self.zeros = np.array([i for i, name in enumerate(self.calibration.names) if name in _ZEROS], int)
 
     def as_described(self) -> Problem:
         """The same problem where nothing but zeros may differ from the description; a current's is like friction."""
         other = copy(self)
         other.held = np.zeros(self.size, bool)
-        other.held[: self.calibration.size] = [name not in _ZEROS for name in self.calibration.names]
+        other.held[: self.calibration.size] = True
+        other.held[self.zeros] = False
         return other
 
     @property
