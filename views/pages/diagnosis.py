@@ -118,7 +118,7 @@ def context(report: Report) -> dict[str, Any]:
         "told": residual_charts.told(found),
         "balances": residual_charts.by_variable(found),
         "channels": channels,
-        "regions": [(r.name, r.described, r.extended, r.unseen, r.worse) for r in d.regions],
+        "regions": [(r.name, r.described, r.extended, r.unseen, r.ratio, r.worse) for r in d.regions],
         "valid": _valid(d),
         "estimators": estimators,
         "improvement": gained,
