@@ -120,7 +120,6 @@ def show(
 ) -> None:
     """Print the answer: what was found, how sure that is, what it is worth, what to do now; legible in 80 columns."""
     from ..views.report import plain, verdict_sentence
-    from ._mistakes import change
 
     page = _Page(terminal)
     page.say(found.verdict, verdict_sentence(found))
@@ -130,7 +129,7 @@ def show(
         page.heading("Mistakes in the data")
         for m in found.mistakes:
             page.item(
-                f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); mended by: {change(m)}"
+                f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); mended by: {m.change}"
             )
     for heading, findings in (("Causes", found.causes), ("There, but too small to be a cause", found.minor)):
         if findings:

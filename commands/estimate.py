@@ -23,7 +23,13 @@ def command(
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
     filter_: Estimators = None,
 ) -> None:
-    """Estimate the torques of a measurement without reading its torque sensor; score where there is one."""
+    """Estimate the torques of a measurement without reading its torque sensor; score where there is one.
+
+    With a joint that says how well it is known (`diagnose` writes such), estimates have 95 % bands: of the estimators that
+    simulate the joint's dynamics only where `--filter` names them. Data with a mistake that makes physics
+    meaningless are refused.
+    """
+    from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
     from ..estimator.offline import beyond_range, estimate_recording, score, write_estimates
     from ..models.files import json_text
@@ -42,6 +48,7 @@ def command(
     stems = [recording.name for recording in data.recordings]
     written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
+    require_sound(data, described)
     terminal = console()
     report: dict[str, dict[str, Any]] = {}
     with output_folder(out, maker) as folder:

@@ -17,7 +17,7 @@ from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .fit.coordinates import Hypothesis, hypotheses
-from .fit.regions import Region, held_out_regions, valid_range
+from .fit.regions import Region, drawn_back, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, tamed, with_dispersion
 from .search import discrepancy
@@ -36,7 +36,7 @@ from .search.stages import (
     size_of,
     without_effect,
 )
-from .search.worth import mean_squares, output_scale, worth
+from .search.worth import mean_squares, output_scale, unexplained, worth
 from .uncertainty import stated
 
 if TYPE_CHECKING:
@@ -56,6 +56,8 @@ class AnswerSettings:
       minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
         joint, and told, but none of the causes.
+      inflation: largest factor on standard deviations where more than noise is left.
+      slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
     """
 
@@ -67,6 +69,8 @@ class AnswerSettings:
     nearly_all: float = 2 / 3
     minor: float = 0.12
     quiet: float = 1.6
+    inflation: float = 5.0
+    slight: float = 0.25
     far: float = 5.0
     worth: float = 0.02
 
@@ -250,9 +254,8 @@ def _finite(x: float) -> float | None:
     return float(f"{x:.4g}") if np.isfinite(x) else None
 
 
-@threadpool_limits.wrap(
-    limits=1, user_api="blas"
-)  # replays use the cores; BLAS's threads would only wait for them, spinning
+# Replays use the cores; BLAS's threads would only wait for them, spinning.
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def diagnose(
     measurement: Measurement,
     joint: Joint,
@@ -290,19 +293,24 @@ def diagnose(
     final, found = (
         _settled(problem, fitter, found) if unknown is None else (with_dispersion(problem, unknown.fit), found)
     )
+    final = _inflated(problem, final)
     undetermined, alike = _limits(problem, found, final, tried, missing)
     findings, minor = _findings(problem, found, final, unknown)
     nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
     if nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
         findings = [replace(f, confidence=min(f.confidence, 0.5)) if f.name == "unknown" else f for f in findings]
+    progress("regions that a fit has not seen", 0.97)
+    share, final, regions = drawn_back(problem, final)
     residual = _balances(problem, found.base, final)
     verdict, reason = _verdict(problem, findings, residual, nearly_all)
-    progress("regions that a fit has not seen", 0.97)
-    regions = held_out_regions(problem, final)
-    extended = _extended(problem, final, joint, unknown)
-    known = {"valid": valid_range(problem, final), "uncertainty": stated(problem, final, extended, regions)}
-    extended = extended.model_copy(update=known)
+    if share < 1.0:
+        reason = "; ".join([part for part in (reason, _holds_back(share)) if part])
+    extended = joint
+    if share > 0.0:
+        extended = _extended(problem, final, joint, unknown)
+        known = {"valid": valid_range(problem, final), "uncertainty": stated(problem, final, extended, regions)}
+        extended = extended.model_copy(update=known)
     return Diagnosis(
         verdict=verdict,
         reason=reason,
@@ -324,6 +332,25 @@ def diagnose(
         held_out=_held_out(problem),
         complete=found.complete,
         seconds=time.monotonic() - begin,
+    )
+
+
+def _inflated(problem: Problem, f: Fit) -> Fit:
+    """The fit with standard deviations inflated by its residual's normalised RMS, where more than noise is left (Birge's ratio).
+
+    What no description holds is not random: it leans on the parameters the same way all the time.
+    """
+    ratio = quiet_rms(problem, f)
+    return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2) if ratio > ANSWER.quiet else f
+
+
+def _holds_back(share: float) -> str:
+    """Why the extended joint is not what the fit says."""
+    if share == 0.0:
+        return "what was found does worse than the description where a fit has not seen the data: joint.yaml is the description"
+    return (
+        "what was found does worse than the description in a region that a fit has not seen: the numbers in joint.yaml are drawn "
+        f"back to {100 * share:.0f} % of the way"
     )
 
 
@@ -388,6 +415,7 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, final))
     explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
     real = quiet_rms(problem, final) > ANSWER.quiet
+    left = float(np.sqrt(np.sum(unexplained(problem, final.point))))
     findings: list[Finding] = []
     minor: list[Finding] = []
     worths, linear = [], tamed(problem, final)
@@ -418,6 +446,8 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
         }
         confidence = _confidence(found, h.cause.name, i, unknown)
         small = real and size_of(problem, final, i) < ANSWER.minor
+        if unknown is not None:  # what the unknown effect has left of it
+            small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
         (minor if small else findings).append(
             Finding(h.cause.name, h.cause.component, confidence, parameters, share, w.rms)
         )

@@ -132,6 +132,15 @@ def diagnosed(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[float
         yield name, answer, [float(np.sqrt(np.mean(e**2))) for e in errors]
 
 
+def described(recording: Recording) -> list[list[float]]:
+    """RMS [N·m] of the nominal joint in motion on what is scored in `diagnosed`, row by row."""
+    q, found = recording["link_position"], external_torques(recording, load_joint(recording.joint))
+    moving = np.gradient(q, recording.time) > 0.05
+    parts = [np.ones(len(q), bool), *(test for _, test in hold_outs(q).values())]
+    errors = [[(found[e] - recording["external_torque"])[test & moving] for e in DIAGNOSED] for test in parts]
+    return [[float(np.sqrt(np.mean(e**2))) for e in row] for row in errors]
+
+
 def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 1.0) -> tuple[Recording, np.ndarray]:
     """The sweep with a made-up second half: the outbound motion mirrored about q = 0, current after an assumed truth.
 
@@ -279,9 +288,10 @@ def main() -> None:
         print(f"| {name} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
     print("| held out | found | " + " | ".join(DIAGNOSED) + " |")
     print("|---" * (len(DIAGNOSED) + 2) + "|")
-    for name, answer, values in diagnosed(recording):
+    for (name, answer, values), nominal in zip(diagnosed(recording), described(recording), strict=True):
         causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
         print(f"| {name} | {causes} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
+        print("| … the nominal joint | | " + " | ".join(f"{v:.2f}" for v in nominal) + " |")
     print()
     folder = HERE / "figures"
     folder.mkdir(exist_ok=True)

@@ -11,7 +11,8 @@ sum of
 * how far it is from a zero-phase estimate of the same signals: its lag, and what two kinds of sensors do not agree on;
 * what it believes of itself (`Posterior.variance`), where it does.
 
-Whatever is done to a recording before it is estimated (zeros, payload, bandwidth) is done again in each case.
+Whatever is done to a recording before it is estimated (zeros, payload, bandwidth) is done again in each case. Noise is added at
+the recording's own rate; what the other changes do is smooth, and is computed at every so-manieth sample (`RATE`).
 """
 
 from __future__ import annotations
@@ -37,6 +38,8 @@ LEFT = 0.01
 """Share of the energy of simple torques' changes that the directions which are left out may have."""
 MOST = 8
 """Directions at most."""
+RATE = 250.0
+"""Samples per second from which on a recording is thinned for all changes but noise [Hz]."""
 _PROBE = 0.005  # least error by which an estimator is probed, in rated torques
 _MEMORY = 0.3  # s, correlation time of the errors by which it is probed
 _AVERAGE = 0.5  # s, over which its response to noise is averaged
@@ -59,46 +62,55 @@ class _Errors:
 
 
 def deviations(
-    signals: Signals, known: KnownJoint, joint: Joint, mounting: Mounting, run: Run[Key], threads: int = 2
+    estimated: Mapping[Key, np.ndarray],
+    signals: Signals,
+    known: KnownJoint,
+    joint: Joint,
+    mounting: Mounting,
+    run: Run[Key],
+    threads: int = 2,
 ) -> dict[Key, np.ndarray]:
     """Standard deviation of every estimate of a segment, shape (n,) each.
 
     Args:
+      estimated: the estimates, shape (n,) each.
       signals: of the segment, n samples.
       known: what estimators know of the joint; joint: its description, in `mounting`.
       run: estimates the segment.
       threads: on which cases are run.
     """
     rng = np.random.default_rng(_SEED)
-    rated, scale = known.rated_torque, float(known.p["N"] * known.p["Kt"])
+    time, probes = signals.time, dict[str, float]()
+    noisy = _noisier(signals, known, rng)
+    few = signals.part(slice(None, None, max(int(_rate(time) / RATE), 1)))
     errors = _errors(signals, known, joint)
-    wave = [_wave(signals.time, rng) for _ in range(2)]
-    cases = [(signals, known), (_noisier(signals, known, rng), known)]
-    probes = {}
+    rated, scale = known.rated_torque, float(known.p["N"] * known.p["Kt"])
+    cases = [(few, known)]
     if "motor_current" in signals:
-        probes["current"] = len(cases)
-        shifted = signals["motor_current"] + wave[0] * _PROBE * rated / scale
-        cases.append((signals.with_columns(motor_current=shifted), known))
+        shifted = few["motor_current"] + _wave(few.time, rng) * _PROBE * rated / scale
+        probes["current"] = _PROBE * rated
+        cases.append((few.with_columns(motor_current=shifted), known))
     if "motor_position" in signals and "link_position" in signals:
-        probes["torsion"] = len(cases)
-        shifted = signals["link_position"] - wave[1] * _PROBE * rated / known.p["K1"]
-        cases.append((signals.with_columns(link_position=shifted), known))
-    rougher = known.told(Fc=(1 + _PROBED) * known.p["Fc"], Fs=(1 + _PROBED) * known.p["Fs"])
-    probes["friction"] = len(cases)
-    cases.append((signals, rougher))
-    first = len(cases)
-    cases += [(signals, replace(known, record=record)) for record in _principal(signals, known, joint, mounting)]
+        shifted = few["link_position"] - _wave(few.time, rng) * _PROBE * rated / known.p["K1"]
+        probes["torsion"] = _PROBE * rated
+        cases.append((few.with_columns(link_position=shifted), known))
+    probes["friction"] = _PROBED * float(known.p["N"] * known.p["Fc"])
+    cases.append((few, known.told(Fc=(1 + _PROBED) * known.p["Fc"], Fs=(1 + _PROBED) * known.p["Fs"])))
+    cases += [(few, replace(known, record=record)) for record in _principal(few, known, joint, mounting)]
     with ThreadPoolExecutor(threads) as pool:
-        base, *done = pool.map(lambda case: run(*case), cases)
+        again, base, *done = pool.map(lambda case: run(*case), [(noisy, known), *cases])
     found = {}
-    for name, values in base.items():
-        change = [np.nan_to_num(other.get(name, values) - values) for other in done]
-        variance = uniform_filter1d(change[0] ** 2, _samples(signals.time), mode="nearest")
-        for error, case in probes.items():
-            probe = _PROBED * float(known.p["N"] * known.p["Fc"]) if error == "friction" else _PROBE * rated
-            gain = float(np.sqrt(np.mean(change[case - 1] ** 2))) / max(probe, 1e-12)
+    for name, values in estimated.items():
+        change = [
+            np.nan_to_num(other.get(name, base[name]) - base[name]) if name in base else 0 * few.time for other in done
+        ]
+        noise = np.nan_to_num(again.get(name, values) - values)
+        variance = uniform_filter1d(noise**2, _samples(time), mode="nearest")
+        for one, (error, size) in zip(change, probes.items(), strict=False):
+            gain = float(np.sqrt(np.mean(one**2))) / max(size, 1e-12)
             variance = variance + (gain * getattr(errors, error)) ** 2
-        found[name] = np.sqrt(variance + np.sum(np.square(change[first - 1 :]), axis=0))
+        moved_by = np.sum(np.square(change[len(probes) :]), axis=0) if len(change) > len(probes) else 0 * few.time
+        found[name] = np.sqrt(variance + np.interp(time, few.time, moved_by))
     return found
 
 
@@ -123,7 +135,12 @@ def disagreement(time: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.nda
 
 def _samples(time: np.ndarray) -> int:
     """Number of samples over which responses are averaged."""
-    return max(round(_AVERAGE / float(np.median(np.diff(time)))), 1)
+    return max(round(_AVERAGE * _rate(time)), 1)
+
+
+def _rate(time: np.ndarray) -> float:
+    """Samples per second [Hz]."""
+    return 1.0 / float(np.median(np.diff(time)))
 
 
 def _principal(signals: Signals, known: KnownJoint, joint: Joint, mounting: Mounting) -> list[np.ndarray]:
@@ -186,7 +203,7 @@ def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
 
 def _wave(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A random error of unit variance that forgets in `_MEMORY`, shape (n,)."""
-    keep = float(np.exp(-np.median(np.diff(time)) / _MEMORY))
+    keep = float(np.exp(-1 / (_rate(time) * _MEMORY)))
     noise = np.sqrt(1 - keep**2) * rng.standard_normal(len(time))
     return lfilter([1.0], [1.0, -keep], noise)
 

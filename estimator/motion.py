@@ -48,6 +48,14 @@ def _inverse(A, B):
 
 
 @kernel
+def _product(A, B, C):
+    """C = A B of 3×3 matrices: a library's product of matrices costs more to call than this to compute."""
+    for i in range(3):
+        for j in range(3):
+            C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
+
+
+@kernel
 def _smooth(t, y, q):
     """Smooth channels y, shape (n, c), at times t, shape (n,); q is the jerk's intensity at unit measurement noise.
 
@@ -55,34 +63,48 @@ def _smooth(t, y, q):
     """
     n, c = y.shape
     F, Q, inverse = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
+    work, gain, column, M = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.eye(3) * 1e6
     state = np.empty((n, 3, c))
     P = np.empty((n, 3, 3))
     predicted = np.empty((n, 3, 3))
     x = np.zeros((3, c))
     x[0] = y[0]
-    M = np.eye(3) * 1e6
     for k in range(n):
         if k:
-            _transition(t[k] - t[k - 1], F, Q, q)
-            x = F @ x
-            M = F @ M @ F.T + Q
+            d = t[k] - t[k - 1]
+            _transition(d, F, Q, q)
+            for j in range(c):
+                x[0, j] += d * x[1, j] + 0.5 * d * d * x[2, j]
+                x[1, j] += d * x[2, j]
+            _product(F, M, work)
+            _product(work, F.T, M)
+            for i in range(3):
+                for j in range(i + 1):
+                    M[i, j] = M[j, i] = 0.5 * (M[i, j] + M[j, i]) + Q[i, j]
         predicted[k] = M
         s = M[0, 0] + 1.0
         for j in range(c):
             e = (y[k, j] - x[0, j]) / s
             for i in range(3):
                 x[i, j] += M[i, 0] * e
-        column = M[:, 0].copy()
+        column[:] = M[:, 0]
         for i in range(3):
             for j in range(3):
                 M[i, j] -= column[i] * column[j] / s
         state[k] = x
         P[k] = M
     for k in range(n - 2, -1, -1):
-        _transition(t[k + 1] - t[k], F, Q, q)
+        d = t[k + 1] - t[k]
+        _transition(d, F, Q, q)
         _inverse(predicted[k + 1], inverse)
-        gain = P[k] @ F.T @ inverse
-        state[k] += gain @ (state[k + 1] - F @ state[k])
+        _product(P[k], F.T, work)
+        _product(work, inverse, gain)
+        for j in range(c):
+            e2 = state[k + 1, 2, j] - state[k, 2, j]
+            e1 = state[k + 1, 1, j] - state[k, 1, j] - d * state[k, 2, j]
+            e0 = state[k + 1, 0, j] - state[k, 0, j] - d * state[k, 1, j] - 0.5 * d * d * state[k, 2, j]
+            for i in range(3):
+                state[k, i, j] += gain[i, 0] * e0 + gain[i, 1] * e1 + gain[i, 2] * e2
     return state
 
 

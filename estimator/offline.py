@@ -19,7 +19,9 @@ No estimator reads the columns `joint_torque` and `external_torque`.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -37,7 +39,7 @@ from . import registry, smoothed
 from .arrays import run
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .errors import FilterDiverged
-from .estimator import Estimator, KnownJoint, sample_interval
+from .estimator import Estimator, KnownJoint, Posterior, sample_interval
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import PayloadObserver, observe
@@ -163,7 +165,8 @@ def estimate_recording(
       recording: its `joint_torque` and `external_torque` are not read.
       joint: the description, with the effects that are known of it.
       names: of the registry; all by default.
-      bands: whether each estimate is told how far it may be off (`bands`): some ten times the work.
+      bands: whether estimates are told how far they may be off (`bands`); those that simulate the joint's dynamics
+        (`Estimator.costly`) only where they are named: some ten times their work.
 
     Raises:
       InputError: a name that is none.
@@ -184,23 +187,25 @@ def estimate_recording(
         notes.append(ready.note)
         chosen = {name: e for name, e in estimators.items() if name not in left_out}
         beliefs: dict[str, np.ndarray] = {}
-        estimates = _estimates(ready, chosen, left_out, beliefs)
+        estimates = _estimates(ready, chosen, left_out, beliefs, threads=_THREADS)
         for (what, name), values in estimates.items():
             found[what].setdefault(name, np.full(n, np.nan))[segment] = values
         if bands:
-            chosen = {name: e for name, e in chosen.items() if name not in left_out}
+            # The dynamics simulated nine times more is for whoever asks for it by name.
+            told = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
 
             def again(
-                s: Signals, k: KnownJoint, chosen: dict[str, Estimator] = chosen
+                s: Signals, k: KnownJoint, told: dict[str, Estimator] = told
             ) -> dict[tuple[str, str], np.ndarray]:
-                return _estimates(prepare(s, k), chosen, {})
+                return _estimates(prepare(s, k), told, {})
 
             reference = reference_torque(ready.signals, ready.known)
             seen = {
                 "torque": ready.known.as_read(reference, signals.time),
                 "external_torque": ready.own_torque - reference,
             }
-            for (what, name), values in deviations(signals, known, joint, recording.link, again).items():
+            there = {key: values for key, values in estimates.items() if key[1] in told}
+            for (what, name), values in deviations(there, signals, known, joint, recording.link, again).items():
                 apart = disagreement(signals.time, estimates[what, name], seen[what])
                 own = np.sqrt(beliefs.get(name, 0.0))
                 together = np.sqrt(values**2 + apart**2 + own**2)
@@ -208,8 +213,9 @@ def estimate_recording(
     kept = [name for name in estimators if name not in left_out]
     empty = np.full(n, np.nan)
     torque, external = ({name: found[what].get(name, empty) for name in kept} for what in _QUANTITIES)
-    told = ({name: deviation[what].get(name, empty) for name in kept} if bands else {} for what in _QUANTITIES)
-    return Estimates(recording.name, recording.time, torque, external, left_out, notes, *told)
+    return Estimates(
+        recording.name, recording.time, torque, external, left_out, notes, *(deviation[what] for what in _QUANTITIES)
+    )
 
 
 def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
@@ -228,6 +234,7 @@ def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
 
 
 _QUANTITIES = ("torque", "external_torque")
+_THREADS = min(os.cpu_count() or 1, 8)
 
 
 def _estimates(
@@ -235,24 +242,39 @@ def _estimates(
     estimators: Mapping[str, Estimator],
     left_out: dict[str, str],
     beliefs: dict[str, np.ndarray] | None = None,
+    threads: int = 1,
 ) -> dict[tuple[str, str], np.ndarray]:
     """Joint torque and external torque of a segment by quantity and estimator; adds to `left_out` why there is none, and to
     `beliefs` what estimators believe their error variance to be."""
-    found = {}
+    able: dict[str, Estimator] = {}
     for name, estimator in estimators.items():
         reason = ready.lacks(estimator)
         if reason is not None:
             left_out[name] = reason
-            continue
+        else:
+            able[name] = estimator
+
+    def one(name: str) -> Posterior | str:
         try:
-            one = ready.ready(estimator).estimate(ready.signals, ready.known)
+            return ready.ready(able[name]).estimate(ready.signals, ready.known)
         except (FilterDiverged, InputError) as error:
-            left_out[name] = str(error)
+            return str(error)
+
+    # The longest first: what is compiled holds no lock.
+    order = sorted(able, key=lambda name: not able[name].costly)
+    with ThreadPoolExecutor(threads) as pool:
+        done = dict(zip(order, pool.map(one, order), strict=True))
+    found = {}
+    for name in able:
+        posterior = done[name]
+        if isinstance(posterior, str):
+            left_out[name] = posterior
             continue
-        if beliefs is not None and one.variance is not None:
-            beliefs[name] = np.maximum(one.variance, 0.0)
-        found["torque", name] = ready.known.as_read(one.mean, ready.signals.time)
-        found["external_torque", name] = ready.own_torque - one.mean if one.external is None else one.external
+        if beliefs is not None and posterior.variance is not None:
+            beliefs[name] = np.maximum(posterior.variance, 0.0)
+        found["torque", name] = ready.known.as_read(posterior.mean, ready.signals.time)
+        external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
+        found["external_torque", name] = external
     return found
 
 
@@ -490,8 +512,9 @@ def track_zero(
         x = x + gain * (seen[k] - H @ x)
         P = P - np.outer(gain, H @ P)
         xs[k], Ps[k] = x, P
+    gains = Ps[:-1] @ F @ np.linalg.pinv(Pp[1:])
     for k in range(n - 2, -1, -1):
-        G = Ps[k] @ F @ np.linalg.pinv(Pp[k + 1])
+        G = gains[k]
         xs[k] += G @ (xs[k + 1] - xp[k + 1])
         Ps[k] += G @ (Ps[k + 1] - Pp[k + 1]) @ G.T
     return xs[:, 0], np.sqrt(np.maximum(Ps[:, 0, 0], 0.0))

@@ -148,10 +148,12 @@ def estimate(
       NaN in parts of less than ten samples between gaps. `attrs["left_out"]` says which estimators are not there, and why.
 
     Raises:
-      InputError: an estimator that there is not, or that is named and lacks a channel; a joint or recording that is wrong.
+      InputError: an estimator that there is not, or that is named and lacks a channel; a joint or recording that is wrong; a
+        mistake in the data that makes physics meaningless.
     """
     import pandas as pd
 
+    from .diagnosis.data.mistakes import require_sound
     from .estimator import registry
     from .estimator.offline import estimate_recording
     from .models.errors import InputError
@@ -160,6 +162,7 @@ def estimate(
     for name in named:
         registry.get(name)
     recording, described = _recording(data, joint)
+    require_sound(_measurement(recording), described)
     found = estimate_recording(recording, described, named or None)
     for name in named:
         if name in found.left_out:

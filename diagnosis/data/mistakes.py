@@ -6,6 +6,7 @@ unit, direction, place (`changes`), columns that are late (`lateness`).
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,6 +25,7 @@ from .samples import SampleMistake, bridged, unwrapped, wrong_samples
 _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
 _TURN = 2 * np.pi
 _BESIDE = ("position_command", "temperature")  # columns that no balance takes
+_UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,26 @@ class Mistake:
     rows: tuple[int, ...] | None = None
     also: tuple[str, ...] = ()
     severe: bool = True
+
+    @property
+    def change(self) -> str:
+        """The change that mends it, in a few words."""
+        if self.name == "sign":
+            return "gravity_angle + π" if self.column == "gravity_angle" else "× −1"
+        if self.name == "unit":
+            return f"× {self.factor:.6g}"
+        if self.name == "gear_ratio":
+            return f"N × {self.factor:.6g}"
+        if self.name == "late":
+            return f"{1e3 * (self.seconds or 0.0):.4g} ms earlier"
+        if self.name == "angle_zero":
+            return f"{self.offset:+.5g} rad" + (", motor side by the gear ratio" if self.also else "")
+        if self.name == "velocity":
+            return "integrated" if self.factor is None else f"integrated, × {self.factor:.6g}"
+        return {
+            "swapped": "columns exchanged", "wrapped": "unwrapped", "glitch": "bridged", "stuck": "left out",
+            "clipped": "left out",
+        }[self.name]  # fmt: skip
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in `diagnosis.json`."""
@@ -105,6 +127,21 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         text = f"{1e3 * one.seconds:.3g} ms late against the others"
         further += [Mistake("late", one.column, n, text, one.confidence, seconds=one.seconds) for n in where]
     return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in (*found, *further))
+
+
+def require_sound(measurement: Measurement, joint: Joint) -> None:
+    """Refuse a measurement of whose motion and current no estimate means anything.
+
+    Raises:
+      InputError: the first severe mistake in a column that estimators read, and the change that mends it.
+    """
+    for m in find_mistakes(measurement, joint):
+        if m.severe and m.column not in _UNREAD:
+            where = ": ".join(name for name in (m.recording or measurement.name, m.column) if name)
+            raise InputError(
+                f"{where}: {m.description}, mended by: {m.change}; "
+                f"`flexspline import {shlex.quote(str(measurement.path))} --fix --out DIR` writes it mended"
+            )
 
 
 def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:

@@ -54,7 +54,7 @@ def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float
     is not, and a rotor that trembles leaves the link where it is.
 
     Args:
-      time: of the samples of one stretch [s], shape (n,).
+      time: of the samples of one segment [s], shape (n,).
       motor, link: readings of both encoders [rad], shape (n,).
     """
     if len(time) < _FEWEST:

@@ -233,7 +233,7 @@ def _segment(
         state=state, load=load, balances=balances, usable=usable, held_out=held_out, at_rest=at_rest,
         passband=1 / (2 * np.pi * passband(time)),
     )  # fmt: skip
-    # Wrong stamps are louder in the accelerations than all that the replicate has of noise.
+    # Wrong stamps are larger in the accelerations than all that the replicate has of noise.
     mistimed = link_measured and timing_error(time, channels["motor_position"], channels["link_position"]) > 0.0
     block = settings.block if mistimed else _block((rotor, link), (rotor_noise, link_noise), settings)
     one = replace(one, block=block)

@@ -17,7 +17,7 @@ O'Hagan 2001 is the idea of a discrepancy that is learned; the state-space form 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -79,11 +79,6 @@ class Noise:
     discrepancy: np.ndarray
     rest: np.ndarray
     settings: NoiseSettings = field(default=SETTINGS, repr=False)
-
-    def inflated(self, factor: float) -> Noise:
-        """The same noise, `factor` times as large in all its parts."""
-        sensors = tuple(tuple(replace(s, white=factor * s.white) for s in one) for one in self.sensors)
-        return replace(self, sensors=sensors, discrepancy=factor * self.discrepancy, rest=factor * self.rest)
 
 
 @kernel

@@ -7,18 +7,18 @@ again without it (in the linear model about the fit, exact to first order) and j
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ...models.joint import ValidRange
-from ..data.segments import BALANCES, Segment
+from ..data.segments import BALANCES
 from .noise import rows_of, whiten
 from .residual import Problem
 from .solver import SETTINGS as SOLVER
-from .solver import Columns, Fit, bounded_step, huber_weight, leverage_weight, stacked
+from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_weight, stacked
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,13 @@ class RegionSettings:
       end: share of the samples that lie at an end of a range.
       fewest: samples in motion that a region must have.
       worse: ratio of RMS errors, extended without the region over described, from which on the extension is worse there.
+      shares: of the way from the description to the fit that are tried until it is worse in no region.
     """
 
     end: float = 0.2
     fewest: int = 40
     worse: float = 1.05
+    shares: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.0)
 
 
 SETTINGS = RegionSettings()
@@ -71,10 +73,6 @@ class Region:
         }  # fmt: skip
 
 
-Chosen = Callable[[Segment], np.ndarray]
-"""Which residuals of a segment lie in a region, shape (k,), bool."""
-
-
 def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[str, list[np.ndarray]]:
     """Residuals of every region by segment: ends of angle, speed and load, directions, whole recordings."""
     segments = problem.segments
@@ -105,12 +103,41 @@ def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[
     return found
 
 
-def held_out_regions(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) -> tuple[Region, ...]:
-    """Every region, the one where the extension is worth least first."""
+def drawn_back(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) -> tuple[float, Fit, tuple[Region, ...]]:
+    """The fit drawn back towards the description until it is worse than that in no region that it has not seen.
+
+    Returns:
+      Share of the way to the fit that is left; the fit there, what is not known of it wider by the way back; the regions.
+    """
+    system = _System(problem, f)
+    start = problem.start(None, f.model)
+    at, regions = f, held_out_regions(problem, f, settings, system)
+    for share in settings.shares:
+        if share < 1.0:
+            theta = start + share * (f.theta - start)
+            residual = problem.residuals([theta], [f.model])[0]
+            away = f.theta - theta
+            at = replace(
+                f, theta=theta, point=Point(residual, f.point.noise), covariance=f.covariance + np.outer(away, away)
+            )
+            regions = held_out_regions(problem, at, settings, system, share)
+        if not any(r.worse for r in regions):
+            return share, at, regions
+    return 0.0, at, regions
+
+
+def held_out_regions(
+    problem: Problem, f: Fit, settings: RegionSettings = SETTINGS, system: _System | None = None, share: float = 1.0
+) -> tuple[Region, ...]:
+    """Every region, the one where the extension is worth least first.
+
+    Args:
+      system: normal equations about the fit of which `f` is a `share` of the way from the description.
+    """
     from ..search.worth import output_scale
 
     described = problem.residuals([problem.start(None, ())], [()])[0]
-    system = _System(problem, f)
+    system = _System(problem, f) if system is None else system
     scale = output_scale(problem)
     found = []
     for name, masks in region_masks(problem, settings).items():
@@ -128,7 +155,7 @@ def held_out_regions(problem: Problem, f: Fit, settings: RegionSettings = SETTIN
         if samples < settings.fewest or rest < settings.fewest:
             continue
         shift = system.without(masks)
-        unseen = [r + J @ shift for r, J in zip(f.point.residual, f.jacobian, strict=True)]
+        unseen = [r + share * (J @ shift) for r, J in zip(f.point.residual, f.jacobian, strict=True)]
         rms = [_rms(x, use, scale) for x in (described, f.point.residual, unseen)]
         found.append(Region(name, name.startswith("recording "), samples, *rms))
     return tuple(sorted(found, key=lambda r: -(r.unseen / max(r.described, 1e-12))))
@@ -197,4 +224,4 @@ def valid_range(problem: Problem, f: Fit, kept: Sequence[np.ndarray] | None = No
     return ValidRange(link_position=ends(angle), link_velocity=ends(speed), joint_torque=ends(load), loads=loads)
 
 
-__all__ = ["Region", "RegionSettings", "held_out_regions", "region_masks", "rows_of", "valid_range"]
+__all__ = ["Region", "RegionSettings", "drawn_back", "held_out_regions", "region_masks", "rows_of", "valid_range"]

@@ -7,7 +7,6 @@ which the current and torque samples may be off, and the coordinates of the effe
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -62,21 +61,6 @@ class Problem:
         """Whether both encoders were read."""
         return any(s.link_measured for s in self.segments)
 
-    def with_joint(self, joint: Joint) -> Problem:
-        """The same measurement of another description of the joint (with a model discrepancy in it)."""
-        return Problem(self.segments, self.replicates, joint)
-
-    def match_replicates(self, factors: Sequence[float]) -> None:
-        """Make the noise of the replicates' motion `factors` times as large, one a segment."""
-        self.replicates = [
-            other
-            if f == 1.0
-            else replace(
-                other, rotor=one.rotor + f * (other.rotor - one.rotor), link=one.link + f * (other.link - one.link)
-            )
-            for one, other, f in zip(self.segments, self.replicates, factors, strict=True)
-        ]
-
     def split(self, theta: np.ndarray, model: Model) -> list[np.ndarray]:
         """Coordinates of each hypothesis in the vector of unknowns."""
         parts, at = [], self.size
@@ -105,15 +89,10 @@ class Problem:
         return found
 
     def residuals(
-        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False, coarse: bool = False
+        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False
     ) -> list[list[np.ndarray]]:
-        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel.
-
-        `coarse`: by a replay of twice the step, for screening.
-        """
+        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel."""
         chosen = self.replicates if replicate else self.segments
-        if coarse:
-            chosen = [s.coarse for s in chosen]
         tasks = [
             (segment, record, theta)
             for theta, model in zip(thetas, models, strict=True)

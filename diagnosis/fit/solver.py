@@ -130,7 +130,7 @@ def corrected_loss(
     """Robust loss of a whitened residual less that of the noise's share of it.
 
     What is left of a segment's balance is about zero at best; what is below that by more than chance counts as if it were
-    above. Where the replicate is a little louder than the data, parameters that make all noise louder would win otherwise.
+    above. Where the replicate has a little more noise than the data, parameters that make all noise large would win otherwise.
     """
     whole = weight * huber_loss(r, settings.huber)
     if share is None:
@@ -386,6 +386,7 @@ class Fitter:
             extra = [b - a for a, b in zip(jacobian, again, strict=True)]
         noise = self._learn(point, jacobian, f.covariance)
         history = list(f.history)
+        refused = np.zeros(len(theta))
         for _ in range(iterations):
             normal = normal_equations(problem, noise, f.model, theta, point, jacobian, extra, settings)
             cost = normal.loss + prior_cost(problem, theta, f.model)
@@ -399,9 +400,12 @@ class Fitter:
                 if after < cost:
                     theta, point, moved = theta + part * step, trial, True
                     break
+            refused = np.zeros(len(theta)) if moved else step
             if not moved or cost - after < settings.tolerance:
                 break
-        return self.finish(f.model, theta, point, jacobian, extra, noise, tuple(history))
+        found = self.finish(f.model, theta, point, jacobian, extra, noise, tuple(history))
+        # Where the corrected equations and the corrected objective disagree, neither is right to better than that.
+        return replace(found, covariance=found.covariance + np.outer(refused, refused))
 
     def _with_effects(self, model: Model, theta: np.ndarray, common: Columns, known: Columns | None = None) -> Columns:
         """Derivatives in the common unknowns and in a model's effects; of those that give their own, the `known` ones."""
@@ -507,7 +511,10 @@ def covariances(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -
         rows = whiten(problem.segments, f.noise, stacked(f.point.noise, f.noise_jacobian)).rows
         score -= _scores(rows, settings.huber, normal.weight)
     segment, _, at = rows_of(problem.segments)
-    _, cluster = np.unique(np.stack([segment, np.floor(at / settings.cluster)]), axis=1, return_inverse=True)
+    # There must be more pieces than unknowns for their scatter to say something.
+    seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)
+    piece = min(settings.cluster, seconds / (4 * score.shape[1]))
+    _, cluster = np.unique(np.stack([segment, np.floor(at / piece)]), axis=1, return_inverse=True)
     total = np.zeros((int(cluster.max()) + 1, score.shape[1]))
     np.add.at(total, cluster.reshape(-1), score)
     total = total[np.any(total, axis=1)]

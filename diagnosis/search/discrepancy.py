@@ -237,14 +237,12 @@ class Unknown:
       spline: where it acts and on what it depends.
       fit: of the model with it as its last effect.
       gain: log evidence over the model without it.
-      replaced: names of the causes in whose place it stands.
       share: of the mean square left unexplained that it explains.
     """
 
     spline: Spline
     fit: Fit
     gain: float
-    replaced: tuple[str, ...]
     share: float
 
     @property
@@ -481,9 +479,7 @@ def _refined(
         share = own / max(own + after, 1e-30)
         if before - after < settings.gain * before or own < least:
             return None
-    return Unknown(
-        candidate.spline, f, float(gain), tuple(chosen.model[i].cause.name for i in candidate.without), float(share)
-    )
+    return Unknown(candidate.spline, f, float(gain), float(share))
 
 
 def _own(problem: Problem, f: Fit, spline: Spline) -> float:

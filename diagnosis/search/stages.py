@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...models import causes
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
@@ -41,11 +42,17 @@ class AcceptSettings:
         (`solver.with_dispersion`).
       worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
         one of many things that the description does not hold, and no answer to what the simulation gets wrong.
-      slight: part of the root mean square of what nothing explains that it must be worth.
+      large, worth_large: from this part of the ordinary size on, so much is enough to be fitted beside the others; what holds
+        there is decided by `worth` again.
+      alike: part of the mean square that a cause takes away that another one must take away to be its rival.
+      slight: part of the root mean square of what nothing explains that it must be worth, where that is not far above the noise
+        (where it is, something is there that the library does not have).
+      little: part of the mean square of what is not explained that a cause must take away, for another one to be fitted after it.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
         noise and the linear model no good judge; per_cause: at most of one cause.
+      general: part of a cause's gain that a more general one must add to it.
       most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
@@ -55,13 +62,18 @@ class AcceptSettings:
     smallest: float = 0.03
     significant: float = 4.0
     worth: float = 0.5
+    large: float = 0.3
+    worth_large: float = 0.15
+    alike: float = 0.3
     slight: float = 0.25
+    little: float = 0.1
     held_out_share: float = 0.2
     race: float = 0.6
     finalists: int = 3
     far_finalists: int = 6
     far: float = 10.0
     per_cause: int = 2
+    general: float = 0.02
     most: int = 5
     rounds: int = 3
     gross: float = 60.0
@@ -280,14 +292,15 @@ def search(
     decisions: list[Decision] = []
     rivals: list[Rivals] = []
     pending: tuple[Finalist, dict[str, float]] | None = None
-    afreshed, late = False, False
+    afreshed = late = slight = False
     while True:
         quiet = quiet_rms(problem, at)
-        probe = settings.screen.probe if quiet < settings.screen.quiet else settings.screen.coarse_probe
+        coarse = not at.model and quiet >= settings.screen.quiet
+        probe = settings.screen.coarse_probe if coarse else settings.screen.probe
         progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
-        library = Library(problem, at, _others(hypotheses, at.model), settings.screen.probe if at.model else probe)
-        if at.model and (quiet < accept.far or len(at.model) >= accept.rounds):
-            break  # what is left is small: the linear model serves
+        library = Library(problem, at, _others(hypotheses, at.model), probe)
+        if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
+            break  # what is left is small, or no cause of the library explains it: the linear model serves
         screened = screen(problem, at, library, settings.screen)
         if pending is not None:
             rivals.append(_rivals_of(*pending, _gains(screened), accept))
@@ -314,10 +327,10 @@ def search(
             at = first = other
             continue
         progress(f"settling {chosen.name.replace('_', ' ')}", 0.4 + 0.15 * len(at.model))
-        at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
-        if doubtful(problem, at, quiet_rms(problem, at), settings.calibrate):
-            at = max((at, afresh(problem, fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
-        pending = (chosen, {f.name: f.gain for f in reversed(fitted)})
+        slight = chosen.removed < accept.little * float(np.sum(unexplained(problem, at.point)))
+        at = _settled(problem, fitter, chosen, settings.calibrate)
+        alike = [f for f in fitted if f.removed > accept.alike * chosen.removed]
+        pending = (chosen, {f.name: f.gain for f in reversed(alike)})
     late = late or time.monotonic() > deadline
     if not late:
         progress("selecting further causes", 0.7)
@@ -327,6 +340,8 @@ def search(
         if more:
             progress("settling all causes", 0.8)
             at = _together(problem, fitter, at, library, more)
+        at, rivals, simpler = _simplified(problem, fitter, at, rivals, hypotheses, accept)
+        decisions += simpler
         if len(at.model) > 1:
             at, rivals, dropped = _prune(problem, fitter, at, rivals, accept)
             decisions += dropped
@@ -341,6 +356,14 @@ def search(
         (quiet_rms(problem, first), quiet_rms(problem, at)),
         not late,
     )
+
+
+def _settled(problem: Problem, fitter: Fitter, chosen: Finalist, settings: CalibrateSettings) -> Fit:
+    """A finalist fitted to its end with derivatives of its own."""
+    at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
+    if doubtful(problem, at, quiet_rms(problem, at), settings):
+        at = max((at, afresh(problem, fitter, at, settings)), key=lambda f: f.log_evidence)
+    return at
 
 
 def _gains(screened: Sequence[Screened]) -> dict[str, float]:
@@ -368,10 +391,9 @@ def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], F
     good = [f for f in fitted if not reasons[id(f)]]
     chosen = max(good, key=lambda f: f.removed, default=None)
     if chosen is not None:
-        # What explains the same as the best by evidence, and less likely, is no rival by worth.
-        best = max(good, key=lambda f: f.gain)
-        if chosen is not best and chosen.removed < 1.5 * best.removed:
-            chosen = best
+        # Of those that explain about the same the likeliest.
+        least = min(chosen.removed, chosen.removed / 1.5)
+        chosen = max((f for f in good if f.removed >= least), key=lambda f: f.gain)
     decisions = []
     for f in fitted:
         h, reason = f.fit.model[-1], reasons[id(f)]
@@ -455,11 +477,17 @@ def _rivals_of(
     chosen: Finalist | Screened, before: dict[str, float], after: dict[str, float], settings: AcceptSettings
 ) -> Rivals:
     """Rivals of a cause that was accepted: those that it has made superfluous, by gains before and after."""
-    name = chosen.name if isinstance(chosen, Finalist) else chosen.hypothesis.cause.name
+    cause = (chosen.fit.model[-1] if isinstance(chosen, Finalist) else chosen.hypothesis).cause
     others = tuple(
-        (n, g) for n, g in before.items() if n != name and g > settings.threshold and after.get(n, 0.0) < 0.2 * g
+        (n, g)
+        for n, g in before.items()
+        if n != cause.name
+        and cause.name not in causes.get(n).generalises
+        and n not in cause.generalises
+        and g > settings.threshold
+        and after.get(n, 0.0) < 0.2 * g
     )
-    return Rivals(name, chosen.gain, others)
+    return Rivals(cause.name, chosen.gain, others)
 
 
 # --- further causes, in the linear model -------------------------------------------------------------------------------
@@ -496,10 +524,11 @@ def _select(
                 seen[key] = _not_fitted(s, settings, stage)
                 continue
             w = _worth_of(problem, here, rest, s)
-            if w.share < settings.worth:
+            needed = settings.worth if s.size < settings.large else settings.worth_large
+            if w.share < needed:
                 reason = (
                     f"would take {w.rms:.2g} N·m RMS from the simulation's error, {100 * w.share:.0f} % of the mean square "
-                    f"that the description does not hold beside it; {100 * settings.worth:.0f} % is worth naming"
+                    f"that the description does not hold beside it; {100 * needed:.0f} % is worth naming"
                 )
                 seen[key] = Decision(stage, name, s.hypothesis.fixed, s.gain, w.rms, s.size, False, False, reason)
                 continue
@@ -516,7 +545,7 @@ def _select(
         name = best.hypothesis.cause.name
         seen.pop((name, *best.hypothesis.fixed.items()), None)
         decisions.append(Decision(stage, name, best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason))
-        before = (best, gains)
+        before = (best, _gains([s for s in screened if s.removed > settings.alike * best.removed]))
         chosen.append(best)
         here = _with(problem, here, rest, best)
         rest = rest.keeping(_others(rest.hypotheses, (best.hypothesis,)))
@@ -582,13 +611,56 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
     return fitter.fit(model, f.theta[kept], f, 4)
 
 
+def _simplified(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: list[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """Causes that are special cases of accepted ones in their places, where the data do not ask for more."""
+    decisions: list[Decision] = []
+    for i, h in enumerate(f.model):
+        for g in hypotheses:
+            if g.cause.name not in h.cause.generalises or any(o.cause.name == g.cause.name for o in f.model):
+                continue
+            parts = problem.split(f.theta, f.model)
+            values = h.values(parts[i])
+            u = g.confine(g.coordinates({q.name: values[q.name] for q in g.cause.parameters}))
+            theta = np.concatenate([f.theta[: problem.size], *(u if j == i else p for j, p in enumerate(parts))])
+            model = tuple(g if j == i else o for j, o in enumerate(f.model))
+            other = fitter.fit(model, theta, f if len(theta) == len(f.theta) else None, 4)
+            more = f.log_evidence - other.log_evidence
+            gain = rivals[i].gain if i < len(rivals) else 0.0
+            asked = more > max(settings.threshold, settings.general * gain)
+            reason = f"{h.cause.name.replace('_', ' ')}, which is more general, adds {more:.0f} to the log evidence"
+            decisions.append(
+                Decision(
+                    "settle",
+                    g.cause.name,
+                    g.fixed,
+                    -more,
+                    float("nan"),
+                    size_of(problem, other, i),
+                    True,
+                    not asked,
+                    reason,
+                )
+            )
+            if not asked:
+                f = other
+                rivals = [replace(r, cause=g.cause.name) if j == i else r for j, r in enumerate(rivals)]
+    return f, rivals, decisions
+
+
 def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings):
     """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
     dropped: list[Decision] = []
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
     for _ in range(2 * len(f.model)):
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
-        left = float(np.sum(unexplained(problem, f.point)))
+        left, near = float(np.sum(unexplained(problem, f.point))), quiet_rms(problem, f) < settings.far
         verdicts = []
         for i, h in enumerate(f.model):
             block = problem.place(f.model, i)
@@ -601,7 +673,7 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
-            elif w.rms < settings.slight * left**0.5:
+            elif near and w.rms < settings.slight * left**0.5:
                 reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error, {left**0.5:.2g} is left that nothing explains"
             elif id(h) in kept:
                 reason = ""

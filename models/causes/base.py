@@ -129,6 +129,9 @@ class Cause(ABC):
     torsion: ClassVar[bool] = False
     """Whether it lives in the torsion alone, so that one encoder cannot show it."""
 
+    generalises: ClassVar[tuple[str, ...]] = ()
+    """Causes that are special cases of it, with parameters of the same names."""
+
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         """Put the effect into a parameter record, in place."""
         for name, field in self.sets.items():

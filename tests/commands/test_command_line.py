@@ -76,8 +76,9 @@ def test_ctrl_c_in_the_first_second_is_silent(tmp_path, after):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("command", ["run", "compare"])
-def test_asked_to_end_it_ends_and_leaves_nothing(tmp_path, number, command):
-    """In the middle of an hour's simulation, which is compiled code."""
+def test_asked_to_end_it_ends_and_leaves_nothing(flexspline, tmp_path_factory, tmp_path, number, command):
+    """In the middle of an hour's simulation, which is compiled code, compiled before."""
+    assert flexspline(*RUN, "--out", tmp_path_factory.mktemp("before"))[0] == 0
     process = subprocess.Popen(
         [*PROGRAM, command, "no_load", "--set", "duration=3600", "--out", str(tmp_path / "o"), *RUN[4:]],
         stderr=subprocess.PIPE,

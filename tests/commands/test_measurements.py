@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import flexspline as fs
 from flexspline.estimator import registry
 from flexspline.models.recording import Recording, read_recording, write_recording
 
@@ -21,6 +23,21 @@ def measurement(tmp_path):
     current = np.minimum(3.4 * np.sin(2 * np.pi * 0.2 * t), 3.3)
     columns = {"motor_position": 100 * theta, "link_position": theta, "motor_current": current}
     write_recording(Recording("slow", t, columns), tmp_path / "m")
+    return tmp_path / "m"
+
+
+@pytest.fixture(scope="module")
+def sweep() -> Recording:
+    """A motion of a simulated joint, without its torque sensor and with a gap of a second."""
+    moves = ({"time": t, "position": q} for t, q in ((0.3, 0.0), (2.2, 0.9), (5.2, -0.9), (6.5, 0.0)))
+    run = fs.simulate("no_load", filters=["RAREKF"], duration=7, trajectory=list(moves), mounting="link")
+    there = (run.time < 4.0) | (run.time >= 5.0)
+    return replace(run.as_recording().at(there).without("joint_torque"), name="slow")
+
+
+@pytest.fixture
+def sound(sweep, tmp_path):
+    write_recording(sweep, tmp_path / "m")
     return tmp_path / "m"
 
 
@@ -48,8 +65,8 @@ def test_check_says_what_cannot_show(flexspline, tmp_path, rng):
         assert cause in out
 
 
-def test_estimate_scores_and_writes(flexspline, measurement, tmp_path):
-    code, out, _ = flexspline("estimate", measurement, "--out", tmp_path / "e")
+def test_estimate_scores_and_writes(flexspline, sound, tmp_path):
+    code, out, _ = flexspline("estimate", sound, "--out", tmp_path / "e")
     assert code == 0
     assert sorted(p.name for p in (tmp_path / "e").iterdir()) == [".flexspline", "metrics.json", "slow.parquet"]
     report = json.loads((tmp_path / "e" / "metrics.json").read_text())["slow"]
@@ -60,14 +77,28 @@ def test_estimate_scores_and_writes(flexspline, measurement, tmp_path):
     assert set(report["external_torque"]) == set(registry.names()) - set(report["left_out"])
 
 
-def test_estimate_by_name(flexspline, measurement, tmp_path):
-    code, out, _ = flexspline(
-        "estimate", measurement, "--out", tmp_path / "e", "--filter", "current", "--filter", "EKF"
-    )
+def test_estimate_by_name(flexspline, sound, tmp_path):
+    code, out, _ = flexspline("estimate", sound, "--out", tmp_path / "e", "--filter", "current", "--filter", "EKF")
     assert code == 0 and "RAREKF" not in out
     assert pq.read_table(tmp_path / "e" / "slow.parquet").column_names == [
         "time", "torque_current", "torque_EKF", "external_torque_current", "external_torque_EKF"
     ]  # fmt: skip
+
+
+def test_estimate_refuses_what_is_wrong_with_the_data(flexspline, sweep, tmp_path):
+    """Degrees taken for radians: 400,000 N·m otherwise."""
+    columns = sweep.columns | {"motor_position": np.rad2deg(sweep["motor_position"])}
+    path = write_recording(replace(sweep, columns=columns), tmp_path / "degrees")
+    code, out, err = flexspline("estimate", path, "--out", tmp_path / "e")
+    assert code == 2 and out == ""
+    line = one_line(err)
+    assert "slow: motor_position: degrees taken for rad, mended by: × 0.0174533" in line and "--fix" in line
+    assert not (tmp_path / "e").exists()
+    with pytest.raises(fs.InputError, match="motor_position: degrees taken for rad"):
+        fs.estimate(path)
+    assert flexspline("import", path, "--fix", "--out", tmp_path / "mended")[0] == 0
+    code, out, _ = flexspline("estimate", tmp_path / "mended", "--filter", "model", "--out", tmp_path / "e")
+    assert code == 0
 
 
 def test_estimate_does_not_overwrite_the_measurement(flexspline, measurement):
@@ -77,10 +108,10 @@ def test_estimate_does_not_overwrite_the_measurement(flexspline, measurement):
     assert (measurement / "slow.parquet").read_bytes() == before
 
 
-def test_an_estimator_that_is_named_must_be_there_and_find_its_channels(flexspline, measurement, tmp_path):
-    code, _, err = flexspline("estimate", measurement, "--out", tmp_path / "e", "--filter", "curent")
+def test_an_estimator_that_is_named_must_be_there_and_find_its_channels(flexspline, sound, tmp_path):
+    code, _, err = flexspline("estimate", sound, "--out", tmp_path / "e", "--filter", "curent")
     assert code == 2 and "did you mean 'current'" in one_line(err)
-    recording = read_recording(measurement / "slow.parquet").without("link_position")
+    recording = read_recording(sound / "slow.parquet").without("link_position")
     path = write_recording(recording, tmp_path)
     code, _, err = flexspline("estimate", path, "--out", tmp_path / "e", "--filter", "EKF")
     assert code == 2 and "EKF" in one_line(err) and "link_position" in err

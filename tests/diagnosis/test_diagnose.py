@@ -25,13 +25,14 @@ def check(joint, seed, name, **options):
     return d, truth[name]
 
 
+@pytest.mark.slow
 def test_one_hidden_effect_is_found_and_the_joint_extended(joint, tmp_path):
     d, truth = check(joint, 207, "friction_asymmetry")
     ratio = d.causes[0].parameters["ratio"]
     assert abs(ratio.value - truth["ratio"]) < 0.15 * abs(truth["ratio"])
     answer = json.loads(json.dumps(d.to_json()))
     assert answer["residual"]["motor_current"]["after"] < answer["residual"]["motor_current"]["before"]
-    d.extended_joint().write(tmp_path / "joint.yaml")
+    d.extended.write(tmp_path / "joint.yaml")
     assert "friction_asymmetry" in {e.name for e in load_joint(tmp_path / "joint.yaml").effects}
 
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from flexspline.diagnosis.motion import smooth
-from flexspline.diagnosis.replay import READ_OUT, _encoder_noise, drives, residual, residuals, transmission
 from hidden_joint import measure
 
+from flexspline.diagnosis.data.segments import _encoder_noise, segments
+from flexspline.diagnosis.fit.replay import READ_OUT, residual, residuals, transmission
+from flexspline.estimator.motion import smooth
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
 
@@ -16,25 +17,26 @@ def joint():
 
 
 @pytest.fixture(scope="module")
-def stretches(joint):
+def replayed(joint):
+    """Segments of a joint that has exactly its nominal numbers."""
     measurement, _ = measure(joint, seed=3, exact=True)
-    return drives(list(measurement.recordings), joint)[0]
+    return segments(list(measurement.recordings), joint)[0]
 
 
-def rms(joint, stretches, change=lambda p: None):
+def rms(joint, replayed, change=lambda p: None):
     """RMS of each channel while the rotor moves."""
     left = [[], [], []]
-    for drive in stretches:
-        record = joint.record(drive.mounting)
+    for segment in replayed:
+        record = joint.record(segment.mounting)
         change(record[0])
-        r = residual(drive, record)
+        r = residual(segment, record)
         for c in range(3):
-            left[c].append(r[drive.usable[:, c] & ~drive.at_rest, c])
+            left[c].append(r[segment.usable[:, c] & ~segment.at_rest, c])
     return np.array([np.sqrt(np.mean(np.concatenate(x) ** 2)) for x in left])
 
 
-def test_true_numbers_leave_the_sensors_noise(joint, stretches):
-    current, torque, link = rms(joint, stretches)
+def test_true_numbers_leave_the_sensors_noise(joint, replayed):
+    current, torque, link = rms(joint, replayed)
     assert current < 0.01
     assert torque < 0.02
     assert link < 0.02
@@ -50,48 +52,48 @@ def test_true_numbers_leave_the_sensors_noise(joint, stretches):
         ("torque_sensor_gain", {"gain": 1.1}, [1, 2]),
     ],
 )
-def test_an_effect_breaks_only_the_balances_that_it_touches(joint, stretches, name, values, broken):
-    before, after = (rms(joint, stretches, f) for f in (lambda p: None, lambda p: causes.get(name).apply(p, values)))
+def test_an_effect_breaks_only_the_balances_that_it_touches(joint, replayed, name, values, broken):
+    before, after = (rms(joint, replayed, f) for f in (lambda p: None, lambda p: causes.get(name).apply(p, values)))
     assert [c for c in range(3) if after[c] > 1.5 * before[c]] == broken
 
 
-def test_numbers_that_are_read_out_move_nothing_inside_the_transmission(joint, stretches):
-    drive = stretches[0]
-    record = joint.record(drive.mounting)
-    inner = transmission(drive, record)
+def test_numbers_that_are_read_out_move_nothing_inside_the_transmission(joint, replayed):
+    segment = replayed[0]
+    record = joint.record(segment.mounting)
+    inner = transmission(segment, record)
     for name in READ_OUT:
         changed = record.copy()
         changed[name] = 1.1 * changed[name] + 1e-3
-        assert np.array_equal(transmission(drive, changed), inner), name
-        assert np.array_equal(residuals([(drive, record), (drive, changed)])[1], residual(drive, changed)), name
+        assert np.array_equal(transmission(segment, changed), inner), name
+        assert np.array_equal(residuals([(segment, record), (segment, changed)])[1], residual(segment, changed)), name
     inside = [name for name in record.dtype.names if name not in READ_OUT]
     moving = [name for name in ("K1", "Kw0", "Fc", "bw", "Jw", "link_zero", "amplitude", "df") if name in inside]
     assert len(moving) == 8
     for name in moving:
         changed = record.copy()
         changed[name] = 1.1 * changed[name] + 1e-6
-        assert not np.array_equal(transmission(drive, changed), inner), name
+        assert not np.array_equal(transmission(segment, changed), inner), name
 
 
 def test_at_the_true_numbers_nothing_is_left_but_noise_at_any_speed(joint):
-    """The twins draw the sensors' noise again: as much as that, and no more, is left of torque and link balance."""
+    """The noise replicates draw the sensors' noise again: as much as that, and no more, is left of torque and link balance."""
     measurement, _ = measure(joint, seed=11, exact=True)
-    for drive, twin in zip(*drives(list(measurement.recordings), joint), strict=True):
-        record = joint.record(drive.mounting)
-        left = residual(drive, record)
-        share = residual(twin, record) - left
-        speed = np.abs(drive.state[:, 2])
+    for segment, replicate in zip(*segments(list(measurement.recordings), joint), strict=True):
+        record = joint.record(segment.mounting)
+        left = residual(segment, record)
+        share = residual(replicate, record) - left
+        speed = np.abs(segment.state[:, 2])
         # The fourth order of the gear leaves the smoother's passband at the fastest.
         for slowest, fastest in ((15.0, 40.0), (40.0, 70.0), (70.0, 200.0)):
             for c in (1, 2):
-                use = drive.usable[:, c] & (speed > slowest) & (speed < fastest)
+                use = segment.usable[:, c] & (speed > slowest) & (speed < fastest)
                 if use.sum() > 200:
                     # Below one where the counts happen to beat with the sampling.
-                    assert 0.75 < np.std(left[use, c]) / np.std(share[use, c]) < 1.15, (drive.recording, slowest, c)
+                    assert 0.75 < np.std(left[use, c]) / np.std(share[use, c]) < 1.15, (segment.recording, slowest, c)
 
 
 @pytest.mark.parametrize("interval", [1e-3, 4e-3])
-def test_twins_are_as_noisy_as_the_encoder(interval, joint, rng):
+def test_noise_replicates_are_as_noisy_as_the_encoder(interval, joint, rng):
     """Counts of a smooth motion, drawn again, leave as much of position, rate and acceleration as the first time."""
     time = np.arange(0, 6, interval) + rng.uniform(0, 0.05 * interval, round(6 / interval))
     true = 60 * (1 - np.cos(0.9 * time)) + 2e-3 * np.sin(40 * time)

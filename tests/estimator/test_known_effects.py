@@ -208,7 +208,7 @@ def test_told_of_an_effect_with_the_reading_alone(name):
     ("discrepancy_flexspline", "EKF", 4.0), ("cogging", "model", 1.7), ("torque_constant", "dynamics_ekf", 10.0),
     ("mesh_friction", "current", 5.0), ("viscous_friction", "current", 1.5), ("friction_drift", "momentum", 5.0),
     ("load_dependent_friction", "current", 4.0), ("friction_temperature", "current", 1.5),
-    ("discrepancy_mesh", "current", 1.7), ("link_flexibility", "dynamics_ekf", 10.0),
+    ("discrepancy_mesh", "current", 1.7), ("link_flexibility", "dynamics_ekf", 2.0),
 ])  # fmt: skip
 def test_not_told_of_it(name, estimator, worse):
     """The same effects, kept from the estimator: that they are ordinary does not make them small."""

@@ -174,7 +174,7 @@ REACHES = {
     "include of a folder above": '<include file="../secret.xml"/>',
     "include of an absolute path": '<include file="/etc/passwd"/>',
     "mesh above": '<asset><mesh name="m" file="../m.stl"/></asset>',
-    "texture elsewhere": '<asset><texture name="t" type="2d" file="/tmp/t.png"/></asset>',
+    "texture elsewhere": '<asset><texture name="t" type="2d" file="/usr/t.png"/></asset>',
     "cube of textures": '<asset><texture name="t" type="cube" fileright="../a.png"/></asset>',
     "folder of meshes": '<compiler meshdir="/usr/share"/>',
     "folder of textures": '<compiler texturedir="a/../../b"/>',

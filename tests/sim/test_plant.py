@@ -159,6 +159,7 @@ def test_kinematic_error_of_order_six_and_once_per_turn_of_the_link(nominal):
     assert relative(torsion(states), torsion(nominal[0])) > 10 * got
 
 
+@pytest.mark.slow
 def test_friction_follows_the_temperature():
     """A gear that warms by 40 K within the half second of the motion, held over each tick as the loop does."""
 

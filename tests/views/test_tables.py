@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import io
-
-from rich.console import Console
+from terminal import rendered
 
 from flexspline.views.sweep_tables import metric_column
 from flexspline.views.tables import (
@@ -54,15 +52,6 @@ def test_response_is_one_quantity_everywhere():
 def test_markdown_of_some_columns():
     lines = comparison_markdown({"push": METRICS["push"]}, keys=("rms", "robust_share")).splitlines()
     assert lines[0] == "| filter | RMS error [N·m] | robust [%] |" and lines[4] == "| RAREKF | 0.250 | 12.3 |"
-
-
-def rendered(table, width: int = 80) -> str:
-    out = io.StringIO()
-    Console(file=out, width=width).print(table)
-    text = out.getvalue()
-    assert max(len(line) for line in text.splitlines()) <= width
-    assert "…" not in text
-    return text
 
 
 def test_comparison_is_whole_at_80_columns():
