@@ -1,32 +1,32 @@
-"""Our calibration beside `mujoco.sysid` on the same drawn joints: `python -m benchmarks sysid` writes docs/sysid.csv and the
+"""Our calibration beside `mujoco.sysid` on the same drawn joints: `python -m benchmarks sysid` writes docs/sysid.json and the
 tables of docs/sysid.md.
 
 Both get the same three recordings of a joint whose every number is drawn within its tolerance, the same description (numbers,
 tolerances, sensor noise), and the same unknowns: the calibration variables of `models.calibration`, one standard deviation of
 the description each. `mujoco.sysid` minimises the error of a simulation (`rollout`), our calibration that of the balances.
 
-*How the joint is given to `mujoco.sysid`.* The joint's MJCF: rotor, wave generator and link, tendons with polynomial stiffness
-as close to the described laws as MJCF allows, LuGre friction. With `exact`, a compiled callback exerts the described laws
-instead: nothing but integration then separates model and plant. The measured current drives the rotor. Simulating 30 s from
-current alone drifts by turns, so a servo on the measured angle holds the simulation near the measurement, as slow as the
-current's noise and the encoder's counts ask for (the bandwidth of their Kalman filter); what it has to exert shows in the
-residual. Where unmeasured pushes act, a stiff servo takes the link along the measured motion. Residuals are motor angle, link
-angle and joint torque, each divided by its RMS after a first fit (sensors' noise in that), and the unknowns over their
-tolerances; forward differences, the package's own optimiser (`mujoco`), at most `ITERATIONS` iterations.
+*How the joint is given to `mujoco.sysid`.* As MJCF: rotor, wave generator and link, tendons with polynomial stiffness as close
+to the described laws as MJCF allows, LuGre friction, no kinematic error, which MJCF cannot say. With `exact`, a compiled
+callback exerts the described laws instead: nothing but integration then separates model and plant. The measured current drives
+the rotor. Simulating 30 s from current alone drifts by turns, so a servo on the measured angle holds the simulation near the
+measurement. Where unmeasured pushes act, a stiff servo takes the link along the measured motion. Residuals are motor angle, link
+angle and joint torque, each divided by its RMS (sensors' noise in that) at the start and, once more, after a first fit; beside
+them stand the unknowns over their tolerances. The package's own optimiser (`mujoco`), forward differences, intervals of its
+`calculate_intervals`.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
+import io
+import json
 import logging
 import multiprocessing
-import re
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +36,7 @@ from mujoco import sysid
 from scipy.signal import savgol_filter
 
 from flexspline.diagnosis.data.segments import segments
-from flexspline.diagnosis.diagnose import _value, diagnose
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter, with_dispersion
 from flexspline.diagnosis.search.calibrate import calibrate
@@ -56,38 +56,48 @@ ROOT = Path(__file__).resolve().parents[1]
 SEED = 4001
 HIDDEN = ("friction_periodic", "hysteresis", "link_encoder_eccentricity")
 TIMESTEP = 5e-4  # s: of the rollouts, that of the joint's MJCF
-ITERATIONS = 25  # of a fit; two fits
-BANDWIDTH = 150.0  # rad/s: of the servo that holds the rotor's simulated angle to the measured one
+INTEGRATOR = mujoco.mjtIntegrator.mjINT_EULER  # without `implicitfast`'s damping of the flexspline's mode
+ITERATIONS = (3, 5)  # of the two fits, at most
+BANDWIDTH = 300.0  # rad/s: of the servo that holds the rotor's simulated angle to the measured one
 STIFF = 800.0  # rad/s: of the servo that takes the link along where pushes act
 SMOOTHED = 21  # samples over which measured angles are smoothed for servos' velocities
 SKIPPED = 0.05  # s: at the beginning, where filters and servos settle
-EPS = 1e-4  # standard deviations: step of the forward differences
-REPORTED = ("Kt", "K1", "K2", "K3", "Kw0", "Fc", "bw", "bm", "Jm", "Jl", "Mg")
+EPS = 1e-3  # standard deviations: step of the forward differences
+DIVERGED = 1e3  # standard deviations: residual of a simulation that is not finite
+DAMPING = {"mu_min": 1.0, "mu_factor": 2.0}  # with the defaults, 1e-6 and 1.26, it takes 80 simulations to get damped
+SETTLED = 3e-2  # standard deviations: a fit ends when its step is shorter
 LABELS = {
-    "Kt": "torque constant", "K1": "flexspline stiffness K1", "K2": "K2", "K3": "K3", "Kw0": "wave generator stiffness",
-    "Fc": "Coulomb friction", "bw": "viscous friction, mesh", "bm": "viscous friction, motor", "Jm": "rotor inertia",
-    "Jl": "link inertia", "Mg": "gravity",
+    "Kt": "torque constant Kt", "K1": "flexspline stiffness K1", "K2": "K2", "K3": "K3", "Kw0": "wave generator stiffness Kw0",
+    "Fc": "Coulomb friction Fc", "bw": "viscous friction of the mesh bw", "Jm": "rotor inertia Jm", "Jl": "link inertia Jl",
+    "Mg": "gravity moment Mg",
 }  # fmt: skip
 COLUMNS = ("motor_position", "link_position", "joint_torque")
+OURS, EXACT, NATIVE = "calibration", "mujoco.sysid, laws in a callback", "mujoco.sysid, MJCF alone"
+TOOLS = (OURS, NATIVE, EXACT)
+FAR = 2.5  # standard deviations: drawn joints are within
 
 
 @dataclass(frozen=True)
-class Row:
-    """A number of a draw as one tool found it: error [%], stated standard deviation [%], error in those, whether the 95 %
-    interval holds the truth; core time [s] of that fit (the same in all rows of a fit)."""
+class Number:
+    """A number of the joint: nominal, true, found, its stated standard deviation, whether the 95 % interval holds the truth."""
+
+    nominal: float
+    true: float
+    value: float
+    std: float
+    covered: bool
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A draw as one tool fitted it: numbers, core time [s], and what the tool says of a cause."""
 
     hidden: str
     draw: int
     tool: str
-    number: str
-    nominal: float
-    true: float
-    value: float
-    error: float
-    std: float
-    z: float
-    covered: bool
+    numbers: dict[str, Number]
     core_time: float
+    said: str
 
 
 @dataclass(frozen=True)
@@ -113,6 +123,17 @@ def calibrated(one: Draw) -> Found:
     return Found(fit.theta[:n], fit.covariance[:n, :n], time.process_time() - begin, "")
 
 
+def diagnosed(one: Draw) -> Found:
+    """The whole diagnosis, where something may be hidden."""
+    begin = time.process_time()
+    found = diagnose(one.measurement, one.nominal)
+    assert found.problem is not None and found.final is not None
+    n = found.problem.calibration.size
+    causes = ", ".join(f"{c.name} ({100 * c.confidence:.0f} % sure, {c.worth:.2g} N·m)" for c in found.causes)
+    said = f"{found.verdict}: {causes}" if causes else found.verdict
+    return Found(found.final.theta[:n], found.final.covariance[:n, :n], time.process_time() - begin, said)
+
+
 # --- mujoco.sysid --------------------------------------------------------------------------------------------------------
 
 
@@ -135,6 +156,7 @@ class Rollouts:
             self.parameters.add(sysid.Parameter(self.calibration.names[i], 0.0, -3.5, 3.5))
         self.weights = {name: self._noise() for name in self.recordings}
         self.sequences = [self._sequence(r) for r in self.recordings.values()]
+        self.lengths: list[int] = []
 
     def unknowns(self, x: np.ndarray) -> np.ndarray:
         """All calibration variables, those that MJCF cannot hold at zero."""
@@ -159,6 +181,7 @@ class Rollouts:
         spec = structure.read(self.joint.mjcf)
         plant._set_numbers(spec, p, TIMESTEP, True)
         plant._set_friction(spec, p)
+        spec.option.integrator = INTEGRATOR
         spec.modelname = recording.name
         spec.joint("rotor").damping = [p["bm"], 0, 0]
         spec.joint("link").damping = [p["bl"], 0, 0]
@@ -257,16 +280,28 @@ class Rollouts:
             np.interp(at, time_, state[:, 3]) + p["link_zero"],
             np.interp(at, time_ - TIMESTEP, Ts) * p["torque_gain"] + p["torque_offset"],
         ])  # fmt: skip
-        weights = self.weights[name]
+        counted = [
+            1.0,
+            float(not self._pushed(self.recordings[name])),
+            1.0,
+        ]  # where a servo moves the link, its angle says nothing
         shown = [sysid.TimeSeries(at, y) for y in (found, real)]
-        return (real - found) / weights, *shown
+        return counted * (real - found) / self.weights[name], *shown
 
     def residual(self, x: np.ndarray, parameters: Any, **options: Any):
-        """Residuals of all recordings, and the unknowns over their tolerances."""
-        found, *shown = sysid.residual(
-            x, parameters, self.sequences, self._build, self._compare, n_threads=1, **options
-        )  # fmt: skip
-        return [*found, x if x.ndim > 1 else x.reshape(-1, 1)], *shown
+        """Residuals of all recordings, and the unknowns over their tolerances; all large where a simulation diverges."""
+        try:
+            found, *shown = sysid.residual(
+                x, parameters, self.sequences, self._build, self._compare, n_threads=1, **options
+            )
+        except ValueError:
+            # A simulation that is not finite ends early, and the package raises over its times: no step of the optimiser.
+            if (x.ndim > 1 and x.shape[1] > 1) or not self.lengths:
+                raise
+            far = [np.full((n, 1) if x.ndim > 1 else n, DIVERGED) for n in self.lengths]
+            return [*far, x], [], []
+        self.lengths = [len(r) for r in found]
+        return [*found, x], *shown
 
     def rms(self, x: np.ndarray) -> dict[str, np.ndarray]:
         """RMS of what is left of each channel, by recording."""
@@ -277,13 +312,9 @@ class Rollouts:
         }
 
     def weigh(self, x: np.ndarray) -> dict[str, np.ndarray]:
-        """Weights from what is left at a point; the link's angle says nothing where a servo moves it."""
-        noise = self._noise()
-        left = self.rms(x)
-        for name, r in left.items():
-            self.weights[name] = np.maximum(r, noise)
-            if self._pushed(self.recordings[name]):
-                self.weights[name][1] = np.inf
+        """Weights from what is left at a point."""
+        left, noise = self.rms(x), self._noise()
+        self.weights = {name: np.maximum(r, noise) for name, r in left.items()}
         return left
 
 
@@ -300,3 +331,168 @@ def _polynomials(p: np.void) -> dict[str, np.ndarray]:
         powers = np.column_stack([x, x**2, x**3])
         found[name] = np.linalg.lstsq(powers / y[:, None], np.ones(len(y)), rcond=None)[0]
     return found
+
+
+@contextmanager
+def described_laws() -> Iterator[None]:
+    """Within, models that carry a record get the described laws' torques from a callback, and nothing of the plant's."""
+    callbacks.install()
+    before = native.ctypes.c_void_p.in_dll(native.library(), "mjcb_passive").value
+    native.install("mjcb_passive", _passive().address)
+    try:
+        with native.quiet():
+            yield
+    finally:
+        native.install("mjcb_passive", before)
+
+
+def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -> Found:
+    """`mujoco.sysid`'s fit, weighed by what is left at the start, and again after a first fit."""
+    begin = time.process_time()
+    problem = Rollouts(one, exact)
+    x = np.zeros(len(problem.free))
+    with described_laws():
+        for most in iterations:
+            problem.weigh(x)
+            start = problem.parameters.copy()
+            start.update_from_vector(x)
+            fitted, result = sysid.optimize(
+                start,
+                problem.residual,
+                optimizer="mujoco",
+                verbose=False,
+                max_iters=most,
+                eps=EPS,
+                xtol=SETTLED,
+                output=io.StringIO(),  # of its trace
+                **DAMPING,
+            )
+            x = fitted.as_vector()
+        left = problem.rms(x)
+        residuals, *_ = problem.residual(x, problem.parameters.copy())
+    covariance, _ = sysid.calculate_intervals([r.ravel() for r in residuals], np.asarray(result.jac))
+    whole = np.zeros((problem.calibration.size,) * 2)
+    whole[np.ix_(problem.free, problem.free)] = covariance
+    torque = ", ".join(f"{r[2]:.2g}" for r in left.values())
+    names = [problem.calibration.names[i] for i in problem.free]
+    far = ", ".join(f"{n} {v:+.1f}" for n, v in zip(names, x, strict=True) if abs(v) > FAR) or "none"
+    said = f"torque left {torque} N·m; beyond {FAR:g} tolerances: {far}"
+    return Found(problem.unknowns(x), whole, time.process_time() - begin, said)
+
+
+# --- both beside each other ----------------------------------------------------------------------------------------------
+
+
+def fitted(hidden: str, index: int, tool: str, fit: Callable[[Draw], Found] | None = None) -> Fitted:
+    """One draw by one tool."""
+    logging.getLogger("absl").setLevel(logging.ERROR)
+    challenge = Challenge(seed=SEED, hidden="one", only=(hidden,)) if hidden else Challenge(seed=SEED, hidden="none")
+    one = draw(challenge, index)
+    if fit is None:
+        ours = diagnosed if hidden else calibrated
+        fit = {OURS: ours, EXACT: lambda d: rolled_out(d, True), NATIVE: lambda d: rolled_out(d, False)}[tool]
+    found = fit(one)
+    return Fitted(hidden, index, tool, numbers(one, found), found.core_time, found.said)
+
+
+def numbers(one: Draw, found: Found) -> dict[str, Number]:
+    """The reported numbers of a draw, with the link mounted, as they are and as they were found."""
+    calibration, step = Calibration(one.nominal), 1e-3
+    mounting = one.measurement.recordings[-1].link
+
+    def values(x: np.ndarray) -> np.ndarray:
+        p = calibration.record(x, mounting)[0]
+        return np.array([p[name] for name in LABELS])
+
+    nominal, value = values(np.zeros(calibration.size)), values(found.x)
+    slope = np.stack([(values(found.x + step * e) - value) / step for e in np.eye(calibration.size)], axis=1)
+    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slope, found.covariance, slope), 0.0))
+    true = np.array([one.records[-1][0][name] for name in LABELS])
+    covered = np.abs(value - true) <= 1.96 * std
+    return {
+        name: Number(float(nominal[i]), float(true[i]), float(value[i]), float(std[i]), bool(covered[i]))
+        for i, name in enumerate(LABELS)
+    }
+
+
+def tables(fits: Sequence[Fitted]) -> dict[str, str]:
+    """The page's tables, by marker."""
+    plain = [f for f in fits if not f.hidden]
+    head = ("number", "before", *(f"{tool}: error" for tool in TOOLS), *(f"{tool}: covered" for tool in TOOLS))
+    rows = []
+    for name, label in LABELS.items():
+        by = {tool: [f.numbers[name] for f in plain if f.tool == tool] for tool in TOOLS}
+        before = _rms([n.nominal / n.true - 1 for n in by[OURS]])
+        errors = [_rms([n.value / n.true - 1 for n in by[tool]]) for tool in TOOLS]
+        covered = [f"{sum(n.covered for n in by[tool])} of {len(by[tool])}" for tool in TOOLS]
+        rows.append((label, before, *errors, *covered))
+    every = {tool: [n for f in plain if f.tool == tool for n in f.numbers.values()] for tool in TOOLS}
+    share = [f"{100 * np.mean([n.covered for n in every[tool]]):.0f} %" if every[tool] else "" for tool in TOOLS]
+    rows.append(("all", "", "", "", "", *share))
+    times = [[f.core_time for f in plain if f.tool == tool] for tool in TOOLS]
+    cost = [
+        (tool, str(len(t)), f"{np.median(t):.0f}" if t else "", f"{max(t):.0f}" if t else "")
+        for tool, t in zip(TOOLS, times, strict=True)
+    ]
+    said = [
+        (f"{f.hidden} ({f.draw})", f.tool if f.tool != OURS else "diagnose", f.said, f"{f.core_time:.0f}")
+        for f in sorted(fits, key=lambda f: (f.hidden, f.draw, TOOLS.index(f.tool)))
+        if f.hidden
+    ]
+    return {
+        "numbers": markdown(head, rows),
+        "time": markdown(("tool", "draws", "median core time [s]", "longest [s]"), cost),
+        "hidden": markdown(("hidden (draw)", "tool", "what it says", "core time [s]"), said),
+    }
+
+
+def _rms(relative: Sequence[float]) -> str:
+    """Root mean square of relative errors in %."""
+    return f"{100 * np.sqrt(np.mean(np.square(relative))):.2g} %" if len(relative) else ""
+
+
+def read(path: Path) -> list[Fitted]:
+    """Fits that are kept."""
+    if not path.exists():
+        return []
+    kept = json.loads(path.read_text(encoding="utf-8"))
+    return [Fitted(**{**f, "numbers": {k: Number(**n) for k, n in f["numbers"].items()}}) for f in kept]
+
+
+def write(path: Path, fits: Sequence[Fitted]) -> None:
+    """Keep fits, sorted."""
+    ordered = sorted(fits, key=lambda f: (f.hidden, f.draw, TOOLS.index(f.tool)))
+    with write_into_place(path) as temporary:
+        temporary.write_text(json.dumps([asdict(f) for f in ordered], indent=1) + "\n", encoding="utf-8")
+
+
+def _warm_up() -> None:
+    """Load what is compiled, so that no fit's time has it."""
+    fitted("", 0, OURS)
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """Fit what is not kept yet, keep it, and write the page's tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--draws", type=int, default=10, help="joints without anything hidden")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "sysid.json")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "sysid.md")
+    asked = parser.parse_args(arguments)
+    fits = read(asked.kept)
+    have = {(f.hidden, f.draw, f.tool) for f in fits}
+    few = min(asked.draws, 3)
+    wanted = [("", k, tool) for k in range(few) for tool in TOOLS]
+    wanted += [(hidden, 0, tool) for hidden in HIDDEN for tool in (OURS, EXACT)]
+    wanted += [("", k, tool) for k in range(few, asked.draws) for tool in TOOLS]
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(asked.processes, mp_context=context, initializer=_warm_up) as pool:
+        running = [pool.submit(fitted, *one) for one in wanted if one not in have]
+        for done in as_completed(running):
+            one = done.result()
+            fits.append(one)
+            write(asked.kept, fits)
+            print(f"{one.hidden or 'nothing'} {one.draw} {one.tool}: {one.core_time:.0f} s {one.said}", flush=True)
+    for table in tables(fits).values():
+        print(table, end="\n\n")
+    fill(asked.page, tables(fits))
