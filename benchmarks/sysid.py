@@ -7,17 +7,19 @@ the description each. `mujoco.sysid` minimises the error of a simulation (`rollo
 
 *How the joint is given to `mujoco.sysid`.* As MJCF: rotor, wave generator and link, tendons with polynomial stiffness as close
 to the described laws as MJCF allows, LuGre friction, no kinematic error, which MJCF cannot say. With `exact`, a compiled
-callback exerts the described laws instead: nothing but integration then separates model and plant. The measured current drives
-the rotor. Simulating 30 s from current alone drifts by turns, so a servo on the measured angle holds the simulation near the
-measurement. Where unmeasured pushes act, a stiff servo takes the link along the measured motion. Residuals are motor angle, link
-angle and joint torque, each divided by its RMS (sensors' noise in that) at the start and, once more, after a first fit; beside
-them stand the unknowns over their tolerances. The package's own optimiser (`mujoco`), forward differences, intervals of its
+callback exerts the described laws instead: nothing but integration then separates model and plant. The drive's own position
+controller follows the recorded command in the simulation (a callback): the inputs have no noise then, and the current is an
+output. Our calibration is told neither the controller nor that there is one. Where unmeasured pushes act, a stiff servo takes the
+link along the measured motion, and the link's angle does not count. Residuals are motor angle, link angle, joint torque and
+current while the command moves, each divided by its RMS at the start and, once more, after a first fit; beside them stand the
+unknowns over their tolerances. The package's own optimiser (`mujoco`), forward differences, intervals of its
 `calculate_intervals`.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import io
 import json
 import logging
@@ -27,12 +29,14 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from mujoco import sysid
+from numba import carray, cfunc, types
 from scipy.signal import savgol_filter
 
 from flexspline.diagnosis.data.segments import segments
@@ -41,12 +45,16 @@ from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter, with_dispersion
 from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
+from flexspline.diagnosis.trials.motions import CONTROLLER
 from flexspline.models import laws
 from flexspline.models.calibration import Calibration
 from flexspline.models.files import write_into_place
+from flexspline.models.joint import load_joint
 from flexspline.models.parameters import as_floats
+from flexspline.models.pointers import floats_at, word_at
 from flexspline.models.recording import Recording
 from flexspline.sim import callbacks, native, plant, structure
+from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
 from .convergence import _MAGIC, _passive
@@ -58,10 +66,12 @@ HIDDEN = ("friction_periodic", "hysteresis", "link_encoder_eccentricity")
 TIMESTEP = 5e-4  # s: of the rollouts, that of the joint's MJCF
 INTEGRATOR = mujoco.mjtIntegrator.mjINT_EULER  # without `implicitfast`'s damping of the flexspline's mode
 ITERATIONS = (3, 5)  # of the two fits, at most
-BANDWIDTH = 300.0  # rad/s: of the servo that holds the rotor's simulated angle to the measured one
 STIFF = 800.0  # rad/s: of the servo that takes the link along where pushes act
-SMOOTHED = 21  # samples over which measured angles are smoothed for servos' velocities
-SKIPPED = 0.05  # s: at the beginning, where filters and servos settle
+SMOOTHED = 21  # samples over which the link's angle is smoothed for the servo's velocity
+MOVING = (
+    0.1  # rad/s: speed of the command from which on samples count: what friction holds at rest, no rollout can tell
+)
+SKIPPED = 0.05  # s: at the beginning, where the servo settles
 EPS = 1e-3  # standard deviations: step of the forward differences
 DIVERGED = 1e3  # standard deviations: residual of a simulation that is not finite
 DAMPING = {"mu_min": 1.0, "mu_factor": 2.0}  # with the defaults, 1e-6 and 1.26, it takes 80 simulations to get damped
@@ -71,7 +81,9 @@ LABELS = {
     "Fc": "Coulomb friction Fc", "bw": "viscous friction of the mesh bw", "Jm": "rotor inertia Jm", "Jl": "link inertia Jl",
     "Mg": "gravity moment Mg",
 }  # fmt: skip
-COLUMNS = ("motor_position", "link_position", "joint_torque")
+AT_POSITION, AT_VELOCITY = 1, 2  # of the commands among the controls; the motor is the first
+COMMANDS = ("position_command", "velocity_command")
+COLUMNS = ("motor_position", "link_position", "joint_torque", "motor_current")
 OURS, EXACT, NATIVE = "calibration", "mujoco.sysid, laws in a callback", "mujoco.sysid, MJCF alone"
 TOOLS = (OURS, NATIVE, EXACT)
 FAR = 2.5  # standard deviations: drawn joints are within
@@ -155,6 +167,9 @@ class Rollouts:
         for i in self.free:
             self.parameters.add(sysid.Parameter(self.calibration.names[i], 0.0, -3.5, 3.5))
         self.weights = {name: self._noise() for name in self.recordings}
+        self.moving = {
+            name: np.abs(np.gradient(r["position_command"], r.time)) > MOVING for name, r in self.recordings.items()
+        }
         self.sequences = [self._sequence(r) for r in self.recordings.values()]
         self.lengths: list[int] = []
 
@@ -173,10 +188,11 @@ class Rollouts:
             s.motor_encoder.resolution / np.sqrt(12),
             np.hypot(s.link_encoder.noise, s.link_encoder.resolution / np.sqrt(12)),
             s.joint_torque.noise,
+            s.motor_current.noise,
         ])  # fmt: skip
 
     def _spec(self, recording: Recording, record: np.ndarray) -> mujoco.MjSpec:
-        """The joint's MJCF with the numbers of a record, and the servos."""
+        """The joint's MJCF with the numbers of a record, the commands, and the link's servo."""
         p = record[0]
         spec = structure.read(self.joint.mjcf)
         plant._set_numbers(spec, p, TIMESTEP, True)
@@ -192,11 +208,15 @@ class Rollouts:
             spec.tendon(name).stiffness = [0.0] * 3 if self.exact else springs[name]
         if self.exact:
             spec.add_numeric(name="joint", size=1 + as_floats(record).size, data=[0.0])
-        motor, Kt = spec.actuator("motor"), float(p["Kt"])
-        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        kp, kd = self._servo(recording)
-        motor.gainprm[0] = Kt
-        motor.biasprm[:3] = [-Kt * p["current_offset"], -Kt * kp, -Kt * kd]
+        motor = spec.actuator("motor")
+        motor.dyntype, motor.dynprm[0] = mujoco.mjtDyn.mjDYN_FILTEREXACT, p["L"] / p["R"]
+        motor.gaintype, motor.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE
+        motor.gainprm[0] = p["Kt"]
+        spec.nuserdata = 4
+        for name in COMMANDS:
+            command = spec.add_actuator(name=name, target="rotor", trntype=mujoco.mjtTrn.mjTRN_JOINT)
+            command.gaintype, command.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_NONE
+            command.gainprm[0] = 0.0
         hold = spec.add_actuator(name="hold", target="link", trntype=mujoco.mjtTrn.mjTRN_JOINT)
         hold.gaintype, hold.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
         kp, kd = self._hold(recording)
@@ -205,12 +225,6 @@ class Rollouts:
         spec.add_sensor(name="hold", type=mujoco.mjtSensor.mjSENS_ACTUATORFRC,
                         objtype=mujoco.mjtObj.mjOBJ_ACTUATOR, objname="hold")  # fmt: skip
         return spec
-
-    def _servo(self, recording: Recording) -> tuple[float, float]:
-        """Gains of the rotor's servo [A/rad, A·s/rad]."""
-        p = self.joint.record(recording.link)[0]
-        inertia = p["Jm"] + p["Jw"] + (0.0 if self._pushed(recording) else p["Jl"] / p["N"] ** 2)
-        return inertia * BANDWIDTH**2 / p["Kt"], 1.4 * inertia * BANDWIDTH / p["Kt"]
 
     def _hold(self, recording: Recording) -> tuple[float, float]:
         """Gains of the link's servo [N·m/rad, N·m·s/rad]."""
@@ -239,24 +253,25 @@ class Rollouts:
     def _sequence(self, recording: Recording) -> Any:
         """A recording as `mujoco.sysid` takes it: what drives the model, what is compared, and how it begins (at rest)."""
         t = recording.time - recording.time[0]
-        motor, link = recording["motor_position"], recording["link_position"]
+        link = recording["link_position"]
         step = float(np.median(np.diff(t)))
 
         def derivative(y: np.ndarray, order: int, samples: int = SMOOTHED) -> np.ndarray:
             return savgol_filter(y, samples, 3, deriv=order, delta=step)
 
-        kp, kd = self._servo(recording)
-        drive = recording["motor_current"] + kp * motor + kd * derivative(motor, 1)
+        p = self.joint.record(recording.link)[0]
         kp, kd = self._hold(recording)
         hold = kp * link + kd * derivative(link, 1)
         if kp > 0.0:
-            p = self.joint.record(recording.link)[0]
             hold = hold + p["Jl"] * derivative(link, 2) + p["Mg"] * np.sin(link) - recording["joint_torque"]
-        record = self._record(np.zeros(len(self.free)), recording)
-        spec = self._spec(recording, record)
+        command = recording["position_command"]
+        spec = self._spec(recording, self._record(np.zeros(len(self.free)), recording))
         model = spec.compile()
+        addresses = [int(model.actuator_ctrladr[model.actuator(name).id]) for name in ("motor", *COMMANDS)]
+        assert addresses == [0, AT_POSITION, AT_VELOCITY], addresses
         control = np.zeros((len(t), model.nu))
-        for name, values in (("motor", drive), ("hold", hold)):
+        commands = (command, np.gradient(command, step))
+        for name, values in (*zip(COMMANDS, commands, strict=True), ("hold", hold)):
             control[:, model.actuator_ctrladr[model.actuator(name).id]] = values
         data = np.column_stack([recording[c] for c in COLUMNS])
         begin = sysid.create_initial_state(model, np.zeros(model.nq))
@@ -270,8 +285,8 @@ class Rollouts:
         name = model.names.split(b"\0", 1)[0].decode()
         p = self._record(parameters.as_vector(), self.recordings[name])[0]
         time_ = state[:, 0]
-        at = measured.times[(measured.times > SKIPPED) & (measured.times < time_[-1])]
-        real = measured.data[(measured.times > SKIPPED) & (measured.times < time_[-1])]
+        used = self.moving[name] & (measured.times > SKIPPED) & (measured.times < time_[-1])
+        at, real = measured.times[used], measured.data[used]
         torque, hold = model.sensor("torque").adr[0] + 1, model.sensor("hold").adr[0]
         # Sensors are those of the step's beginning.
         Ts = -predicted.data[:, torque] - predicted.data[:, hold]
@@ -279,12 +294,9 @@ class Rollouts:
             np.interp(at, time_, state[:, 1]),
             np.interp(at, time_, state[:, 3]) + p["link_zero"],
             np.interp(at, time_ - TIMESTEP, Ts) * p["torque_gain"] + p["torque_offset"],
+            np.interp(at, time_, state[:, 7]) + p["current_offset"],
         ])  # fmt: skip
-        counted = [
-            1.0,
-            float(not self._pushed(self.recordings[name])),
-            1.0,
-        ]  # where a servo moves the link, its angle says nothing
+        counted = np.array([1.0, not self._pushed(self.recordings[name]), 1.0, 1.0])
         shown = [sysid.TimeSeries(at, y) for y in (found, real)]
         return counted * (real - found) / self.weights[name], *shown
 
@@ -333,17 +345,60 @@ def _polynomials(p: np.void) -> dict[str, np.ndarray]:
     return found
 
 
+@cache
+def _drive():
+    """The drive's position controller (`sim.drive.control`, with the gains of the trials) as MuJoCo's control callback.
+
+    It reads the commands from the controls of `COMMANDS`, writes the current's into that of the motor, and remembers in
+    `userdata`; encoder counts are left out, so that a rollout is a smooth function of the numbers.
+    """
+    # What stands before `userdata` must not be empty: its address would be the same.
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><size nuserdata="4"/><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>'
+        '<actuator><dcmotor joint="j" motorconst="1 1" resistance="1" inductance="1 0"/></actuator></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    at, USER = native.offsets(), native._find(data._address, data.userdata.ctypes.data)
+    TIME, QPOS, CTRL = (at[name] for name in ("time", "qpos", "ctrl"))
+    c = CONTROLLER.record(load_joint("test-joint").record()[0], CONTROL_PERIOD, False)[0]
+    kp, kd, ki, filtered, limit, gear = (float(c[n]) for n in ("kp", "kd", "ki", "filter", "limit", "gear"))
+    step, substeps, dt = TIMESTEP, round(CONTROL_PERIOD / TIMESTEP), CONTROL_PERIOD
+
+    @cfunc(types.void(types.intp, types.intp))
+    def drive(m, d):
+        time_ = floats_at(d + 8 * TIME)[0]
+        angle = floats_at(word_at(d + 8 * QPOS))[0]
+        control = carray(floats_at(word_at(d + 8 * CTRL)), 4)
+        memory = carray(floats_at(word_at(d + 8 * USER)), 4)
+        k = round(time_ / step)
+        if k == 0:
+            memory[:] = 0.0
+            memory[0] = angle
+        if k % substeps == 0:
+            memory[1] += filtered * ((angle - memory[0]) / dt - memory[1])
+            memory[0] = angle
+            error = gear * control[AT_POSITION] - angle
+            memory[2] += error * dt
+            current = kp * error + kd * (gear * control[AT_VELOCITY] - memory[1]) + ki * memory[2]
+            memory[3] = min(max(current, -limit), limit)
+        control[0] = memory[3]
+
+    return drive
+
+
 @contextmanager
 def described_laws() -> Iterator[None]:
     """Within, models that carry a record get the described laws' torques from a callback, and nothing of the plant's."""
     callbacks.install()
-    before = native.ctypes.c_void_p.in_dll(native.library(), "mjcb_passive").value
+    before = ctypes.c_void_p.in_dll(native.library(), "mjcb_passive").value
     native.install("mjcb_passive", _passive().address)
+    native.install("mjcb_control", _drive().address)
     try:
         with native.quiet():
             yield
     finally:
         native.install("mjcb_passive", before)
+        ctypes.c_void_p.in_dll(native.library(), "mjcb_control").value = None
 
 
 def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -> Found:
@@ -370,12 +425,13 @@ def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -
             x = fitted.as_vector()
         left = problem.rms(x)
         residuals, *_ = problem.residual(x, problem.parameters.copy())
+    n = len(problem.free)
     covariance, _ = sysid.calculate_intervals([r.ravel() for r in residuals], np.asarray(result.jac))
     whole = np.zeros((problem.calibration.size,) * 2)
-    whole[np.ix_(problem.free, problem.free)] = covariance
+    whole[np.ix_(problem.free, problem.free)] = covariance[:n, :n]
     torque = ", ".join(f"{r[2]:.2g}" for r in left.values())
     names = [problem.calibration.names[i] for i in problem.free]
-    far = ", ".join(f"{n} {v:+.1f}" for n, v in zip(names, x, strict=True) if abs(v) > FAR) or "none"
+    far = ", ".join(f"{n} {v:+.1f}" for n, v in zip(names, x[:n], strict=True) if abs(v) > FAR) or "none"
     said = f"torque left {torque} N·m; beyond {FAR:g} tolerances: {far}"
     return Found(problem.unknowns(x), whole, time.process_time() - begin, said)
 
@@ -481,7 +537,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     asked = parser.parse_args(arguments)
     fits = read(asked.kept)
     have = {(f.hidden, f.draw, f.tool) for f in fits}
-    few = min(asked.draws, 3)
+    few = min(asked.draws, 2)
     wanted = [("", k, tool) for k in range(few) for tool in TOOLS]
     wanted += [(hidden, 0, tool) for hidden in HIDDEN for tool in (OURS, EXACT)]
     wanted += [("", k, tool) for k in range(few, asked.draws) for tool in TOOLS]
