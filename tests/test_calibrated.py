@@ -23,15 +23,15 @@ trajectory:
 """
 
 
-@pytest.fixture(scope="module")
-def one(tmp_path_factory) -> Draw:
-    """A joint within its tolerances, recorded for two short motions."""
+@pytest.fixture(scope="module", params=[False, True], ids=["ideal", "real"])
+def one(request, tmp_path_factory) -> Draw:
+    """A joint within its tolerances, without imperfections and with them, recorded for two short motions."""
     folder = tmp_path_factory.mktemp("scenarios")
     paths = []
     for mounting in ("no_load", "link"):
         paths.append(folder / f"{mounting}.yaml")
         paths[-1].write_text(SHORT.format(mounting=mounting), encoding="utf-8")
-    return draw(Challenge(seed=calibrated.SEED, hidden="none", scenarios=tuple(map(str, paths))), 0)
+    return draw(Challenge(seed=calibrated.SEED, hidden="none", real=request.param, scenarios=tuple(map(str, paths))), 0)
 
 
 def test_knowing_the_joint_pays_and_tables_say_so(one: Draw, tmp_path: Path):
