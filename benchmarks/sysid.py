@@ -62,7 +62,7 @@ from .estimators import fill
 
 ROOT = Path(__file__).resolve().parents[1]
 SEED = 4001
-HIDDEN = ("friction_periodic", "hysteresis", "link_encoder_eccentricity")
+HIDDEN = ("friction_periodic", "link_encoder_eccentricity")
 TIMESTEP = 5e-4  # s: of the rollouts, that of the joint's MJCF
 INTEGRATOR = mujoco.mjtIntegrator.mjINT_EULER  # without `implicitfast`'s damping of the flexspline's mode
 ITERATIONS = (3, 5)  # of the two fits, at most
