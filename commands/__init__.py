@@ -1,4 +1,5 @@
-"""The command line: one file a command. A file here with a function `command` is a command of that file's name.
+"""The command line: one file a command. A file here with a function `command` is a command of that file's name, and a folder is a
+group of commands, described in its `__init__.py`.
 
 What a command needs is imported when it is called, not before: `--help` reads the commands' docstrings from their files.
 """
@@ -15,6 +16,7 @@ import pkgutil
 import signal
 import sys
 import threading
+import warnings
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
@@ -22,28 +24,29 @@ from typing import Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from ..models.errors import InputError
+from ..models.errors import InputError, InputWarning
 
 _MARKUP: Any = "markdown"
 
 
 class _Commands(TyperGroup):
-    """The commands; each is only described until it is called."""
+    """The commands of a folder; each is only described until it is called."""
+
+    folder = ""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return list(_descriptions())
+        return list(_descriptions(self.folder))
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        if cmd_name not in _descriptions():
-            return None
-        return TyperCommand(cmd_name, help=_descriptions()[cmd_name])
+        found = _descriptions(self.folder)
+        return TyperCommand(cmd_name, help=found[cmd_name]) if cmd_name in found else None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         self.commands = {
-            name: self.get_command(ctx, name) for name in _descriptions()
+            name: self.get_command(ctx, name) for name in _descriptions(self.folder)
         }  # what a misspelt one may have meant
         name, found, rest = super().resolve_command(ctx, args)
-        return name, found and _load(args[0]), rest
+        return name, found and _load(args[0], self.folder), rest
 
 
 app = typer.Typer(
@@ -70,33 +73,43 @@ def _root(
 
 
 @cache
-def _files() -> dict[str, str]:
-    """Module of every command, by the command's name."""
-    names = sorted(module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_"))
+def _files(folder: str = "") -> dict[str, str]:
+    """Module of every command in a folder, by the command's name."""
+    path = Path(__file__).parent / folder
+    names = sorted(module.name for module in pkgutil.iter_modules([str(path)]) if not module.name.startswith("_"))
     return {name.rstrip("_").replace("_", "-"): name for name in names}
 
 
 @cache
-def _descriptions() -> dict[str, str]:
-    """Docstring of every command's function, by the command's name, without importing any."""
+def _descriptions(folder: str = "") -> dict[str, str]:
+    """Docstring of every command's function, or of a group's folder, by the command's name, without importing any."""
     found = {}
-    for name, module in _files().items():
-        tree = ast.parse((Path(__file__).parent / f"{module}.py").read_text(encoding="utf-8"))
+    for name, module in _files(folder).items():
+        path = Path(__file__).parent / folder / module
+        if path.is_dir():
+            found[name] = ast.get_docstring(ast.parse((path / "__init__.py").read_text(encoding="utf-8"))) or ""
+            continue
+        tree = ast.parse(path.with_suffix(".py").read_text(encoding="utf-8"))
         for node in tree.body:
             if isinstance(node, ast.FunctionDef) and node.name == "command":
                 found[name] = ast.get_docstring(node) or ""
     return found
 
 
-def _load(name: str) -> Any:
+def _load(name: str, folder: str = "") -> Any:
     """The command of that name, ready to be called."""
-    function = importlib.import_module(f"{__name__}.{_files()[name]}").command
+    module = _files(folder)[name]
+    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=_MARKUP)
+    if (Path(__file__).parent / folder / module).is_dir():
+        group = type("_Group", (_Commands,), {"folder": module})
+        alone.callback(cls=group, help=_descriptions()[name], no_args_is_help=True)(lambda: None)
+        return typer.main.get_command(alone)
+    function = importlib.import_module(".".join(part for part in (__name__, folder, module) if part)).command
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
         function(**{key: _home(value) for key, value in options.items()})
 
-    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=_MARKUP)
     alone.command(name)(command)
     return typer.main.get_command(alone)
 
@@ -122,6 +135,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show µ or °
             stream.reconfigure(errors="replace")
+    warnings.showwarning = _notice
     try:
         app()
     except InputError as error:
@@ -147,6 +161,26 @@ def main() -> None:
         if stop.code in (130, 143):  # Ctrl-C, as Typer passes it on, and SIGTERM
             _leave(stop.code)
         raise
+
+
+_otherwise = warnings.showwarning
+
+
+def _notice(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: Any = None,
+    line: str | None = None,
+) -> None:
+    """Say a warning of ours in one line, once; any other as Python does."""
+    if not issubclass(category, InputWarning):
+        _otherwise(message, category, filename, lineno, file, line)
+        return
+    from rich.console import Console
+
+    Console(stderr=True, soft_wrap=True).print(f"flexspline: {message}", style="yellow", markup=False, highlight=False)
 
 
 def _end(number: int, frame: Any) -> None:

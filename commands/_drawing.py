@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from ..models import plugins
 
 if TYPE_CHECKING:
     from ..scenarios.run import Run
 
-_ROOM = __name__.split(".")[0]
+_PACKAGE, _, _ROOM = (__package__ or "").rpartition(".")
 _MODULES = {
     "figures": (
-        f"{_ROOM}.scenarios.run",
         "matplotlib.backends.backend_agg",
         "matplotlib.figure",
-        *(f"{_ROOM}.views.figures.{name}" for name in ("error", "experiments", "filters", "overview", "zoom")),
+        "PIL.PngImagePlugin",
+        *(f"{_PACKAGE}.views.figures.{name}" for name in ("error", "experiments", "filters", "overview", "zoom")),
     ),
-    "recording": (f"{_ROOM}.scenarios.run", f"{_ROOM}.views.rerun"),
+    "recording": (f"{_PACKAGE}.views.rerun",),
 }
-"""What each view loads."""
+"""What each view loads beside the run."""
+_SHARES = 4
+"""A run's figures are handed out in as many parts: about one each."""
 
 _watching: list[threading.Thread] = []
 Begin = Callable[["Run", Path], Callable[[], object]]
@@ -45,10 +51,11 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     method = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods() else "spawn"
     context = multiprocessing.get_context(method)
     if method == "forkserver":  # a server that has loaded what is needed, from which each of them begins
-        context.set_forkserver_preload([module for view in views for module in _MODULES[view]])
-    count = min(os.cpu_count() or 1, runs * len(views))
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready) as pool:
-        starting = threading.Thread(target=lambda: [pool.submit(_ready) for _ in range(count)])
+        first = (f"{_PACKAGE}.{_ROOM}._server", __name__, f"{_PACKAGE}.scenarios.run")
+        context.set_forkserver_preload([*first, *(module for view in views for module in _MODULES[view])])
+    count = min(os.cpu_count() or 1, runs * len(views) * _SHARES)
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),)) as pool:
+        starting = threading.Thread(target=lambda: [pool.submit(_ready, ()) for _ in range(count)])
         starting.start()
         try:
             yield [lambda run, folder: _begin(pool, views, run, folder)]
@@ -62,11 +69,16 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
 def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Path) -> Callable[[], object]:
     handed = folder / ".run"
     with handed.open("wb") as file:
-        pickle.dump(run, file, protocol=pickle.HIGHEST_PROTOCOL)
-    begun: list[Future[None]] = [pool.submit(_draw, view, handed, folder) for view in views]
+        pickle.dump(run.complete(), file, protocol=pickle.HIGHEST_PROTOCOL)
+    begun: list[Future[None]] = []
+    if "recording" in views:  # the longest first
+        begun.append(pool.submit(_record, handed, folder))
+    if "figures" in views:
+        begun += [pool.submit(_draw, handed, folder, share) for share in range(_SHARES)]
 
     def finish() -> None:
         try:
+            wait(begun)  # what fails does not leave others writing into a folder that is given up
             for future in begun:
                 future.result()
         finally:
@@ -75,9 +87,12 @@ def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Pa
     return finish
 
 
-def _ready() -> None:
-    """Leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
+def _ready(known: Sequence[Path]) -> None:
+    """Know the plugins, leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
+    plugins.load_all(known)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    gc.freeze()
+    gc.enable()
     parent = multiprocessing.parent_process()
     if parent is not None and not _watching:
         _watching.append(threading.Thread(target=_end_with, args=(parent,), daemon=True))
@@ -89,14 +104,19 @@ def _end_with(parent: Any) -> None:
     os._exit(1)
 
 
-def _draw(view: str, handed: Path, folder: Path) -> None:
-    with handed.open("rb") as file:
-        run: Run = pickle.load(file)
-    if view == "figures":
-        from ..views.figures import save_figures
+@lru_cache(maxsize=1)
+def _handed(file: Path) -> Run:
+    with file.open("rb") as opened:
+        return pickle.load(opened)
 
-        save_figures(run, folder / "figures")
-    else:
-        from ..views.rerun import write_rerun
 
-        write_rerun(run, folder / "run.rrd")
+def _draw(handed: Path, folder: Path, share: int) -> None:
+    from ..views.figures import save_figures
+
+    save_figures(_handed(handed), folder / "figures", share, _SHARES)
+
+
+def _record(handed: Path, folder: Path) -> None:
+    from ..views.rerun import write_rerun
+
+    write_rerun(_handed(handed), folder / "run.rrd")

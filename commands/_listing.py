@@ -15,7 +15,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON instead of a ta
 
 @dataclass(frozen=True)
 class Entry:
-    """One thing of a list: what it is in a few words, a line about it, where it comes from."""
+    """One thing of a list: what it is in a few words, a line about it, where it comes from where that is not this package."""
 
     kind: str
     description: str
@@ -44,7 +44,7 @@ def show(what: str, entries: Mapping[str, Entry], as_json: bool) -> None:
     table.add_column("", overflow="fold")
     for name, entry in entries.items():
         text = Text.assemble((f"{entry.kind}. " if entry.kind else "", "dim"), _first_sentence(entry.description))
-        if entry.source:
+        if entry.source and entry.source != __name__.split(".")[0]:
             text.append(f" ({_line(entry.source)})", style="dim")
         table.add_row(Text(name), text)
     terminal.print(table)

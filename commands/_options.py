@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+
+from ..models.errors import InputError
 
 _SET_HELP = (
     "Override `KEY=VALUE` in the scenario, SI units; dotted keys reach inside. Examples: `duration=20` [s], "
@@ -23,3 +28,40 @@ Estimators = Annotated[
     list[str] | None, typer.Option("--filter", help="An estimator by its name; repeatable. All by default.")
 ]
 Changes = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=_SET_HELP)]
+Plugins = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--plugin", metavar="FILE.py", help="A file with own estimators or causes; repeatable. See docs/plugins.md."
+    ),
+]
+
+
+def with_plugins(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the option `--plugin`: the files are known while it runs, and what fails in a plugin is one line."""
+
+    @functools.wraps(command)
+    def run(*, plugin: list[Path] | None = None, **options: Any) -> None:
+        from ..models import plugins
+
+        with plugins.known(plugin or ()) as names:
+            if names:
+                from ..estimator import registry
+
+                registry.check(names)
+            try:
+                command(**options)
+            except InputError:
+                raise
+            except Exception as error:
+                from ..estimator.errors import FilterDiverged
+
+                told = None if isinstance(error, FilterDiverged) else plugins.blamed(error)
+                if told is None:
+                    raise
+                raise told from error
+
+    given = inspect.signature(command, eval_str=True)
+    option = inspect.Parameter("plugin", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=Plugins)
+    run.__signature__ = given.replace(parameters=[*given.parameters.values(), option])  # type: ignore[attr-defined]
+    run.__annotations__ = {**command.__annotations__, "plugin": Plugins}
+    return run

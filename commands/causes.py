@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from ._listing import AsJson
+from ._options import with_plugins
 
 
+@with_plugins
 def command(as_json: AsJson = False) -> None:
     """List the causes that a diagnosis can name and a study can hide, by component, with their parameters.
 
-    Each is one file of `models/causes`, which has its law and where that comes from.
+    Each comes from a file of `models/causes`, which has its law and where that comes from, from an installed package or from
+    a file (`--plugin`).
     """
     from ..models import causes
     from ._listing import Entry, show
@@ -17,5 +20,6 @@ def command(as_json: AsJson = False) -> None:
     for name in causes.names():
         cause = causes.get(name)
         parameters = ", ".join(p.name if p.unit == "1" else f"{p.name} [{p.unit}]" for p in cause.parameters)
-        entries[name] = Entry(cause.component, cause.description, f"parameters: {parameters}")
+        kind = f"{cause.component}; {parameters}"
+        entries[name] = Entry(kind, cause.description, causes.origin(name).name)
     show("cause", entries, as_json)

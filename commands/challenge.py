@@ -13,6 +13,7 @@ import typer
 
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
+from ._options import with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,6 +39,7 @@ _KINDS: dict[Kind, str] = {
 }
 
 
+@with_plugins
 def command(
     draws: Annotated[int, typer.Option(min=1, help="number of draws of each kind (at each size)")] = 24,
     hidden: Annotated[

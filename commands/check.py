@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..models.errors import InputError
+from ._options import with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.coverage import RecordingSummary
     from ..models.recording import Recording
 
 
+@with_plugins
 def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from ._options import Changes, Out, Seed
+from ._options import Changes, Out, Seed, with_plugins
 
 
+@with_plugins
 def command(
     scenarios: Annotated[
         list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")

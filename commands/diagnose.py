@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..models import plugins
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
+from ._options import with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -32,6 +34,7 @@ _REGIONS = 3
 """Regions that no fit saw that are shown."""
 
 
+@with_plugins
 def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")],
     out: Annotated[Path, typer.Option(help="folder to write to")],
@@ -199,8 +202,8 @@ def _commands(found: Diagnosis, measurement: Path, out: Path, report: bool) -> l
     lines = [f"flexspline view {folder}"] if report else []
     if found.problem is not None:
         lines += [
-            f"flexspline validate NEW_MEASUREMENT --joint {folder}/joint.yaml --out check",
-            f"flexspline estimate {measured} --joint {folder}/joint.yaml --out estimates",
+            f"flexspline validate NEW_MEASUREMENT --joint {folder}/joint.yaml --out check{plugins.options()}",
+            f"flexspline estimate {measured} --joint {folder}/joint.yaml --out estimates{plugins.options()}",
         ]
     return [*lines, f"flexspline plan {folder}"] if found.plan is not None and found.plan.proposals else lines
 

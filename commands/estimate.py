@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._options import Estimators
+from ._options import Estimators, with_plugins
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ..estimator.offline import Score
 
 
+@with_plugins
 def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
     out: Annotated[Path, typer.Option(help="folder to write to")],

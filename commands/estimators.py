@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from ._listing import AsJson
+from ._options import with_plugins
 
 
+@with_plugins
 def command(as_json: AsJson = False) -> None:
-    """List the estimators: this package's, and those that installed packages add.
+    """List the estimators and where each comes from: this package, installed packages, files (`--plugin`).
 
     Scenarios, studies and `estimate` take them by these names; causal ones can also feed torque back in the loop.
     """
@@ -17,6 +19,5 @@ def command(as_json: AsJson = False) -> None:
     for name in registry.names():
         one = registry.get(name)
         kind = f"{'causal' if one.causal else 'not causal'}; reads {', '.join(one.needs)}"
-        package = type(one).__module__.split(".")[0]
-        entries[name] = Entry(kind, one.description, "" if package == __name__.split(".")[0] else f"of {package}")
+        entries[name] = Entry(kind, one.description, registry.origin(name).name)
     show("estimator", entries, as_json)

@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..models.errors import InputError
+from ._options import with_plugins
 
 if TYPE_CHECKING:
     from ..models.recording import Measurement
 
 
+@with_plugins
 def command(
     what: Annotated[
         list[str],

@@ -9,11 +9,13 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError, read_text
+from ._options import with_plugins
 
 _BY = 1.0
 """Time [s] after which the search begins no further stage: what is open is known once the joint is calibrated."""
 
 
+@with_plugins
 def command(
     source: Annotated[
         Path, typer.Argument(help="a measurement, or the folder of a diagnosis", metavar="MEASUREMENT|DIAGNOSIS")

@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from ._options import Changes, Out, Scenarios, Seed
+from ._options import Changes, Out, Scenarios, Seed, with_plugins
 
 
+@with_plugins
 def command(
     scenarios: Scenarios,
     out: Out = Path("runs"),

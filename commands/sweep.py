@@ -8,7 +8,10 @@ from typing import Annotated
 
 import typer
 
+from ._options import with_plugins
 
+
+@with_plugins
 def command(
     study: Annotated[str, typer.Argument(help="Name of a shipped study, or path of a YAML file.")],
     out: Annotated[Path, typer.Option("--out", help="Folder of the dataset; one that was begun goes on.")],

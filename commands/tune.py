@@ -9,11 +9,12 @@ from typing import Annotated
 import typer
 
 from ..models.errors import InputError
-from ._options import Changes, Estimators
+from ._options import Changes, Estimators, with_plugins
 
 _MOST_SEEDS = 100_000
 
 
+@with_plugins
 def command(
     out: Annotated[Path, typer.Option(help="Folder for tuned.yaml, tuned.md and the figure.")],
     scenarios: Annotated[

@@ -7,12 +7,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ._options import with_plugins
+
 if TYPE_CHECKING:
     from rich.console import Console
 
     from ..diagnosis.validate import Validation
 
 
+@with_plugins
 def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
     out: Annotated[Path, typer.Option(help="folder to write to")],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -17,10 +18,11 @@ from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .fit.coordinates import Hypothesis, hypotheses
-from .fit.regions import Region, drawn_back, valid_range
+from .fit.regions import Region, drawn_back, held_out_regions, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, tamed, with_dispersion
 from .search import discrepancy
+from .search.described import as_described
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
 from .search.stages import SETTINGS as SEARCH
@@ -51,7 +53,8 @@ class AnswerSettings:
       temper: by how much log evidence is divided before it becomes a probability: the laws are not exact and neither is the noise
         model; `inexact` of what other hypotheses still gain is added.
       significant: standard deviations that an effect must be away from absent where the fit ends.
-      surest: largest confidence; beside: of a cause beside which an unknown effect was found.
+      surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
+        it was not fitted, or could be anything.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
       minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
@@ -65,6 +68,7 @@ class AnswerSettings:
     inexact: float = 0.02
     significant: float = 3.0
     surest: float = 0.99
+    unsure: float = 0.5
     beside: float = 0.7
     nearly_all: float = 2 / 3
     minor: float = 0.12
@@ -294,18 +298,34 @@ def diagnose(
         _settled(problem, fitter, found) if unknown is None else (with_dispersion(problem, unknown.fit), found)
     )
     final = _inflated(problem, final)
+    progress("regions that a fit has not seen", 0.97)
+    share, drawn, regions = drawn_back(problem, final)
+    surest = 1.0
+    if share == 0.0:  # what does not hold where it was not fitted is not sure to be there
+        surest = ANSWER.unsure
+        problem_as_described = problem.as_described()
+        other = as_described(problem_as_described, tried, settings) if time.monotonic() < deadline else None
+        if other is not None:
+            problem, unknown, surest = problem_as_described, None, ANSWER.beside
+            found = replace(other, decisions=(*found.decisions, *other.decisions), complete=found.complete)
+            final = drawn = _inflated(problem, with_dispersion(problem, other.chosen))
+            share, regions = 1.0, held_out_regions(problem, final)
     undetermined, alike = _limits(problem, found, final, tried, missing)
     findings, minor = _findings(problem, found, final, unknown)
+    findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
+    final = drawn
     nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
     if nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
-        findings = [replace(f, confidence=min(f.confidence, 0.5)) if f.name == "unknown" else f for f in findings]
-    progress("regions that a fit has not seen", 0.97)
-    share, final, regions = drawn_back(problem, final)
+        findings = [
+            replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
+        ]
     residual = _balances(problem, found.base, final)
     verdict, reason = _verdict(problem, findings, residual, nearly_all)
     if share < 1.0:
-        reason = "; ".join([part for part in (reason, _holds_back(share)) if part])
+        reason = "; ".join([part for part in (reason, _holds_back(share, bool(regions))) if part])
+    elif problem.held.any():
+        reason = "; ".join([part for part in (reason, _as_described(regions)) if part])
     extended = joint
     if share > 0.0:
         extended = _extended(problem, final, joint, unknown)
@@ -344,14 +364,25 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2) if ratio > ANSWER.quiet else f
 
 
-def _holds_back(share: float) -> str:
+def _holds_back(share: float, held_out: bool) -> str:
     """Why the extended joint is not what the fit says."""
+    if not held_out:
+        return "too little motion to keep a region of it from the fit: joint.yaml is the description"
     if share == 0.0:
         return "what was found does worse than the description where a fit has not seen the data: joint.yaml is the description"
     return (
         "what was found does worse than the description in a region that a fit has not seen: the numbers in joint.yaml are drawn "
         f"back to {100 * share:.0f} % of the way"
     )
+
+
+def _as_described(regions: Sequence[Region]) -> str:
+    """What is to be said of causes that hold only with all numbers as described."""
+    worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in regions if r.worse)
+    return (
+        "no numbers within tolerance hold where a fit has not seen the data: they are left as described, and the causes are what "
+        "explains most with these"
+    ) + (f"; on regions that were kept from the fit worse than the description in {worse}" if worse else "")
 
 
 def _settled(problem: Problem, fitter: Fitter, found: Search) -> tuple[Fit, Search]:

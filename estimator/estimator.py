@@ -194,6 +194,9 @@ class Posterior:
       robust: shape (n,), bool, its mode: whether it doubted itself (Eq. 19 of the paper); None: it has no modes.
       columns: whatever else it keeps, shape (n,) each, by name: states, gains.
       external: shape (n,), its own estimate of the external torque on the link [N·m]; None: it has none.
+
+    Raises:
+      InputError: a mean, variance or external torque of another length than time.
     """
 
     estimator: str
@@ -205,6 +208,14 @@ class Posterior:
     robust: np.ndarray | None = None
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     external: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "variance", "external"):
+            found = getattr(self, name)
+            if found is not None and np.shape(found) != np.shape(self.time):
+                raise InputError(
+                    f"estimator {self.estimator!r}: {name}: expected shape {np.shape(self.time)}, got {np.shape(found)}"
+                )
 
     def _repr_html_(self) -> str:
         rows = [("joint torque", "N·m", float(np.min(self.mean)), float(np.max(self.mean)))]

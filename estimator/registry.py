@@ -1,22 +1,22 @@
-"""The estimators by name: those of `filters/`, and those that installed packages add.
+"""The estimators by name: those of `filters/`, and those that plugins add (`models.plugins`).
 
-A file in `filters/` that holds a tuple `ESTIMATORS` is enough. Another package declares an entry point of the group
-`flexspline.estimators` whose name is the estimator's and whose object is an `estimator.Estimator`; it is imported when it is
-asked for.
+A file in `filters/` that holds a tuple `ESTIMATORS` is enough. An installed package's are imported when they are asked for.
 """
 
 from __future__ import annotations
 
 import importlib
 import pkgutil
+from collections.abc import Iterable
+from dataclasses import is_dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from typing import Any
 
+from ..models import causes, plugins
 from ..models.errors import InputError, nearest
+from ..models.plugins import Offer, Origin
 from . import filters
 from .estimator import Estimator
-
-GROUP = "flexspline.estimators"
 
 
 def names() -> tuple[str, ...]:
@@ -28,13 +28,37 @@ def get(name: str) -> Estimator:
     """The estimator of that name with its default tuning parameters; `dataclasses.replace` changes them.
 
     Raises:
-      InputError: a name that is none; an installed estimator that cannot be loaded.
+      InputError: a name that is none; a plugin's estimator that cannot be loaded or is none.
     """
     if name in _own():
         return _own()[name]
-    if name in _others():
-        return _load(_others()[name])
+    others = _others()
+    if name in others:
+        return _checked(others[name])
     raise InputError(f"estimator {name!r}: expected one of {list(names())}{nearest(name, names())}")
+
+
+def check(offered: Iterable[str]) -> None:
+    """Look at estimators and causes that a plugin offers.
+
+    Raises:
+      InputError: one that is none, or does not keep what one promises.
+    """
+    for name in offered:
+        if name in _others():
+            get(name)
+        if name in causes.offered():
+            causes.get(name)
+
+
+def origin(name: str) -> Origin:
+    """Where the estimator of that name comes from."""
+    return plugins.OWN if name in _own() else _others()[name].origin
+
+
+def _estimator(given: Any) -> Any:
+    """An object; of a class of estimators one with its default tuning."""
+    return given() if isinstance(given, type) and issubclass(given, Estimator) else given
 
 
 @cache
@@ -48,19 +72,30 @@ def _own() -> dict[str, Estimator]:
     return found
 
 
-@cache
-def _others() -> dict[str, EntryPoint]:
-    """What installed packages offer, not loaded; this package's own names win."""
-    return {point.name: point for point in entry_points(group=GROUP) if point.name not in _own()}
+def _others() -> dict[str, Offer]:
+    """What plugins offer."""
+    return plugins.offers("estimators", _own())
 
 
-def _load(point: EntryPoint) -> Estimator:
-    where = f"estimator {point.name!r} of {point.dist.name if point.dist else 'an installed package'}"
+def _checked(offer: Offer) -> Estimator:
+    """A plugin's estimator, if it is one.
+
+    Raises:
+      InputError: another object, another name than it was offered by, no frozen dataclass.
+    """
+    where = f"estimator {offer.name!r} of {offer.origin.name}"
     try:
-        found = point.load()
-    except Exception as error:  # whatever a foreign module does when it is imported
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{where}: cannot be loaded from {point.value!r}: {type(error).__name__}: {reason}") from error
+        found = _estimator(offer.get())
+    except InputError:
+        raise
+    except Exception as error:  # whatever foreign code does
+        raise InputError(f"{where}: {type(error).__name__}: {error}") from error
     if not isinstance(found, Estimator):
-        raise InputError(f"{where}: expected an estimator.Estimator, got {type(found).__name__}")
+        raise InputError(f"{where}: expected an Estimator, got {type(found).__name__}")
+    if found.name != offer.name:
+        raise InputError(f"{where}: name: expected {offer.name!r}, as it is offered, got {found.name!r}")
+    if not is_dataclass(found) or not found.__dataclass_params__.frozen:
+        raise InputError(f"{where}: expected a frozen dataclass, got another class")
+    if not (isinstance(found.description, str) and isinstance(found.needs, tuple) and isinstance(found.tuning, tuple)):
+        raise InputError(f"{where}: expected text as description and tuples as needs and tuning, got something else")
     return found

@@ -1,10 +1,8 @@
 """An own filter: the torsion's torque where it is quick, the current's where it is slow, scored beside the others.
 
 An estimator is a frozen dataclass with a name and a method `estimate`: signals and what is known of the joint in, a posterior
-out. To use it by name everywhere, from scenarios too, offer it as an entry point of the group `flexspline.estimators`:
-
-    [project.entry-points."flexspline.estimators"]
-    complementary = "my_package:ESTIMATOR"
+out. By its name it is known everywhere, from scenarios too: `flexspline compare --plugin examples/own_filter.py --set
+"filters=[RAREKF, complementary]"`. docs/plugins.md says how a package offers it, and how a filter is compiled for the loop.
 """
 
 from dataclasses import dataclass
@@ -42,7 +40,7 @@ class Complementary(fs.Estimator):
         return fs.Posterior(self.name, signals.time, mean)
 
 
-ESTIMATOR = Complementary()
+ESTIMATORS = (Complementary(),)
 
 if __name__ == "__main__":
     # The estimators know 5 % less stiffness than the joint has: the current does not mind.

@@ -72,6 +72,7 @@ __all__ = [
     "estimators",
     "joints",
     "load_joint",
+    "load_plugin",
     "load_recording",
     "plan",
     "simulate",
@@ -290,11 +291,14 @@ def validate(
 
 
 def estimators() -> pd.DataFrame:
-    """The estimators that there are: this package's, and those that installed packages add (`estimator.registry`).
+    """The estimators that there are: this package's, and those of installed packages and of files (`load_plugin`).
 
     Returns:
       A table with index `estimator`: `causal` (whether it can run in the loop), `needs` (channels it reads), `tuning` (what may
-      be tuned), `description` with its source.
+      be tuned), `description` with where its law comes from, `source`: package or file.
+
+    Raises:
+      InputError: one of a plugin that cannot be loaded.
     """
     import pandas as pd
 
@@ -308,15 +312,20 @@ def estimators() -> pd.DataFrame:
             "needs": ", ".join(one.needs),
             "tuning": ", ".join(parameter.field for parameter in one.tuning),
             "description": one.description,
+            "source": registry.origin(name).name,
         }
     return _table(pd, rows, "estimator")
 
 
 def causes() -> pd.DataFrame:
-    """The causes that a diagnosis can name (`models.causes`).
+    """The causes that a diagnosis can name (`models.causes`): this package's, and those of installed packages and of files.
 
     Returns:
-      A table with index `cause`: `component` (motor, transmission, link, sensor), `parameters` with units, `description`.
+      A table with index `cause`: `component` (motor, transmission, link, sensor), `parameters` with units, `description`,
+      `source`: package or file.
+
+    Raises:
+      InputError: one of a plugin that cannot be loaded.
     """
     import pandas as pd
 
@@ -329,8 +338,35 @@ def causes() -> pd.DataFrame:
             "component": one.component,
             "parameters": ", ".join(f"{p.name} [{p.unit}]" for p in one.parameters),
             "description": one.description,
+            "source": library.origin(name).name,
         }
     return _table(pd, rows, "cause")
+
+
+def load_plugin(path: str | Path) -> tuple[str, ...]:
+    """Make a file's own estimators and causes known by their names, for this process and those that it begins.
+
+    What installed packages offer by entry points (`flexspline.estimators`, `flexspline.causes`) is known without.
+
+    Args:
+      path: of a Python file with a tuple `ESTIMATORS`, `CAUSES` or both.
+
+    Returns:
+      Their names.
+
+    Raises:
+      InputError: no such file, one that cannot be imported, that has neither, or a name that there is already.
+    """
+    from .estimator import registry
+    from .models import plugins
+
+    found = plugins.load(path)
+    try:
+        registry.check(found)
+    except Exception:
+        plugins.forget(path)
+        raise
+    return found
 
 
 def joints() -> pd.DataFrame:

@@ -22,6 +22,10 @@ class InputError(ValueError):
         super().__init__(text if len(text) <= 1000 else f"{text[:600]} … {text[-300:]}")
 
 
+class InputWarning(UserWarning):
+    """Input that is used although it is odd; the message is one line, as that of an `InputError`."""
+
+
 def one_line(text: str) -> str:
     """Text in one line that does nothing to a terminal: what names and cells hold is shown, not obeyed."""
     return "".join(c if c.isprintable() else " " if c in "\n\t" else f"\\x{ord(c):02x}" for c in text)

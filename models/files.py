@@ -142,6 +142,14 @@ def yaml_text(data: Any) -> str:
     return text
 
 
+def flow_text(data: Any) -> str:
+    """Data as YAML text in one line: `{value: 1.5, unit: N·m}`."""
+    text: str = yaml.dump(
+        data, Dumper=_Dumper, allow_unicode=True, sort_keys=False, default_flow_style=True, width=10**6
+    )
+    return text.removesuffix("...\n").strip()
+
+
 def json_text(data: Any) -> str:
     """Data as JSON text; null for numbers that are not finite, which JSON does not have."""
     return json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False)
@@ -172,14 +180,23 @@ def load(path: Path, model: type[M], what: str) -> M:
 
 def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:
     """One line for the first error that pydantic found, a misspelt key before what is missing: field, expected, came."""
-    first = min(error.errors(), key=lambda e: e["type"] != "extra_forbidden")
-    field = ".".join(str(part) for part in first["loc"]) or "top level"
-    kind, came = first["type"], shown(first["input"])
+    first = min(range(error.error_count()), key=lambda i: error.errors()[i]["type"] != "extra_forbidden")
+    return descriptions(error, model)[first]
+
+
+def descriptions(error: ValidationError, model: type[BaseModel]) -> list[str]:
+    """A line for each error that pydantic found, in its order: field, expected, came."""
+    return [_described(one, model) for one in error.errors()]
+
+
+def _described(one: Any, model: type[BaseModel]) -> str:
+    field = ".".join(str(part) for part in one["loc"]) or "top level"
+    kind, came = one["type"], shown(one["input"])
     if kind == "extra_forbidden":
-        return f"{field}: unknown key{nearest(str(first['loc'][-1]), _siblings(model, first['loc'][:-1]))}"
+        return f"{field}: unknown key{nearest(str(one['loc'][-1]), _siblings(model, one['loc'][:-1]))}"
     if kind == "missing":
         return f"{field}: missing"
-    message = first["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    message = one["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
     return f"{field}: expected {message}, got {came}" if kind != "value_error" else f"{field}: {message}"
 
 

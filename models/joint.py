@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from . import causes, units
-from .errors import InputError, is_there, nearest
+from .errors import InputError, InputWarning, is_there, nearest
 from .files import Line, Strict, load, write_into_place, yaml_text
 from .mjcf import mjcf_files
 from .notebook import html_table, paragraph
@@ -40,6 +41,16 @@ OPTIONAL_SYMBOLS: dict[str, tuple[str, bool]] = {
 drives the motor (torque and velocity of opposite sign), `knee_width` half the torsion over which the stiffness goes from one
 slope to the next, `viscous_exponent` the power of speed as which viscous friction grows at high speed,
 `reference_temperature` the one at which friction is as stated; 1, 0, 1 and 25 °C where they are left out."""
+
+
+POSSIBLE: dict[str, tuple[float, float]] = {
+    "N": (2, 1e4), "Jm": (1e-9, 0.3), "Jw": (1e-9, 0.3), "Kt": (1e-5, 1e2), "R": (1e-6, 1e4), "L": (1e-9, 10),
+    "supply_voltage": (0.1, 1e4), "current_limit": (1e-3, 1e5), "K1": (1, 1e8), "K2": (1, 1e8), "K3": (1, 1e8),
+    "T1": (1e-4, 1e5), "T2": (1e-4, 1e5), "Kw0": (1e-4, 1e7), "Fc": (1e-7, 1e2), "Fs": (1e-7, 1e2),
+    "rated_torque": (1e-2, 1e6),
+}  # fmt: skip
+"""Smallest and largest value of numbers, in their units, orders of magnitude beyond anything that is made: what lies outside
+is a slip of the unit or of the key, and is refused. What makers do make stands in `plausibility`."""
 
 
 class Number(Strict):
@@ -207,7 +218,9 @@ class Effect(Strict):
     def _known(self) -> Effect:
         known = causes.names()
         if self.name not in known:
-            raise ValueError(f"expected the name of a known cause, got {self.name!r}{nearest(self.name, known)}")
+            raise ValueError(
+                f"expected the name of a known cause (a plugin's with --plugin), got {self.name!r}{nearest(self.name, known)}"
+            )
         expected = {p.name: p for p in causes.get(self.name).parameters}
         for name in self.parameters:
             if name not in expected:
@@ -369,43 +382,39 @@ class Joint(Strict):
     _path: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
-    def _physical(self) -> Joint:
-        for symbol in self.numbers:
-            if symbol not in SYMBOLS and symbol not in OPTIONAL_SYMBOLS:
-                raise ValueError(f"numbers.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
-        for symbol, (unit, may_be_zero) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
-            number = self.numbers.get(symbol)
-            if number is None and symbol in OPTIONAL_SYMBOLS:
-                continue
-            if number is None:
-                raise ValueError(f"numbers.{symbol}: missing")
-            if not units.same(number.unit, unit):
-                raise ValueError(f"numbers.{symbol}.unit: expected {unit!r}, got {number.unit!r}")
-            if number.value < 0 or (number.value == 0 and not may_be_zero):
-                wanted = "a number ≥ 0" if may_be_zero else "a number > 0"
-                raise ValueError(f"numbers.{symbol}.value: expected {wanted}, got {number.value:g}")
-            if number.shared is not None and number.shared not in self.shared_tolerances:
-                raise ValueError(
-                    f"numbers.{symbol}.shared: expected one of {sorted(self.shared_tolerances)}, got {number.shared!r}"
-                )
-        T1, T2 = self.numbers["T1"].value, self.numbers["T2"].value
-        if T2 < T1:
-            raise ValueError(f"numbers.T2.value: expected T2 ≥ T1 = {T1:g} N·m, got {T2:g}")
+    def _physical(self, info: ValidationInfo) -> Joint:
+        """Refuse what fields alone do not show; where the caller gives a list for faults, all of them go into it instead."""
+        found = (info.context or {}).get("faults")
+        for fault in self._faults():
+            if found is None:
+                raise ValueError(fault)
+            found.append(fault)
+        return self
+
+    def _faults(self) -> Iterator[str]:
+        plain = True
+        for fault in number_faults(self.numbers, self.shared_tolerances):
+            plain = False
+            yield fault
         for number, (field, unit) in self._placed_units():
             if number is not None and not units.same(number.unit, unit):
-                raise ValueError(f"{field}.unit: expected {unit!r}, got {number.unit!r}")
+                yield f"{field}.unit: expected {unit!r}, got {number.unit!r}"
         for i, effect in enumerate(self.effects):
             if not causes.get(effect.name).adds and effect.name in [e.name for e in self.effects[:i]]:
-                raise ValueError(f"effects.{i}: {effect.name} stands twice, and a second one would replace the first")
+                yield f"effects.{i}: {effect.name} stands twice, and a second one would replace the first"
         if self.mounting not in self.mountings:
-            raise ValueError(
+            yield (
                 f"mounting: expected one of {sorted(self.mountings)}, got {self.mounting!r}"
                 f"{nearest(self.mounting, self.mountings)}"
             )
-        record = self.record()  # more orders than there is room for is said here
-        if not np.isfinite(as_floats(record)).all():
-            raise ValueError("effects: expected effects that leave the joint's numbers finite, got some that do not")
-        return self
+        elif plain:
+            try:
+                record = self.record()  # more orders than there is room for is said here
+            except InputError as error:
+                yield str(error)
+            else:
+                if not np.isfinite(as_floats(record)).all():
+                    yield "effects: expected effects that leave the joint's numbers finite, got some that do not"
 
     def _placed_units(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
         for i, order in enumerate(self.kinematic_error):
@@ -503,12 +512,8 @@ class Joint(Strict):
         p = record[0]
         for effect in self.effects:
             causes.get(effect.name).apply(p, effect.values)
-        for k, one in enumerate(self.discrepancies):
-            p["discrepancy_place"][k] = PLACES.index(one.place)
-            p["discrepancy_variable"][k] = VARIABLES.index(one.variable)
-            p["discrepancy_low"][k], p["discrepancy_high"][k] = one.low, one.high
-            p["discrepancy_count"][k] = len(one.coefficients)
-            p["discrepancy_coefficient"][k, : len(one.coefficients)] = one.coefficients
+        for one in self.discrepancies:
+            causes.put_discrepancy(p, one.place, one.variable, one.low, one.high, one.coefficients)
 
     def _repr_html_(self) -> str:
         rows = [
@@ -555,6 +560,32 @@ class Joint(Strict):
                 temporary.write_bytes(content)
 
 
+def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) -> Iterator[str]:
+    """What is wrong with a description's numbers, a line each: field, expected, got."""
+    for symbol in numbers:
+        if symbol not in SYMBOLS and symbol not in OPTIONAL_SYMBOLS:
+            yield f"numbers.{symbol}: unknown key{nearest(symbol, SYMBOLS)}"
+    for symbol, (unit, may_be_zero) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
+        number = numbers.get(symbol)
+        if number is None:
+            if symbol in SYMBOLS:
+                yield f"numbers.{symbol}: missing"
+            continue
+        if not units.same(number.unit, unit):
+            yield f"numbers.{symbol}.unit: expected {unit!r}, got {number.unit!r}"
+        low, high = POSSIBLE.get(symbol, (0.0, np.inf))
+        if number.value < 0 or (number.value == 0 and not may_be_zero):
+            yield f"numbers.{symbol}.value: expected a number {'≥' if may_be_zero else '>'} 0, got {number.value:g}"
+        elif number.value and not low <= number.value <= high:
+            possible = f"{low:g} to {high:g} {unit}".removesuffix(" 1")
+            yield f"numbers.{symbol}.value: expected {possible}, beyond which no joint is, got {number.value:g}"
+        if number.shared is not None and number.shared not in shared:
+            yield f"numbers.{symbol}.shared: expected one of {sorted(shared)}, got {number.shared!r}"
+    T1, T2 = numbers.get("T1"), numbers.get("T2")
+    if T1 is not None and T2 is not None and T2.value < T1.value:
+        yield f"numbers.T2.value: expected T2 ≥ T1 = {T1.value:g} N·m, got {T2.value:g}"
+
+
 PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())
 
 
@@ -583,6 +614,9 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
 
     Raises:
       InputError: no such joint, or a description that is wrong; one line.
+
+    Warns:
+      InputWarning: numbers that contradict each other (`plausibility`), a line each.
     """
     known = known_joints()
     name = str(source).replace("_", "-")
@@ -598,6 +632,11 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     joint._path = path.resolve()
     if not joint.mjcf.is_file():
         raise InputError(f"{path}: model: expected an MJCF file, no such file {joint.model!r}")
+    if name not in known:
+        from .plausibility import contradictions
+
+        for problem in contradictions(joint):
+            warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
     return joint
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
+from .errors import InputError
 from .kernels import c_function
 from .pointers import pointer_to
 from .signals import READINGS
@@ -44,10 +45,21 @@ class Step:
 
     @property
     def address(self) -> int:
-        """Address of the compiled C function."""
+        """Address of the compiled C function.
+
+        Raises:
+          InputError: a function that Numba cannot compile.
+        """
         with _compiling:
             if self._compiled is None:
-                self._compiled = c_function(SIGNATURE, self.function)
+                try:
+                    self._compiled = c_function(SIGNATURE, self.function)
+                except Exception as error:  # of a field that is not there Numba makes a KeyError
+                    code = self.function.__code__
+                    raise InputError(
+                        f"{code.co_filename}, line {code.co_firstlineno}: {code.co_name}: expected a step that can be compiled, "
+                        f"got {type(error).__name__}: {' '.join(str(error).split())}"
+                    ) from error
         return int(self._compiled.address)
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..estimator import registry
+from ..estimator.compliance import compliance
 from ..estimator.estimator import KnownJoint, Posterior
 from ..models.errors import InputError
 from ..models.joint import Joint, beyond_sentence
@@ -25,6 +26,8 @@ _RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
 _WHERE_STATED = ("motor_torque", "temperature")
 
 
+_COPIES = ("signals", "reference")
+"""What is worked out anew where a run is handed on: the same numbers in another place."""
 _LIMITED = 0.005
 """Share of the time at the current limit from which on it is told: no shipped scenario is there at all."""
 
@@ -49,9 +52,7 @@ class Run:
     estimates: dict[str, Posterior]
 
     def __getstate__(self) -> dict[str, Any]:
-        return {
-            name: value for name, value in self.__dict__.items() if name != "signals"
-        }  # they follow from the readings
+        return {name: value for name, value in self.__dict__.items() if name not in _COPIES}
 
     @property
     def name(self) -> str:
@@ -82,6 +83,19 @@ class Run:
     def model_torque(self) -> np.ndarray:
         """Raw compliance model [N·m], shape (n,): what the paper's filters filter."""
         return registry.get("model").estimate(self.signals, self.known).mean
+
+    @cached_property
+    def kinematic_error(self) -> np.ndarray:
+        """Kinematic error of the plant [rad] at the true angle of its wave generator, shape (n,)."""
+        record = self.joint.record(self.joint.mount(self.scenario.mounting or None))
+        # With zero torque the compliance model's kinematic error is the one at the given angle: θw itself.
+        return compliance(self.truth("wave_generator_position"), 0.0, 0.0, record).kinematic_error
+
+    def complete(self) -> Run:
+        """The same with all that its views show worked out, for whoever reads it elsewhere."""
+        for name in ("model_torque", "metrics", "kinematic_error"):
+            getattr(self, name)
+        return self
 
     def _repr_html_(self) -> str:
         shown = {"rms": "error [N·m RMS]", "noise": "noise [N·m RMS]", "delay_ms": "delay [ms]"}

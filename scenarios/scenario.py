@@ -306,7 +306,10 @@ def _override(data: dict[str, Any], change: str) -> None:
     key, sign, text = change.partition("=")
     if not sign or not key:
         raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
-    put(data, key, yaml_value(text), f"--set {change}")
+    value = yaml_value(text)
+    if key in ("joint", "known_joint") and str(value).endswith(".yaml") and Path(str(value)).is_file():
+        value = str(Path(str(value)).resolve())  # from where one stands, not from the scenario's folder
+    put(data, key, value, f"--set {change}")
 
 
 def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:

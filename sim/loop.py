@@ -139,7 +139,7 @@ def simulate(
         address, memory, known, settings, out = feedback.arrays()
     else:
         address, memory, known, settings, out = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record).arrays()
-    with native.quiet():
+    with native.quiet(), native.untimed():
         _loop(
             native.function_address("mj_step"), model._address, data._address, offsets, Layout.of(model).as_array(),
             model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,

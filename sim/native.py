@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
+from numba import types
+
+from ..models.kernels import c_function
 
 _FARTHEST = 1 << 19  # bytes: beyond the largest structure
 _AT_ONCE = 64  # words
@@ -44,34 +47,75 @@ def installed(name: str) -> bool:
     return bool(ctypes.c_void_p.in_dll(library(), name).value)
 
 
+class _Replacement:
+    """Another function in the place of a global callback for as long as any thread is inside; then what was there before.
+
+    Args:
+      name: of the callback.
+      function: gives the address of the other function, when it is first needed.
+      wanted: says whether to replace what is there.
+    """
+
+    def __init__(self, name: str, function: Callable[[], int], wanted: Callable[[], bool]):
+        self._name, self._function, self._wanted = name, function, wanted
+        self._lock = threading.Lock()
+        self._inside = 0
+        self._before: int | None = None
+
+    @contextmanager
+    def __call__(self) -> Iterator[None]:
+        with self._lock:
+            ours = self._inside > 0 or self._wanted()
+            if ours:
+                if self._inside == 0:
+                    place = ctypes.c_void_p.in_dll(library(), self._name)
+                    self._before, place.value = place.value, self._function()
+                self._inside += 1
+        try:
+            yield
+        finally:
+            if ours:
+                with self._lock:
+                    self._inside -= 1
+                    if self._inside == 0:
+                        ctypes.c_void_p.in_dll(library(), self._name).value = self._before
+
+
 _ignore = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(lambda message: None)
-_quiet_runs = 0
-_quiet_lock = threading.Lock()
+_quiet = _Replacement(
+    "mju_user_warning",
+    lambda: int(ctypes.cast(_ignore, ctypes.c_void_p).value or 0),
+    lambda: not installed("mju_user_warning"),
+)
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
+def quiet() -> AbstractContextManager[None]:
     """Keep MuJoCo from printing its warnings and writing them to MUJOCO_LOG.TXT; it still counts them (`mjData.warning`).
 
     May be entered by several threads. A handler that somebody else has set is left alone.
     """
-    global _quiet_runs
-    with _quiet_lock:
-        if _quiet_runs > 0 or not installed("mju_user_warning"):
-            if _quiet_runs == 0:
-                install("mju_user_warning", int(ctypes.cast(_ignore, ctypes.c_void_p).value or 0))
-            _quiet_runs += 1
-            ours = True
-        else:
-            ours = False
-    try:
-        yield
-    finally:
-        if ours:
-            with _quiet_lock:
-                _quiet_runs -= 1
-                if _quiet_runs == 0:
-                    ctypes.c_void_p.in_dll(library(), "mju_user_warning").value = None
+    return _quiet()
+
+
+def _no_time():
+    return 0.0
+
+
+@cache
+def _clock_stopped() -> Any:
+    return c_function(types.float64(), _no_time)
+
+
+_untimed = _Replacement("mjcb_time", lambda: int(_clock_stopped().address), lambda: mujoco.get_mjcb_time() is None)
+
+
+def untimed() -> AbstractContextManager[None]:
+    """Keep MuJoCo from asking for the time of day, some thirty times a step, to fill `mjData.timer`: a fifth of a step.
+
+    MuJoCo's Python package installs that clock. May be entered by several threads; a clock that somebody else has set is left
+    alone. A clock that stands still, not none, as another thread may be about to call it.
+    """
+    return _untimed()
 
 
 @cache

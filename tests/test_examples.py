@@ -20,8 +20,8 @@ def run(name: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_there_are_five():
-    assert NAMES == ["compare_filters", "diagnose_your_log", "own_filter", "plan_an_experiment", "sweep"]
+def test_they_are_all_there():
+    assert NAMES == ["compare_filters", "diagnose_your_log", "own_cause", "own_filter", "plan_an_experiment", "sweep"]
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -49,6 +49,12 @@ def test_diagnose_your_log(tmp_path):
     text = run("diagnose_your_log", tmp_path)
     assert text.startswith("discrepancy\nfriction_asymmetry: 99 % sure, ratio 0.3")
     assert (tmp_path / "extended.yaml").is_file()
+
+
+@pytest.mark.slow
+def test_own_cause(tmp_path):
+    text = run("own_cause", tmp_path)
+    assert text.startswith("pinched_hose: 99 % sure, torque 1.6")
 
 
 @pytest.mark.slow

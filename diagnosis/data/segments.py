@@ -235,7 +235,10 @@ def _segment(
     )  # fmt: skip
     # Wrong stamps are larger in the accelerations than all that the replicate has of noise.
     mistimed = link_measured and timing_error(time, channels["motor_position"], channels["link_position"]) > 0.0
-    block = settings.block if mistimed else _block((rotor, link), (rotor_noise, link_noise), settings)
+    if not link_measured:
+        block = 1  # the motion's noise is the current's, and a ripple of the gear is faster than any motion
+    else:
+        block = settings.block if mistimed else _block((rotor, link), (rotor_noise, link_noise), settings)
     one = replace(one, block=block)
     replicate = replace(
         one,

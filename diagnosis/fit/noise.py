@@ -49,6 +49,8 @@ class NoiseSettings:
 
 
 SETTINGS = NoiseSettings()
+EVEN = NoiseSettings(bands=SETTINGS.bands[:1])
+"""All model discrepancy in the fastest band: fits are least squares, and nothing slow is taken for discrepancy."""
 _STEADY = 3
 """Samples in a row with the same gain after which a filter's covariance is taken for its steady one."""
 _ROBUST = 1.4826  # standard deviation of a normal distribution per median absolute deviation

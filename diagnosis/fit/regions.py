@@ -51,6 +51,7 @@ class Region:
       described: RMS of the simulation's error there with the description as it came [N·m at the output].
       extended: with the extended joint, whose fit has seen the region.
       unseen: with the extended joint fitted without the region.
+      ratio: of `unseen` to `described` in the balance where it is largest, what the sensors' noise makes aside.
     """
 
     name: str
@@ -59,17 +60,18 @@ class Region:
     described: float
     extended: float
     unseen: float
+    ratio: float
 
     @property
     def worse(self) -> bool:
-        """Whether the extension does worse there than the description, had it not seen the region."""
-        return self.unseen > SETTINGS.worse * self.described
+        """Whether the extension does worse there than the description in some balance, had it not seen the region."""
+        return self.ratio > SETTINGS.worse
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         return {
             "region": self.name, "samples": self.samples, "described": self.described, "extended": self.extended,
-            "unseen": self.unseen, "worse": self.worse, "unit": "N·m",
+            "unseen": self.unseen, "ratio": self.ratio, "worse": self.worse, "unit": "N·m",
         }  # fmt: skip
 
 
@@ -112,7 +114,7 @@ def drawn_back(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) ->
     system = _System(problem, f)
     start = problem.start(None, f.model)
     at, regions = f, held_out_regions(problem, f, settings, system)
-    for share in settings.shares:
+    for share in settings.shares if regions else (0.0,):  # what nothing can be held against is not written
         if share < 1.0:
             theta = start + share * (f.theta - start)
             residual = problem.residuals([theta], [f.model])[0]
@@ -156,19 +158,26 @@ def held_out_regions(
             continue
         shift = system.without(masks)
         unseen = [r + share * (J @ shift) for r, J in zip(f.point.residual, f.jacobian, strict=True)]
-        rms = [_rms(x, use, scale) for x in (described, f.point.residual, unseen)]
-        found.append(Region(name, name.startswith("recording "), samples, *rms))
-    return tuple(sorted(found, key=lambda r: -(r.unseen / max(r.described, 1e-12))))
+        before, seen, after, noise = (_rms(x, use, scale) for x in (described, f.point.residual, unseen, f.point.noise))
+        formed = np.isfinite(before)
+        # Where both are noise, neither is worse.
+        ratio = float(np.max(np.sqrt((after**2 + noise**2) / (before**2 + noise**2))[formed], initial=0.0))
+        described_rms, extended_rms, unseen_rms = (
+            float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)
+        )
+        found.append(
+            Region(name, name.startswith("recording "), samples, described_rms, extended_rms, unseen_rms, ratio)
+        )
+    return tuple(sorted(found, key=lambda r: -r.ratio))
 
 
-def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> float:
-    """Root mean square over balances and samples in use [N·m at the output]."""
+def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndarray:
+    """Root mean square over samples in use by balance [N·m at the output], shape (len(BALANCES),); NaN where there are none."""
     total, count = np.zeros(len(BALANCES)), np.zeros(len(BALANCES))
     for r, u in zip(residual, use, strict=True):
         total += np.sum(np.where(u, r * scale, 0.0) ** 2, axis=0)
         count += np.sum(u, axis=0)
-    formed = count > 0
-    return float(np.sqrt(np.mean(total[formed] / count[formed]))) if formed.any() else 0.0
+    return np.sqrt(np.divide(total, count, out=np.full(len(BALANCES), np.nan), where=count > 0))
 
 
 class _System:

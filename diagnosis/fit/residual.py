@@ -7,6 +7,7 @@ which the current and torque samples may be off, and the coordinates of the effe
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -24,6 +25,7 @@ move the same number (its own tolerance and a shared one) reach little further t
 (`models.calibration.WITHIN`)."""
 _STEP_X, _STEP_U = 0.05, 0.03  # of the differences that stand for derivatives
 _LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
+_ZEROS = ("link_encoder_zero", "current_offset", "torque_sensor_offset")
 _TIMED = (CURRENT, TORQUE)
 
 Model = tuple[Hypothesis, ...]
@@ -39,6 +41,7 @@ class Problem:
       mountings: of the link, one a segment.
       size: number of unknowns that every model has: calibration and two sample times.
       linear: of these, the ones whose derivatives do not depend on where they are taken, shape (m,).
+      held: of these, the ones that stay as described, shape (size,), bool.
     """
 
     def __init__(self, segments: Sequence[Segment], replicates: Sequence[Segment], joint: Joint):
@@ -50,6 +53,14 @@ class Problem:
         linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
         at = [i for i, name in enumerate(self.calibration.names) if name in linear]
         self.linear = np.array([*at, *range(self.calibration.size, self.size)])
+        self.held = np.zeros(self.size, bool)
+
+    def as_described(self) -> Problem:
+        """The same problem where nothing but zeros and offsets may differ from the description."""
+        other = copy(self)
+        other.held = np.zeros(self.size, bool)
+        other.held[: self.calibration.size] = [name not in _ZEROS for name in self.calibration.names]
+        return other
 
     @property
     def has_torque(self) -> bool:
@@ -153,7 +164,7 @@ class Problem:
 
     def bounds(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest value of every unknown."""
-        common = np.full(self.size, REACH)
+        common = np.where(self.held, 0.0, REACH)
         limits = [h.limits for h in model]
         low = np.concatenate([-common, *(l for l, _ in limits)])
         return low, np.concatenate([common, *(u for _, u in limits)])

@@ -19,7 +19,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..data.segments import BALANCES
-from .noise import Noise, White, learn, rows_of, whiten
+from .noise import SETTINGS as NOISE
+from .noise import Noise, NoiseSettings, White, learn, rows_of, whiten
 from .residual import Model, Problem
 
 
@@ -295,10 +296,13 @@ class Fitter:
     Derivatives in the common unknowns cost as many replays as there are of them: they are computed where a fit has moved far, and
     taken over from the fit that it began at otherwise (the chord method). The derivatives in a model's effects are always its
     own.
+
+    Args:
+      noise: of the model discrepancy that is learned.
     """
 
-    def __init__(self, problem: Problem, settings: SolverSettings = SETTINGS):
-        self.problem, self.settings = problem, settings
+    def __init__(self, problem: Problem, settings: SolverSettings = SETTINGS, noise: NoiseSettings = NOISE):
+        self.problem, self.settings, self.noise = problem, settings, noise
 
     def fit(
         self,
@@ -338,7 +342,7 @@ class Fitter:
                 common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
             assert common is not None
             jacobian = self._with_effects(model, theta, common, jacobian or None)
-            noise = learn(problem.segments, residual, replicates, problem.quantum())
+            noise = learn(problem.segments, residual, replicates, problem.quantum(), settings=self.noise)
             normal = normal_equations(
                 problem, noise, model, theta, Point(residual, replicates), jacobian, None, settings
             )
@@ -371,7 +375,8 @@ class Fitter:
         jacobian = self._with_effects(model, theta, common, jacobian or None)
         other = problem.residuals([theta], [model], replicate=True)[0]
         own = [b - a for a, b in zip(residual, other, strict=True)]
-        noise = learn(problem.segments, residual, own if sensors is None else sensors, problem.quantum())
+        sensors = own if sensors is None else sensors
+        noise = learn(problem.segments, residual, sensors, problem.quantum(), settings=self.noise)
         return self.finish(model, theta, Point(residual, own), jacobian, None, noise, tuple(history))
 
     def polish(self, f: Fit, iterations: int = 4) -> Fit:
@@ -443,7 +448,7 @@ class Fitter:
         """Noise at a point, with what the residual may still be off as the parameters are uncertain."""
         root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
         spread = [j @ root for j in jacobian]
-        return learn(self.problem.segments, point.residual, point.noise, self.problem.quantum(), spread)
+        return learn(self.problem.segments, point.residual, point.noise, self.problem.quantum(), spread, self.noise)
 
     def finish(self, model, theta, point, jacobian, extra, noise, history=()) -> Fit:
         """The Laplace approximation of a model at its maximum, under a noise."""

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.interpolate import BSpline
 
+from ...models.causes import put_discrepancy
 from ...models.joint import Discrepancy, Joint
 from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
@@ -59,6 +60,7 @@ class DiscrepancySettings:
       noise: of the sensors' noise, in the same balance, where it is not.
       penalty: log prior odds of a known cause against an unknown effect; of a usual place against another.
       gain: share by which it must be better than the causes that it takes the place of.
+      likely: part of these shares that it must have in the linear model to be fitted through the replay.
       thin: every so-manieth residual is looked at first.
       refined: candidates that are fitted through the replay.
       knots: coefficients of a spline by variable.
@@ -70,6 +72,7 @@ class DiscrepancySettings:
     noise: float = 1.0
     penalty: float = 40.0
     gain: float = 0.25
+    likely: float = 0.5
     thin: int = 3
     refined: int = 2
     knots: dict[str, int] = field(
@@ -150,12 +153,7 @@ class Spline:
 
     def apply(self, p: np.void, values: dict[str, np.ndarray]) -> None:
         """Put the spline into the first free place of a record."""
-        slot = int(np.flatnonzero(p["discrepancy_place"] == 0)[0])
-        p["discrepancy_place"][slot] = PLACES.index(self.place)
-        p["discrepancy_variable"][slot] = VARIABLES.index(self.variable)
-        p["discrepancy_low"][slot], p["discrepancy_high"][slot] = self.low, self.high
-        p["discrepancy_count"][slot] = self.count
-        p["discrepancy_coefficient"][slot, : self.count] = values["coefficients"]
+        put_discrepancy(p, self.place, self.variable, self.low, self.high, values["coefficients"])
 
     def basis(self, segment: Segment) -> np.ndarray:
         """Values of the splines at a segment's residuals, shape (k, count)."""
@@ -216,14 +214,14 @@ class Candidate:
     Attributes:
       spline: where it acts and on what it depends.
       without: indices of the model's causes in whose place it stands.
-      removed: mean square that it takes from the residual [N·m at the output]².
+      share: of the mean square of the residual, each balance over its own, that it takes away.
       score: by which candidates are ranked: log likelihood under white noise as loud as the residual, with the priors.
       coordinates, shift: its coefficients, and the change of the other unknowns.
     """
 
     spline: Spline
     without: tuple[int, ...]
-    removed: float
+    share: float
     score: float
     coordinates: np.ndarray
     shift: np.ndarray
@@ -371,7 +369,6 @@ class _Plain:
         solution = -np.linalg.solve(H, g)
         left = r + X @ solution
         n = len(kept)
-        bare = r - J @ np.linalg.solve(H[:n, :n], g[:n])
         scaled = H / np.sqrt(precision)[:, None] / np.sqrt(precision)
         cost = np.linalg.slogdet(scaled)[1] - np.linalg.slogdet(scaled[:n, :n])[1]
         score = 0.5 * len(r) * np.log(np.sum(self.rows[:, 0] ** 2) / np.sum(left**2)) - 0.5 * cost
@@ -380,8 +377,8 @@ class _Plain:
         shift = np.zeros(len(at.theta))
         shift[kept] = solution[:n]
         shift[gone] = -at.theta[gone]
-        removed = (np.sum(bare**2) - np.sum(left**2)) / max(len(r), 1)
-        return Candidate(spline, without, float(removed), float(score), solution[n:], shift)
+        share = 1 - float(np.sum(left**2) / max(np.sum(self.rows[:, 0] ** 2), 1e-300))
+        return Candidate(spline, without, share, float(score), solution[n:], shift)
 
 
 def _bounds(block: slice) -> tuple[int, int]:
@@ -417,7 +414,8 @@ def find(
         tried += [plain.candidate(spline, columns, without, settings.penalty) for without in drops]
     best: Unknown | None = None
     for without in drops:
-        ranked = sorted((c for c in tried if c.without == without), key=lambda c: -c.score)
+        least_share = settings.likely * (settings.gain if without else settings.share)
+        ranked = sorted((c for c in tried if c.without == without and c.share > least_share), key=lambda c: -c.score)
         for candidate in ranked[: settings.refined]:
             found = _refined(problem, fitter, chosen, candidate, settings, least)
             if found is not None and (best is None or found.fit.log_evidence > best.fit.log_evidence):

@@ -213,7 +213,7 @@ class Finalist:
         return self.fit.model[-1].cause.name
 
 
-def _finalists(problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[Screened], settings: AcceptSettings):
+def finalists_of(problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[Screened], settings: AcceptSettings):
     """The best hypotheses, fitted through the replay; a close race is decided by fits at their ends."""
     good = [s for s in screened if s.noise and s.gain > 0.5 * settings.threshold and s.size > 0.5 * settings.smallest]
     chosen: list[Screened] = []
@@ -298,18 +298,18 @@ def search(
         coarse = not at.model and quiet >= settings.screen.quiet
         probe = settings.screen.coarse_probe if coarse else settings.screen.probe
         progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
-        library = Library(problem, at, _others(hypotheses, at.model), probe)
+        library = Library(problem, at, others_than(hypotheses, at.model), probe)
         if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
             break  # what is left is small, or no cause of the library explains it: the linear model serves
         screened = screen(problem, at, library, settings.screen)
         if pending is not None:
-            rivals.append(_rivals_of(*pending, _gains(screened), accept))
+            rivals.append(rivals_of(*pending, _gains(screened), accept))
             pending = None
         late = time.monotonic() > deadline
         if late:
             break
         progress("fitting the causes that look best", 0.3 + 0.15 * len(at.model))
-        fitted = _finalists(problem, fitter, at, screened, accept)
+        fitted = finalists_of(problem, fitter, at, screened, accept)
         if quiet > accept.gross and not at.model and not afreshed:
             # So far off that the linear model says little.
             for h, start in _coarse(problem, hypotheses, settings):
@@ -346,7 +346,7 @@ def search(
             at, rivals, dropped = _prune(problem, fitter, at, rivals, accept)
             decisions += dropped
     elif pending is not None:
-        rivals.append(_rivals_of(*pending, {}, accept))
+        rivals.append(rivals_of(*pending, {}, accept))
     return Search(
         first,
         at,
@@ -374,7 +374,7 @@ def _gains(screened: Sequence[Screened]) -> dict[str, float]:
     return gains
 
 
-def _others(hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothesis]:
+def others_than(hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothesis]:
     """Hypotheses that a model does not have already: of causes that add, those with other whole numbers."""
 
     def repeats(h: Hypothesis) -> bool:
@@ -473,7 +473,7 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
 
 
-def _rivals_of(
+def rivals_of(
     chosen: Finalist | Screened, before: dict[str, float], after: dict[str, float], settings: AcceptSettings
 ) -> Rivals:
     """Rivals of a cause that was accepted: those that it has made superfluous, by gains before and after."""
@@ -514,7 +514,7 @@ def _select(
         screened = screen(problem, here, rest, screening)
         gains = _gains(screened)
         if before is not None:
-            rivals.append(_rivals_of(*before, gains, settings))
+            rivals.append(rivals_of(*before, gains, settings))
         stage = f"select {len(at.model) + len(chosen) + 1}"
         good: list[tuple[Screened, Worth]] = []
         for s in screened:
@@ -548,7 +548,7 @@ def _select(
         before = (best, _gains([s for s in screened if s.removed > settings.alike * best.removed]))
         chosen.append(best)
         here = _with(problem, here, rest, best)
-        rest = rest.keeping(_others(rest.hypotheses, (best.hypothesis,)))
+        rest = rest.keeping(others_than(rest.hypotheses, (best.hypothesis,)))
     return chosen, [*decisions, *seen.values()], rivals
 
 

@@ -169,8 +169,11 @@ def _beyond_tolerance(
 
 @lru_cache
 def _drowned(name: str) -> frozenset[str]:
-    """Causes whose ordinary sizes the tolerances of that joint express, whatever they are."""
-    joint = load_joint(name)
+    return drowned(load_joint(name))
+
+
+def drowned(joint: Joint) -> frozenset[str]:
+    """Causes whose ordinary sizes the tolerances of a joint express, whatever they are: nothing tells them from calibration."""
     calibration, record = Calibration(joint), joint.record()[0]
     x = np.zeros(calibration.size)
 

@@ -16,12 +16,13 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
 
-from ...models import causes
+from ...models import causes, plugins
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
 from ...scenarios.scenario import load_scenario
@@ -269,7 +270,7 @@ def run(
         for task in tasks:
             yield attempt(*task)
         return
-    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_end_with_parent) as pool:
+    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin, initargs=(plugins.files(),)) as pool:
         pending = [pool.submit(attempt, *task) for task in tasks]
         try:
             for future in as_completed(pending):
@@ -278,8 +279,9 @@ def run(
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _end_with_parent() -> None:
-    """Let this process end as soon as the one that began it has, however that ended."""
+def _begin(known: Sequence[Path]) -> None:
+    """Know the plugins, and end this process as soon as the one that began it has, however that ended."""
+    plugins.load_all(known)
     parent = multiprocessing.parent_process()
 
     def wait() -> None:

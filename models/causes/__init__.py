@@ -1,4 +1,4 @@
-"""The library of causes: one file each. A new file with a subclass of `Cause` is a new cause."""
+"""The library of causes: one file each. A new file with a subclass of `Cause` is a new cause; plugins add others."""
 
 from __future__ import annotations
 
@@ -7,17 +7,20 @@ import pkgutil
 from functools import cache
 from typing import TYPE_CHECKING
 
-from .base import COMPONENTS, Cause, CauseParameter, Requirements
+from .. import plugins
+from ..plugins import Offer, Origin
+from .base import COMPONENTS, Cause, CauseParameter, Requirements, put_discrepancy, spline_through
+from .checks import checked
 
 if TYPE_CHECKING:
     from ..joint import Joint
 
 
 @cache
-def _library() -> dict[str, Cause]:
+def _own() -> dict[str, Cause]:
     found: dict[str, Cause] = {}
     for module in pkgutil.iter_modules(__path__):
-        if module.name == "base":
+        if module.name in ("base", "checks"):
             continue
         for value in vars(importlib.import_module(f"{__name__}.{module.name}")).values():
             if isinstance(value, type) and issubclass(value, Cause) and value.__module__.endswith(f".{module.name}"):
@@ -25,9 +28,19 @@ def _library() -> dict[str, Cause]:
     return found
 
 
+def offered() -> dict[str, Offer]:
+    """What plugins offer, by name (`models.plugins`)."""
+    return plugins.offers("causes", _own())
+
+
 def names() -> list[str]:
-    """Names of all known causes, by component."""
-    return sorted(_library(), key=lambda name: (COMPONENTS.index(_library()[name].component), name))
+    """Names of all known causes, by component.
+
+    Raises:
+      InputError: a plugin's that cannot be loaded or is none.
+    """
+    every = [*_own(), *offered()]
+    return sorted(every, key=lambda name: (COMPONENTS.index(get(name).component), name))
 
 
 def of(joint: Joint) -> list[str]:
@@ -37,7 +50,24 @@ def of(joint: Joint) -> list[str]:
 
 def get(name: str) -> Cause:
     """The cause of that name; `KeyError` when there is none."""
-    return _library()[name]
+    return _own()[name] if name in _own() else checked(offered()[name])
 
 
-__all__ = ["COMPONENTS", "Cause", "CauseParameter", "Requirements", "get", "names", "of"]
+def origin(name: str) -> Origin:
+    """Where the cause of that name comes from; `KeyError` when there is none."""
+    return plugins.OWN if name in _own() else offered()[name].origin
+
+
+__all__ = [
+    "COMPONENTS",
+    "Cause",
+    "CauseParameter",
+    "Requirements",
+    "get",
+    "names",
+    "of",
+    "offered",
+    "origin",
+    "put_discrepancy",
+    "spline_through",
+]

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
 from ..errors import InputError
+from ..parameters import N_COEFFICIENTS, N_DISCREPANCIES, PLACES, VARIABLES
 
 if TYPE_CHECKING:
     from ..joint import Joint
@@ -103,6 +105,58 @@ def put_order(p: np.void, field: str, values: dict[str, float]) -> None:
         orders[slot], amplitudes[slot], phases[slot] = values["order"], values["amplitude"], values["phase"]
     else:
         raise InputError(f"expected at most {len(orders)} orders of {field.replace('_', ' ')}, got one more")
+
+
+def put_discrepancy(
+    p: np.void, place: str, variable: str, low: float, high: float, coefficients: Sequence[float] | np.ndarray
+) -> None:
+    """Put a cubic B-spline of a variable into the first free place of a record, in place: what acts beyond the laws.
+
+    Args:
+      place: where it acts (`parameters.PLACES`): torque on rotor or mesh [N·m, motor side], flexspline or link [N·m], or what is
+        added to a reading of joint torque [N·m], link position [rad] or motor current [A].
+      variable: on what it depends (`parameters.VARIABLES`), SI.
+      low, high: ends of the uniform grid, in the variable's unit; beyond them it is constant.
+      coefficients: 4 to 32 (`spline_through`), in the place's unit.
+
+    Raises:
+      InputError: no place is free.
+    """
+    free = np.flatnonzero(p["discrepancy_place"] == 0)
+    if not free.size:
+        raise InputError(f"expected at most {N_DISCREPANCIES} model discrepancies, got one more")
+    slot, count = int(free[0]), len(coefficients)
+    p["discrepancy_place"][slot] = PLACES.index(place)
+    p["discrepancy_variable"][slot] = VARIABLES.index(variable)
+    p["discrepancy_low"][slot], p["discrepancy_high"][slot] = low, high
+    p["discrepancy_count"][slot] = count
+    p["discrepancy_coefficient"][slot, :count] = coefficients
+
+
+def spline_through(values: np.ndarray) -> np.ndarray:
+    """Coefficients of the natural cubic spline through values at even points from one end to the other, for `put_discrepancy`.
+
+    At the points (c_i + 4 c_{i+1} + c_{i+2}) / 6 = value, and at both ends the second derivative is zero.
+
+    Args:
+      values: shape (n,), n from 2 to 30.
+
+    Returns:
+      Coefficients, shape (n + 2,).
+    """
+    if not 2 <= len(values) <= N_COEFFICIENTS - 2:
+        raise InputError(f"spline: expected 2 to {N_COEFFICIENTS - 2} values, got {len(values)}")
+    return _through(len(values)) @ np.asarray(values, dtype=np.float64)
+
+
+@cache
+def _through(count: int) -> np.ndarray:
+    """What makes coefficients of values, shape (count + 2, count)."""
+    A = np.zeros((count + 2, count + 2))
+    for i in range(count):
+        A[i + 1, i : i + 3] = np.array([1.0, 4.0, 1.0]) / 6.0
+    A[0, :3] = A[-1, -3:] = [1.0, -2.0, 1.0]
+    return np.linalg.inv(A)[:, 1:-1]
 
 
 class Cause(ABC):

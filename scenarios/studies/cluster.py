@@ -1,6 +1,6 @@
 """A study on a Dask cluster that is running already: chunks are its tasks, lost workers cost time only.
 
-Workers need the same versions of this package and its dependencies, and see the joints' and scenarios' files under the
+Workers need the same versions of this package and its dependencies, and see the joints', scenarios' and plugins' files under the
 same paths (shipped ones are with the package).
 """
 
@@ -8,8 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
+import pyarrow as pa
+
+from ...models import plugins
 from ...models.errors import InputError
 from . import sweep
 from .dataset import Chunk
@@ -43,7 +47,7 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> sweep.D
             attempts[chunk] = attempts.get(chunk, 0) + 1
             key = f"sweep-{design.digest[:12]}-{chunk.cell}-{chunk.begin}-{chunk.end}-{attempts[chunk]}"
             # Lost with its worker, a task begins again elsewhere; the scheduler does that itself.
-            future = client.submit(sweep.compute, design, chunk, key=key, pure=False)
+            future = client.submit(_compute, plugins.files(), design, chunk, key=key, pure=False)
             pending[str(future.key)] = chunk
             finished.add(future)
 
@@ -72,3 +76,9 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> sweep.D
             fill()
     finally:
         client.close()
+
+
+def _compute(known: tuple[Path, ...], design: Design, chunk: Chunk) -> pa.Table | None:
+    """The rows of a chunk, on a worker, which knows the plugins then."""
+    plugins.load_all(known)
+    return sweep.compute(design, chunk)

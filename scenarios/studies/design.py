@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from ...estimator import registry
 from ...estimator.estimator import Estimator
 from ...estimator.tuning_parameters import with_values
 from ...models import causes
@@ -93,8 +94,9 @@ class Design:
         return replace(design, digest=design._check())
 
     def _check(self) -> str:
-        """Build the plant at every value of every axis, the others at their first; the digest of all that rows depend on."""
-        seen = set()
+        """Build the plant at every value of every axis, the others at their first; the digest of all that rows depend on, the
+        states of plugins among it."""
+        seen: set[str] = set()
         for cell in self.cells:
             if not self._near_first(cell):
                 continue
@@ -110,13 +112,16 @@ class Design:
                 for cause in axis.causes if isinstance(axis, CauseAxis) else ():
                     if not causes.get(cause).concerns(experiment.joint):
                         raise InputError(f"{where}: cause {cause}: joint {experiment.joint.name} leaves no room for it")
+                    seen.add(causes.origin(cause).state)
+            seen.update(registry.origin(entry.estimator).state for entry in experiment.scenario.filters)
             experiment.build()
             for joint in (experiment.joint, experiment.known_joint):
                 seen.add(hashlib.sha256(joint.mjcf.read_bytes()).hexdigest())
                 seen.add(hashlib.sha256(joint.model_dump_json().encode()).hexdigest())
+                seen.update(causes.origin(effect.name).state for effect in joint.effects)
         asked = self.study.model_dump(mode="json", exclude={"seeds", "description", "reference"})
         data = {name: data for name, (data, _) in self.scenarios.items()}
-        text = json.dumps([asked, data, sorted(seen)], sort_keys=True, ensure_ascii=False)
+        text = json.dumps([asked, data, sorted(seen - {""})], sort_keys=True, ensure_ascii=False)
         return hashlib.sha256(text.encode()).hexdigest()
 
     def _near_first(self, cell: Cell) -> bool:

@@ -39,7 +39,7 @@ def answered(**changes) -> Diagnosis:
         "motor_current": BalanceResidual(0.0512, 0.0104, 0.01, "A"),
         "link_balance": BalanceResidual(2.0, 1.0, 0.5, "N·m"),
     }
-    regions = tuple(Region(f"recording sweep_{i}", True, 400, 1.4 + i, 1.0, 1.5) for i in range(5))
+    regions = tuple(Region(f"recording sweep_{i}", True, 400, 1.4 + i, 1.0, 1.5, 1.5 / (1.4 + i)) for i in range(5))
     base = Diagnosis(
         verdict="discrepancy", reason="", causes=causes, minor=causes[:1],
         calibration={"K1": ParameterShift(8400, 8790, 60, 0.07, "N·m/rad")},

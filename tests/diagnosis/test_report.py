@@ -259,7 +259,7 @@ def test_every_hypothesis_stands_with_its_reason(report):
 def test_regions_stand_worst_first_with_a_warning(report):
     d = report.diagnosis
     assert d.regions
-    worst = replace(d.regions[0], name="the moon", unseen=9.0, described=1.0)
+    worst = replace(d.regions[0], name="the moon", unseen=9.0, described=1.0, ratio=9.0)
     text = read(html(replace(report, diagnosis=replace(d, regions=(worst, *d.regions)))))[1]
     assert "the worst is the moon" in text and "not to be trusted there" in text
     assert text.index("the moon 1 N·m 9 N·m") < text.index(f"{d.regions[0].name} ", text.index("the moon 1 N·m"))

@@ -13,8 +13,9 @@ import pytest
 from known_effects import JOINT, MOUNTING
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
-from flexspline.estimator.estimator import SensorNoise, as_samples, run_step
+from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, run_step
 from flexspline.estimator.tuning_parameters import value_of, with_values
+from flexspline.models import plugins
 from flexspline.models.errors import InputError
 from flexspline.models.signals import Signals
 from flexspline.models.step import SAMPLE, PythonStep, numpy_at
@@ -193,29 +194,56 @@ def test_an_estimator_in_python(known, signals):
 
 
 def entry(value: str, name: str = "foreign") -> EntryPoint:
-    return EntryPoint(name, value, registry.GROUP)
+    return EntryPoint(name, value, "flexspline.estimators")
+
+
+@dataclass(frozen=True)
+class Failing(Plain):
+    """Cannot be made without a number that nobody gives."""
+
+    def __init__(self, needed: float):
+        raise AssertionError
 
 
 def test_estimators_of_other_packages(monkeypatch, known, signals):
     """Found by entry points, loaded when asked for; a broken one says in a line what is wrong with it."""
     points = [
         entry("test_estimator:FOREIGN"),
+        entry("test_estimator:Plain", "plain"),
+        entry("test_estimator:FOREIGN", "renamed"),
+        entry("test_estimator:Failing", "failing"),
         entry("nowhere.at_all:X", "broken"),
         entry("sys:path", "none"),
         entry("x:y", "EKF"),
     ]
-    monkeypatch.setattr(registry, "entry_points", lambda group: points)
-    registry._others.cache_clear()
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points if group.endswith("estimators") else [])
+    plugins._installed.cache_clear()
+    plugins._offers.cache_clear()
+    wrong = (
+        ("broken", "ModuleNotFoundError: No module named 'nowhere'"),
+        ("none", "expected an Estimator, got list"),
+        ("renamed", "name: expected 'renamed', as it is offered, got 'foreign'"),
+        ("failing", "TypeError: .*needed"),
+    )
     try:
-        assert {"foreign", "broken", "none", "EKF"} <= set(registry.names())
-        assert registry.get("foreign") is FOREIGN
-        assert registry.get("EKF").rule == "ekf"
-        for name, part in (("broken", "ModuleNotFoundError: No module named 'nowhere'"), ("none", "got list")):
+        assert {"foreign", "plain", "EKF", *(name for name, _ in wrong)} <= set(registry.names())
+        assert registry.get("foreign") is FOREIGN and registry.get("plain") == Plain()
+        assert registry.origin("foreign").name == "an installed package"
+        assert registry.get("EKF").rule == "ekf" and registry.origin("EKF").name == "flexspline"
+        for name, part in wrong:
             with pytest.raises(InputError, match=part) as caught:
                 registry.get(name)
             assert name in str(caught.value) and "\n" not in str(caught.value)
     finally:
-        registry._others.cache_clear()
+        plugins._installed.cache_clear()
+        plugins._offers.cache_clear()
+
+
+@pytest.mark.parametrize("field", ["mean", "variance", "external"])
+def test_a_posterior_is_as_long_as_its_time(field):
+    given = {"mean": np.zeros(3)} | {field: np.zeros(2)}
+    with pytest.raises(InputError, match=rf"estimator 'mine': {field}: expected shape \(3,\), got \(2,\)"):
+        Posterior("mine", np.arange(3.0), **given)
 
 
 FOREIGN = Plain("foreign")

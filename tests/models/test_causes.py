@@ -8,10 +8,11 @@ import sys
 import numpy as np
 import pytest
 
+import flexspline as fs
 from flexspline.models import causes, laws
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
-from flexspline.models.parameters import as_floats
+from flexspline.models.parameters import PLACES, as_floats
 from flexspline.models.signals import CHANNELS
 
 JOINT = load_joint("test-joint")
@@ -298,7 +299,7 @@ def test_a_cause_is_one_file(tmp_path, monkeypatch):
         encoding="utf-8",
     )
     monkeypatch.setattr(causes, "__path__", [*causes.__path__, str(tmp_path)])
-    causes._library.cache_clear()
+    causes._own.cache_clear()
     try:
         assert "loose_bolt" in causes.names()
         record = JOINT.record()
@@ -306,5 +307,70 @@ def test_a_cause_is_one_file(tmp_path, monkeypatch):
         causes.get("loose_bolt").apply(record[0], values)
         assert record[0]["backlash"] == values["width"] > 0
     finally:
-        causes._library.cache_clear()
+        causes._own.cache_clear()
         sys.modules.pop("flexspline.models.causes.loose_bolt", None)
+
+
+def field(cause: dict, plugin: str) -> str:
+    """Text of a plugin file with one cause."""
+    body = "".join(f"    {name} = {value}\n" for name, value in cause.items())
+    head = "from flexspline.models.causes import Cause, CauseParameter\n"
+    return f"{head}class Mine(Cause):\n{body}{plugin}\nCAUSES = (Mine,)\n"
+
+
+MINE = {
+    "name": "'mine'",
+    "component": "'link'",
+    "description": "'it is mine'",
+    "parameters": "(CauseParameter('value', 'rad', (0, 1), ((1e-4, 2e-4),), magnitude=True),)",
+    "sets": "{'value': 'backlash'}",
+}
+
+
+@pytest.mark.parametrize(
+    ("changes", "plugin", "message"),
+    [
+        ({"component": "'flange'"}, "", "component: expected one of .*'flange'"),
+        ({"sets": "{'value': 'baklash'}"}, "", "got 'baklash'; did you mean 'backlash'"),
+        ({"sets": "{'width': 'backlash'}"}, "", "sets: expected a parameter of the cause, got 'width'"),
+        ({"sets": "{}"}, "", "expected a change of the parameter record at ordinary size, got none at value"),
+        ({"parameters": "()"}, "", "parameters: expected a tuple of CauseParameter"),
+        ({"parameters": "(CauseParameter('value', 'rad', (0, 1), ((1, 2),), magnitude=True),)"}, "", "within the bounds"),
+        ({"parameters": "(CauseParameter('value', 'rad', (0, 1), ((1e-4, 2e-4),)),)"}, "", "magnitude=True"),
+        (
+            {
+                "parameters": "(CauseParameter('value', '1', (0, 2), ((1.2, 1.5),), magnitude=True),)",
+                "sets": "{}", "scales": "('K1',)",
+            },
+            "", "no change of K1 where the effect is absent .value 0.; check `neutral`",
+        ),
+        ({"needs": "('temprature',)"}, "", "needs: expected a channel, got 'temprature'; did you mean 'temperature'"),
+        ({}, "    def apply(self, p, values): 1 / 0", "ZeroDivisionError: division by zero"),
+        ({}, "    def apply(self, p, values): p['backlash'] = float('nan')", "expected finite numbers"),
+    ],
+)  # fmt: skip
+def test_a_cause_from_outside_is_looked_at(tmp_path, changes, plugin, message):
+    """What it does not keep is one line with its name and its file."""
+    path = tmp_path / "mine.py"
+    path.write_text(field(MINE | changes, plugin), encoding="utf-8")
+    with pytest.raises(fs.InputError, match=message) as caught:
+        fs.load_plugin(path)
+    assert str(caught.value).startswith(f"cause 'mine' of {path}: ") and "\n" not in str(caught.value)
+    assert "mine" not in causes.names()
+
+
+def test_a_function_of_a_variable_is_a_cause(rng):
+    """The spline goes through the values, evenly from end to end, and the effects of two causes add up."""
+    record, angles = JOINT.record(), np.linspace(-0.5, 1.5, 21)
+    values = rng.normal(size=21)
+    for share in (0.25, 0.75):
+        causes.put_discrepancy(record[0], "link", "link_position", -0.5, 1.5, causes.spline_through(share * values))
+    place = PLACES.index("link")
+    found = [laws.discrepancy(place, 0.0, angle, 0.0, 0.0, 0.0, record[0]) for angle in (*angles, -3.0, 2.0)]
+    np.testing.assert_allclose(found, [*values, values[0], values[-1]], atol=1e-12)
+    for _ in range(2):
+        causes.put_discrepancy(record[0], "rotor", "time", 0.0, 1.0, causes.spline_through(np.ones(2)))
+    with pytest.raises(fs.InputError, match="at most 4 model discrepancies"):
+        causes.put_discrepancy(record[0], "rotor", "time", 0.0, 1.0, causes.spline_through(np.ones(2)))
+    with pytest.raises(fs.InputError, match="expected 2 to 30 values, got 31"):
+        causes.spline_through(np.ones(31))

@@ -136,3 +136,41 @@ def test_offsets_point_at_what_python_sees():
         pointer = ctypes.c_uint64.from_address(data._address + 8 * at[name]).value
         assert pointer == getattr(data, name).ctypes.data, name
     assert ctypes.c_double.from_address(data._address + 8 * at["time"]).value == data.time
+
+
+def timed(data):
+    """How often MuJoCo has timed a step of this data, and the time that it took, in all [s]."""
+    timer = data.timer[mujoco.mjtTimer.mjTIMER_STEP]
+    return timer.number, timer.duration
+
+
+def test_the_clock_stands_still_inside_and_is_back_afterwards():
+    """Of several threads the last one to leave puts it back; motion does not depend on it."""
+    before = ctypes.c_void_p.in_dll(native.library(), "mjcb_time").value
+    assert before
+    model, data = started(record_of())
+    _, other = started(record_of())
+    for _ in range(20):
+        mujoco.mj_step(model, other)
+    with native.untimed():
+        with native.untimed():
+            for _ in range(10):
+                mujoco.mj_step(model, data)
+        for _ in range(10):
+            mujoco.mj_step(model, data)
+        assert timed(data) == (20, 0.0)
+    assert ctypes.c_void_p.in_dll(native.library(), "mjcb_time").value == before
+    assert timed(other)[1] > 0.0
+    np.testing.assert_array_equal(np.concatenate([data.qpos, data.qvel]), np.concatenate([other.qpos, other.qvel]))
+
+
+def test_a_clock_of_somebody_else_is_left_alone():
+    asked = []
+    model, data = started(record_of())
+    mujoco.set_mjcb_time(lambda: float(asked.append(None) or len(asked)))
+    try:
+        with native.untimed():
+            mujoco.mj_step(model, data)
+    finally:
+        mujoco.set_mjcb_time(None)
+    assert asked

@@ -27,12 +27,13 @@ def figures_of(run: Run) -> dict[str, Figure]:
     return {name: make(run) for name, make in _chosen(run).items()}
 
 
-def save_figures(run: Run, folder: Path) -> list[Path]:
+def save_figures(run: Run, folder: Path, first: int = 0, every: int = 1) -> list[Path]:
     """Write a run's figures as PNG.
 
     Args:
       run: the run.
       folder: where to; made if need be.
+      first, every: of its figures only the `first` and each `every`th after it, for who shares them out.
 
     Returns:
       Their paths.
@@ -43,7 +44,8 @@ def save_figures(run: Run, folder: Path) -> list[Path]:
     from .sheet import save
 
     with _without_collecting():
-        return [save(make(run), Path(folder) / f"{name}.png") for name, make in _chosen(run).items()]
+        chosen = list(_chosen(run).items())[first::every]
+        return [save(make(run), Path(folder) / f"{name}.png") for name, make in chosen]
 
 
 @contextmanager

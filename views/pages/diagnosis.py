@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...models import causes
+from ...models import causes, plugins
 from ...models.files import write_into_place
 from ..glossary import meaning, pieces
 from ..report import Report, listed, plain, title, verdict_sentence
@@ -118,7 +118,7 @@ def context(report: Report) -> dict[str, Any]:
         "told": residual_charts.told(found),
         "balances": residual_charts.by_variable(found),
         "channels": channels,
-        "regions": [(r.name, r.described, r.extended, r.unseen, r.worse) for r in d.regions],
+        "regions": [(r.name, r.described, r.extended, r.unseen, r.ratio, r.worse) for r in d.regions],
         "valid": _valid(d),
         "estimators": estimators,
         "improvement": gained,
@@ -195,9 +195,9 @@ def _commands(report: Report) -> dict[str, str]:
     return {
         "folder": folder,
         "measured": measured,
-        "run": f"flexspline run link_sweep --set joint={joint}{mounting}",
-        "estimate": f"flexspline estimate {measured} --joint {joint} --out estimates",
-        "validate": f"flexspline validate NEW_MEASUREMENT --joint {joint} --out check",
+        "run": f"flexspline run link_sweep --set joint={joint}{mounting}{plugins.options()}",
+        "estimate": f"flexspline estimate {measured} --joint {joint} --out estimates{plugins.options()}",
+        "validate": f"flexspline validate NEW_MEASUREMENT --joint {joint} --out check{plugins.options()}",
         "mend": f"flexspline import {measured} --fix --out MENDED",
     }
 

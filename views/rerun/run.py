@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from ...estimator import compliance
 from ..posteriors import innovations, modes, switching
 from ..series import share
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
@@ -117,18 +116,15 @@ def _send_mode(
 
 def _send_torsion(stream: rr.RecordingStream, run: Run) -> None:
     """Eq. (1) on the true state: Δθ = Δθf + Δθw/N + θerr."""
-    record = run.joint.record(run.joint.mount(run.scenario.mounting or None))
-    p = record[0]
+    N = run.joint.numbers["N"].value
     rotor, wave, link = (run.truth(f"{name}_position") for name in ("motor", "wave_generator", "link"))
-    total = rotor / p["N"] - link
-    generator = (rotor - wave) / p["N"]
-    # With zero torque the model's kinematic error is the one at the given angle: θw itself.
-    kinematic = compliance(wave, 0.0, 0.0, record).kinematic_error
+    total = rotor / N - link
+    generator = (rotor - wave) / N
     parts = {
         "total": ("Δθ, total", total, 2.5),
-        "flexspline": ("Δθf, flexspline", total - generator - kinematic, 1.5),
+        "flexspline": ("Δθf, flexspline", total - generator - run.kinematic_error, 1.5),
         "wave_generator": ("Δθw/N, wave generator", generator, 1.5),
-        "kinematic_error": ("θerr, kinematic error", kinematic, 1.5),
+        "kinematic_error": ("θerr, kinematic error", run.kinematic_error, 1.5),
     }
     for part, (name, values, width) in parts.items():
         send_series(stream, f"torsion/{part}", run.time, 1e3 * values, name, PARTS[part], width, _interesting(run))

@@ -1,0 +1,59 @@
+"""`flexspline joint check`: all that is wrong with a description."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from ...models.plausibility import Problem
+
+
+def command(
+    joint: Annotated[str, typer.Argument(help="A joint description, or the name of a shipped one.", metavar="FILE")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,
+) -> None:
+    """Check a joint description: all errors at once, a line each, and warnings where no maker makes it so.
+
+    Exit code 2 where there are errors: commands refuse the file, or its numbers contradict each other. Warnings leave it 0.
+    """
+    from ...models.plausibility import check
+
+    checked = check(joint)
+    warnings = len(checked.problems) - checked.errors
+    if as_json:
+        found = {
+            "file": str(checked.path), "errors": checked.errors, "warnings": warnings,
+            "problems": [asdict(p) for p in checked.problems],
+        }  # fmt: skip
+        print(json.dumps(found, indent=1, ensure_ascii=False))
+    else:
+        for problem in checked.problems:
+            print(line(checked.path, problem))
+        print(f"{checked.path}: {_count(checked.errors, 'error')}, {_count(warnings, 'warning')}")
+    if checked.errors:
+        raise typer.Exit(2)
+
+
+def line(path: Path, problem: Problem) -> str:
+    """A problem as it is printed, with the meaning of its symbol."""
+    from ...models.errors import one_line
+    from ...models.joint import SYMBOLS
+    from ...views.glossary import meaning
+
+    text = f"{path}: {problem.severity}: {problem.field}: {problem.message}"
+    symbol = problem.field.removeprefix("numbers.").split(".")[0]
+    if problem.field.startswith("numbers.") and meaning(symbol):
+        unit = SYMBOLS[symbol][0] if symbol in SYMBOLS else ""
+        text += (
+            f" ({meaning(symbol)}{f', in {unit}' if unit not in ('', '1') and problem.message == 'missing' else ''})"
+        )
+    return one_line(text)
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number or 'no'} {what}{'' if number == 1 else 's'}"

@@ -1,0 +1,187 @@
+"""`flexspline joint new`: a description from what datasheets have."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ...models.errors import InputError
+
+if TYPE_CHECKING:
+    from ...models.datasheet import NewJoint
+
+_ASKED = {
+    "gear": ("--gear", "Gear, as series-size-ratio (CSG-25-100)"),
+    "Kt": ("--torque-constant", "Motor: torque constant (57 mNm/A)"),
+    "R": ("--resistance", "Motor: terminal resistance (1.56 ohm)"),
+    "L": ("--inductance", "Motor: terminal inductance (0.6 mH)"),
+    "Jm": ("--rotor-inertia", "Motor: rotor inertia (181 gcm²)"),
+    "motor_encoder": ("--motor-encoder", "Motor encoder: counts per turn (4096) or bits (12 bit)"),
+    "link_encoder": ("--link-encoder", "Link encoder: counts per turn or bits (20 bit)"),
+}
+"""What a datasheet has and no rule can give: option, question."""
+
+
+def command(
+    gear: Annotated[str | None, typer.Option(help="Gear as `series-size-ratio`: `CSG-25-100`.")] = None,
+    torque_constant: Annotated[str | None, typer.Option(help="Of the motor, Kt: `57 mNm/A`.")] = None,
+    resistance: Annotated[str | None, typer.Option(help="Of the motor between its terminals, R: `1.56 ohm`.")] = None,
+    inductance: Annotated[str | None, typer.Option(help="Of the motor between its terminals, L: `0.6 mH`.")] = None,
+    rotor_inertia: Annotated[str | None, typer.Option(help="Of the motor, Jm: `181 gcm²`.")] = None,
+    motor_encoder: Annotated[str | None, typer.Option(help="Counts per turn, `4096`, or bits, `12 bit`.")] = None,
+    link_encoder: Annotated[str | None, typer.Option(help="Counts per turn or bits, `20 bit`.")] = None,
+    motor: Annotated[str, typer.Option(help="Name of the motor, for the sources.")] = "",
+    name: Annotated[str, typer.Option(help="Of the joint; the gear's by default.")] = "",
+    description: Annotated[str, typer.Option(help="A sentence for people.")] = "",
+    inertia: Annotated[
+        float | None, typer.Option(min=0, help="Of what is bolted on, about the axis [kg·m²]; by the size by default.")
+    ] = None,
+    gravity_moment: Annotated[
+        float | None, typer.Option(min=0, help="Of what is bolted on, at horizontal [N·m]; by the size by default.")
+    ] = None,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="SYMBOL=VALUE",
+            help="Any other number that is known: `current_limit=6 A`, `K1=31000`. Repeatable.",
+        ),
+    ] = None,
+    sources: Annotated[
+        list[str] | None, typer.Option("--source", metavar="SYMBOL=TEXT", help="Where a number is from. Repeatable.")
+    ] = None,
+    tolerances: Annotated[
+        list[str] | None,
+        typer.Option("--tolerance", metavar="SYMBOL=SHARE", help="How well it is known, `Jm=0.3`. Repeatable."),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; NAME.yaml by default.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")] = False,
+) -> None:
+    """Make a joint description from the datasheets of gear, motor and encoders; at a terminal it asks for what is not given.
+
+    Numbers without a unit are SI. What no datasheet has is filled by rules of scale with wide tolerances; the command says which
+    and by which rule, and so does the file. Example:
+
+    `flexspline joint new --gear CSG-14-100 --torque-constant "57 mNm/A" --resistance 1.56 --inductance "0.6 mH"
+    --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit"`
+    """
+    from ...models.datasheet import Datasheet, new_joint, quantity, write_joint
+    from ...models.plausibility import check
+
+    answers = {
+        "gear": gear, "Kt": torque_constant, "R": resistance, "L": inductance, "Jm": rotor_inertia,
+        "motor_encoder": motor_encoder, "link_encoder": link_encoder,
+    }  # fmt: skip
+    read = {key: _read(key, text) for key, text in answers.items() if text is not None}
+    missing = [key for key in _ASKED if key not in read]
+    if missing and not sys.stdin.isatty():
+        options = ", ".join(_ASKED[key][0] for key in missing)
+        raise InputError(f"joint new: expected {options}, got none; at a terminal it asks for them")
+    for key in missing:
+        read[key] = typer.prompt(_ASKED[key][1], value_proc=_asking(key))
+    series, size, ratio = read.pop("gear")
+    encoders = {key: read.pop(key) for key in ("motor_encoder", "link_encoder")}
+    numbers = read | {symbol: quantity(text, symbol, f"--set {symbol}") for symbol, text in _pairs("--set", changes)}
+    shares = {symbol: _share(symbol, text) for symbol, text in _pairs("--tolerance", tolerances)}
+    sheet = Datasheet(
+        series=series, size=size, ratio=ratio, numbers=numbers, name=name, motor=motor, tolerances=shares, inertia=inertia,
+        gravity_moment=gravity_moment, description=description, sources=dict(_pairs("--source", sources)), **encoders,
+    )  # fmt: skip
+    path = out if out is not None else Path(f"{new_joint(sheet).joint.name.replace('-', '_')}.yaml")
+    if path.suffix != ".yaml":
+        raise InputError(f"--out {path}: expected a file .yaml")
+    made = new_joint(sheet, path)
+    for target in (path, path.parent / made.joint.model):
+        if target.exists() and not force:
+            raise InputError(f"{target}: expected no such file, --force replaces it")
+    path, mjcf = write_joint(made.joint, path)
+    if as_json:
+        found = {
+            "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
+            "problems": [asdict(p) for p in check(path).problems],
+        }  # fmt: skip
+        print(json.dumps(found, indent=1, ensure_ascii=False))
+        return
+    _show(made, path, mjcf)
+
+
+def _read(key: str, text: str) -> Any:
+    from ...models.datasheet import encoder, gear_name, quantity
+
+    option = _ASKED[key][0]
+    if key == "gear":
+        return gear_name(text, option)
+    return encoder(text, option) if key.endswith("encoder") else quantity(text, key, option)
+
+
+def _asking(key: str) -> Callable[[str], Any]:
+    def read(text: str) -> Any:
+        try:
+            return _read(key, text)
+        except InputError as error:
+            raise typer.BadParameter(str(error)) from error
+
+    return read
+
+
+def _pairs(option: str, given: Sequence[str] | None) -> Iterator[tuple[str, str]]:
+    from ...models.errors import nearest
+    from ...models.joint import SYMBOLS
+
+    for one in given or ():
+        symbol, sign, text = one.partition("=")
+        if not sign:
+            raise InputError(f"{option} {one}: expected SYMBOL=…, got no '='")
+        if symbol not in SYMBOLS:
+            raise InputError(
+                f"{option} {one}: expected one of {', '.join(SYMBOLS)}, got {symbol!r}{nearest(symbol, SYMBOLS)}"
+            )
+        yield symbol, text
+
+
+def _share(symbol: str, text: str) -> float:
+    try:
+        share = float(text)
+    except ValueError:
+        share = -1.0
+    if not 0 <= share < 1:
+        raise InputError(f"--tolerance {symbol}={text}: expected a share from 0 to 1, got {text!r}")
+    return share
+
+
+def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
+    from rich.text import Text
+
+    from ...models.characteristics import drive_gains
+    from ...models.plausibility import check
+    from ...views.tables import narrow_table
+    from .._console import console
+    from .check import line
+
+    terminal = console()
+    table = narrow_table(f"{made.joint.name}: filled by rules, not from a datasheet", "±: relative standard deviation")
+    table.add_column("number", no_wrap=True)
+    table.add_column("value", justify="right", no_wrap=True)
+    table.add_column("±", justify="right", no_wrap=True)
+    table.add_column("rule", overflow="fold")
+    for f in made.filled:
+        unit = "" if f.unit == "1" else f" {f.unit}"
+        tolerance = f"{100 * f.tolerance:.0f} %" if f.tolerance else ""
+        table.add_row(Text(f.name), Text(f"{f.value:.4g}{unit}"), tolerance, Text(f.rule))
+    terminal.print(table)
+    for problem in check(path).problems:
+        terminal.print(line(path, problem), style="yellow", highlight=False, markup=False, soft_wrap=True)
+    terminal.print(f"{path} and {mjcf}", highlight=False, markup=False)
+    kp, kd = drive_gains(made.joint)
+    terminal.print(
+        f"now: flexspline joint show {path}\n     flexspline run link_sweep --set joint={path} --set controller.kp={kp:.2g} "
+        f"--set controller.kd={kd:.2g}",
+        highlight=False, markup=False, soft_wrap=True,
+    )  # fmt: skip

@@ -1,0 +1,75 @@
+"""`flexspline joint show`: what a description comes to."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ...models.errors import InputError
+
+if TYPE_CHECKING:
+    from ...models.joint import Joint
+
+
+def command(
+    joint: Annotated[
+        str, typer.Argument(help="Name of a shipped joint, or a joint description.", metavar="JOINT")
+    ] = "test-joint",
+    out: Annotated[Path | None, typer.Option(help="Write the figure to this file, .png.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+) -> None:
+    """Show a joint: stiffness, hysteresis, friction over speed, resonances, what encoders resolve, what diagnosis could see.
+
+    It is readable in 80 columns; `--out joint.png` draws it.
+    """
+    from ...models.characteristics import characteristics
+    from ...models.joint import load_joint
+
+    if out is not None and out.suffix != ".png":
+        raise InputError(f"--out {out}: expected a file .png")
+    described = load_joint(joint)
+    found = characteristics(described)
+    seen = _seen(described)
+    if as_json:
+        shown = {key: _plain(value) for key, value in asdict(found).items()}
+        print(json.dumps({"joint": described.name, **shown, "diagnosis": seen}, indent=1, ensure_ascii=False))
+    else:
+        from ...views.joint_text import WIDTH, joint_text
+        from .._console import console
+
+        console().print(joint_text(described, found, seen), width=WIDTH)
+    if out is not None:
+        from ...views.figures.joint import joint_figure
+        from ...views.figures.sheet import save
+
+        save(joint_figure(described, found, seen), out)
+        if not as_json:
+            print(out)
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if hasattr(value, "tolist") else value
+
+
+def _seen(joint: Joint) -> dict[str, list[str]]:
+    """Causes by what a diagnosis could make of them, from recordings of both encoders and the motor current."""
+    from ...diagnosis.trials.draw import RECORDED, drowned
+    from ...models import causes
+    from ...models.signals import CHANNELS
+
+    hidden = drowned(joint)
+    found: dict[str, list[str]] = {"with both encoders and the motor current": []}
+    for name in causes.of(joint):
+        needs = [n for n in causes.get(name).needs if n not in RECORDED]
+        if name in hidden:
+            what = "not to be told from the description's tolerances at ordinary size"
+        elif needs:
+            what = f"with {' and '.join(CHANNELS[n].name.replace('_', ' ') for n in needs)} besides"
+        else:
+            what = "with both encoders and the motor current"
+        found.setdefault(what, []).append(name)
+    return found

@@ -1,0 +1,216 @@
+"""What a joint description comes to: stiffness, hysteresis, friction, resonances, what its encoders resolve.
+
+Each with a standard deviation: that of the description's tolerances, or of the diagnosis that wrote it
+(`uncertainty.directions`), to first order.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import laws
+from .joint import Joint
+from .parameters import REFERENCE_TEMPERATURE
+from .uncertainty import directions
+
+_POINTS = 121
+_TEST_DRIVE = (1.38e-5 + 8.1e-6) / 0.0603  # A·s²/rad: (Jm + Jw)/Kt of the test joint, whose gains are 8 and 0.08
+
+
+@dataclass(frozen=True)
+class Resonance:
+    """The lowest natural frequency [Hz] of a mounting, undamped, about a torque [N·m], with the rotor free or held."""
+
+    mounting: str
+    rotor: str
+    torque: float
+    frequency: float
+    deviation: float
+
+
+@dataclass(frozen=True)
+class Characteristics:
+    """What a joint comes to.
+
+    Attributes:
+      torque: of the output [N·m], shape (n,), from zero to twice the rated one; torsion: of gear and wave generator [rad], rotor
+        locked and friction aside; torsion_deviation: its standard deviation [rad]; stiffness: slope [N·m/rad].
+      loop_torsion [rad], loop_torque [N·m]: a slow loop to the rated torque and back, rotor locked, shape (m,); half_width: half
+        the loop's width at zero torque [rad], half_width_deviation.
+      speed: of the motor [rad/s], shape (n,); friction: of mesh and bearings, seen at the output [N·m], with its standard
+        deviation; unloaded, at the reference temperature. output_speed: of the joint [rad/s].
+      resonances: of every mounting that is not a bench.
+      counts: torsion that a count is worth [rad], of motor encoder and link encoder; noise: rms of the torsion that both give
+        [rad]; torque_resolution: what that means as torque at the stiffness of `torque` [N·m rms].
+      sensor_noise: of the joint torque sensor [N·m rms], zero where nothing is said of it.
+      largest_torque: what the motor gives at its current limit, friction aside [N·m]; no_load_speed: of the joint [rad/s].
+    """
+
+    torque: np.ndarray
+    torsion: np.ndarray
+    torsion_deviation: np.ndarray
+    stiffness: np.ndarray
+    loop_torsion: np.ndarray
+    loop_torque: np.ndarray
+    half_width: float
+    half_width_deviation: float
+    speed: np.ndarray
+    output_speed: np.ndarray
+    friction: np.ndarray
+    friction_deviation: np.ndarray
+    resonances: tuple[Resonance, ...]
+    counts: tuple[float, float]
+    noise: float
+    torque_resolution: np.ndarray
+    sensor_noise: float
+    largest_torque: float
+    no_load_speed: float
+
+
+def characteristics(joint: Joint) -> Characteristics:
+    """Work out what a description comes to.
+
+    Args:
+      joint: the description, its effects with it.
+
+    Returns:
+      Curves, loop, frequencies and resolutions, with standard deviations.
+    """
+    record = joint.record()
+    p = record[0]
+    moved = directions(joint)
+    rated = joint.numbers["rated_torque"].value
+    torque = np.linspace(0.0, 2 * rated, _POINTS)
+
+    def deviation(f: Callable[[np.void], np.ndarray]) -> np.ndarray:
+        middle = f(p)
+        return np.sqrt(sum(((f(r[0]) - middle) ** 2 for r in moved), np.zeros_like(middle)))
+
+    def torsion(q: np.void) -> np.ndarray:
+        return np.array(
+            [laws.flexspline_torsion(T, q) + laws.wave_generator_torsion(T / q["N"], q) / q["N"] for T in torque]
+        )
+
+    no_load = float(p["supply_voltage"] / p["Kt"])
+    speed = np.r_[0.0, np.geomspace(0.02 * float(p["vs"]), min(no_load, 1000.0), _POINTS - 1)]
+
+    def friction(q: np.void) -> np.ndarray:
+        return np.array([_friction(w, q) for w in speed])
+
+    def width(q: np.void) -> np.ndarray:
+        return np.array(_half_width(*_loop(q, rated)))
+
+    wound = torsion(p)
+    slope = np.gradient(wound, torque)
+    counts = (joint.sensors.motor_encoder.resolution / float(p["N"]), joint.sensors.link_encoder.resolution)
+    rounding = sum(c**2 / 12 for c in counts)
+    sensed = (joint.sensors.motor_encoder.noise / float(p["N"])) ** 2 + joint.sensors.link_encoder.noise**2
+    noise = math.sqrt(rounding + sensed)
+    loop_torsion, loop_torque = _loop(p, rated)
+    return Characteristics(
+        torque, wound, deviation(torsion), 1 / slope, loop_torsion, loop_torque,
+        _half_width(loop_torsion, loop_torque), float(deviation(width)), speed, speed / float(p["N"]), friction(p),
+        deviation(friction), tuple(_resonances(joint)), counts, noise, noise / slope, joint.sensors.joint_torque.noise,
+        float(p["N"] * p["Kt"] * p["current_limit"]), no_load / float(p["N"]),
+    )  # fmt: skip
+
+
+def drive_gains(joint: Joint) -> tuple[float, float]:
+    """Gains kp [A/rad] and kd [A·s/rad, motor side] of a position controller that is as quick as the test joint's.
+
+    In proportion to (Jm + Jw)/Kt: the controller's bandwidth, about 24 Hz, and its damping stay the same.
+    """
+    n = {symbol: joint.numbers[symbol].value for symbol in ("Jm", "Jw", "Kt")}
+    scale = (n["Jm"] + n["Jw"]) / n["Kt"] / _TEST_DRIVE
+    return 8.0 * scale, 0.08 * scale
+
+
+def _friction(w: float, p: np.void) -> float:
+    """Friction of mesh, rotor and output at a steady motor speed, unloaded, seen at the output [N·m]."""
+    sliding = laws.stribeck_friction(w, 0.0, 0.0, 0.0, REFERENCE_TEMPERATURE, p)
+    own = sliding + laws.viscous_friction(w, REFERENCE_TEMPERATURE, p) + p["bm"] * w
+    return float(p["N"] * own + p["bl"] * w / p["N"])
+
+
+def _loop(p: np.void, largest: float) -> tuple[np.ndarray, np.ndarray]:
+    """Torsion [rad] and torque [N·m] of a slow loop of the torque with the rotor locked, shape (m,) each: down, and up again.
+
+    As slow as it is, friction follows the way alone: Tf/N = Tw(δ) − s0 z with δ = −θw, and z(θw) between two turns is an
+    exponential (`laws.bristle_step`); so is the Dahl state over the flexspline's torsion where that has hysteresis.
+    """
+    N = float(p["N"])
+    g = laws.stribeck_friction(0.0, 0.0, 0.0, 0.0, REFERENCE_TEMPERATURE, p)
+    reach = laws.wave_generator_torsion(1.2 * largest / N + g, p)
+    winding, load = _branch(reach, lambda x: N * laws.wave_generator_spring(x, p), N * g, g / float(p["s0"]), largest)
+    wound, own = _branch(
+        laws.flexspline_torsion(1.2 * largest, p), lambda x: laws.flexspline_spring(x, p), float(p["hysteresis_torque"]),
+        float(p["hysteresis_extent"]), largest,
+    )  # fmt: skip
+    torque = np.linspace(largest, -largest, _POINTS)
+    down = np.interp(torque, own[::-1], wound[::-1]) + np.interp(torque, load[::-1], winding[::-1]) / N
+    return np.r_[down, -down], np.r_[torque, -torque]
+
+
+def _branch(
+    reach: float, spring: Callable[[float], float], friction: float, extent: float, largest: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Deflection, decreasing, and torque of a spring with friction that follows the way, on the way down from the largest torque.
+
+    Args:
+      reach: a deflection beyond that of the largest torque.
+      spring: its torque.
+      friction: torque that it adds to the spring's while the deflection grows.
+      extent: way over which friction turns round.
+    """
+    grid = np.linspace(0.0, reach, _POINTS)
+    torque = np.array([spring(x) for x in grid])
+    first = torque - friction * np.expm1(-grid / extent)
+    turn = float(np.interp(largest, first, grid))
+    state = -math.expm1(-turn / extent)
+    way = np.r_[0.0, np.geomspace(0.02 * extent, 2 * turn + 20 * extent, _POINTS)]
+    deflection = turn - way
+    end = (torque[-1] - torque[-2]) / (grid[1] - grid[0])
+    size = np.abs(deflection)
+    back = np.sign(deflection) * (np.interp(size, grid, torque) + end * np.maximum(size - reach, 0.0))
+    return deflection, back + friction * ((state + 1) * np.exp(-way / extent) - 1)
+
+
+def _half_width(torsion: np.ndarray, torque: np.ndarray) -> float:
+    """Half the distance between the torsions at zero torque on the ways down and up [rad]."""
+    half = len(torque) // 2
+    return float(abs(np.interp(0.0, torque[:half][::-1], torsion[:half][::-1])))
+
+
+def _resonances(joint: Joint) -> list[Resonance]:
+    """The lowest natural frequency of every mounting, rotor free and held, at no torque and at the rated one."""
+    rated = joint.numbers["rated_torque"].value
+    found = []
+    for name, mounting in joint.mountings.items():
+        if mounting.locked:
+            continue
+        records = [joint.record(mounting), *directions(joint, mounting)]
+        for held in (True, False):
+            for torque in (0.0, rated):
+                own, *others = (_frequency(r[0], held, torque) for r in records)
+                deviation = math.sqrt(sum((f - own) ** 2 for f in others))
+                found.append(Resonance(name, "held" if held else "free", torque, own, deviation))
+    return found
+
+
+def _frequency(p: np.void, held: bool, torque: float) -> float:
+    """Lowest natural frequency [Hz] but zero of rotor, wave generator and link about a torque [N·m] without damping."""
+    N = float(p["N"])
+    soft = float(laws.flexspline_stiffness(laws.flexspline_torsion(max(torque, 1e-6), p), p))
+    stiff = float(p["Kw0"] * math.exp(p["Cw"] * abs(torque) / N))
+    springs = stiff * np.outer([1, -1, 0], [1, -1, 0]) + soft * np.outer([0, 1 / N, -1], [0, 1 / N, -1])
+    inertia = np.array([p["Jm"], p["Jw"], p["Jl"]], float)
+    if held:
+        springs, inertia = springs[1:, 1:], inertia[1:]
+    root = np.sqrt(inertia)
+    values = np.linalg.eigvalsh(springs / np.outer(root, root))
+    moving = values[values > 1e-6 * values[-1]] if not held else values
+    return float(math.sqrt(moving[0]) / (2 * math.pi))

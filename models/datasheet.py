@@ -1,0 +1,483 @@
+"""A joint from what its datasheets have: numbers that they do not state are filled by rules of scale, with wide tolerances.
+
+Every rule says itself in the number's `source`. Those of the gear are its catalogue's (`catalogue.gear`); those of friction,
+damping and sensors are the test joint's proportions, which the measured joints (LARA8, UR3e) share within their tolerances.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .catalogue import Gear, gear
+from .errors import InputError, nearest
+from .files import check_name, flow_text, write_into_place
+from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, as_joint
+from .joint_mjcf import mjcf_text
+from .parameters import GRAVITY
+from .units import plain
+
+_RULE = "rule: "
+_TYPICAL = 0.4  # relative deviation of what a rule of proportion gives
+_DRIVEN = ("N", "Kt", "R", "L", "Jm")
+
+_SCALES: dict[str, dict[str, float]] = {
+    "kg·m^2": {"kg·m^2": 1.0, "kg·cm^2": 1e-4, "g·cm^2": 1e-7, "kg·mm^2": 1e-6},
+    "N·m/A": {"N·m/A": 1.0, "mN·m/A": 1e-3, "N·cm/A": 1e-2},
+    "H": {"H": 1.0, "mH": 1e-3, "µH": 1e-6},
+    "ohm": {"ohm": 1.0, "mohm": 1e-3},
+    "N·m": {"N·m": 1.0, "mN·m": 1e-3},
+    "N·m/rad": {"N·m/rad": 1.0, "N·m/arcmin": 60 * 180 / math.pi, "kN·m/rad": 1e3},
+    "A": {"A": 1.0, "mA": 1e-3},
+    "V": {"V": 1.0},
+}
+"""What datasheets write, by the unit that a description has: how much of it one of each is."""
+_QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
+_GEAR = re.compile(r"\s*([A-Za-z]+)[-\s]*(\d+)[-\s]+(\d+)(?![\d.])")
+_ENCODER = re.compile(r"\s*(\d+)\s*-?\s*(bits?|counts?)?\s*")
+
+
+def quantity(text: str, symbol: str, where: str) -> float:
+    """A number as datasheets write it (`181 gcm²`, `0.6 mH`), in the unit that a description has; SI where no unit stands.
+
+    Args:
+      text: number and unit.
+      symbol: of the joint's number.
+      where: for messages.
+
+    Raises:
+      InputError: no number, or a unit that is not this number's.
+    """
+    unit = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][0]
+    scales = _SCALES.get(plain(unit), {plain(unit): 1.0})
+    known = {_bare(name): scale for name, scale in scales.items()}
+    found = _QUANTITY.fullmatch(text.replace(",", "."))  # a decimal comma
+    if found is None:
+        raise InputError(f"{where}: expected a number, with or without unit ({', '.join(scales)}), got {text!r}")
+    number, given = float(found[1]), found[2].strip()
+    if not given:
+        return number
+    if _bare(given) not in known:
+        raise InputError(f"{where}: expected one of the units {', '.join(scales)}, got {given!r}")
+    return number * known[_bare(given)]
+
+
+def _bare(unit: str) -> str:
+    """A unit without what people leave out: dots, blanks, signs of powers."""
+    text = plain(unit).replace("u", "µ") if unit[:1] == "u" else plain(unit)
+    return text.replace("·", "").replace("^", "").replace("Ohm", "ohm")
+
+
+def encoder(text: str, where: str) -> dict[str, int]:
+    """An encoder's resolution, `4096` counts per revolution (after quadrature) or `20 bit`, as `joint.EncoderSpec` has it.
+
+    Raises:
+      InputError: neither.
+    """
+    found = _ENCODER.fullmatch(text)
+    if found is None or int(found[1]) < 2 or len(found[1]) > 12:
+        raise InputError(f"{where}: expected counts per revolution (4096) or bits (20 bit), got {text!r}")
+    return {"bits" if (found[2] or "").startswith("bit") else "counts": int(found[1])}
+
+
+def gear_name(text: str, where: str) -> tuple[str, float, float]:
+    """Series, size and ratio of a gear's name, `CSG-25-100`; what makers write behind it is left out.
+
+    Raises:
+      InputError: a name that is not of that form, or of a gear that no catalogue has.
+    """
+    found = _GEAR.match(text)
+    if found is None:
+        raise InputError(f"{where}: expected series-size-ratio (CSG-25-100), got {text!r}")
+    try:
+        gear(found[1], float(found[2]), float(found[3]))
+    except InputError as error:
+        raise InputError(f"{where}: {str(error).removeprefix('gear: ')}") from error
+    return found[1], float(found[2]), float(found[3])
+
+
+@dataclass(frozen=True)
+class Datasheet:
+    """What the datasheets of gear, motor and encoders say, SI.
+
+    Attributes:
+      name: of the joint; empty: made of the gear's.
+      series, size, ratio: of the gear, `CSG`, 25, 100.
+      numbers: what is given of a description's numbers by symbol: Kt [N·m/A], R [ohm], L [H], Jm [kg·m²]; any other may be.
+      motor_encoder, link_encoder: resolutions, as `encoder` gives them.
+      motor: its name, for sources.
+      sources: where a given number is from, by symbol, where that is not the motor's or gear's datasheet.
+      tolerances: relative standard deviations of given numbers, where they are not those of a sheet.
+      inertia, gravity_moment: of what is bolted on [kg·m²], [N·m] at horizontal; none: by the gear's size.
+      description: for people; empty: gear and motor.
+    """
+
+    series: str
+    size: float
+    ratio: float
+    numbers: Mapping[str, float]
+    motor_encoder: Mapping[str, int]
+    link_encoder: Mapping[str, int]
+    name: str = ""
+    motor: str = ""
+    sources: Mapping[str, str] = field(default_factory=dict)
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    inertia: float | None = None
+    gravity_moment: float | None = None
+    description: str = ""
+
+
+@dataclass(frozen=True)
+class Filled:
+    """A number that a rule filled: name and value with unit, relative tolerance (none: it is taken as it is), the rule."""
+
+    name: str
+    value: float
+    unit: str
+    tolerance: float
+    rule: str
+
+
+@dataclass(frozen=True)
+class NewJoint:
+    """A description made of datasheets.
+
+    Attributes:
+      joint: the description.
+      filled: what its rules filled, in its order.
+      gear: of the catalogue.
+    """
+
+    joint: Joint
+    filled: tuple[Filled, ...]
+    gear: Gear
+
+
+def new_joint(sheet: Datasheet, path: Path = Path()) -> NewJoint:
+    """Describe a joint.
+
+    Args:
+      sheet: what is known of it.
+      path: of its file, which names the MJCF beside it.
+
+    Returns:
+      The description, complete, and what was filled by which rule.
+
+    Raises:
+      InputError: a gear or number that cannot be, or a number that is needed and not given.
+    """
+    catalogued = gear(sheet.series, sheet.size, sheet.ratio)
+    for symbol in sheet.numbers:
+        if symbol not in SYMBOLS:
+            raise InputError(f"{symbol}: unknown number{nearest(symbol, SYMBOLS)}")
+    given = dict(sheet.numbers) | {"N": float(sheet.ratio)}
+    missing = [symbol for symbol in _DRIVEN if symbol not in given]
+    if missing:
+        raise InputError(f"datasheet: expected {', '.join(missing)}, got none")
+    name = check_name(sheet.name or catalogued.name.lower(), "name")
+    rules = _Rules(catalogued, given)
+    numbers: dict[str, dict[str, Any]] = {}
+    for symbol, (unit, _) in SYMBOLS.items():
+        if symbol in given:
+            numbers[symbol] = _row(given[symbol], unit, *_given(symbol, sheet, catalogued))
+        else:
+            value, tolerance, rule = rules.of(symbol)
+            numbers[symbol] = _row(value, unit, tolerance, _RULE + rule)
+        if symbol in _SHARED:
+            numbers[symbol]["shared"] = _SHARED[symbol]
+    values = {symbol: float(row["value"]) for symbol, row in numbers.items()}
+    exact = catalogued.exact
+    data: dict[str, Any] = {
+        "format": 1,
+        "name": name,
+        "description": sheet.description or _description(sheet, catalogued),
+        "model": f"{path.stem or name.replace('-', '_')}.xml",
+        "mounting": "link",
+        "shared_tolerances": {
+            "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if exact else 0.2,
+            "friction": 0.2 if "Fc" in sheet.numbers else 0.4,
+        },
+        "numbers": numbers,
+        "kinematic_error": rules.kinematic_error(),
+        "link_tolerances": {
+            "inertia": _row(1, "1", 0.05, "rule: as well as people know what hangs on a joint"),
+            "gravity_moment": _row(1, "1", 0.02, "rule: as well as people know what hangs on a joint"),
+        },
+        "mountings": _mountings(sheet, catalogued, values),
+        "sensors": _sensors(sheet, values),
+    }
+    joint = as_joint(data, path)
+    return NewJoint(joint, tuple(_filled(data, sheet)), catalogued)
+
+
+_SHARED = {"K1": "stiffness", "K2": "stiffness", "K3": "stiffness", "Fc": "friction", "Fs": "friction"}
+_OF_MOTOR = ("Kt", "R", "L", "Jm", "current_limit", "supply_voltage", "bm")
+_SHEET = {"N": 0.0, "R": 0.0, "L": 0.0, "supply_voltage": 0.0, "current_limit": 0.0, "T1": 0.0, "T2": 0.0,
+          "rated_torque": 0.0, "Kt": 0.05, "Jm": 0.05, "K1": 0.02, "K2": 0.02, "K3": 0.02, "Fc": 0.0, "Fs": 0.1}  # fmt: skip
+"""Relative standard deviation of a number that a sheet states; 0.1 for those that are not here."""
+
+
+def _given(symbol: str, sheet: Datasheet, catalogued: Gear) -> tuple[float, str]:
+    """Tolerance and source of a number that is given."""
+    what = catalogued.name if symbol not in _OF_MOTOR else sheet.motor or "motor"
+    source = sheet.sources.get(symbol, f"datasheet of {what}")
+    return sheet.tolerances.get(symbol, _SHEET.get(symbol, 0.1)), source
+
+
+def write_joint(joint: Joint, path: Path) -> tuple[Path, Path]:
+    """Write a description as people write one, a line a number, with its MJCF beside it.
+
+    Args:
+      joint: the description; its `model` names the MJCF.
+      path: of the YAML file.
+
+    Returns:
+      Paths of both.
+
+    Raises:
+      InputError: they cannot be written.
+    """
+    mjcf = path.parent / joint.model
+    for target, text in ((mjcf, mjcf_text(joint)), (path, _text(joint))):
+        with write_into_place(target) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return path, mjcf
+
+
+_SECTIONS = {
+    "numbers": "source: where it is from; a rule is what `flexspline joint new` filled, typical of the size.\n"
+    "# tolerance: relative, deviation: absolute standard deviation that datasheet and calibration leave open.",
+    "mountings": "inertia in kg·m² about the joint axis, gravity_moment in N·m at horizontal",
+    "sensors": "noise rms in the sensor's unit, delay in s, rate in Hz",
+}
+
+
+def _text(joint: Joint) -> str:
+    data = joint.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    lines: list[str] = []
+    for key, value in data.items():
+        if key in _SECTIONS:
+            lines.append(f"# {_SECTIONS[key]}")
+        if key == "description":
+            lines += ["description: >-", *textwrap.wrap(value, 118, initial_indent="  ", subsequent_indent="  ")]
+        elif key == "kinematic_error":
+            lines.append(f"{key}:" if value else f"{key}: []")
+            for order in value:
+                rows = [f"{name}: {flow_text(one)}" for name, one in order.items()]
+                lines += [f"  - {rows[0]}", *(f"    {row}" for row in rows[1:])]
+        elif key == "sensors":
+            lines.append(f"{key}:")
+            for sensor, spec in value.items():
+                deep = any(isinstance(one, dict) for one in spec.values())
+                lines.append(f"  {sensor}:" if deep else f"  {sensor}: {flow_text(spec)}")
+                lines += [f"    {name}: {flow_text(one)}" for name, one in spec.items()] if deep else []
+        elif isinstance(value, dict) and all(isinstance(one, dict) for one in value.values()):
+            lines += [f"{key}:", *(f"  {name}: {flow_text(one)}" for name, one in value.items())]
+        else:
+            lines.append(f"{key}: {flow_text(value)}")
+    return "\n".join(lines) + "\n"
+
+
+class _Rules:
+    """The rules of scale, each by the symbol that it fills: value, relative tolerance, the rule in words."""
+
+    def __init__(self, catalogued: Gear, given: Mapping[str, float]):
+        self.gear = catalogued
+        self.known = dict(given)
+        self.where = f"Harmonic Drive's catalogue, {catalogued.like}-{catalogued.size:g}-{catalogued.ratio:g}"
+        if not catalogued.exact:
+            self.where += ", interpolated"
+
+    def of(self, symbol: str) -> tuple[float, float, str]:
+        value, tolerance, rule = getattr(self, f"_{symbol}")()
+        value = float(f"{value:.3g}")
+        self.known[symbol] = value
+        return value, tolerance, rule
+
+    def _value(self, symbol: str) -> float:
+        return self.known[symbol] if symbol in self.known else self.of(symbol)[0]
+
+    def _Jw(self) -> tuple[float, float, str]:
+        return self.gear.inertia, 0.2, f"{self.where}, its wave generator's inertia"
+
+    def _bm(self) -> tuple[float, float, str]:
+        return 0.03 * self._value("bw"), _TYPICAL, "3 % of bw: the mesh holds nearly all viscous friction"
+
+    def _supply_voltage(self) -> tuple[float, float, str]:
+        return 48.0, 0.0, "48 V, usual for robot joints"
+
+    def _current_limit(self) -> tuple[float, float, str]:
+        torque = self.gear.peak_torque / self.gear.ratio + self._value("Fs")
+        return (
+            torque / self._value("Kt"),
+            0.0,
+            f"what gives the gear's limit for repeated peaks, {self.gear.peak_torque:.3g} N·m",
+        )
+
+    def _K1(self) -> tuple[float, float, str]:
+        return self._stiffness(0)
+
+    def _K2(self) -> tuple[float, float, str]:
+        return self._stiffness(1)
+
+    def _K3(self) -> tuple[float, float, str]:
+        return self._stiffness(2)
+
+    def _stiffness(self, k: int) -> tuple[float, float, str]:
+        return self.gear.stiffness[k], 0.05, self.where
+
+    def _T1(self) -> tuple[float, float, str]:
+        return self.gear.knees[0], 0.0, self.where
+
+    def _T2(self) -> tuple[float, float, str]:
+        return self.gear.knees[1], 0.0, self.where
+
+    def _rated_torque(self) -> tuple[float, float, str]:
+        return self.gear.rated_torque, 0.0, f"{self.where}, at 2000 rpm"
+
+    def _df(self) -> tuple[float, float, str]:
+        return 0.48e-3 * self._value("K1"), _TYPICAL, "K1 · 0.48 ms, the test joint's proportion"
+
+    def _Kw0(self) -> tuple[float, float, str]:
+        stiff = 20 * self._value("K1") / self._value("N") ** 2
+        return stiff, _TYPICAL, "20 K1/N²: the catalogue's K1 to K3 are those of the whole gear"
+
+    def _Cw(self) -> tuple[float, float, str]:
+        return 0.03 * self._value("N") / self._value("rated_torque"), _TYPICAL, "3 % stiffer at rated torque"
+
+    def _dw(self) -> tuple[float, float, str]:
+        Jm, Jw = self._value("Jm"), self._value("Jw")
+        damping = 0.8 * math.sqrt(self._value("Kw0") * Jm * Jw / (Jm + Jw))
+        return damping, _TYPICAL, "damping ratio 0.4 of rotor against wave generator"
+
+    def _Fs(self) -> tuple[float, float, str]:
+        return self.gear.starting_torque, 0.1, f"{self.where}, starting torque of the component set, without seals"
+
+    def _Fc(self) -> tuple[float, float, str]:
+        return 0.8 * self._value("Fs"), 0.0, "0.8 Fs, the test joint's proportion"
+
+    def _vs(self) -> tuple[float, float, str]:
+        return 2.0, _TYPICAL, "the test joint's"
+
+    def _s0(self) -> tuple[float, float, str]:
+        return self._value("Fc") / 1.8e-3, _TYPICAL, "Fc / 1.8 mrad, the test joint's presliding"
+
+    def _s1(self) -> tuple[float, float, str]:
+        return 1e-3 * self._value("s0"), _TYPICAL, "s0 · 1 ms, the test joint's proportion"
+
+    def _bw(self) -> tuple[float, float, str]:
+        return self._value("Fc") / 200, _TYPICAL, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"
+
+    def _bl(self) -> tuple[float, float, str]:
+        return (
+            0.02 * (self.gear.size / 17) ** 3,
+            _TYPICAL,
+            "output bearing, with the cube of the size from the test joint's",
+        )
+
+    def kinematic_error(self) -> list[dict[str, Any]]:
+        """Orders 2 and 4: a share of the catalogue's transmission accuracy, of unknown phase."""
+        amplitude = float(f"{0.28 * self.gear.accuracy:.2g}")
+        orders = []
+        for order, share, words in ((2, 1.0, "0.28 of"), (4, 1 / 6, "0.28/6 of")):
+            rule = f"{_RULE}{words} the transmission accuracy, {math.degrees(self.gear.accuracy) * 60:.2g}′"
+            orders.append(
+                {
+                    "order": order,
+                    "amplitude": _row(float(f"{amplitude * share:.2g}"), "rad", _TYPICAL, rule),
+                    "phase": {"value": 0, "unit": "rad", "deviation": 1.8, "source": f"{_RULE}not known: a whole turn"},
+                }
+            )
+        return orders
+
+
+def _mountings(sheet: Datasheet, catalogued: Gear, value: Mapping[str, float]) -> dict[str, Any]:
+    scale = catalogued.size / 17
+    moment = sheet.gravity_moment
+    if moment is None:
+        motor = value["N"] * (value["Kt"] * value["current_limit"] - value["Fs"])
+        moment = min(0.5 * value["rated_torque"], 0.4 * motor)
+    inertia = moment / GRAVITY * 0.38 * scale if sheet.inertia is None else sheet.inertia
+    bare = 0.004 * scale**5
+    if inertia <= 0:
+        inertia = bare
+    return {
+        "no_load": {"inertia": float(f"{bare:.3g}"), "gravity_moment": 0},
+        "link": {"inertia": float(f"{inertia:.4g}"), "gravity_moment": float(f"{moment:.4g}")},
+    }
+
+
+def _sensors(sheet: Datasheet, value: Mapping[str, float]) -> dict[str, Any]:
+    link = dict(sheet.link_encoder)
+    step = 2 * math.pi / (2 ** link["bits"] if "bits" in link else link["counts"])
+    current, torque = (
+        float(f"{share * value[of]:.2g}") for share, of in ((3e-3, "current_limit"), (2e-3, "rated_torque"))
+    )
+    offset = float(f"{3e-3 * value['rated_torque']:.2g}")
+    return {
+        "motor_encoder": dict(sheet.motor_encoder),
+        "link_encoder": link
+        | {
+            "noise": float(f"{0.25 * step:.2g}"),
+            "zero": {
+                "value": 0,
+                "unit": "rad",
+                "deviation": 1e-3,
+                "source": f"{_RULE}1 mrad, mounting of the encoders",
+            },
+        },
+        "motor_current": {
+            "noise": current,
+            "offset": {"value": 0, "unit": "A", "deviation": current, "source": f"{_RULE}0.3 % of the current limit"},
+        },
+        "joint_torque": {
+            "noise": torque,
+            "gain": _row(1, "1", 0.01, f"{_RULE}1 %"),
+            "offset": {"value": 0, "unit": "N·m", "deviation": offset, "source": f"{_RULE}0.3 % of the rated torque"},
+        },
+        "wrench": {"force_noise": 0.1, "torque_noise": torque},
+    }
+
+
+def _row(value: float, unit: str, tolerance: float, source: str) -> dict[str, Any]:
+    row: dict[str, Any] = {"value": float(f"{value:.12g}"), "unit": unit}
+    if tolerance:
+        row["tolerance"] = tolerance
+    return row | {"source": source}
+
+
+def _description(sheet: Datasheet, catalogued: Gear) -> str:
+    motor = f" with {sheet.motor}" if sheet.motor else ""
+    return (
+        f"Strain wave gear {catalogued.name}{motor}. Numbers whose source is a rule are typical of the size and "
+        "not from a datasheet; the others are as their sources say."
+    )
+
+
+def _filled(data: Mapping[str, Any], sheet: Datasheet) -> list[Filled]:
+    """What rules filled, in a description's order."""
+    found = []
+    rows = dict(data["numbers"])
+    for order in data["kinematic_error"]:
+        rows |= {f"A{order['order']}": order["amplitude"], f"φ{order['order']}": order["phase"]}
+    for name, row in rows.items():
+        if row["source"].startswith(_RULE):
+            shared = data["shared_tolerances"].get(row.get("shared", ""), 0.0)
+            tolerance = math.hypot(row.get("tolerance", 0.0), shared)
+            found.append(Filled(name, row["value"], row["unit"], tolerance, row["source"].removeprefix(_RULE)))
+    bare, link = (data["mountings"][name] for name in ("no_load", "link"))
+    found.append(
+        Filled("inertia of no_load", bare["inertia"], "kg·m²", 0.05, "a bare flange, with the fifth power of the size")
+    )
+    if sheet.gravity_moment is None:
+        rule = "half the rated torque, or what the motor holds at 40 % of its current"
+        found.append(Filled("gravity of link", link["gravity_moment"], "N·m", 0.02, rule))
+    if sheet.inertia is None:
+        rule = "its mass on a lever that grows with the size, 0.38 m of size 17"
+        found.append(Filled("inertia of link", link["inertia"], "kg·m²", 0.05, rule))
+    return found

@@ -1,0 +1,266 @@
+"""Everything that is wrong with a joint description, all at once; and what is odd of it by what makers make.
+
+An *error* is what no joint of this kind can be: a file that commands refuse, or numbers that contradict each other. A *warning*
+is what lies outside the range of what is made: sizes 8 to 65 of strain wave gears, motors of robot joints.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ValidationError
+
+from . import causes
+from .errors import InputError
+from .files import descriptions, read_yaml, shown
+from .joint import SYMBOLS, Effect, Joint, Mounting, Number, known_joints, load_joint, number_faults
+from .mjcf import check_mjcf
+from .parameters import GRAVITY
+
+MADE: dict[str, tuple[float, float]] = {
+    "N": (30, 320), "Jm": (1e-7, 5e-3), "Jw": (1e-7, 6e-3), "Kt": (3e-3, 3), "R": (0.02, 60), "L": (2e-6, 0.1),
+    "supply_voltage": (6, 800), "current_limit": (0.2, 250), "K1": (250, 6e5), "K2": (300, 9e5), "K3": (350, 1e6),
+    "T1": (0.1, 250), "T2": (0.3, 900), "rated_torque": (0.5, 1500), "Fc": (1e-3, 2), "Fs": (1e-3, 3), "vs": (0.05, 100),
+}  # fmt: skip
+"""Smallest and largest value of what makers make, in the numbers' units: catalogues of gears of sizes 8 to 65 and ratios 30 to
+320, of motors from 20 W to 2 kW; of friction, starting torques."""
+
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing that is wrong: how badly, where in the file, what was expected and what came."""
+
+    severity: Severity
+    field: str
+    message: str
+
+
+@dataclass(frozen=True)
+class Checked:
+    """A description that was checked: its file, the joint where it can be one, and what is wrong, errors first."""
+
+    path: Path
+    joint: Joint | None
+    problems: tuple[Problem, ...]
+
+    @property
+    def errors(self) -> int:
+        """Number of errors."""
+        return sum(p.severity == "error" for p in self.problems)
+
+
+def check(source: str | Path) -> Checked:
+    """Check a joint description.
+
+    Args:
+      source: its file, or the name of a shipped one.
+
+    Returns:
+      All errors and warnings, in the order of the file as far as it is known.
+
+    Raises:
+      InputError: there is no such file.
+    """
+    path = known_joints().get(str(source).replace("_", "-"), Path(source))
+    if not path.is_file():
+        load_joint(source)  # says what there is
+    try:
+        data = read_yaml(path, "a joint description")
+    except InputError as error:
+        return Checked(path, None, (Problem("error", "file", str(error).removeprefix(str(path)).lstrip(":, ")),))
+    if not isinstance(data, dict):
+        return Checked(path, None, (Problem("error", "file", f"expected a mapping of keys, got {shown(data)}"),))
+    joint, faults = _read(data)
+    found = [_problem("error", text) for text in faults]
+    if joint is not None:
+        joint._path = path.resolve()
+        found += _mjcf(joint)
+    numbers = _numbers(data) if joint is None else joint.numbers
+    mountings = _each(data.get("mountings"), Mounting) if joint is None else joint.mountings
+    wrong = {p.field.split(".")[1] for p in found if p.field.startswith("numbers.")}  # nothing follows from these
+    found += _implausible({symbol: n for symbol, n in numbers.items() if symbol not in wrong}, mountings)
+    if joint is not None and not faults:
+        found += list(_odd(joint))
+    return Checked(path, joint if not faults else None, tuple(sorted(found, key=lambda p: p.severity != "error")))
+
+
+def contradictions(joint: Joint) -> list[Problem]:
+    """The numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static friction."""
+    value = {symbol: number.value for symbol, number in joint.numbers.items()}
+    fitted = {symbol for symbol, number in joint.numbers.items() if number.nominal is not None}
+    return [problem for problem in _contradictions(value, fitted) if problem.severity == "error"]
+
+
+def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
+    """The joint where every field can be read, and all that is wrong, a line each."""
+    faults: list[str] = []
+    try:
+        return Joint.model_validate(data, context={"faults": faults}), faults
+    except ValidationError as error:
+        lines = descriptions(error, Joint)
+    # Numbers that can be read are looked at all the same.
+    shared = data.get("shared_tolerances")
+    known = shared if isinstance(shared, dict) else {}
+    whole = data.get("numbers")
+    if isinstance(whole, dict):
+        told = {line.split(":")[0] for line in lines}
+        unread = {str(symbol) for symbol in whole} - set(_numbers(data))
+        for fault in number_faults(_numbers(data), known):
+            field = fault.split(":")[0]
+            if field not in told and not (fault.endswith(": missing") and field.removeprefix("numbers.") in unread):
+                lines.append(fault)
+    chosen, mountings = data.get("mounting"), data.get("mountings")
+    if isinstance(mountings, dict) and isinstance(chosen, str) and chosen not in mountings:
+        lines.append(f"mounting: expected one of {sorted(map(str, mountings))}, got {chosen!r}")
+    return None, lines
+
+
+def _numbers(data: Mapping[str, Any]) -> dict[str, Number]:
+    return _each(data.get("numbers"), Number)
+
+
+def _each(given: Any, model: type[BaseModel]) -> dict[str, Any]:
+    """Those entries of a mapping that are what they should be."""
+    found = {}
+    for name, one in given.items() if isinstance(given, dict) else ():
+        try:
+            found[str(name)] = model.model_validate(one)
+        except ValidationError:
+            continue
+    return found
+
+
+def _problem(severity: Severity, text: str) -> Problem:
+    field, _, message = text.partition(": ")
+    return Problem(severity, field, message)
+
+
+def _mjcf(joint: Joint) -> list[Problem]:
+    try:
+        mjcf = joint.mjcf
+        if not mjcf.is_file():
+            return [Problem("error", "model", f"expected an MJCF file, no such file {joint.model!r}")]
+        check_mjcf(mjcf)
+    except InputError as error:
+        return [Problem("error", "model", str(error))]
+    return []
+
+
+def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Problem]:
+    """What numbers and mountings say that no joint does, or few do; as far as they can be read."""
+    value = {symbol: number.value for symbol, number in numbers.items() if number.value > 0}
+    fitted = {symbol for symbol, number in numbers.items() if number.nominal is not None}
+    yield from _contradictions(value, fitted)
+    for symbol, (low, high) in MADE.items():
+        if symbol in value and not low <= value[symbol] <= high:
+            made = f"{low:g} to {high:g} {SYMBOLS[symbol][0]}".removesuffix(" 1")
+            yield _odd_value(f"numbers.{symbol}", f"{made}, as makers have it", value[symbol])
+    yield from _proportions(value)
+    for name, mounting in mountings.items():
+        yield from _mounting(name, mounting, value)
+
+
+def _contradictions(value: Mapping[str, float], fitted: set[str]) -> Iterator[Problem]:
+    """Numbers that contradict each other. Fitted ones may cross: each is as the data have it."""
+
+    def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Problem]:
+        if small in value and large in value and value[small] > value[large]:
+            unit = SYMBOLS[large][0]
+            worst: Severity = "warning" if {small, large} & fitted else severity
+            text = f"expected {large} ≥ {small} = {value[small]:g} {unit}, {why}, got {value[large]:g}"
+            yield Problem(worst, f"numbers.{large}", text)
+
+    yield from ordered("K1", "K3", "a strain wave gear stiffens with torque")
+    yield from ordered("K1", "K2", "a strain wave gear stiffens with torque", "warning")
+    yield from ordered("K2", "K3", "a strain wave gear stiffens with torque", "warning")
+    yield from ordered("Fc", "Fs", "static friction is no less than Coulomb friction")
+
+
+def _odd_value(field: str, expected: str, got: float) -> Problem:
+    return Problem("warning", field, f"expected {expected}, got {got:.3g}")
+
+
+def _proportions(value: Mapping[str, float]) -> Iterator[Problem]:
+    """Numbers that do not fit each other: a slip of a unit shows here when each alone could be."""
+
+    def has(*symbols: str) -> bool:
+        return all(symbol in value for symbol in symbols)
+
+    if has("K2", "rated_torque"):
+        twist = 1e3 * value["rated_torque"] / value["K2"]
+        if not 0.3 <= twist <= 8:
+            yield _odd_value("numbers.K2", "a torsion of 0.3 to 8 mrad at rated torque (rated_torque/K2)", twist)
+    if has("T1", "rated_torque") and value["T1"] > value["rated_torque"]:
+        yield _odd_value("numbers.T1", f"less than the rated torque {value['rated_torque']:g} N·m", value["T1"])
+    if has("K1", "Kw0", "N"):
+        ratio = value["Kw0"] * value["N"] ** 2 / value["K1"]
+        if ratio < 0.2:
+            yield _odd_value("numbers.Kw0", "a wave generator no softer than 0.2 of the flexspline (N² Kw0/K1)", ratio)
+    if has("Fc", "N", "rated_torque"):
+        share = 100 * value["Fc"] * value["N"] / value["rated_torque"]
+        if not 0.5 <= share <= 60:
+            yield _odd_value("numbers.Fc", "friction of 0.5 to 60 % of the rated torque (N Fc/rated_torque)", share)
+    if has("Fc", "s0"):
+        bristle = 1e3 * value["Fc"] / value["s0"]
+        if not 0.02 <= bristle <= 50:
+            yield _odd_value("numbers.s0", "0.02 to 50 mrad of presliding (Fc/s0, motor side)", bristle)
+    if has("Fc", "bw") and value["bw"] * 200 > 20 * value["Fc"]:
+        got = value["bw"] * 200 / value["Fc"]
+        yield _odd_value("numbers.bw", "viscous friction at 200 rad/s of at most 20 Fc (200 bw/Fc)", got)
+    if has("R", "L") and not 2e-5 <= value["L"] / value["R"] <= 0.05:
+        got = 1e3 * value["L"] / value["R"]
+        yield _odd_value("numbers.L", "an electrical time constant of 0.02 to 50 ms (L/R)", got)
+    if has("R", "Jm", "Kt"):
+        constant = 1e3 * value["R"] * value["Jm"] / value["Kt"] ** 2
+        if not 0.05 <= constant <= 100:
+            yield _odd_value("numbers.Jm", "a mechanical time constant of 0.05 to 100 ms (R Jm/Kt²)", constant)
+    if has("N", "Kt", "current_limit", "rated_torque"):
+        times = value["N"] * value["Kt"] * value["current_limit"] / value["rated_torque"]
+        if not 0.3 <= times <= 10:
+            expected = "a motor that gives 0.3 to 10 times the gear's rated torque (N Kt current_limit/rated_torque)"
+            yield _odd_value("numbers.current_limit", expected, times)
+
+
+def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iterator[Problem]:
+    if mounting.locked or not mounting.gravity_moment:
+        return
+    lever = mounting.inertia * GRAVITY / mounting.gravity_moment
+    if not 0.02 <= lever <= 10:
+        expected = "an inertia of the mass at a lever of 0.02 to 10 m (inertia g/gravity_moment)"
+        yield _odd_value(f"mountings.{name}", expected, lever)
+    if "rated_torque" in value and mounting.gravity_moment > 3 * value["rated_torque"]:
+        expected = f"a gravity moment of at most three times the rated torque {value['rated_torque']:g} N·m"
+        yield _odd_value(f"mountings.{name}", expected, mounting.gravity_moment)
+
+
+def _odd(joint: Joint) -> Iterator[Problem]:
+    """What can be said of a description that is whole."""
+    p = joint.bare_record()[0]
+    slope = sum(abs(float(o.order * o.amplitude.value)) for o in joint.kinematic_error) * float(p["N"])
+    if slope >= 1:
+        text = f"expected a kinematic error that never turns the motion round (Σ order·A < 1/N), got {slope:.3g}/N"
+        yield Problem("warning", "kinematic_error", text)
+    sensors = joint.sensors
+    seen = math.hypot(sensors.motor_encoder.resolution / float(p["N"]), sensors.link_encoder.resolution)
+    rated = joint.numbers["rated_torque"].value
+    share = 100 * seen * float(p["K1"]) / rated
+    if share > 20:
+        expected = "encoders of which a count is at most 20 % of the rated torque in torsion (K1 · count)"
+        yield _odd_value("sensors", expected, share)
+    for i, effect in enumerate(joint.effects):
+        yield from _effect(i, effect)
+
+
+def _effect(i: int, effect: Effect) -> Iterator[Problem]:
+    """An effect's parameters far beyond what is ordinary."""
+    for q in causes.get(effect.name).parameters:
+        largest = max((abs(high) for _, high in q.ordinary), default=math.inf)
+        if q.magnitude and q.relative is None and abs(effect.values[q.name]) > 20 * largest:
+            text = f"at most twenty times what is ordinary, {largest:g} {q.unit}"
+            yield _odd_value(f"effects.{i}.parameters.{q.name}", text, effect.values[q.name])

@@ -1,0 +1,232 @@
+"""Estimators and causes from outside this package: of installed packages, by their entry points, and of single files.
+
+A package declares entry points of the groups `flexspline.estimators` and `flexspline.causes`; the name of each is the estimator's
+or cause's, its object an `estimator.estimator.Estimator` or a `causes.Cause`. A file has the same in tuples `ESTIMATORS`
+and `CAUSES` and is known from `load` on. The registries (`estimator.registry`, `causes`) take both from here and look at
+what they are given. `docs/plugins.md` has examples.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+import shlex
+import sys
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache, partial
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+from .errors import InputError, one_line
+
+Kind = Literal["estimators", "causes"]
+_KINDS: tuple[Kind, ...] = ("estimators", "causes")
+_PACKAGE = __name__.split(".")[0]
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where an estimator or a cause comes from.
+
+    Attributes:
+      name: for people: a package with its version, or a file.
+      state: tells one state of it from another, where its results depend on it; empty for this package's own.
+    """
+
+    name: str
+    state: str = ""
+
+
+OWN = Origin(_PACKAGE)
+"""Of what this package has itself."""
+
+
+@dataclass(frozen=True)
+class Offer:
+    """An estimator or a cause that is offered from outside: its name, where it comes from, and what gives it."""
+
+    name: str
+    origin: Origin
+    get: Callable[[], Any]
+
+
+@dataclass(frozen=True)
+class _File:
+    """A plugin file that was imported: its module, and what tells its text from another."""
+
+    module: ModuleType
+    digest: str
+
+
+_files: dict[Path, _File] = {}
+_packages: set[Path] = set()
+"""Files and folders of packages that something was loaded from."""
+
+
+def load(path: str | Path) -> tuple[str, ...]:
+    """Import a plugin file, so that its estimators and causes are known in this process.
+
+    Args:
+      path: of the file; once is enough.
+
+    Returns:
+      Names of its estimators and causes.
+
+    Raises:
+      InputError: no such file, one that cannot be imported, or one that has neither.
+    """
+    file = Path(path).expanduser().resolve()
+    if file not in _files:
+        _files[file] = _imported(file, str(path))
+        _offers.cache_clear()
+    return tuple(_named(one) for kind in _KINDS for one in _tuple(_files[file].module, kind))
+
+
+def forget(path: str | Path) -> None:
+    """Know a plugin file no longer."""
+    _files.pop(Path(path).expanduser().resolve(), None)
+    _offers.cache_clear()
+
+
+def files() -> tuple[Path, ...]:
+    """The plugin files that are known, for other processes to load."""
+    return tuple(_files)
+
+
+def options() -> str:
+    """What a command line needs to know the same plugin files, to copy; empty where there are none."""
+    return "".join(f" --plugin {shlex.quote(str(file))}" for file in _files)
+
+
+def load_all(paths: Iterable[Path]) -> None:
+    """Import plugin files: what another process begins with."""
+    for path in paths:
+        load(path)
+
+
+@contextmanager
+def known(paths: Iterable[str | Path]) -> Iterator[tuple[str, ...]]:
+    """Know plugin files for a while, which gives their names: what was not known before is forgotten afterwards."""
+    before = dict(_files)
+    try:
+        yield tuple(name for path in paths for name in load(path))
+    finally:
+        _files.clear()
+        _files.update(before)
+        _offers.cache_clear()
+
+
+def offers(kind: Kind, own: Iterable[str]) -> dict[str, Offer]:
+    """What is offered from outside, by name. An installed package's loses against one of `own` that has the same name.
+
+    Raises:
+      InputError: a name in a plugin file that there is already.
+    """
+    return _offers(kind, frozenset(own))
+
+
+@cache
+def _offers(kind: Kind, taken: frozenset[str]) -> dict[str, Offer]:
+    found = {name: offer for name, offer in _installed(kind).items() if name not in taken}
+    for file, read in _files.items():
+        for one in _tuple(read.module, kind):
+            name = _named(one)
+            if name in taken or name in found:
+                there = _PACKAGE if name in taken else found[name].origin.name
+                raise InputError(
+                    f"{file}: {kind[:-1]} {name!r}: expected a name of its own, {there} has one of that name"
+                )
+            found[name] = Offer(name, Origin(str(file), read.digest), partial(_same, one))
+    return found
+
+
+def blamed(error: BaseException) -> InputError | None:
+    """An exception that came out of a plugin as one line, with the plugin's own last line; None where none has part in it."""
+    own = [*_files, *_packages]
+    if not own:
+        return None
+    steps = traceback.format_exception(error)  # also those of another process, as far as they are told
+    for step in reversed("".join(steps).splitlines()):
+        where = step.strip()
+        if not where.startswith('File "') or '", line ' not in where:
+            continue
+        file, _, rest = where.removeprefix('File "').partition('", line ')
+        if any(Path(file).is_relative_to(one) for one in own):
+            return InputError(f"{file}, line {rest.split(',')[0]}: {_reason(error)}")
+    return None
+
+
+def _reason(error: BaseException) -> str:
+    return f"{type(error).__name__}: {one_line(' '.join(str(error).split())) or 'no more is said'}"
+
+
+def _imported(file: Path, given: str) -> _File:
+    """A file as a module of a name that only its path has: compiled code is cached beside it, classes can be sent."""
+    if not file.is_file():
+        raise InputError(f"plugin {given}: expected a Python file, found none")
+    name = f"{file.stem}_{hashlib.sha256(str(file).encode()).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(name, file)
+    if spec is None or spec.loader is None:
+        raise InputError(f"plugin {given}: expected a Python file (.py), got {file.suffix or 'no suffix'!r}")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and compiled code look there while it is imported
+    try:
+        spec.loader.exec_module(module)
+        if not _tuple(module, "estimators") and not _tuple(module, "causes"):
+            raise InputError(f"plugin {given}: expected a tuple ESTIMATORS or CAUSES, found neither")
+    except BaseException as error:
+        del sys.modules[name]
+        if not isinstance(error, Exception):
+            raise
+        if isinstance(error, InputError):
+            raise
+        line = next(
+            (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(file)), None
+        )
+        if isinstance(error, SyntaxError):
+            line = error.lineno
+        raise InputError(f"plugin {given}{f', line {line}' if line else ''}: {_reason(error)}") from error
+    return _File(module, hashlib.sha256(file.read_bytes()).hexdigest())
+
+
+def _tuple(module: ModuleType, kind: Kind) -> tuple[Any, ...]:
+    found = getattr(module, kind.upper(), ())
+    if not isinstance(found, (tuple, list)):
+        raise InputError(f"plugin {module.__file__}: {kind.upper()}: expected a tuple, got {type(found).__name__}")
+    return tuple(found)
+
+
+def _named(one: Any) -> str:
+    name = getattr(one, "name", None)
+    return name if isinstance(name, str) else repr(one)
+
+
+@cache
+def _installed(kind: Kind) -> dict[str, Offer]:
+    """What installed packages offer, not loaded."""
+    found: dict[str, Offer] = {}
+    for point in entry_points(group=f"{_PACKAGE}.{kind}"):
+        package = f"{point.dist.name} {point.dist.version}" if point.dist else "an installed package"
+        found.setdefault(point.name, Offer(point.name, Origin(package, package), cache(partial(_load, kind, point))))
+    return found
+
+
+def _same(one: Any) -> Any:
+    return one
+
+
+def _load(kind: Kind, point: EntryPoint) -> Any:
+    where = f"{kind[:-1]} {point.name!r} of {point.dist.name if point.dist else 'an installed package'}"
+    try:
+        found = point.load()
+    except Exception as error:  # whatever a foreign module does when it is imported
+        raise InputError(f"{where}: cannot be loaded from {point.value!r}: {_reason(error)}") from error
+    file = getattr(sys.modules.get(point.module.split(".")[0]), "__file__", None)
+    if file:
+        _packages.add(Path(file).parent if Path(file).name == "__init__.py" else Path(file))
+    return found

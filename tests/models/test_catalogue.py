@@ -1,0 +1,70 @@
+"""The gear catalogue: numbers that makers state, trends between and beyond them, joints that all of it makes."""
+
+from __future__ import annotations
+
+import itertools
+
+import pytest
+
+from flexspline.models.catalogue import RATIOS, SERIES, SIZES, gear
+from flexspline.models.datasheet import Datasheet, new_joint
+from flexspline.models.errors import InputError
+from flexspline.models.joint import load_joint
+from flexspline.models.plausibility import check
+
+
+def test_numbers_that_other_sources_state():
+    """LARA8's data sheet (size 25, 101:1), the paper's joint (SHD-17-100, 16 N·m), public quotes of CSG-20-160 and CSG-25-100."""
+    lara8 = load_joint("lara8-joint3").numbers
+    found = gear("CSG", 25, 100)
+    assert found.stiffness == pytest.approx([lara8[k].value for k in ("K1", "K2", "K3")])
+    assert found.knees == pytest.approx((lara8["T1"].value, lara8["T2"].value))
+    assert (found.rated_torque, found.peak_torque) == pytest.approx((87, 204))
+    shd, test = gear("SHD", 17, 100), load_joint("test-joint").numbers
+    assert shd.rated_torque == pytest.approx(16)
+    assert shd.stiffness == pytest.approx([test[k].value for k in ("K1", "K2", "K3")])
+    assert (gear("CSG", 20, 160).rated_torque, gear("CSG", 20, 160).peak_torque) == pytest.approx((52, 120))
+
+
+@pytest.mark.parametrize("series", SERIES)
+def test_numbers_grow_with_size_and_are_ordered(series):
+    for ratio in (*RATIOS, 30, 65, 200):
+        row = [gear(series, size, ratio) for size in (8, 11, *SIZES, 45, 65)]
+        for a, b in itertools.pairwise(row):
+            assert a.rated_torque < b.rated_torque and a.inertia < b.inertia and a.knees < b.knees
+            assert all(x < y for x, y in zip(a.stiffness, b.stiffness, strict=True))
+        for one in row:
+            assert one.stiffness[0] <= one.stiffness[1] <= one.stiffness[2]
+            assert one.rated_torque < one.peak_torque
+
+
+def test_it_knows_what_stands_in_a_table():
+    assert gear("CSG", 25, 100).exact and not gear("CSG", 25, 101).exact and not gear("CSG", 22, 100).exact
+    assert gear("LCSG", 25, 100).like == "CSG" and gear("csg", 25, 100).name == "CSG-25-100"
+
+
+@pytest.mark.parametrize(
+    ("asked", "expected"), [(("CSQ", 25, 100), "did you mean"), (("CSG", 5, 100), "size"), (("CSG", 25, 10), "ratio")]
+)
+def test_gears_that_nobody_makes(asked, expected):
+    with pytest.raises(InputError, match=expected):
+        gear(*asked)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_every_gear_makes_a_joint_that_is_plausible(tmp_path, size):
+    """With a motor that is as strong as the gear: nothing that the rules fill is odd."""
+    from flexspline.models.datasheet import write_joint
+
+    for series in ("CSF", "CSG", "CSD"):
+        for ratio in RATIOS:
+            one = gear(series, size, ratio)
+            torque = one.rated_torque / ratio  # 4 A
+            numbers = {"Kt": torque / 4, "R": 1.0, "L": 1e-3, "Jm": 2.0 * one.inertia}
+            sheet = Datasheet(series, size, ratio, numbers, {"counts": 16384}, {"bits": 20})
+            made = new_joint(sheet, tmp_path / "joint.yaml")
+            write_joint(made.joint, tmp_path / "joint.yaml")
+            checked = check(tmp_path / "joint.yaml")
+            odd = [p for p in checked.problems if "time constant" not in p.message]  # the motor is nobody's
+            assert not odd, (series, size, ratio, odd)
+            assert checked.joint is not None and checked.joint.model_dump() == made.joint.model_dump()
