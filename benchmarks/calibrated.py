@@ -267,7 +267,10 @@ def main(arguments: Sequence[str] = ()) -> None:
     """Compute the draws that are not kept yet, keep them, and write the tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.calibrated", description=__doc__)
     parser.add_argument(
-        "--draws", type=int, default=30, help="joints without anything hidden, and as many with one cause"
+        "--draws",
+        type=int,
+        default=30,
+        help="joints without anything hidden, and as many with one cause; 0 writes the tables of what is kept",
     )
     parser.add_argument("--real", action="store_true", help="with the imperfections of `challenge --real`")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)

@@ -498,7 +498,9 @@ def tables(fits: Sequence[Fitted]) -> dict[str, str]:
     return {
         "numbers": markdown(head, rows),
         "time": markdown(("tool", "draws", "median core time [s]", "longest [s]"), cost),
-        "hidden": markdown(("hidden (draw)", "tool", "what it says", "core time [s]"), said),
+        "hidden": markdown(("hidden (draw)", "tool", "what it says", "core time [s]"), said)
+        if said
+        else "(not run yet)",
     }
 
 
@@ -530,7 +532,9 @@ def _warm_up() -> None:
 def main(arguments: Sequence[str] = ()) -> None:
     """Fit what is not kept yet, keep it, and write the page's tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--draws", type=int, default=10, help="joints without anything hidden")
+    parser.add_argument(
+        "--draws", type=int, default=10, help="joints without anything hidden; 0 writes the tables of what is kept"
+    )
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "sysid.json")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "sysid.md")
@@ -539,7 +543,8 @@ def main(arguments: Sequence[str] = ()) -> None:
     have = {(f.hidden, f.draw, f.tool) for f in fits}
     few = min(asked.draws, 2)
     wanted = [("", k, tool) for k in range(few) for tool in TOOLS]
-    wanted += [(hidden, 0, tool) for hidden in HIDDEN for tool in (OURS, EXACT)]
+    if few:
+        wanted += [(hidden, 0, tool) for hidden in HIDDEN for tool in (OURS, EXACT)]
     wanted += [("", k, tool) for k in range(few, asked.draws) for tool in TOOLS]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(asked.processes, mp_context=context, initializer=_warm_up) as pool:
