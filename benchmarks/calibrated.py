@@ -38,6 +38,7 @@ from flexspline.estimator.estimator import KnownJoint
 from flexspline.models.files import write_into_place
 from flexspline.models.joint import Joint
 from flexspline.scenarios.evaluation.draws import draw_of, geometric, rms, varied
+from flexspline.scenarios.evaluation.intervals import Interval
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
@@ -160,9 +161,14 @@ class Results:
         return np.array([np.exp(np.mean(np.log(by[k]))) for k in sorted(by)])
 
 
-def _level(values: np.ndarray, digits: int = 3) -> str:
+def _mean(found: Interval, digits: int = 3) -> str:
+    """A mean with its interval, which two draws do not have."""
+    return text(found, digits) if found.n > 2 else f"{found.mean:.{digits}f}"
+
+
+def _level(values: np.ndarray) -> str:
     """Geometric mean of errors with its interval; how many diverged."""
-    found = text(geometric(values, np.ones(len(values))), digits)
+    found = _mean(geometric(values, np.ones(len(values))))
     diverged = int(np.sum(~np.isfinite(values)))
     return f"{found}, {diverged} diverged" if diverged else found
 
@@ -174,7 +180,11 @@ def kind_table(results: Results, hidden: str, real: bool, names: Sequence[str] =
     rows = []
     for name in names:
         values = {k: results.values(hidden, real, name, k) for k in KNOWLEDGE}
-        row = [f"`{name}`", *(_level(values[k]) for k in KNOWLEDGE), text(geometric(values["after"], values["before"]))]
+        row = [
+            f"`{name}`",
+            *(_level(values[k]) for k in KNOWLEDGE),
+            _mean(geometric(values["after"], values["before"]), 2),
+        ]
         for part in PARTS[1:]:
             for k in KNOWLEDGE:
                 some = results.values(hidden, real, name, k, part)
@@ -207,7 +217,11 @@ def opening_table(results: Results, real: bool = False, names: Sequence[str] = O
     heads = ["estimator"]
     for hidden in kinds:
         n = len(results.draws(hidden, real))
-        heads += [f"{LABELS[hidden]} ({n} joints): before [N·m]", "after `diagnose`", "exact knowledge"]
+        heads += [
+            f"{LABELS[hidden]} ({n} {'joint' if n == 1 else 'joints'}): before [N·m]",
+            "after `diagnose`",
+            "exact knowledge",
+        ]
     rows = [
         (
             f"`{name}`",
@@ -219,23 +233,34 @@ def opening_table(results: Results, real: bool = False, names: Sequence[str] = O
 
 
 def tables(results: Results, names: Sequence[str] = NAMES) -> dict[str, str]:
-    """The tables of docs/estimators.md, by marker."""
-    found = {}
-    for real in (False, True):
-        suffix = " real" if real else ""
-        about = []
-        for hidden, label in LABELS.items():
-            n = len(results.draws(hidden, real))
-            about.append(f"{n} joints with {label}")
-            found[f"calibrated {hidden}{suffix}"] = kind_table(results, hidden, real, names) if n else "(no draws yet)"
-        found[f"calibrated causes{suffix}"] = (
-            cause_table(results, real) if results.draws("one", real) else "(no draws yet)"
-        )
-        found[f"calibrated about{suffix}"] = (
-            f"{', '.join(about)}, seed {SEED}. Geometric means over the three experiments and the draws [N·m]; brackets are 95 % "
-            "intervals over draws, Student's t of logarithms. Every run: [calibrated.csv](calibrated.csv)."
-        )
+    """The tables of docs/estimators.md, by marker; those with imperfections under one, with their headings."""
+    found = {
+        f"calibrated {hidden}": kind_table(results, hidden, False, names)
+        if results.draws(hidden, False)
+        else "(no draws yet)"
+        for hidden in LABELS
+    }
+    found["calibrated causes"] = cause_table(results, False) if results.draws("one", False) else "(no draws yet)"
+    found["calibrated about"] = (
+        f"{_counts(results, False)}, seed {SEED}: draw by draw the same motions and, where the effect allows, the same joint. Geometric "
+        "means over the three experiments and the draws [N·m]; brackets are 95 % intervals over draws, Student's t of logarithms, "
+        "from three draws on. Every run: "
+        "[calibrated.csv](calibrated.csv)."
+    )
+    parts = [f"{_counts(results, True)}."]
+    for hidden, label in LABELS.items():
+        if results.draws(hidden, True):
+            parts += [f"**{label.capitalize()}**", kind_table(results, hidden, True, names)]
+    if results.draws("one", True):
+        parts.append(cause_table(results, True))
+    found["calibrated real"] = "\n\n".join(parts)
     return found
+
+
+def _counts(results: Results, real: bool) -> str:
+    """How many draws there are of each kind."""
+    numbers = {label: len(results.draws(hidden, real)) for hidden, label in LABELS.items()}
+    return ", ".join(f"{n or 'no'} {'joint' if n == 1 else 'joints'} with {label}" for label, n in numbers.items())
 
 
 def read(path: Path) -> list[Row]:
