@@ -242,9 +242,9 @@ def tables(results: Results, names: Sequence[str] = NAMES) -> dict[str, str]:
     }
     found["calibrated causes"] = cause_table(results, False) if results.draws("one", False) else "(no draws yet)"
     found["calibrated about"] = (
-        f"{_counts(results, False)}, seed {SEED}: draw by draw the same motions and, where the effect allows, the same joint. Geometric "
-        "means over the three experiments and the draws [N·m]; brackets are 95 % intervals over draws, Student's t of logarithms, "
-        "from three draws on. Every run: "
+        f"{_counts(results, False)}, seed {SEED}: draw by draw the same motions and, where the effect allows, the same "
+        "joint. Geometric means over the three experiments and the draws [N·m]; brackets are 95 % intervals over draws, "
+        "Student's t of logarithms, from three draws on. Every run: "
         "[calibrated.csv](calibrated.csv)."
     )
     parts = [f"{_counts(results, True)}."]
