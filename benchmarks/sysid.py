@@ -474,6 +474,8 @@ def numbers(one: Draw, found: Found) -> dict[str, Number]:
 def tables(fits: Sequence[Fitted]) -> dict[str, str]:
     """The page's tables, by marker."""
     plain = [f for f in fits if not f.hidden]
+    both = set.intersection(*({f.draw for f in plain if f.tool == tool} for tool in TOOLS))
+    plain = [f for f in plain if f.draw in both]  # what all have fitted
     head = ("number", "before", *(f"{tool}: error" for tool in TOOLS), *(f"{tool}: covered" for tool in TOOLS))
     rows = []
     for name, label in LABELS.items():
