@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
 
 PAPER = ["no_load", "link_sweep", "external_push"]
 """The paper's three experiments."""
+
+
+_LATER = ("pyarrow.parquet", f"{__name__.partition('.')[0]}.views.tables")
+"""What is needed once a scenario has been run."""
 
 
 def load_all(names: list[str], changes: list[str] | None, seed: int | None = None) -> list[tuple[Scenario, Path]]:
@@ -68,6 +73,8 @@ def run_all(
                 return run, saved
 
             futures = [pool.submit(one, scenario, folder) for scenario, folder in loaded]
+            for module in _LATER:  # a simulation that is under way does not hold the interpreter's lock
+                importlib.import_module(module)
             try:
                 return [future.result() for future in futures]
             except Exception:

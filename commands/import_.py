@@ -22,7 +22,8 @@ def command(
         list[str],
         typer.Argument(
             metavar="FORMAT FILE…",
-            help="a shipped layout (`lara8`, `ur3e`) or a mapping file (YAML), and logs (CSV); or a measurement alone",
+            help="a shipped layout (`lara8`, `ur3e`, `ur3e_rtde`) or a mapping file (YAML), and logs (CSV, Parquet, MCAP, "
+            "ROS 2 bags); or a measurement alone",
         ),
     ],
     out: Annotated[Path, typer.Option(help="folder that the recordings are written to")],
@@ -32,7 +33,11 @@ def command(
     ] = None,
     fix: Annotated[bool, typer.Option("--fix", help="mend the mistakes that `flexspline check` names")] = False,
     force: Annotated[
-        bool, typer.Option("--force", help="replace recordings of these names that were imported before")
+        bool,
+        typer.Option(
+            "--force",
+            help="replace recordings of these names that were imported before; YAML that was edited since is kept",
+        ),
     ] = False,
 ) -> None:
     """Import logs in another layout as recordings: table and YAML. See docs/importing.md.
@@ -42,7 +47,7 @@ def command(
     """
     from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models.output import check_output, output_folder
-    from ..models.recording import write_recording
+    from ..models.recording import edited, write_recording
     from ._console import console
     from ._mistakes import print_mistakes
 
@@ -64,6 +69,9 @@ def command(
         for recording in measurement.recordings:
             told = replace(recording, joint=_beside(recording.joint, home, out))
             path = out / write_recording(told, folder).name
+            if edited(path):
+                _keep(path.with_suffix(".yaml"), folder / path.name)
+                terminal.print(f"{path.with_suffix('.yaml')}: kept, as it was edited", highlight=False, markup=False)
             seconds = recording.time[-1] - recording.time[0]
             columns = ", ".join(["time", *recording.columns])
             terminal.print(
@@ -98,6 +106,24 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
         inputs = [file for m in read for file in m.files]
     _each_once([r.name for r in found])
     return Measurement(found[0].name, home, tuple(found)), home, inputs
+
+
+def _keep(sidecar: Path, table: Path) -> None:
+    """Let a YAML file that somebody edited stay beside a new table.
+
+    Raises:
+      InputError: they do not fit.
+    """
+    from ..models.recording import read_recording
+
+    table.with_suffix(".yaml").write_bytes(sidecar.read_bytes())
+    try:
+        read_recording(table)
+    except InputError as error:
+        text = str(error).replace(str(table.parent), str(sidecar.parent))
+        raise InputError(
+            f"{sidecar}: expected it to fit the new table, as it was edited and is kept; {text}"
+        ) from error
 
 
 def _is_table(path: str) -> bool:

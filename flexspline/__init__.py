@@ -70,6 +70,7 @@ __all__ = [
     "diagnose",
     "estimate",
     "estimators",
+    "import_log",
     "joints",
     "load_joint",
     "load_plugin",
@@ -109,6 +110,35 @@ def load_recording(source: str | Path) -> Recording:
     from .models.recording import read_recording
 
     return read_recording(source)
+
+
+def import_log(
+    layout: str | Path, log: str | Path, joint: str | Path | None = None, name: str | None = None
+) -> Recording:
+    """Read another program's log as a recording, by a mapping of its columns (docs/importing.md).
+
+    Args:
+      layout: name of a shipped mapping (`lara8`, `ur3e`, `ur3e_rtde`), or path of a mapping file.
+      log: path of the log: CSV, Parquet, MCAP, or a ROS 2 bag.
+      joint: name of, or path to, the joint's description; by default the one that the mapping names.
+      name: of the recording; by default the log's.
+
+    Returns:
+      The recording, as of `load_recording`.
+
+    Raises:
+      InputError: a mapping or log that is wrong; names file, column and row.
+    """
+    from .diagnosis.data.importing import import_recording, load_layout
+    from .models.joint import known_joints
+
+    read = import_recording(load_layout(layout), log, name, None if joint is None else str(joint))
+    beside = Path(layout).parent / read.joint
+    if joint is None and read.joint.replace("_", "-") not in known_joints() and beside.is_file():
+        from dataclasses import replace
+
+        return replace(read, joint=str(beside.resolve()))
+    return read
 
 
 def simulate(scenario: str | Path | Scenario, seed: int | None = None, **changes: Any) -> Run:

@@ -25,6 +25,16 @@ def floats_at(typingctx, address):
     return types.CPointer(types.float64)(types.intp), codegen
 
 
+@intrinsic
+def ints_at(typingctx, address):
+    """Pointer to int32 at an integer address."""
+
+    def codegen(context, builder, signature, args):
+        return builder.inttoptr(args[0], ir.IntType(32).as_pointer())
+
+    return types.CPointer(types.int32)(types.intp), codegen
+
+
 def pointer_to(dtype: np.dtype) -> Any:
     """Return a compiled function: integer address → pointer to records of `dtype`; `carray(…, 1)[0]` is the record."""
     record = from_dtype(dtype)

@@ -8,6 +8,8 @@ Which channels there may be, and their units, stands in `models.signals`.
 from __future__ import annotations
 
 import csv
+import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -16,9 +18,6 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.csv
-import pyarrow.parquet
 from pydantic import model_validator
 
 from . import units
@@ -367,11 +366,32 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     if arm is not None and sidecar.arm is not None:
         with write_into_place(folder / sidecar.arm.model) as temporary:
             temporary.write_text(arm.mjcf, encoding="utf-8")
+    text = yaml_text(data)
     with write_into_place(path) as temporary:
-        write_table(temporary, ordered, {name: _unit(name) for name in ordered})
+        write_table(temporary, ordered, {name: _unit(name) for name in ordered}, metadata={_WRITTEN: _digest(text)})
     with write_into_place(path.with_suffix(".yaml")) as temporary:
-        temporary.write_text(yaml_text(data), encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8")
     return path
+
+
+_WRITTEN = "flexspline.yaml"
+"""Metadata of a recording's table: what tells the YAML file that was written with it from an edited one."""
+
+
+def _digest(text: str) -> str:
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def edited(path: Path) -> bool:
+    """Whether the YAML file beside a recording's table is another than was written with it; False where that is not known."""
+    import pyarrow as pa
+    import pyarrow.parquet
+
+    try:
+        written = (pa.parquet.read_schema(path).metadata or {}).get(_WRITTEN.encode(), b"").decode()
+        return bool(written) and _digest(path.with_suffix(".yaml").read_text(encoding="utf-8")) != written
+    except (OSError, pa.ArrowException, UnicodeDecodeError):
+        return False
 
 
 def _unit(name: str) -> str:
@@ -406,6 +426,9 @@ def _check_header(path: Path, names: list[str]) -> None:
 
 
 def _read_parquet(path: Path) -> dict[str, np.ndarray]:
+    import pyarrow as pa
+    import pyarrow.parquet
+
     try:
         table = pa.parquet.read_table(path)
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
@@ -430,9 +453,10 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
 
 
 def _read_csv(path: Path) -> dict[str, np.ndarray]:
-    names = csv_header(path)
+    form = csv_format(path)
+    names = csv_header(path, form)
     _check_header(path, names)
-    return read_csv_columns(path, names)
+    return read_csv_columns(path, names, form)
 
 
 @dataclass(frozen=True)
@@ -447,8 +471,14 @@ class CsvFormat:
 _OWN = CsvFormat()
 
 
-def csv_format(path: Path, separator: str | None = None, decimal: str = ".") -> CsvFormat:
-    """How a CSV file of another program is written: UTF-8 or else Latin-1; the separator as its header has it most often."""
+_DECIMAL = re.compile(r"\s*[-+]?\d*([.,])\d+([eE][-+]?\d+)?\s*")
+_LOOKED_AT = 200  # rows
+
+
+def csv_format(path: Path, separator: str | None = None, decimal: str | None = None) -> CsvFormat:
+    """How a CSV file is written, as far as it is not stated: UTF-8 or else Latin-1; the separator as the header has it most
+    often (comma, semicolon, tab; blanks where it has none of these); a decimal comma where the first rows have such and no point.
+    """
     try:
         raw = path.read_bytes()
     except OSError as error:
@@ -458,8 +488,16 @@ def csv_format(path: Path, separator: str | None = None, decimal: str = ".") -> 
         encoding = "utf-8"
     except UnicodeDecodeError:
         encoding = "latin-1"
-    header = raw.split(b"\n", 1)[0].decode(encoding)
-    return CsvFormat(separator or max(",;\t", key=header.count), decimal, encoding)
+    header, *rows = (line.decode(encoding, "replace") for line in raw.split(b"\n", _LOOKED_AT + 1)[: _LOOKED_AT + 1])
+    if separator is None:
+        separator = max(",;\t", key=header.count)
+        if separator not in header and " " in header.strip():
+            separator = " "
+    if decimal is None:
+        cells = [cell for row in rows for cell in row.strip().split(separator)]
+        marks = {found.group(1) for cell in cells if (found := _DECIMAL.fullmatch(cell.strip('"')))}
+        decimal = "," if marks == {","} and separator != "," else "."
+    return CsvFormat(separator, decimal, encoding)
 
 
 def csv_header(path: Path, form: CsvFormat = _OWN) -> list[str]:
@@ -476,6 +514,9 @@ def csv_header(path: Path, form: CsvFormat = _OWN) -> list[str]:
 
 def read_csv_columns(path: Path, wanted: list[str], form: CsvFormat = _OWN) -> dict[str, np.ndarray]:
     """Read columns of a CSV file as float64; a cell that is no number is an error that names row and column."""
+    import pyarrow as pa
+    import pyarrow.csv
+
     names = csv_header(path, form)
     options = pa.csv.ConvertOptions(
         column_types={name: pa.float64() for name in wanted}, include_columns=wanted, null_values=[""],

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from .errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 Notes = Mapping[str, Mapping[str, str]]
 
@@ -19,25 +21,36 @@ def arrow_column(values: np.ndarray) -> pa.Array:
 
     `pyarrow.array` would import pandas to see whether they are one of its types.
     """
+    import pyarrow as pa
+
     numbers = np.ascontiguousarray(values, dtype=np.float64)
     return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
 
 
 def write_table(
-    path: Path, columns: Mapping[str, np.ndarray], units: Mapping[str, str], notes: Notes | None = None
+    path: Path,
+    columns: Mapping[str, np.ndarray],
+    units: Mapping[str, str],
+    notes: Notes | None = None,
+    metadata: Mapping[str, str] | None = None,
 ) -> None:
     """Write columns, shape (n,) each, as Parquet.
 
     Args:
       path: of the file.
       columns: by name. units: of every column.
-      notes: what else a column's metadata says, by column.
+      notes: what else a column's metadata says, by column. metadata: of the table.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     fields = [
         pa.field(name, pa.float64(), nullable=False, metadata={"unit": units[name], **(notes or {}).get(name, {})})
         for name in columns
     ]
-    table = pa.Table.from_arrays([arrow_column(values) for values in columns.values()], schema=pa.schema(fields))
+    table = pa.Table.from_arrays(
+        [arrow_column(values) for values in columns.values()], schema=pa.schema(fields, dict(metadata or {}))
+    )
     # Measured numbers hardly repeat: a dictionary of them costs time and saves nothing.
     pq.write_table(table, path, compression="zstd", use_dictionary=False)
 
@@ -48,6 +61,9 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
     Raises:
       InputError: not a Parquet file.
     """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException, UnicodeDecodeError) as error:

@@ -104,7 +104,6 @@ class Experiment:
         """
         scenario, record = self.scenario, self.record if record is None else record
         model = self.build(record) if model is None else model
-        plant.set_temperature(model, float(self.temperature[0]))  # a run before may have left another
         p = record[0]
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:

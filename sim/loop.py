@@ -8,6 +8,7 @@ it would have said in the loop.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import mujoco
@@ -17,7 +18,7 @@ from numba import carray
 from ..models import dynamics
 from ..models.kernels import kernel
 from ..models.parameters import REFERENCE_TEMPERATURE
-from ..models.pointers import call_estimator, call_step, floats_at, word_at
+from ..models.pointers import call_estimator, call_step, floats_at, ints_at, word_at
 from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
@@ -40,6 +41,7 @@ TRUTH = np.dtype(
 )  # fmt: skip
 """The true state at one instant, as a record."""
 
+_NO_SENSORS = int(mujoco.mjtDisableBit.mjDSBL_SENSOR)
 _READINGS_AT = len(SAMPLE.names or ()) - len(SENSED)  # place of the first reading in a `SAMPLE`
 _WRENCH_AT = SENSED.index(WRENCH[0])
 _JOINT_AXIS = SENSED.index("torque_y")
@@ -115,7 +117,7 @@ def simulate(
     """Run the closed loop from rest at the first commanded position.
 
     Args:
-      model: of `plant.build`.
+      model: of `plant.build`; left as it is.
       record: the plant's parameter record, shape (1,).
       position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
       sensors, noise: of `sim.sensors`.
@@ -124,6 +126,10 @@ def simulate(
       temperature: of the gear [°C], shape (n,); constant by default.
     """
     n = len(position)
+    if temperature is None:
+        temperature = np.full(n, REFERENCE_TEMPERATURE)
+    model = copy.copy(model)
+    plant.set_temperature(model, float(temperature[0]))
     data = mujoco.MjData(model)
     begin = position[0]
     p = record[0]
@@ -132,9 +138,8 @@ def simulate(
     failed = np.array([n, 0], dtype=np.int64)
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
     at = native.offsets()
-    offsets = np.array([at[k] for k in ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata")], dtype=np.int64)
-    if temperature is None:
-        temperature = np.full(n, REFERENCE_TEMPERATURE)
+    fields = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
+    offsets = np.array([at[k] for k in fields], dtype=np.int64)
     if isinstance(feedback, CompiledStep):
         address, memory, known, settings, out = feedback.arrays()
     else:
@@ -182,6 +187,7 @@ def _loop(
     ctrl = floats_at(word_at(data + 8 * offsets[3]))
     link_force = carray(floats_at(word_at(data + 8 * offsets[4]) + 48 * layout[5]), 6)
     sensordata = floats_at(word_at(data + 8 * offsets[5]))
+    disabled = ints_at(model + 4 * offsets[6])
     at_current, at_bristle, at_dahl, at_force, at_torque = layout[0], layout[1], layout[2], layout[3], layout[4]
 
     n, channels = position.size, len(sensors)
@@ -268,8 +274,12 @@ def _loop(
             if sensors[s].at_step != 0.0:
                 reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
 
+        # The other steps of the tick, whose sensors nobody reads: they are a tenth of a step.
         ctrl[0] = p.Kt * current_command
         link_force[4] = -external[k]
+        flags = disabled[0]
+        disabled[0] = flags | _NO_SENSORS
         for _ in range(1, substeps):
             call_step(step, model, data)
+        disabled[0] = flags
         last_command, last_external = current_command, external[k]

@@ -120,10 +120,10 @@ def untimed() -> AbstractContextManager[None]:
 
 @cache
 def offsets() -> dict[str, int]:
-    """Offsets, in 8-byte words, of the fields that compiled code reads.
+    """Offsets, in words of 8 bytes, of the fields that compiled code reads.
 
-    Keys: `numeric_data`, `nnumericdata` of mjModel; `time`, `qpos`, `qvel`, `act`, `ctrl`, `qfrc_passive`,
-    `xfrc_applied`, `sensordata` of mjData.
+    Keys: `numeric_data`, `nnumericdata` of mjModel and, in words of 4 bytes, its `disableflags`; `time`, `qpos`, `qvel`, `act`,
+    `ctrl`, `qfrc_passive`, `xfrc_applied`, `sensordata` of mjData.
     """
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><custom><numeric name="n" data="1 2 3"/></custom><worldbody><body><joint name="j"/>'
@@ -131,7 +131,12 @@ def offsets() -> dict[str, int]:
         ' inductance="1 0"/></actuator><sensor><jointpos joint="j"/></sensor></mujoco>'
     )
     data = mujoco.MjData(model)
-    found = {"numeric_data": _find(model._address, model.numeric_data.ctypes.data)}
+    model.opt.disableflags = 0x5C3A6E17
+    found = {
+        "numeric_data": _find(model._address, model.numeric_data.ctypes.data),
+        "disableflags": _find(model._address, model.opt.disableflags, ctypes.c_uint32),
+    }
+    model.opt.disableflags = 0
     names = [field.name for field in _model_fields()]
     found["nnumericdata"] = names.index("nnumericdata")  # the sizes stand first, one word each
     if ctypes.c_int64.from_address(model._address + 8 * found["nnumericdata"]).value != 3:
@@ -149,11 +154,12 @@ def _model_fields() -> tuple[Any, ...]:
     return tuple(structs.STRUCTS["mjModel"].fields)
 
 
-def _find(address: int, value: int) -> int:
+def _find(address: int, value: int, word: type[ctypes.c_uint64] | type[ctypes.c_uint32] = ctypes.c_uint64) -> int:
     """The first word at an address, and behind it, that holds a value."""
-    for begin in range(0, _FARTHEST // 8, _AT_ONCE):
-        words = np.array((ctypes.c_uint64 * _AT_ONCE).from_address(address + 8 * begin))
-        found = np.flatnonzero(words == np.uint64(value))
+    size = ctypes.sizeof(word)
+    for begin in range(0, _FARTHEST // size, _AT_ONCE):
+        words = np.array((word * _AT_ONCE).from_address(address + size * begin))
+        found = np.flatnonzero(words == value)
         if len(found):
             return begin + int(found[0])
     raise RuntimeError(f"MuJoCo {mujoco.__version__}: a structure is laid out in an unknown way")

@@ -13,6 +13,7 @@ import pytest
 import yaml
 
 from flexspline import commands
+from flexspline.diagnosis.data.importing import Layout
 from flexspline.models.files import parse
 from flexspline.scenarios.scenario import Scenario
 from flexspline.scenarios.studies.study import Study
@@ -105,6 +106,11 @@ def test_scenario_and_study_are_read():
     scenario, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
     parse(scenario, Scenario, "the scenario")
     parse(study, Study, "the study")
+
+
+def test_mappings_are_read():
+    texts = snippets(ROOT / "docs" / "importing.md", "yaml")
+    assert [parse(yaml.safe_load(text), Layout, "the mapping").name for text in texts] == ["my-robot", "my-bag"]
 
 
 def test_the_readme_is_short():

@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from .._options import with_plugins
+
 if TYPE_CHECKING:
     from ...models.plausibility import Problem
 
 
+@with_plugins
 def command(
     joint: Annotated[str, typer.Argument(help="A joint description, or the name of a shipped one.", metavar="FILE")],
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of lines.")] = False,

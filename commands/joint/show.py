@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...models.errors import InputError
+from .._options import with_plugins
 
 if TYPE_CHECKING:
     from ...models.joint import Joint
 
 
+@with_plugins
 def command(
     joint: Annotated[
         str, typer.Argument(help="Name of a shipped joint, or a joint description.", metavar="JOINT")

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Literal
@@ -18,8 +19,10 @@ from ...models.arm import ArmSpec, joint_of
 from ...models.errors import InputError, nearest
 from ...models.files import Strict, load
 from ...models.joint import Mounting
-from ...models.recording import External, Recording, check_channels, csv_format, csv_header, in_arm, read_csv_columns
+from ...models.parameters import GRAVITY
+from ...models.recording import External, Recording, check_channels, in_arm
 from ...models.signals import CHANNELS
+from .logs import open_log
 
 UNITS: dict[str, tuple[str, float]] = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("s", 1e-9),
@@ -149,8 +152,42 @@ class Channel(Strict):
         return values
 
 
+class Payload(Strict):
+    """A mass that hung on the link: `mass` [kg], `distance` of its centre from the axis [m], `angle` of it against the link's own
+    centre of mass [rad], `inertia` about its own centre [kg·m²]."""
+
+    mass: Annotated[float, Field(ge=0)]
+    distance: Annotated[float, Field(ge=0)]
+    angle: float = 0.0
+    inertia: Annotated[float, Field(ge=0)] = 0.0
+
+    def on(self, link: Mounting) -> Mounting:
+        """The link with it: m g d at its angle adds to the gravity moment as a vector, m d² and its own to the inertia."""
+        moment = self.mass * GRAVITY * self.distance
+        whole = link.gravity_moment + moment * np.exp(1j * self.angle)
+        turned = float(np.angle(whole)) if abs(whole) > 0 else 0.0
+        return Mounting(
+            inertia=link.inertia + self.mass * self.distance**2 + self.inertia,
+            gravity_moment=float(abs(whole)),
+            gravity_angle=link.gravity_angle + turned,
+        )
+
+
+class LogLoad(Strict):
+    """What differs in some logs: what hung on the joint (`link` instead of the mapping's, `payload` beside it), its arm, whether
+    it was pushed."""
+
+    link: Mounting | None = None
+    payload: Payload | None = None
+    arm: ArmSpec | None = None
+    external_torque: External | None = None
+
+
 class Layout(Strict):
-    """A mapping file: from another program's table to a recording. `separator` is found in the header where it is not stated."""
+    """A mapping file: from another program's log to a recording.
+
+    `separator` and `decimal` are found in a CSV file where they are not stated. `logs`: what differs, by patterns of file names.
+    """
 
     format: Literal[1]
     name: str
@@ -160,8 +197,9 @@ class Layout(Strict):
     arm: ArmSpec | None = None
     external_torque: External = "none"
     separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
-    decimal: Literal[".", ","] = "."
+    decimal: Literal[".", ","] | None = None
     columns: dict[str, Channel]
+    logs: dict[str, LogLoad] = {}
 
     @model_validator(mode="after")
     def _complete(self) -> Layout:
@@ -176,6 +214,17 @@ class Layout(Strict):
         measured = "external_torque" in self.columns
         if measured != (self.external_torque == "measured"):
             raise ValueError("external_torque: expected 'measured' where columns has external_torque and only there")
+        for pattern, other in self.logs.items():
+            if (other.link or other.payload) and self.arm is not None:
+                raise ValueError(
+                    f"logs.{pattern}: expected arm, as the mapping has it (a payload stands in its MJCF), got link or payload"
+                )
+            if other.arm and self.arm is None:
+                raise ValueError(f"logs.{pattern}: expected link or payload, as the mapping has link, got arm")
+            if other.external_torque is not None and measured != (other.external_torque == "measured"):
+                raise ValueError(
+                    f"logs.{pattern}.external_torque: expected 'measured' where columns has external_torque and only there"
+                )
         for name, channel in self.columns.items():
             if len(channel.parts) == 1 and channel.scale == 1.0 and channel.sum is None:
                 expected = CHANNELS[name].unit if name in CHANNELS else "rad"
@@ -184,6 +233,26 @@ class Layout(Strict):
                         f"columns.{name}.unit: expected one of {expected!r}, or a scale that makes it so, got {channel.unit!r}"
                     )
         return self
+
+    def of(self, log: Path) -> Layout:
+        """The mapping as it holds for one log.
+
+        Raises:
+          InputError: several patterns fit its name.
+        """
+        fitting = [pattern for pattern in self.logs if fnmatchcase(log.name, pattern)]
+        if len(fitting) > 1:
+            raise InputError(
+                f"{log}: expected one pattern of `logs` to fit (format {self.name!r}), got {', '.join(map(repr, fitting))}"
+            )
+        if not fitting:
+            return self
+        other = self.logs[fitting[0]]
+        link = other.link or self.link
+        if other.payload is not None and link is not None:
+            link = other.payload.on(link)
+        external = other.external_torque or self.external_torque
+        return self.model_copy(update={"link": link, "arm": other.arm or self.arm, "external_torque": external})
 
 
 def _check_unit(unit: str) -> None:
@@ -210,11 +279,11 @@ def load_layout(source: str | Path) -> Layout:
 
 
 def import_recording(layout: Layout, path: str | Path, name: str | None = None, joint: str | None = None) -> Recording:
-    """Read another program's CSV file as a recording.
+    """Read another program's log as a recording.
 
     Args:
       layout: the mapping.
-      path: the file.
+      path: of the file: CSV, Parquet, MCAP, or a ROS 2 bag.
       name: of the recording; the file's stem by default.
       joint: name of, or path to, the joint; the mapping's by default.
 
@@ -223,17 +292,19 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
         increase.
     """
     path = Path(path)
-    if not path.is_file():
+    if not (path.is_file() or path.is_dir()):  # nor a pipe, which may never end
         raise InputError(f"{path}: cannot read a log of format {layout.name!r}: no such file")
-    form = csv_format(path, layout.separator, layout.decimal)
-    names = csv_header(path, form)
+    layout = layout.of(path)
+    sources = dict.fromkeys(column for channel in layout.columns.values() for column in channel.sources)
+    log = open_log(path, sources, layout.separator, layout.decimal)
+    names = log.names
     channels = {
         target: channel
         for target, channel in layout.columns.items()
         if not channel.optional or all(column in names for column in channel.sources)
     }
     wanted: list[str] = []
-    for target, channel in channels.items():
+    for target, channel in sorted(channels.items(), key=lambda one: one[0] != "time"):  # whose topic the samples are
         for column in channel.sources:
             if column not in names:
                 raise InputError(
@@ -242,15 +313,14 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
                 )
             if column not in wanted:
                 wanted.append(column)
-    table = read_csv_columns(path, wanted, form)
+    table = log.read(wanted)
     if not len(table[wanted[0]]):
         raise InputError(f"{path}: expected rows, got a header alone")
     for column, values in table.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
             raise InputError(
-                f"{path}: column {column!r}, row {bad[0] + 1} (line {bad[0] + 2}): expected a finite number, "
-                f"got {values[bad[0]]}"
+                f"{path}: column {column!r}, {log.row(int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
             )
     time = channels["time"].read(table)
     columns = {target: channel.read(table, time) for target, channel in channels.items() if target != "time"}

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import datetime
+
 import mujoco
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from typer.testing import CliRunner
 
+import flexspline as fs
 from flexspline import commands
 from flexspline.diagnosis.data.importing import import_recording, known_layouts, load_layout
 from flexspline.models.errors import InputError
@@ -245,3 +249,182 @@ def test_lara8_takes_a_file_of_another_power_up(shared, tmp_path):
     assert "position_command" not in other
     torsion = [r["motor_position"] / 101 - r["link_position"] for r in (one, other)]
     assert np.abs(np.mean(torsion[1])) < 5e-3 and np.ptp(torsion[0] - torsion[1]) < 1e-9
+
+
+def parquet(tmp_path, **changes) -> dict[str, np.ndarray]:
+    """A log of a machine that samples at 500 Hz, as Parquet, and its columns."""
+    n = 400
+    begin = datetime.datetime(2026, 3, 1, 12, 0, 0)
+    table = {
+        "t": [begin + datetime.timedelta(milliseconds=2 * k) for k in range(n)],
+        "m": np.arange(n) * 7, "l": np.linspace(0, 3, n), "i": np.linspace(-900, 900, n).astype(np.float32),
+        "fx": np.ones(n), "my": np.zeros(n), "angle": np.linspace(0, 0.1, n), "speed": np.full(n, 12.0), "junk": ["x"] * n,
+    } | changes  # fmt: skip
+    pd.DataFrame(table).to_parquet(tmp_path / "log.parquet")
+    return table
+
+
+STAMPS = columns(time={"column": "t", "unit": "s"})
+
+
+def test_parquet_with_stamps_integers_and_single_precision(tmp_path):
+    table = parquet(tmp_path)
+    r = import_recording(layout(tmp_path, **STAMPS), tmp_path / "log.parquet")
+    np.testing.assert_allclose(r.time, 2e-3 * np.arange(400), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(np.diff(r["motor_position"]), -7 * 2 * np.pi / 4096)
+    np.testing.assert_allclose(r["motor_current"], 1e-3 * table["i"].astype(float))
+    again = fs.import_log(tmp_path / "mine.yaml", tmp_path / "log.parquet", name="other")
+    assert again.name == "other" and again["link_position"].tobytes() == r["link_position"].tobytes()
+
+
+@pytest.mark.parametrize(
+    "changes, words",
+    [
+        ({"i": ["a"] * 400}, ["column 'i': expected numbers, got"]),
+        ({"i": [1.0] * 399 + [None]}, ["column 'i', row 400: expected a finite number"]),
+        ({"t": [0.0] * 400}, ["'time', row 2"]),
+    ],
+)
+def test_a_bad_parquet_log_is_named(tmp_path, changes, words):
+    parquet(tmp_path, **changes)
+    with pytest.raises(InputError) as error:
+        import_recording(layout(tmp_path, **STAMPS), tmp_path / "log.parquet")
+    for word in ["log.parquet", *words]:
+        assert word in str(error.value)
+    (tmp_path / "log.parquet").write_bytes(b"no table")
+    with pytest.raises(InputError, match="not a readable Parquet file"):
+        import_recording(layout(tmp_path), tmp_path / "log.parquet")
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(";", ","), (";", "."), (",", "."), ("\t", ","), ("\t", "."), (" ", "."), (" ", ",")]
+)
+def test_separator_and_decimal_mark_are_found(tmp_path, separator, decimal):
+    """One mapping for logs of machines in different countries; speeds in rpm."""
+    rows = [[0.002 * k, 30.0, -1.5e-1 * k, 3] for k in range(100)]
+    text = "\n".join(
+        [separator.join(["t", "n", "i", "l"]), *(separator.join(map(str, row)).replace(".", decimal) for row in rows)]
+    )
+    path = log(tmp_path, text + "\n")
+    mapping = layout(
+        tmp_path,
+        separator=None,
+        columns={
+            "time": {"column": "t", "unit": "s"},
+            "motor_position": {"column": "n", "unit": "rpm", "integrate": True},
+            "motor_current": {"column": "i", "unit": "A"},
+        },
+    )
+    r = import_recording(mapping, path)
+    np.testing.assert_allclose(r["motor_position"], np.pi * r.time, atol=1e-12)
+    np.testing.assert_allclose(r["motor_current"], -0.15 * np.arange(100))
+
+
+def test_thousands_are_not_guessed(tmp_path):
+    path = log(tmp_path, "t;m;l;i;fx;my;angle\n0;1;2;3;4;5;1.234,5\n1;1;2;3;4;5;1,5\n")
+    with pytest.raises(InputError, match=r"column 'angle', row 1 \(line 2\): expected a number, got '1.234,5'"):
+        import_recording(layout(tmp_path), path)
+
+
+def test_a_recording_of_ones_own_may_be_written_so_too(tmp_path):
+    (tmp_path / "a.csv").write_text("time;link_position;motor_current\n0,0;0,1;0,2\n0,5;0,2;0,4\n")
+    (tmp_path / "a.yaml").write_text("format: 1\njoint: test-joint\nlink: {inertia: 1, gravity_moment: 0}\n")
+    recording = fs.load_recording(tmp_path / "a.csv")
+    assert recording["motor_current"].tolist() == [0.2, 0.4] and recording.time.tolist() == [0.0, 0.5]
+
+
+PAYLOADS = {
+    "empty*": {},
+    "tool*": {"payload": {"mass": 2.0, "distance": 0.3, "inertia": 0.01}},
+    "side*": {"payload": {"mass": 1.0, "distance": 0.5, "angle": np.pi / 2}},
+    "locked*": {"link": {"inertia": 1e9, "gravity_moment": 0.0}},
+}
+
+
+def test_every_log_with_its_own_payload(tmp_path, mapping):
+    """One command; what hung there adds as masses do, and fits what the cause `payload` makes of them."""
+    from flexspline.models import causes
+    from flexspline.models.joint import load_joint
+
+    layout(tmp_path, logs=PAYLOADS)
+    logs = [tmp_path / f"{name}_1.csv" for name in ("empty", "tool", "side", "locked", "other")]
+    for path in logs:
+        path.write_text(LOG)
+    result = run(mapping, *logs, "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    found = {r.name: r.link for r in read_measurement(tmp_path / "out").recordings}
+    assert found["empty_1"] == found["other_1"] == load_layout(mapping).link
+    assert found["tool_1"].inertia == pytest.approx(0.35 + 2.0 * 0.09 + 0.01)
+    assert found["tool_1"].gravity_moment == pytest.approx(9.0 + 2.0 * 9.80665 * 0.3)
+    assert found["locked_1"].locked
+    record = load_joint("test-joint").record(load_layout(mapping).link)
+    causes.get("payload").apply(record[0], {"mass": 1.0, "distance": 0.5, "angle": np.pi / 2})
+    p, side = record[0], found["side_1"]
+    assert (side.inertia, side.gravity_moment, side.gravity_angle) == pytest.approx(
+        (p["Jl"], p["Mg"], p["gravity_angle"])
+    )
+    layout(tmp_path, logs={**PAYLOADS, "*_1.csv": {}})
+    result = run(mapping, logs[0], "--out", tmp_path / "again")
+    assert "got '*_1.csv', 'empty*'" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("logs", "words"),
+    [
+        ({"a": {"payload": {"mass": 1}}}, "logs.a.payload.distance: missing"),
+        ({"a": {"arm": {"model": "ur3e.xml", "joint": "elbow"}}}, "logs.a: expected link or payload"),
+        ({"a": {"external_torque": "measured"}}, "logs.a.external_torque: expected 'measured' where"),
+    ],
+)
+def test_a_bad_payload_is_named(tmp_path, logs, words):
+    with pytest.raises(InputError) as caught:
+        layout(tmp_path, logs=logs)
+    assert words in str(caught.value)
+
+
+def test_what_was_edited_is_kept(tmp_path, mapping):
+    """A YAML file that somebody edited stays when its log is imported again, and must fit the new table."""
+    out, path = tmp_path / "out", log(tmp_path)
+    assert run(mapping, path, "--out", out).exit_code == 0
+    sidecar = out / "log.yaml"
+    written = sidecar.read_text()
+    sidecar.write_text("# weighed on Monday\n" + written.replace("gravity_moment: 9.0", "gravity_moment: 8.7"))
+    mine = sidecar.read_bytes()
+    path.write_text(LOG.replace("100", "300"))
+    for _ in range(2):
+        result = run(mapping, path, "--out", out, "--force")
+        assert result.exit_code == 0 and f"{sidecar}: kept, as it was edited" in result.output
+        assert sidecar.read_bytes() == mine
+        found = read_measurement(out / "log.parquet").recordings[0]
+        assert found["motor_current"][0] == pytest.approx(0.3) and found.link.gravity_moment == 8.7
+    sidecar.write_text(written.replace("external_torque: none", "external_torque: measured"))
+    before = {p.name: p.read_bytes() for p in out.iterdir()}
+    error = run(mapping, path, "--out", out, "--force").exception
+    assert isinstance(error, InputError) and str(error).startswith(f"{sidecar}: expected it to fit the new table")
+    assert {p.name: p.read_bytes() for p in out.iterdir()} == before
+    sidecar.write_text(written)
+    layout(tmp_path, link={"inertia": 0.4, "gravity_moment": 9.5})
+    assert run(mapping, path, "--out", out, "--force").exit_code == 0
+    assert read_measurement(out / "log.parquet").recordings[0].link.gravity_moment == 9.5
+
+
+@pytest.mark.parametrize("separator", [" ", ","])
+def test_an_rtde_log_by_the_names_of_its_outputs(shared, tmp_path, separator):
+    """As the maker's client and ur_rtde write it: the same as the shipped log, also with the other joints as columns."""
+    source = shared / "data" / "ur3e" / "shoulder_first_half.csv"
+    theirs = import_recording(load_layout("ur3e"), source)
+    given, still = pd.read_csv(source), (0.0, None, 0.0, -1.5707963, 0.0, 0.0)
+    table = {"timestamp": given["t_s"] + 81234.5}
+    for what, own in (("target_q", "q_target_rad"), ("actual_q", "q_rad"), ("actual_current", "i_motor_A")):
+        for k, value in enumerate(still):
+            table[f"{what}_{k}"] = given[own] if value is None else np.full(len(given), value)
+    table["joint_temperatures_1"] = np.full(len(given), 31.5)
+    pd.DataFrame(table).to_csv(tmp_path / "log.csv", sep=separator, index=False)
+    assert run("ur3e_rtde", tmp_path / "log.csv", "--out", tmp_path / "out").exit_code == 0
+    (found,) = read_measurement(tmp_path / "out").recordings
+    assert set(found.columns) == {*theirs.columns, "temperature"} and found.joint == "ur3e-shoulder"
+    for name, values in theirs.columns.items():
+        np.testing.assert_array_equal(found[name], values)
+    np.testing.assert_allclose(found.time, theirs.time - theirs.time[0], atol=1e-9)
+    np.testing.assert_allclose(found.known_torque, theirs.known_torque, atol=1e-9)
+    assert found.link.gravity_moment == pytest.approx(theirs.link.gravity_moment)

@@ -20,11 +20,13 @@ def motion(seconds=2.0, distance=0.4):
     return position, 0.5 * distance * pulsation * np.sin(pulsation * time), external
 
 
-def run(joint=JOINT, mounting="link", record=None, feedback=None, temperature=None, seed=3, **motion_of) -> Simulation:
-    """Simulate a joint in the loop."""
+def run(
+    joint=JOINT, mounting="link", record=None, feedback=None, temperature=None, seed=3, model=None, **motion_of
+) -> Simulation:
+    """Simulate a joint in the loop; with a model that is there, or one of its own."""
     mounted = joint.mount(mounting)
     record = joint.record(mounted) if record is None else record
-    model = plant.build(joint, mounted, record=record)
+    model = plant.build(joint, mounted, record=record) if model is None else model
     position, velocity, external = motion(**motion_of)
     return simulate(
         model,

@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from flexspline.models.joint import AnalogSpec, EncoderSpec
 from flexspline.models.parameters import PARAMETERS
 from flexspline.models.signals import READINGS, SENSED, WRENCH, Signals
 from flexspline.models.step import SAMPLE, CompiledStep, PythonStep, numpy_at
+from flexspline.sim import plant
 from flexspline.sim.sensors import noise
 
 QUIET = {"motor_encoder": EncoderSpec(bits=38), "link_encoder": EncoderSpec(bits=38)} | {
@@ -210,6 +212,21 @@ def test_same_seed_same_bits_and_other_noise_elsewhere():
     assert a.readings.tobytes() == b.readings.tobytes() and a.truth.tobytes() == b.truth.tobytes()
     assert a.truth.tobytes() == c.truth.tobytes()  # the motor encoder has counts and no noise
     assert (a.readings["link_position"] != c.readings["link_position"]).mean() > 0.2
+
+
+def test_a_model_serves_many_threads_and_is_left_as_it_is():
+    """Temperatures and switches that the loop sets on its way are its own."""
+    model = plant.build(JOINT, JOINT.mount("link"))
+    before, flags = model.numeric_data.copy(), model.opt.disableflags
+    warm = 30.0 + np.arange(2000) * 5e-3
+    alone = [run(temperature=given) for given in (None, warm)]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda i: run(temperature=(None, warm)[i % 2], model=model), range(8)))
+    for i, found in enumerate(together):
+        np.testing.assert_array_equal(found.readings, alone[i % 2].readings)
+        np.testing.assert_array_equal(found.truth, alone[i % 2].truth)
+    np.testing.assert_array_equal(model.numeric_data, before)
+    assert model.opt.disableflags == flags
 
 
 def test_readings_are_signals_by_name():

@@ -1,0 +1,32 @@
+"""`flexspline export`: recordings for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def command(
+    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
+    out: Annotated[Path, typer.Option(help="folder that the files are written to")],
+) -> None:
+    """Write recordings as MCAP, a file each: ROS 2 messages for Foxglove, PlotJuggler and `ros2 bag`.
+
+    `flexspline import` reads them back with a mapping of their topics; docs/importing.md has one.
+    """
+    from ..diagnosis.data.exporting import write_mcap
+    from ..models.output import check_output, made_from, output_folder
+    from ..models.recording import read_measurement
+    from ._console import console
+
+    data = read_measurement(measurement)
+    maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]
+    check_output(out, maker, inputs=data.files, writes=names)
+    with output_folder(out, maker, inputs=data.files, writes=names) as folder:
+        for recording, name in zip(data.recordings, names, strict=True):
+            write_mcap(recording, folder / name)
+    terminal = console()
+    for name in names:
+        terminal.print(f"{out / name}", highlight=False, markup=False)

@@ -1,0 +1,389 @@
+"""Logs of messages as tables: MCAP files and ROS 2 bags. A column is a topic and a field in it: `/joint_states/position/elbow`.
+
+Fields lie inside each other by slashes. In a list an element is named by its index, or by its name where the message has a list
+`name` (or `joint_names`, …) of the same length, as `sensor_msgs/JointState` has. `TOPIC/stamp` is a message's time [s]: its
+header's stamp, or else when it was logged.
+
+Samples are the messages of one topic, that of the column that is asked for first (the mapping's time). Numbers of
+other topics are interpolated linearly between their messages; a sample that does not lie between two of these, or in a gap
+of theirs, is left out.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from ...models.errors import InputError
+from ...models.recording import GAP
+
+STAMP = "stamp"
+_NAMES = ("name", "names", "joint_names", "interface_names", "actuator_names")
+_LISTED = 50
+"""Messages of a topic in which names of columns are looked for."""
+
+_HEADER = """std_msgs/Header header
+{}
+================================================================================
+MSG: std_msgs/Header
+builtin_interfaces/Time stamp
+string frame_id
+================================================================================
+MSG: builtin_interfaces/Time
+int32 sec
+uint32 nanosec
+"""
+_VECTOR = """================================================================================
+MSG: geometry_msgs/Vector3
+float64 x
+float64 y
+float64 z
+"""
+JOINT_STATE = _HEADER.format("string[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort")
+WRENCH_STAMPED = (
+    _HEADER.format("geometry_msgs/Wrench wrench")
+    + "================================================================================\nMSG: geometry_msgs/Wrench\n"
+    + "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n"
+    + _VECTOR
+)
+TEMPERATURE = _HEADER.format("float64 temperature\nfloat64 variance")
+DEFINITIONS = {
+    "sensor_msgs/msg/JointState": JOINT_STATE,
+    "geometry_msgs/msg/WrenchStamped": WRENCH_STAMPED,
+    "sensor_msgs/msg/Temperature": TEMPERATURE,
+    "std_msgs/msg/Float64": "float64 data\n",
+    "std_msgs/msg/Float32": "float32 data\n",
+}
+"""Definitions of the usual messages, which a bag does not bring itself."""
+
+
+@dataclass
+class _Topic:
+    """Messages of one topic: times [ns], and the numbers of every wanted field at them; NaN where a message has it not."""
+
+    times: list[int] = field(default_factory=list)
+    values: dict[str, list[float]] = field(default_factory=dict)
+    names: dict[str, None] = field(default_factory=dict)
+
+
+class Messages:
+    """Messages as a table."""
+
+    def __init__(self, path: Path, topics: dict[str, _Topic], others: Iterable[str]):
+        self.path = path
+        self._topics = topics
+        self._others = list(others)
+
+    @property
+    def names(self) -> list[str]:
+        """Columns of the topics that were read, and the names of the topics that were not."""
+        read = [f"{topic}/{name}" for topic, t in self._topics.items() for name in (STAMP, *t.names)]
+        return [*read, *self._others]
+
+    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
+        """Columns, shape (n,) each, at the messages of the first one's topic."""
+        split = {column: self._split(column) for column in wanted}
+        by_topic: dict[str, list[str]] = {}
+        for topic, name in split.values():
+            by_topic.setdefault(topic, []).append(name)
+        tables = {topic: self._table(topic, names) for topic, names in by_topic.items()}
+        main, *others = by_topic
+        times = tables[main][STAMP]
+        inside = np.ones(len(times), dtype=bool)
+        for topic in others:
+            theirs = tables[topic][STAMP]
+            after = np.clip(np.searchsorted(theirs, times), 1, max(len(theirs) - 1, 1))
+            near = (theirs[after] - theirs[after - 1] <= 1e9 * GAP) | np.isin(times, theirs)
+            inside &= (times >= theirs[0]) & (times <= theirs[-1]) & near
+        if not np.any(inside):
+            raise InputError(f"{self.path}: expected messages of {', '.join(by_topic)} at the same time, got none")
+        at = times[inside]
+        first = at[0]
+        found = {}
+        for column, (topic, name) in split.items():
+            table = tables[topic]
+            if name == STAMP:
+                found[column] = 1e-9 * (at - first)
+            elif topic == main:
+                found[column] = table[name][inside]
+            else:
+                found[column] = np.interp(at - first, table[STAMP] - first, table[name])
+        return found
+
+    def _split(self, column: str) -> tuple[str, str]:
+        topic = max((t for t in self._topics if column.startswith(f"{t}/")), key=len)
+        return topic, column[len(topic) + 1 :]
+
+    def _table(self, topic: str, names: list[str]) -> dict[str, np.ndarray]:
+        """Times [ns] and numbers of the messages of a topic that have all of them; in order, each time once."""
+        one = self._topics[topic]
+        columns = {name: np.array(one.values[name]) for name in names if name != STAMP}
+        times = np.array(one.times, dtype=np.int64)
+        whole = (
+            np.all([np.isfinite(values) for values in columns.values()], axis=0)
+            if columns
+            else np.ones(len(times), bool)
+        )
+        times, rows = np.unique(times[whole], return_index=True)
+        if len(times) < 2:
+            raise InputError(f"{self.path}: topic {topic}: expected messages with {', '.join(names)}, got {len(times)}")
+        return {STAMP: times, **{name: values[whole][rows] for name, values in columns.items()}}
+
+    def row(self, index: int) -> str:
+        """A sample for people."""
+        return f"sample {index + 1}"
+
+
+def open_messages(path: Path, sources: Iterable[str]) -> Messages:
+    """Read what a mapping asks for of an MCAP file, a ROS 2 bag's folder, or its database.
+
+    Args:
+      path: of the file or folder.
+      sources: columns that will be asked for.
+
+    Raises:
+      InputError: a file that cannot be read, messages in an unknown encoding, packages that are not installed; one line.
+    """
+    wanted = list(sources)
+    topics: dict[str, _Topic] = {}
+    others: dict[str, None] = {}
+    for file in _files(path):
+        reader = _mcap if file.suffix == ".mcap" else _database
+        for topic, logged, message in reader(file, lambda topic: _is_wanted(topic, wanted, others)):
+            _add(topics.setdefault(topic, _Topic()), topic, logged, message, wanted)
+    if not topics:
+        known = f"; it has {', '.join(others)}" if others else ""
+        raise InputError(f"{path}: expected messages of the topics that the mapping names, got none{known}")
+    return Messages(path, topics, others)
+
+
+def _is_wanted(topic: str, wanted: list[str], others: dict[str, None]) -> bool:
+    if any(column.startswith(f"{topic}/") for column in wanted):
+        return True
+    others[topic] = None
+    return False
+
+
+def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: list[str]) -> None:
+    """Take a message's wanted numbers."""
+    stamp = _inside(_inside(message, "header"), "stamp") or _inside(message, "timestamp")
+    seconds, rest = (
+        _inside(stamp, "sec"),
+        next((x for n in ("nanosec", "nsec") if (x := _inside(stamp, n)) is not None), None),
+    )
+    at = 0 if seconds is None or rest is None else int(seconds) * 10**9 + int(rest)
+    one.times.append(at or logged)
+    if len(one.times) <= _LISTED:
+        one.names.update(dict.fromkeys(_numbers(message)))
+    for column in wanted:
+        name = column.removeprefix(f"{topic}/")
+        if name == column or name == STAMP:
+            continue
+        values = one.values.setdefault(name, [np.nan] * (len(one.times) - 1))
+        values.append(_number(message, name.split("/")))
+
+
+def _inside(message: Any, name: str) -> Any:
+    return message.get(name) if isinstance(message, dict) else getattr(message, name, None)
+
+
+def _number(message: Any, parts: list[str], names: list[str] | None = None) -> float:
+    """A number in a message; NaN where there is none. `names`: of the elements, where the message is a list."""
+    for at, part in enumerate(parts):
+        if _is_list(message):
+            rest = "/".join(parts[at:])  # a joint's name may have slashes
+            if names and rest in names:
+                message, parts = message[names.index(rest)], []
+                break
+            if not part.isdecimal() or int(part) >= len(message):
+                return np.nan
+            message, names = message[int(part)], None
+            continue
+        found = _inside(message, part)
+        names = _names_of(message, found)
+        message = found
+    return float(message) if isinstance(message, (int, float)) else np.nan
+
+
+def _is_list(found: Any) -> bool:
+    return isinstance(found, (list, tuple)) or (
+        hasattr(found, "__getitem__") and hasattr(found, "__len__") and not isinstance(found, (str, bytes, dict))
+    )
+
+
+def _names_of(message: Any, found: Any) -> list[str] | None:
+    """Names of a list's elements, where its message has some."""
+    if not _is_list(found):
+        return None
+    for key in _NAMES:
+        names = _inside(message, key)
+        if _is_list(names) and len(names) == len(found) and all(isinstance(n, str) for n in names):
+            return list(names)
+    return None
+
+
+def _numbers(message: Any, prefix: str = "", names: list[str] | None = None) -> Iterator[str]:
+    """Names of all numbers in a message."""
+    if isinstance(message, (int, float)):
+        yield prefix.rstrip("/")
+    elif isinstance(message, (str, bytes)) or message is None:
+        return
+    elif _is_list(message):
+        for index, one in enumerate(message):
+            yield from _numbers(one, f"{prefix}{names[index] if names else index}/")
+    else:
+        for key in message if isinstance(message, dict) else _fields(message):
+            found = _inside(message, key)
+            yield from _numbers(found, f"{prefix}{key}/", _names_of(message, found))
+
+
+def _fields(message: Any) -> list[str]:
+    named = getattr(message, "__slots__", None) or getattr(message, "__dict__", {})
+    return [name for name in named if not name.startswith("_")]
+
+
+Wanted = Callable[[str], bool]
+Found = Iterator[tuple[str, int, Any]]
+"""Topic, when it was logged [ns], and the message."""
+
+
+def _files(path: Path) -> list[Path]:
+    """The files of a log: itself, or those of a bag in their order."""
+    if path.is_file():
+        return [path]
+    told = path / "metadata.yaml"
+    if not told.is_file():
+        raise InputError(f"{path}: expected a ROS 2 bag with its metadata.yaml, found none")
+    try:
+        about = yaml.safe_load(told.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        files, compressed = [path / name for name in about["relative_file_paths"]], about.get("compression_mode", "")
+    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+        raise InputError(f"{told}: expected what a ROS 2 bag says of itself, got none of that") from error
+    if compressed and str(compressed).lower() != "none":
+        raise InputError(
+            f"{told}: expected a bag without compression (`ros2 bag convert` takes it off), got {compressed}"
+        )
+    for file in files:
+        if file.suffix not in (".mcap", ".db3") or not file.is_file():
+            raise InputError(f"{file}: expected a file of the bag, .mcap or .db3, found none")
+    return files
+
+
+def _ros2() -> Any:
+    """What decodes messages of ROS 2.
+
+    Raises:
+      InputError: it is not installed.
+    """
+    try:
+        from mcap_ros2.decoder import DecoderFactory
+    except ImportError as error:
+        raise InputError(
+            "reading MCAP and ROS 2 bags: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
+        ) from error
+    return DecoderFactory()
+
+
+def _decoder(factory: Any, path: Path, topic: str, encoding: str, schema: Any) -> Callable[[bytes], Any]:
+    """What makes messages of a topic's bytes."""
+    from mcap.records import Schema
+
+    if encoding == "json":
+        return json.loads
+    try:
+        if encoding == "cdr" and schema is not None:
+            text = DEFINITIONS.get(schema.name, "")
+            if schema.encoding != "ros2msg" and text:
+                schema = Schema(data=text.encode(), encoding="ros2msg", id=schema.id, name=schema.name)
+            found = factory.decoder_for(encoding, schema)
+            if found is not None:
+                return found
+    except Exception as error:  # whatever a strange definition does to it
+        raise InputError(f"{path}: topic {topic}: not a readable definition of {schema.name}: {error}") from error
+    kind = f"{encoding or 'no encoding'}, defined in {schema.encoding or 'nothing'}" if schema is not None else encoding
+    raise InputError(f"{path}: topic {topic}: expected messages of ROS 2 (cdr, ros2msg) or JSON, got {kind}")
+
+
+def _mcap(path: Path, wanted: Wanted) -> Found:
+    factory = _ros2()
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    with path.open("rb") as stream:
+        try:
+            reader = make_reader(stream)
+            summary = reader.get_summary()
+            if summary is not None:
+                chosen = [c.topic for c in summary.channels.values() if wanted(c.topic)]
+                if not chosen:
+                    return
+            else:
+                chosen = None
+            decoders: dict[int, Callable[[bytes], Any] | None] = {}
+            for schema, channel, message in reader.iter_messages(topics=chosen):
+                if channel.id not in decoders:
+                    read = summary is not None or wanted(channel.topic)
+                    decoders[channel.id] = (
+                        _decoder(factory, path, channel.topic, channel.message_encoding, schema) if read else None
+                    )
+                decode = decoders[channel.id]
+                if decode is not None:
+                    yield channel.topic, message.log_time, _decoded(path, channel.topic, decode, message.data)
+        except (McapError, EOFError, OSError, ValueError, RuntimeError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(
+                f"{path}: not a readable MCAP file: {(str(error).splitlines() or [type(error).__name__])[0]}"
+            ) from error
+
+
+def _decoded(path: Path, topic: str, decode: Callable[[bytes], Any], data: bytes) -> Any:
+    try:
+        return decode(data)
+    except Exception as error:  # of bytes that are none of such a message
+        raise InputError(f"{path}: topic {topic}: not a readable message: {type(error).__name__}: {error}") from error
+
+
+def _database(path: Path, wanted: Wanted) -> Found:
+    factory = _ros2()
+    from mcap.records import Schema
+
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as bag:
+            tables = {name for (name,) in bag.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+            told = {}
+            if "message_definitions" in tables:
+                told = {
+                    kind: (encoding, text)
+                    for kind, encoding, text in bag.execute(
+                        "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
+                    )
+                }
+            for number, topic, kind, encoding in bag.execute(
+                "SELECT id, name, type, serialization_format FROM topics"
+            ).fetchall():
+                if not wanted(topic):
+                    continue
+                written, text = told.get(kind, ("ros2msg", ""))
+                text = text or DEFINITIONS.get(kind, "")
+                if not text:
+                    raise InputError(
+                        f"{path}: topic {topic}: expected a bag that holds the definition of {kind}, got none"
+                    )
+                schema = Schema(data=text.encode(), encoding=written or "ros2msg", id=number, name=kind)
+                decode = _decoder(factory, path, topic, encoding, schema)
+                rows = bag.execute(
+                    "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp", (number,)
+                )
+                for logged, data in rows:
+                    yield topic, logged, _decoded(path, topic, decode, data)
+    except sqlite3.Error as error:
+        raise InputError(f"{path}: not a readable ROS 2 bag: {error}") from error

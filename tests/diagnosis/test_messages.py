@@ -1,0 +1,306 @@
+"""MCAP files and ROS 2 bags as logs: topics by name, stamps, interpolation; recordings as MCAP and back."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import struct
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+import flexspline as fs
+from flexspline.models.recording import Recording, read_measurement, write_recording
+
+pytest.importorskip("mcap_ros2")
+
+BEGIN = 1_760_000_000_123_456_789  # ns
+STEP = 2_000_000
+N = 300
+MAPPING = {
+    "format": 1, "name": "bag", "joint": "test-joint", "link": {"inertia": 0.35, "gravity_moment": 9.0},
+    "columns": {
+        "time": {"column": "/joint_states/stamp", "unit": "s"},
+        "motor_position": {"column": "/joint_states/position/motor", "unit": "rad"},
+        "link_position": {"column": "/joint_states/position/link", "unit": "rad"},
+        "motor_current": {"column": "/motor_current/data", "unit": "A"},
+        "joint_torque": {"column": "/ft/wrench/torque/y", "unit": "N·m", "sign": -1, "optional": True},
+    },
+}  # fmt: skip
+
+
+def motor(k: float) -> float:
+    return 100 * np.sin(1e-2 * k)
+
+
+def mapping(tmp_path, **columns) -> Path:
+    path = tmp_path / "bag.yaml"
+    path.write_text(
+        yaml.safe_dump(MAPPING | {"columns": MAPPING["columns"] | columns}, allow_unicode=True), encoding="utf-8"
+    )
+    return path
+
+
+class Cdr:
+    """Messages as ROS 2 sends them: little-endian, every number at a multiple of its size."""
+
+    def __init__(self):
+        self.data = b""
+
+    def put(self, kind: str, *values: float) -> Cdr:
+        size = struct.calcsize(kind)
+        for value in values:
+            self.data += b"\0" * (-len(self.data) % size) + struct.pack(f"<{kind}", value)
+        return self
+
+    def text(self, *texts: str) -> Cdr:
+        for text in texts:
+            self.put("I", len(text) + 1)
+            self.data += text.encode() + b"\0"
+        return self
+
+    def header(self, stamp: int) -> Cdr:
+        return self.put("i", stamp // 10**9).put("I", stamp % 10**9).text("")
+
+    def bytes(self) -> bytes:
+        return b"\0\1\0\0" + self.data
+
+
+def joint_state(stamp: int, positions: dict[str, float]) -> bytes:
+    message = Cdr().header(stamp).put("I", len(positions)).text(*positions)
+    return message.put("I", len(positions)).put("d", *positions.values()).put("I", 0, 0).bytes()
+
+
+def wrench(stamp: int, torque: float) -> bytes:
+    return Cdr().header(stamp).put("d", 1.0, 2.0, 3.0, 0.0, torque, 0.0).bytes()
+
+
+KINDS = {
+    "/joint_states": "sensor_msgs/msg/JointState",
+    "/ft": "geometry_msgs/msg/WrenchStamped",
+    "/motor_current": "std_msgs/msg/Float64",
+}
+
+
+def messages() -> Iterable[tuple[str, int, bytes]]:
+    """Topic, time of logging, bytes: a joint whose names change places and a gripper on the same topic; a wrench between its
+    samples; a current without a stamp."""
+    found = []
+    for k in range(N):
+        stamp = BEGIN + k * STEP
+        both = {"motor": motor(k), "link": 0.01 * motor(k)}
+        found.append(
+            ("/joint_states", stamp + 50_000, joint_state(stamp, dict(reversed(both.items())) if k % 3 else both))
+        )
+        if k % 7 == 0:
+            found.append(("/joint_states", stamp + 60_000, joint_state(stamp + 500_000, {"gripper": 0.02})))
+        found.append(("/ft", stamp + 900_000, wrench(stamp + STEP // 2, -0.05 * motor(k + 0.5))))
+        found.append(("/motor_current", stamp, Cdr().put("d", 0.02 * motor(k)).bytes()))
+    return found
+
+
+def bag(folder: Path) -> Path:
+    """A ROS 2 bag as a database."""
+    folder.mkdir()
+    with sqlite3.connect(folder / "bag_0.db3") as file:
+        file.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT, qos TEXT)"
+        )
+        file.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+        number = {topic: i for i, topic in enumerate([*KINDS, "/rosout"], 1)}
+        for topic, i in number.items():
+            file.execute(
+                "INSERT INTO topics VALUES (?, ?, ?, 'cdr', '')", (i, topic, KINDS.get(topic, "rcl_interfaces/msg/Log"))
+            )
+        rows = [(number[topic], logged, data) for topic, logged, data in messages()]
+        file.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+    about = {
+        "version": 5,
+        "storage_identifier": "sqlite3",
+        "relative_file_paths": ["bag_0.db3"],
+        "compression_mode": "",
+    }
+    (folder / "metadata.yaml").write_text(yaml.safe_dump({"rosbag2_bagfile_information": about}))
+    return folder
+
+
+def mcap(path: Path, encoding: str = "cdr") -> Path:
+    """The same as an MCAP file; of ROS 2 or of JSON."""
+    from mcap.writer import Writer
+
+    from flexspline.diagnosis.data.messages import DEFINITIONS
+
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        channels = {}
+        for topic, kind in KINDS.items():
+            kinds = {
+                "cdr": ("ros2msg", DEFINITIONS[kind].encode()),
+                "json": ("jsonschema", b"{}"),
+                "protobuf": ("protobuf", b""),
+            }
+            schema = writer.register_schema(kind, *kinds[encoding])
+            channels[topic] = writer.register_channel(topic, encoding, schema)
+        for topic, logged, data in messages():
+            if encoding == "json":
+                data = json.dumps(
+                    {"data": struct.unpack("<d", data[4:])[0]} if topic == "/motor_current" else {}
+                ).encode()
+            writer.add_message(channels[topic], logged, data, logged)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize("kind", ["folder", "database", "mcap"])
+def test_topics_are_columns(flexspline, tmp_path, kind):
+    """The samples are those of the time's topic; what other topics say is interpolated, and nothing beyond their ends."""
+    source = mcap(tmp_path / "log.mcap") if kind == "mcap" else bag(tmp_path / "log")
+    source = source / "bag_0.db3" if kind == "database" else source
+    code, _, error = flexspline("import", mapping(tmp_path), source, "--out", tmp_path / "out")
+    assert code == 0, error
+    (recording,) = read_measurement(tmp_path / "out").recordings
+    k = np.arange(1, N)  # the wrench begins half a sample later
+    np.testing.assert_allclose(recording.time, 1e-9 * STEP * (k - 1), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(recording["motor_position"], motor(k), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(recording["link_position"], 0.01 * motor(k), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(recording["motor_current"], 0.02 * motor(k), rtol=0, atol=1e-9)
+    np.testing.assert_allclose(recording["joint_torque"], 0.05 * motor(k), rtol=0, atol=1e-4)
+    again = fs.import_log(tmp_path / "bag.yaml", source)
+    assert again["joint_torque"].tobytes() == recording["joint_torque"].tobytes()
+
+
+def test_samples_in_a_gap_of_another_topic_are_left_out(tmp_path):
+    whole = bag(tmp_path / "log")
+    with sqlite3.connect(whole / "bag_0.db3") as file:
+        file.execute(
+            "DELETE FROM messages WHERE topic_id = 2 AND timestamp BETWEEN ? AND ?",
+            (BEGIN + 100 * STEP, BEGIN + 200 * STEP),
+        )
+    recording = fs.import_log(mapping(tmp_path), whole)
+    assert len(recording.gaps) == 1 and np.diff(recording.gaps[0])[0] == pytest.approx(0.2, abs=0.01)
+    np.testing.assert_allclose(recording["joint_torque"], 0.05 * recording["motor_position"], rtol=0, atol=1e-4)
+
+
+def test_json_and_the_time_of_logging(tmp_path):
+    columns = {
+        "time": {"column": "/motor_current/stamp", "unit": "s"},
+        "motor_position": {"column": "/motor_current/data", "unit": "rad"},
+        "link_position": {"column": "/nothing/data", "unit": "rad", "optional": True},
+        "motor_current": {"column": "/motor_current/data", "unit": "A"},
+    }
+    recording = fs.import_log(mapping(tmp_path, **columns), mcap(tmp_path / "log.mcap", "json"))
+    np.testing.assert_allclose(recording["motor_current"], 0.02 * motor(np.arange(N)), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(recording.time, 1e-9 * STEP * np.arange(N), rtol=0, atol=1e-12)
+
+
+def one_line(found: tuple[int, str, str]) -> str:
+    code, _, err = found
+    lines = [line for line in err.splitlines() if line.strip()]
+    assert code == 2 and len(lines) == 1, err
+    return lines[0]
+
+
+def test_what_is_wrong_is_one_line(flexspline, tmp_path):
+    def told(source: Path, **columns) -> str:
+        return one_line(flexspline("import", mapping(tmp_path, **columns), source, "--out", tmp_path / "out"))
+
+    good, file = bag(tmp_path / "log"), mcap(tmp_path / "log.mcap")
+    misspelt = {"column": "/joint_states/position/moter", "unit": "rad"}
+    for source in (good, file):
+        line = told(source, motor_position=misspelt)
+        assert (
+            "'/joint_states/position/moter': missing" in line and "did you mean '/joint_states/position/motor'" in line
+        )
+    elsewhere = {
+        name: {"column": "/states/data", "unit": unit} for name, unit in (("time", "s"), ("motor_position", "rad"))
+    }
+    line = told(good, **elsewhere, link_position=elsewhere["motor_position"])
+    assert "'/states/data': missing" in line
+    assert "got protobuf, defined in protobuf" in told(mcap(tmp_path / "proto.mcap", "protobuf"))
+    (tmp_path / "short.mcap").write_bytes(file.read_bytes()[:5000])
+    assert "short.mcap" in told(tmp_path / "short.mcap")
+    (tmp_path / "none.mcap").write_bytes(b"no such file at all")
+    assert "not a readable MCAP file" in told(tmp_path / "none.mcap")
+    (tmp_path / "none.db3").write_bytes(b"no database" * 100)
+    assert "not a readable ROS 2 bag" in told(tmp_path / "none.db3")
+    (tmp_path / "empty").mkdir()
+    assert "metadata.yaml, found none" in told(tmp_path / "empty")
+    about = (good / "metadata.yaml").read_text()
+    (good / "metadata.yaml").write_text(about.replace("compression_mode: ''", "compression_mode: FILE"))
+    assert "expected a bag without compression" in told(good)
+    (good / "metadata.yaml").write_text("- 1\n")
+    assert "what a ROS 2 bag says of itself" in told(good)
+
+
+def test_without_the_packages_it_is_one_line(flexspline, tmp_path, monkeypatch):
+    source = bag(tmp_path / "log")
+    for name in ("mcap_ros2.decoder", "mcap_ros2.writer"):
+        monkeypatch.setitem(sys.modules, name, None)
+    line = one_line(flexspline("import", mapping(tmp_path), source, "--out", tmp_path / "out"))
+    assert line.endswith("install flexspline[mcap]")
+    path = write_recording(made(), tmp_path / "m")
+    assert one_line(flexspline("export", path, "--out", tmp_path / "out")).endswith("install flexspline[mcap]")
+
+
+def made() -> Recording:
+    n = 400
+    time = np.concatenate([np.arange(200), 300 + np.arange(200)]) * 2e-3 + 0.1
+    rng = np.random.default_rng(4)
+    names = [
+        "motor_position",
+        "link_position",
+        "motor_current",
+        "joint_torque",
+        "temperature",
+        "position_command",
+        "force_x",
+        "torque_y",
+    ]
+    return Recording("made", time, {name: rng.normal(size=n) for name in names}, description="it is made")
+
+
+def test_a_recording_as_mcap_and_back(flexspline, tmp_path):
+    given = made()
+    path = write_recording(given, tmp_path / "m")
+    code, out, error = flexspline("export", path, "--out", tmp_path / "out")
+    assert code == 0 and "made.mcap" in out, error
+    columns = {
+        "temperature": {"column": "/temperature/temperature", "unit": "°C"},
+        "joint_torque": {"column": "/joint_torque/data", "unit": "N·m"},
+        "position_command": {"column": "/position_command/data", "unit": "rad"},
+        "force_x": {"column": "/wrench/wrench/force/x", "unit": "N"},
+        "torque_y": {"column": "/wrench/wrench/torque/y", "unit": "N·m"},
+    }
+    back = fs.import_log(mapping(tmp_path, **columns), tmp_path / "out" / "made.mcap")
+    assert set(back.columns) == set(given.columns)
+    np.testing.assert_allclose(back.time, given.time - given.time[0], rtol=0, atol=1e-9)
+    for name, values in given.columns.items():
+        np.testing.assert_array_equal(back[name], values)
+
+    from mcap.reader import make_reader
+
+    with (tmp_path / "out" / "made.mcap").open("rb") as stream:
+        (told,) = make_reader(stream).iter_metadata()
+    assert (
+        told.name == "flexspline"
+        and told.metadata["joint"] == "test-joint"
+        and told.metadata["description"] == "it is made"
+    )
+
+
+def test_a_run_as_mcap(flexspline, tmp_path):
+    out = tmp_path / "runs"
+    words = ["--set", "duration=1.5", "--set", "filters=[lowpass]", "--no-figures", "--no-recording", "--out", out]
+    assert flexspline("run", "no_load", *words)[0] == 0
+    code, _, error = flexspline("export", out / "no_load", "--out", tmp_path / "mcap")
+    assert code == 0, error
+    recording = fs.import_log(
+        mapping(tmp_path, joint_torque={"column": "/joint_torque/data", "unit": "N·m"}),
+        tmp_path / "mcap" / "no_load.mcap",
+    )
+    assert len(recording.time) == 1500
