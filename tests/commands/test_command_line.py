@@ -146,3 +146,18 @@ def test_a_pipe_is_refused_at_once(flexspline, tmp_path, command):
     out = [] if command[0] in ("check", "view", "verify") else ["--out", tmp_path / "out"]
     code, _, err = flexspline(*command, tmp_path / "in" / place[command[0]], *out)
     assert code == 2 and err.count("\n") == 1, err
+
+
+def test_a_command_ends_at_once_and_in_order():
+    """What is to happen at the end happens, output is whole, and the code is the command's."""
+    program = (
+        "import atexit, sys, threading, time\n"
+        "from flexspline.__main__ import main\n"
+        "atexit.register(print, 'in the end')\n"
+        "threading.Thread(target=lambda: (time.sleep(1.5), print('late'))).start()\n"
+        "main()"
+    )
+    for words, code in ((["--version"], 0), (["run", "nowhere"], 2)):
+        done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, timeout=60)
+        said = done.stdout.split(b"\n")
+        assert done.returncode == code and said[-2] == b"in the end" and b"late" in said, done
