@@ -1,4 +1,4 @@
-"""Run the benchmarks: all, or those named. `convergence` and `mistakes` take minutes and run only when named."""
+"""Run the benchmarks: all, or those named. Those that take minutes, or hours, run only when named."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import platform
 from importlib import metadata
 
 NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views")
-NAMED_ONLY = ("convergence", "estimators", "claims", "mistakes")
+NAMED_ONLY = ("convergence", "estimators", "claims", "mistakes", "calibrated", "sysid")
 
 
 def main() -> None:

@@ -303,6 +303,9 @@ class CausalEstimator(Estimator):
 
     def reason(self, status: int, out: np.ndarray) -> str:
         """Why a step with this status gave no estimate, for people; `out`: the last good outputs."""
+        error = getattr(self.compiled, "error", None)
+        if status < 0 and error is not None:  # of a step in Python
+            return f"its step failed: {type(error).__name__}: {error}"
         return "the estimate is no longer a finite number"
 
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:

@@ -352,3 +352,35 @@ def test_the_yaml_is_as_people_write_it(flexspline, tmp_path):
     text = (tmp_path / "csg_14_100.yaml").read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if line.startswith("  K1: ")]
     assert len(rows) == 1 and yaml.safe_load(rows[0])["K1"]["unit"] == "N·m/rad"
+
+
+ODD = [None, [], {}, "x", -1.0, 0, 1e300, True, [1, 2], {"a": 1}, "Nm", 10**400]
+
+
+def test_what_has_no_errors_loads_and_what_does_not_load_has(tmp_path, rng):
+    """Files with places replaced at random."""
+    from flexspline.models.errors import InputError
+    from flexspline.models.plausibility import check
+
+    for _ in range(15):
+        data = yaml.safe_load(TEXT)
+        for _ in range(int(rng.integers(1, 4))):
+            place = data
+            while True:
+                keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+                key = keys[int(rng.integers(len(keys)))]
+                deeper = isinstance(place[key], (dict, list)) and len(place[key]) and rng.random() < 0.8
+                if not deeper:
+                    place[key] = ODD[int(rng.integers(len(ODD)))]
+                    break
+                place = place[key]
+        (tmp_path / "mine.yaml").write_text(yaml.safe_dump(data, allow_unicode=True), encoding="utf-8")
+        checked = check(tmp_path / "mine.yaml")
+        assert all("\n" not in problem.message and problem.field for problem in checked.problems)
+        try:
+            load_joint(tmp_path / "mine.yaml")
+        except InputError:
+            assert checked.errors, data
+        else:
+            contradicting = [p for p in checked.problems if p.severity == "error" and " ≥ " in p.message]
+            assert checked.errors == len(contradicting), checked.problems

@@ -193,6 +193,18 @@ def test_an_estimator_in_python(known, signals):
     assert (failed, status) == (7, 1) and (out[7:] == 0).all()
 
 
+def test_a_step_in_python_that_fails_says_why(known, signals):
+    failing = PythonStep(lambda *addresses: 1 // 0)
+
+    class Failing(Plain):
+        compiled = failing
+
+    with pytest.raises(
+        FilterDiverged, match=r"at step 0, .* its step failed: ZeroDivisionError: integer division or modulo by zero"
+    ):
+        Failing("failing").estimate(signals, known)
+
+
 def entry(value: str, name: str = "foreign") -> EntryPoint:
     return EntryPoint(name, value, "flexspline.estimators")
 
