@@ -308,7 +308,7 @@ def diagnose(
     undetermined, alike = _limits(problem, found, final, tried, missing)
     nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
     surest = 1.0
-    if share == 0.0 or (found.chosen.model and nearly_all):
+    if share == 0.0 or (found.chosen.model and nearly_all and problem.link_measured):
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         surest = ANSWER.unsure if share == 0.0 else 1.0
         described = problem.as_described()
