@@ -500,6 +500,8 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
         confidence = _confidence(found, h.cause.name, i, unknown)
         if h.cause.resonance and not problem.link_measured:
             confidence = min(confidence, ANSWER.beside)
+        if _at_bound(h, u):  # an inertia of nothing is no answer, whatever it explains
+            confidence = min(confidence, ANSWER.unsure)
         small = real and size_of(problem, final, i) < ANSWER.minor
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
@@ -507,6 +509,13 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
             Finding(h.cause.name, h.cause.component, confidence, parameters, share, w.rms)
         )
     return findings, minor
+
+
+def _at_bound(h: Hypothesis, u: np.ndarray) -> bool:
+    """Whether a size sits at the end of what the cause's parameters can be."""
+    low, high = h.limits
+    sizes = np.asarray(h.magnitudes)
+    return bool(np.any((u[sizes] <= low[sizes] + 1e-6) | (u[sizes] >= high[sizes] - 1e-6)))
 
 
 def _held_out_squares(problem: Problem, f: Fit) -> float:
