@@ -46,7 +46,7 @@ from flexspline.views.limit_tables import markdown
 from .estimators import SCENARIOS, fill, text
 
 ROOT = Path(__file__).resolve().parents[1]
-SEED = 7001
+SEED = 7101
 NAMES = ("augmented", "dynamics_ekf", "momentum_torsion", "current", "model", "RAREKF", "AREKF", "EKF")
 KNOWLEDGE = ("before", "after", "exact")
 PARTS = ("rms", "moving", "resting")

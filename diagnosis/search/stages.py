@@ -344,7 +344,7 @@ def search(
             at = _together(problem, fitter, at, library, more)
         at, rivals, simpler = _simplified(problem, fitter, at, rivals, hypotheses, accept)
         decisions += simpler
-        if len(at.model) > 1:
+        if more or len(at.model) > 1:
             at, rivals, dropped = _prune(problem, fitter, at, rivals, accept)
             decisions += dropped
     elif pending is not None:
