@@ -27,7 +27,7 @@ class CalibrateSettings:
       stuck: a number that the data know well and that sits so many standard deviations from nominal may stand in for an effect.
       unsettled: normalised RMS against the sensors' noise from which on a second start is tried.
       slow: ratio of slow to fast model discrepancy from which on the fit is also tried from least squares.
-      tempered: log evidence that e times as much left unexplained has to be worth.
+      plainly: times as small as that of the likelier fit that the error of the other must be, to be the better one.
     """
 
     tare: tuple[float, ...] = (-2.4, -1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8, 2.4)
@@ -35,7 +35,7 @@ class CalibrateSettings:
     stuck: float = 0.92 * REACH
     unsettled: float = 1.35
     slow: float = 2.0
-    tempered: float = 10.0
+    plainly: float = 1.5
 
 
 SETTINGS = CalibrateSettings()
@@ -51,7 +51,7 @@ def _of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: Calibrat
     """The better of two fits: by annealing from `start`, and on from least squares.
 
     A slow discrepancy can hold what parameters would: gravity and friction then decide nothing, and the likelihood has a second
-    maximum with much of it. Where the evidence does not clearly speak for it, the fit that leaves less is the better one.
+    maximum with much of it. Whatever the likelihood says, a simulation that is off by several times as much is no calibration.
     """
     annealed = fitter.fit(model, start, iterations=settings.iterations)
     fast, slow = np.split(annealed.noise.discrepancy, [2], axis=1)
@@ -59,13 +59,10 @@ def _of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: Calibrat
         return annealed
     quick = Fitter(fitter.problem, fitter.settings, EVEN).fit(model, start, iterations=settings.iterations)
     other = fitter.fit(model, quick.theta, iterations=settings.iterations)
-
-    def merit(f: Fit) -> float:
-        return f.log_evidence - settings.tempered * 0.5 * float(
-            np.log(np.sum(unexplained(fitter.problem, f.point)) + 1e-30)
-        )
-
-    return max((annealed, other), key=merit)
+    left = [float(np.sum(unexplained(fitter.problem, f.point))) for f in (annealed, other)]
+    if left[1] < left[0] / settings.plainly**2:
+        return other
+    return max((annealed, other), key=lambda f: f.log_evidence)
 
 
 def tared(problem: Problem, theta: np.ndarray, model: Model, settings: CalibrateSettings) -> np.ndarray:
