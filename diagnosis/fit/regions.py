@@ -29,14 +29,12 @@ class RegionSettings:
       end: share of the samples that lie at an end of a range.
       fewest: samples in motion that a region must have.
       worse: ratio of RMS errors, extended without the region over described, from which on the extension is worse there.
-      slight: part of the description's RMS error over all balances below which an error of one balance does not count.
       shares: of the way from the description to the fit that are tried until it is worse in no region.
     """
 
     end: float = 0.2
     fewest: int = 40
     worse: float = 1.05
-    slight: float = 0.1
     shares: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.0)
 
 
@@ -53,7 +51,7 @@ class Region:
       described: RMS of the simulation's error there with the description as it came [N·m at the output].
       extended: with the extended joint, whose fit has seen the region.
       unseen: with the extended joint fitted without the region.
-      ratio: of `unseen` to `described` in the balance where it is largest, what is noise or slight aside.
+      ratio: of `unseen` to `described`, with the sensors' noise in both.
     """
 
     name: str
@@ -66,7 +64,7 @@ class Region:
 
     @property
     def worse(self) -> bool:
-        """Whether the extension does worse there than the description in some balance, had it not seen the region."""
+        """Whether the extension does worse there than the description, had it not seen the region."""
         return self.ratio > SETTINGS.worse
 
     def to_json(self) -> dict[str, Any]:
@@ -163,9 +161,9 @@ def held_out_regions(
         unseen = [r + share * (J @ shift) for r, J in zip(f.point.residual, f.jacobian, strict=True)]
         before, seen, after, noise = (_rms(x, use, scale) for x in (described, f.point.residual, unseen, f.point.noise))
         formed = np.isfinite(before)
-        # Where both are noise, or next to nothing beside what the description is off, neither is worse.
-        floor = noise**2 + settings.slight**2 * np.nansum(before**2)
-        ratio = float(np.max(np.sqrt((after**2 + floor) / (before**2 + floor))[formed], initial=0.0))
+        # Where both are noise, neither is worse.
+        floor = np.nansum(noise**2)
+        ratio = float(np.sqrt((np.nansum(after**2) + floor) / max(np.nansum(before**2) + floor, 1e-300)))
         described_rms, extended_rms, unseen_rms = (
             float(np.sqrt(np.mean(x[formed] ** 2))) if formed.any() else 0.0 for x in (before, seen, after)
         )
