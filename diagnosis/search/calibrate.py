@@ -59,8 +59,13 @@ def _of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: Calibrat
         return annealed
     quick = Fitter(fitter.problem, fitter.settings, EVEN).fit(model, start, iterations=settings.iterations)
     other = fitter.fit(model, quick.theta, iterations=settings.iterations)
-    left = [float(np.sum(unexplained(fitter.problem, f.point))) for f in (annealed, other)]
-    if left[1] < left[0] / settings.plainly**2:
+
+    def error(f: Fit) -> float:
+        return float(np.sqrt(np.sum(unexplained(fitter.problem, f.point))))
+
+    if error(other) > settings.plainly * error(quick):
+        other = fitter.fit(model, quick.theta, iterations=1)  # further on, slow discrepancy takes over here too
+    if error(other) < error(annealed) / settings.plainly:
         return other
     return max((annealed, other), key=lambda f: f.log_evidence)
 
