@@ -155,12 +155,25 @@ def main() -> None:
         _refuse(InputError(f"{where}{reason}"))
     except MemoryError:
         _refuse(InputError("out of memory"))
+    except ImportError as error:  # a compiled library that was being loaded turns Ctrl-C into "initialization failed"
+        if not _interrupted(error):
+            raise
+        _leave(130)
     except KeyboardInterrupt:
         _leave(130)
     except SystemExit as stop:
         if stop.code in (130, 143):  # Ctrl-C, as Typer passes it on, and SIGTERM
             _leave(stop.code)
         raise
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Whether an error comes from Ctrl-C."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
 
 
 _otherwise = warnings.showwarning
