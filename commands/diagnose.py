@@ -22,8 +22,8 @@ from ._options import with_plugins
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..diagnosis.answer import Diagnosis, Finding
     from ..diagnosis.data.mistakes import Mistake
-    from ..diagnosis.diagnose import Diagnosis, Finding
     from ..diagnosis.improvement import Improvement
 
 _SEARCHING = 0.7

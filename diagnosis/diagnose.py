@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from ..models import causes
-from ..models.joint import Effect, Estimate, Joint
-from ..models.notebook import html_table, paragraph
+from ..models.joint import Joint
 from ..models.recording import Measurement
+from .answer import BalanceResidual, Diagnosis, Finding, ParameterEstimate
 from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
+from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
@@ -38,11 +37,8 @@ from .search.stages import (
     size_of,
     without_effect,
 )
-from .search.worth import mean_squares, output_scale, unexplained, worth
+from .search.worth import unexplained, worth
 from .uncertainty import stated
-
-if TYPE_CHECKING:
-    from .planning import Plan
 
 
 @dataclass(frozen=True)
@@ -85,182 +81,6 @@ class AnswerSettings:
 
 
 ANSWER = AnswerSettings()
-
-
-@dataclass(frozen=True)
-class ParameterEstimate:
-    """A parameter of a cause: value, standard deviation, unit."""
-
-    value: float
-    std: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class Finding:
-    """A cause that was found.
-
-    Attributes:
-      name, component: as in the library, or `unknown`.
-      confidence: probability that this, and no other cause, is there.
-      parameters: of the extended model.
-      explains: share of the held-out discrepancy that it removes, in mean squares of output torque.
-      worth: root mean square that it alone removes from the simulation's error [N·m at the output].
-      description, depends_on: of an unknown effect.
-    """
-
-    name: str
-    component: str
-    confidence: float
-    parameters: dict[str, ParameterEstimate]
-    explains: float
-    worth: float
-    description: str = ""
-    depends_on: tuple[str, ...] = ()
-
-    def to_json(self) -> dict[str, Any]:
-        """As it stands in `diagnosis.json`."""
-        entry: dict[str, Any] = {
-            "name": self.name,
-            "component": self.component,
-            "confidence": round(self.confidence, 3),
-            "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in self.parameters.items()},
-            "explains": round(self.explains, 4),
-            "worth": {"value": self.worth, "unit": "N·m"},
-        }
-        if self.name == "unknown":
-            entry["description"] = self.description
-            entry["depends_on"] = list(self.depends_on)
-        return entry
-
-
-@dataclass(frozen=True)
-class ParameterShift:
-    """A number that calibration moved within its tolerance."""
-
-    nominal: float
-    value: float
-    std: float
-    tolerance: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class BalanceResidual:
-    """RMS of one balance on held-out data: described and calibrated joint, extended joint, what the sensors' noise explains."""
-
-    before: float
-    after: float
-    noise: float
-    unit: str
-
-
-@dataclass(frozen=True)
-class Diagnosis:
-    """The answer, with what is needed to show how it came about.
-
-    Attributes:
-      verdict: consistent, discrepancy or inconclusive; reason: why, where that is not plain from the causes.
-      causes: by how much each is worth; minor: effects that are there, too small to be called causes.
-      calibration: numbers that moved.
-      confusable: pairs of causes that this measurement cannot tell apart.
-      undetermined: causes that it could not have shown at ordinary size, with the reason.
-      residual: by balance.
-      regions: what the extended joint is worth where a fit has not been, the worst first.
-      extended: the joint with calibration and effects in it.
-      mistakes: in the data.
-      decisions: about every hypothesis that was looked at.
-      problem, search: what was computed; None where mistakes in the data made physics meaningless.
-      before, after: residuals of every segment, shape (k, len(BALANCES)), for showing.
-      estimation: what diagnosis gains for estimation.
-      plan: what to measure next (`planning.plan`), where it was asked for.
-      held_out: how data were kept from the fits.
-      complete: whether there was time for all stages.
-      seconds: that it took.
-    """
-
-    verdict: str
-    reason: str
-    causes: tuple[Finding, ...]
-    calibration: dict[str, ParameterShift]
-    confusable: tuple[tuple[str, str], ...]
-    undetermined: dict[str, str]
-    residual: dict[str, BalanceResidual]
-    regions: tuple[Region, ...]
-    extended: Joint
-    minor: tuple[Finding, ...] = ()
-    mistakes: tuple[Mistake, ...] = ()
-    decisions: tuple[Decision, ...] = field(default=(), repr=False)
-    problem: Problem | None = field(default=None, repr=False)
-    search: Search | None = field(default=None, repr=False)
-    final: Fit | None = field(default=None, repr=False)
-    before: list[np.ndarray] = field(default_factory=list, repr=False)
-    after: list[np.ndarray] = field(default_factory=list, repr=False)
-    estimation: dict[str, Any] | None = None
-    plan: Plan | None = field(default=None, repr=False)
-    held_out: str = ""
-    complete: bool = True
-    seconds: float = 0.0
-
-    def _repr_html_(self) -> str:
-        causes_ = [
-            (
-                c.name.replace("_", " "), c.component, f"{100 * c.confidence:.0f} %", f"{100 * c.explains:.0f} %", c.worth,
-                c.description
-                or ", ".join(f"{k} = {p.value:.4g} ± {p.std:.2g} {p.unit}".rstrip() for k, p in c.parameters.items()),
-            )
-            for c in self.causes
-        ]  # fmt: skip
-        residual = [(name, r.before, r.after, r.noise, r.unit) for name, r in self.residual.items()]
-        return "".join(
-            (
-                paragraph(self.verdict, self.reason),
-                *(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes),
-                html_table(("cause", "component", "sure", "explains", "worth [N·m]", "parameters"), causes_),
-                html_table(("residual", "before", "after", "noise", "unit"), residual),
-                paragraph("Cannot be told apart:", "; ".join(" and ".join(p) for p in self.confusable))
-                if self.confusable
-                else "",
-                paragraph("Could not have shown:", ", ".join(self.undetermined)) if self.undetermined else "",
-                "" if self.plan is None else self.plan._repr_html_(),
-            )
-        )
-
-    def to_json(self) -> dict[str, Any]:
-        """What `diagnosis.json` holds."""
-        return {
-            "verdict": self.verdict,
-            "reason": self.reason,
-            "causes": [c.to_json() for c in self.causes],
-            "minor": [c.to_json() for c in self.minor],
-            "calibration": {
-                k: {"nominal": m.nominal, "value": m.value, "std": m.std, "tolerance": m.tolerance, "unit": m.unit}
-                for k, m in self.calibration.items()
-            },
-            "confusable": [list(pair) for pair in self.confusable],
-            "undetermined": list(self.undetermined),
-            "residual": {
-                k: {"before": r.before, "after": r.after, "noise": r.noise, "unit": r.unit}
-                for k, r in self.residual.items()
-            },
-            "regions": [r.to_json() for r in self.regions],
-            "estimation": self.estimation,
-            "held_out": self.held_out,
-            "next": None if self.plan is None else self.plan.to_json(),
-            "mistakes": [m.to_json() for m in self.mistakes],
-            "decisions": [
-                {
-                    "stage": d.stage, "cause": d.cause, "parameters": d.fixed, "gain": _finite(d.gain),
-                    "worth": _finite(d.worth), "size": round(d.size, 4), "taken": d.taken, "reason": d.reason,
-                }
-                for d in self.decisions
-            ],
-            "complete": self.complete,
-        }  # fmt: skip
-
-
-def _finite(x: float) -> float | None:
-    return float(f"{x:.4g}") if np.isfinite(x) else None
 
 
 # Replays use the cores; BLAS's threads would only wait for them, spinning.
@@ -306,54 +126,95 @@ def diagnose(
     progress("regions that a fit has not seen", 0.97)
     share, drawn, regions = drawn_back(problem, final)
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
-    surest = 1.0
-    if share == 0.0 or (found.chosen.model and nearly_all and problem.link_measured):
+    outcome = _Outcome(problem, found, unknown, final, drawn, share, regions, undetermined, alike)
+    if share == 0.0 or (found.chosen.model and outcome.nearly_all and problem.link_measured):
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
-        surest = ANSWER.unsure if share == 0.0 else 1.0
-        described = problem.as_described()
-        other = as_described(described, tried, settings) if time.monotonic() < deadline else None
-        if other is not None:
-            there = _inflated(described, with_dispersion(described, other.chosen))
-            unseen = held_out_regions(described, there)
-            if share == 0.0 or mean_ratio(unseen) < ANSWER.simpler * mean_ratio(regions):
-                problem, unknown, surest = described, None, ANSWER.beside
-                found = replace(other, decisions=(*found.decisions, *other.decisions), complete=found.complete)
-                final = drawn = there
-                share, regions = 1.0, unseen
-                undetermined, alike = _limits(problem, found, final, tried, missing)
-    findings, minor = _findings(problem, found, final, unknown)
-    findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
-    final = drawn
-    nearly_all = len(undetermined) >= ANSWER.nearly_all * len(causes.of(joint))
-    if nearly_all:
+        described = _as_described(outcome, tried, missing, settings) if time.monotonic() < deadline else None
+        outcome = described or replace(outcome, surest=ANSWER.unsure if share == 0.0 else 1.0)
+    return replace(_told(outcome), mistakes=mistakes, seconds=time.monotonic() - begin)
+
+
+@dataclass(frozen=True)
+class _Outcome:
+    """What was found, before it is told.
+
+    Attributes:
+      found, unknown: what the search came to, and an unknown effect beside it.
+      final: the model at its end; drawn: the same, drawn back to what holds where it was not fitted.
+      share: of the way from the description that is left; regions: by which that was judged.
+      undetermined: causes that could not have shown, with the reason; alike: pairs that look the same.
+      surest: largest confidence of a cause.
+    """
+
+    problem: Problem
+    found: Search
+    unknown: Unknown | None
+    final: Fit
+    drawn: Fit
+    share: float
+    regions: tuple[Region, ...]
+    undetermined: dict[str, str]
+    alike: tuple[tuple[str, str], ...]
+    surest: float = 1.0
+
+    @property
+    def nearly_all(self) -> bool:
+        """Whether nearly all causes could not have shown."""
+        return len(self.undetermined) >= ANSWER.nearly_all * len(causes.of(self.problem.joint))
+
+
+def _as_described(
+    outcome: _Outcome, tried: list[Hypothesis], missing: dict[str, str], settings: SearchSettings
+) -> _Outcome | None:
+    """What the data say with all numbers as described; None where that is nothing, or worse on regions that it has not seen."""
+    problem = outcome.problem.as_described()
+    other = as_described(problem, tried, settings)
+    if other is None:
+        return None
+    final = _inflated(problem, with_dispersion(problem, other.chosen))
+    regions = held_out_regions(problem, final)
+    if outcome.share > 0.0 and mean_ratio(regions) >= ANSWER.simpler * mean_ratio(outcome.regions):
+        return None
+    found = replace(other, decisions=(*outcome.found.decisions, *other.decisions), complete=outcome.found.complete)
+    undetermined, alike = _limits(problem, found, final, tried, missing)
+    return _Outcome(problem, found, None, final, final, 1.0, regions, undetermined, alike, ANSWER.beside)
+
+
+def _told(outcome: _Outcome) -> Diagnosis:
+    """An outcome as the answer."""
+    problem, found, final, joint = outcome.problem, outcome.found, outcome.drawn, outcome.problem.joint
+    findings, minor = _findings(problem, found, outcome.final, outcome.unknown)
+    findings, minor = (
+        [replace(f, confidence=min(f.confidence, outcome.surest)) for f in fs] for fs in (findings, minor)
+    )
+    if outcome.nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
         findings = [
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
     residual = _balances(problem, found.base, final)
-    verdict, reason = _verdict(problem, findings, residual, nearly_all)
-    if share < 1.0:
-        reason = "; ".join([part for part in (reason, _holds_back(share, bool(regions))) if part])
-    elif problem.held.any():
-        reason = "; ".join([part for part in (reason, _as_described(regions, found.confusable)) if part])
-    extended = joint
-    if share > 0.0:
-        extended = _extended(problem, final, joint, unknown)
-        known = {"valid": valid_range(problem, final), "uncertainty": stated(problem, final, extended, regions)}
-        extended = extended.model_copy(update=known)
+    verdict, reason = _verdict(problem, findings, residual, outcome.nearly_all)
+    reason = "; ".join(part for part in (reason, _holds_back(outcome)) if part)
+    extended_joint = joint
+    if outcome.share > 0.0:
+        extended_joint = extended(problem, final, joint, outcome.unknown)
+        known = {
+            "valid": valid_range(problem, final),
+            "uncertainty": stated(problem, final, extended_joint, outcome.regions),
+        }
+        extended_joint = extended_joint.model_copy(update=known)
+    alike = {(min(pair), max(pair)) for pair in (*outcome.alike, *_close(found), *found.confusable)}
     return Diagnosis(
         verdict=verdict,
         reason=reason,
         causes=tuple(sorted(findings, key=lambda f: -f.worth)),
-        calibration=_shifts(problem, final),
-        confusable=tuple(sorted({tuple(sorted(pair)) for pair in [*alike, *_close(found), *found.confusable]})),
-        undetermined=undetermined,
+        calibration=parameter_shifts(problem, final),
+        confusable=tuple(sorted(alike)),
+        undetermined=outcome.undetermined,
         residual=residual,
-        regions=regions,
-        extended=extended,
+        regions=outcome.regions,
+        extended=extended_joint,
         minor=tuple(sorted(minor, key=lambda f: -f.worth)),
-        mistakes=mistakes,
         decisions=found.decisions,
         problem=problem,
         search=found,
@@ -362,7 +223,6 @@ def diagnose(
         after=final.point.residual,
         held_out=_held_out(problem),
         complete=found.complete,
-        seconds=time.monotonic() - begin,
     )
 
 
@@ -382,28 +242,28 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2 + np.diag(inexact**2))
 
 
-def _holds_back(share: float, held_out: bool) -> str:
-    """Why the extended joint is not what the fit says."""
-    if not held_out:
+def _holds_back(outcome: _Outcome) -> str:
+    """Why the extended joint is not what a fit of all numbers says; empty where it is."""
+    if outcome.share < 1.0 and not outcome.regions:
         return "too little motion to keep a region of it from the fit: joint.yaml is the description"
-    if share == 0.0:
+    if outcome.share == 0.0:
         return "what was found does worse than the description where a fit has not seen the data: joint.yaml is the description"
-    return (
-        "what was found does worse than the description in a region that a fit has not seen: the numbers in joint.yaml are drawn "
-        f"back to {100 * share:.0f} % of the way"
-    )
-
-
-def _as_described(regions: Sequence[Region], confusable: Sequence[tuple[str, str]]) -> str:
-    """What is to be said of causes that hold only with all numbers as described."""
-    worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in regions if r.worse)
-    names = " or ".join(name.replace("_", " ") for name in dict.fromkeys(n for pair in confusable for n in pair))
-    told = [
+    if outcome.share < 1.0:
+        return (
+            "what was found does worse than the description in a region that a fit has not seen: the numbers in joint.yaml are "
+            f"drawn back to {100 * outcome.share:.0f} % of the way"
+        )
+    if not outcome.problem.held.any():
+        return ""
+    worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in outcome.regions if r.worse)
+    alike = dict.fromkeys(n for pair in outcome.found.confusable for n in pair)
+    names = " or ".join(name.replace("_", " ") for name in alike)
+    told = (
         "no numbers within tolerance hold where a fit has not seen the data: they are left as described, and the causes are what "
         "explains most with these",
         f"on regions that were kept from the fit worse than the description in {worse}" if worse else "",
         f"what is left beside may be {names}, which this motion cannot tell apart" if names else "",
-    ]
+    )
     return "; ".join(part for part in told if part)
 
 
@@ -449,7 +309,9 @@ def _held_out(problem: Problem) -> str:
     )
 
 
-def _limits(problem: Problem, found: Search, final: Fit, tried: list[Hypothesis], missing: dict[str, str]):
+def _limits(
+    problem: Problem, found: Search, final: Fit, tried: list[Hypothesis], missing: dict[str, str]
+) -> tuple[dict[str, str], tuple[tuple[str, str], ...]]:
     """Causes that could not have shown, with the reason, and pairs that look alike."""
     weak, alike = limits(problem, found.chosen, found.library)
     named = {h.cause.name for h in final.model}
@@ -460,7 +322,7 @@ def _limits(problem: Problem, found: Search, final: Fit, tried: list[Hypothesis]
             undetermined[name] = "it lives in the torsion, which one encoder does not show"
     for name in weak:
         undetermined.setdefault(name, "at ordinary size it would drown in tolerances and noise")
-    return {n: r for n, r in sorted(undetermined.items()) if n not in named}, alike
+    return {n: r for n, r in sorted(undetermined.items()) if n not in named}, tuple(alike)
 
 
 def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | None):
@@ -527,7 +389,7 @@ def _held_out_squares(problem: Problem, f: Fit) -> float:
             use = segment.held_out[:, b] & ~segment.at_rest
             squares, noise, count = squares + np.sum(r[use, b] ** 2), noise + np.sum(n[use, b] ** 2), count + use.sum()
         if count:
-            total += max(squares - noise, 0.0) / count * output_scale(problem)[b] ** 2
+            total += max(squares - noise, 0.0) / count * problem.output_scale[b] ** 2
     return float(total)
 
 
@@ -564,7 +426,7 @@ def _close(found: Search) -> list[tuple[str, str]]:
 def _verdict(problem: Problem, findings: list[Finding], residual: dict[str, BalanceResidual], nearly_all: bool):
     """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent."""
     rated = problem.joint.numbers["rated_torque"].value
-    scale = dict(zip(BALANCES, output_scale(problem), strict=True))
+    scale = dict(zip(BALANCES, problem.output_scale, strict=True))
     far = [
         (name, r) for name, r in residual.items()
         if r.after > ANSWER.far * r.noise and r.after * scale[name] > ANSWER.worth * rated
@@ -582,86 +444,6 @@ def _verdict(problem: Problem, findings: list[Finding], residual: dict[str, Bala
     return "consistent", ""
 
 
-def _shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
-    """Numbers that differ from nominal by more than the data's own uncertainty."""
-    c = problem.calibration
-    x = at.theta[: c.size]
-    covariance = at.covariance[: c.size, : c.size]
-    moved = {}
-    for slot in c.slots:
-        value, std = _value(c, slot, x, covariance)
-        number = slot.number
-        shared = problem.joint.shared_tolerances[number.shared] if number.shared else 0.0
-        tolerance = float(np.hypot(np.hypot(number.tolerance, shared), number.deviation))
-        prior = float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
-        if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
-            unit = "" if number.unit == "1" else number.unit
-            moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit)
-    return moved
-
-
-def _value(c, slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
-    """Value of a number and its standard deviation."""
-    value = c.value(slot, x)
-    step = 1e-3
-    slope = np.array([(c.value(slot, x + step * e) - value) / step for e in np.eye(c.size)])
-    return value, float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
-
-
-_PLACES = {
-    "link_encoder_zero": ("sensors", "link_encoder", "zero"),
-    "current_offset": ("sensors", "motor_current", "offset"),
-    "torque_sensor_gain": ("sensors", "joint_torque", "gain"),
-    "torque_sensor_offset": ("sensors", "joint_torque", "offset"),
-    "Jl": ("link_tolerances", "inertia"),
-    "Mg": ("link_tolerances", "gravity_moment"),
-    "gravity_angle": ("gravity_angle",),
-}
-"""Where in a joint's description the numbers stand that are not in `numbers`."""
-
-
-def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
-    """The joint with the numbers of a fit, their nominal values and standard deviations kept beside them."""
-    c = problem.calibration
-    x, covariance = at.theta[: c.size], at.covariance[: c.size, : c.size]
-    data = joint.model_dump()
-    for slot in c.slots:
-        value, std = _value(c, slot, x, covariance)
-        if slot.field in ("amplitude", "phase"):
-            target = data["kinematic_error"][slot.index][slot.field]
-        elif slot.name in _PLACES:
-            target = data
-            for key in _PLACES[slot.name]:
-                target = target[key]
-        else:
-            target = data["numbers"][slot.name]
-        nominal = target["value"] if target.get("nominal") is None else target["nominal"]
-        target.update(value=value, std=std, nominal=nominal)
-    found = Joint.model_validate(data)
-    found._path = joint._path
-    return found
-
-
-def _extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -> Joint:
-    """The joint with calibrated numbers (their nominal kept beside them) and effects."""
-    extended = calibrated(problem, at, joint)
-    effects: list[Effect] = []
-    for i, (h, u) in enumerate(zip(at.model, problem.split(at.theta, at.model), strict=True)):
-        if not h.free:
-            continue
-        block = problem.place(at.model, i)
-        values, std = h.values(u), h.deviation(u, at.covariance[block, block])
-        parameters = {
-            q.name: Estimate(value=values[q.name], unit=q.unit, std=std.get(q.name)) for q in h.cause.parameters
-        }
-        effects.append(Effect(name=h.cause.name, parameters=parameters))
-    names = {e.name for e in effects}
-    kept = [e for e in joint.effects if e.name not in names or causes.get(e.name).adds]
-    extended = extended.model_copy(update={"effects": [*kept, *effects]})
-    extended._path = joint._path
-    return discrepancy.extend(extended, unknown) if unknown is not None else extended
-
-
 def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResidual]:
     """RMS on held-out samples by balance, in motion: at rest friction may be anything up to its level."""
     found = {}
@@ -677,9 +459,3 @@ def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResid
         )
         found[name] = BalanceResidual(before, after, noise, UNITS[name])
     return found
-
-
-__all__ = [
-    "BalanceResidual", "Diagnosis", "Finding", "ParameterEstimate", "ParameterShift", "calibrated", "diagnose",
-    "mean_squares", "size_of",
-]  # fmt: skip

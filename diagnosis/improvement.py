@@ -22,9 +22,10 @@ from ..estimator.offline import SHORTEST, Estimates, estimate_recording, prepare
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
+from .answer import Diagnosis
 from .data.segments import SETTINGS, Segment
-from .diagnose import Diagnosis, calibrated
-from .fit.regions import _System, region_masks
+from .extension import calibrated
+from .fit.regions import NormalEquations, region_masks
 
 ESTIMATORS = ("EKF", "AREKF", "RAREKF", "current", "payload_smoothed")
 """By their names in the registry; of the first and of the last kind there is one for every recording that has a current."""
@@ -161,7 +162,7 @@ def _in_regions(diagnosis: Diagnosis, pairs: Sequence[_Pair], quantity: str, nam
     assert problem is not None and final is not None
     told = {r.name for r in diagnosis.regions}
     masks = {region: m for region, m in region_masks(problem).items() if region in told}
-    system = _System(problem, final)
+    system = NormalEquations(problem, final)
     where = {region: [_samples(problem.segments, m, i, r) for i, r, *_ in pairs] for region, m in masks.items()}
 
     def unseen(region: str) -> list[Estimates]:

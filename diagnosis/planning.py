@@ -42,11 +42,10 @@ from .search.identifiability import ALIKE, distance
 from .search.screen import SETTINGS as SCREEN
 from .search.screen import Library
 from .search.stages import SETTINGS as SEARCH
-from .search.worth import output_scale
 from .trials.motions import CONTROLLER, record_motion, waypoints
 
 if TYPE_CHECKING:
-    from .diagnose import Diagnosis
+    from .answer import Diagnosis
 
 _TIMESTEP = 5e-4  # s, of the plant: what a motion would tell is known well enough with it
 _RESOLVED = 0.3  # rad of the resonance in a step: with a lighter link the plant's usual step is taken
@@ -494,7 +493,7 @@ def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
     """
     point = evaluate_point(new, at.theta, at.model)
     formed = np.any([s.balances for s in old.segments], axis=0)
-    scale = output_scale(old)
+    scale = old.output_scale
     known = at.noise.discrepancy * scale[:, None]
     discrepancy = at.noise.discrepancy.copy()
     for b in range(len(BALANCES)):

@@ -17,9 +17,10 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.balance import extended, fit_current, fit_eccentricity
 from flexspline.diagnosis.data.importing import import_recording, load_layout
-from flexspline.diagnosis.diagnose import Diagnosis, diagnose
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.estimator.motion import smooth
 from flexspline.estimator.offline import estimate_recording
 from flexspline.models import laws

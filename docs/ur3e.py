@@ -16,8 +16,9 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.data.importing import import_recording, load_layout
-from flexspline.diagnosis.diagnose import Diagnosis, diagnose
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.validate import Channels, validate
 from flexspline.models.joint import Joint, load_joint
 from flexspline.models.recording import Measurement, Recording

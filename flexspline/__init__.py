@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import pandas as pd
 
-    from .diagnosis.diagnose import Diagnosis
+    from .diagnosis.answer import Diagnosis
     from .diagnosis.planning import Plan
     from .diagnosis.validate import Validation
     from .estimator.errors import FilterDiverged

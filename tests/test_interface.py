@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import flexspline as fs
-from flexspline.diagnosis.diagnose import Diagnosis, Finding
+from flexspline.diagnosis.answer import Diagnosis, Finding
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.validate import ChannelError
 from flexspline.estimator import registry

@@ -13,7 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from flexspline.diagnosis.data.importing import import_recording, load_layout
-from flexspline.diagnosis.diagnose import calibrated, diagnose
+from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.extension import calibrated
 from flexspline.models import laws
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from ..models import causes
 
 if TYPE_CHECKING:
-    from ..diagnosis.diagnose import Diagnosis, Finding
+    from ..diagnosis.answer import Diagnosis, Finding
     from ..diagnosis.improvement import Improvement
     from ..diagnosis.planning import Plan
     from ..models.joint import Joint

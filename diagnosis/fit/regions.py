@@ -15,7 +15,8 @@ import numpy as np
 
 from ...models.joint import ValidRange
 from ..data.segments import BALANCES
-from .noise import rows_of, whiten
+from . import tare
+from .noise import whiten
 from .residual import Problem
 from .solver import SETTINGS as SOLVER
 from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_weight, stacked
@@ -48,7 +49,8 @@ class Region:
     Attributes:
       name: for people. recordings: whether it is a whole recording.
       samples: residuals in motion in it.
-      described: RMS of the simulation's error there with the description as it came [N·m at the output].
+      described: RMS of the simulation's error there with the description as it came, the link encoder's zero tared [N·m at the
+        output].
       extended: with the extended joint, whose fit has seen the region.
       unseen: with the extended joint fitted without the region.
       ratio: of `unseen` to `described`, with the sensors' noise in both.
@@ -111,10 +113,11 @@ def drawn_back(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) ->
     Returns:
       Share of the way to the fit that is left; the fit there, what is not known of it wider by the way back; the regions.
     """
-    system = _System(problem, f)
+    system = NormalEquations(problem, f)
     start = problem.start(None, f.model)
     start[problem.zeros] = f.theta[problem.zeros]  # of two encoders against each other nothing is described
-    at, regions = f, held_out_regions(problem, f, settings, system)
+    before = tare.described(problem)
+    at, regions = f, held_out_regions(problem, f, settings, system, described=before)
     for share in settings.shares if regions else (0.0,):  # what nothing can be held against is not written
         if share < 1.0:
             theta = start + share * (f.theta - start)
@@ -123,25 +126,29 @@ def drawn_back(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) ->
             at = replace(
                 f, theta=theta, point=Point(residual, f.point.noise), covariance=f.covariance + np.outer(away, away)
             )
-            regions = held_out_regions(problem, at, settings, system, share)
+            regions = held_out_regions(problem, at, settings, system, share, before)
         if not any(r.worse for r in regions):
             return share, at, regions
     return 0.0, at, regions
 
 
 def held_out_regions(
-    problem: Problem, f: Fit, settings: RegionSettings = SETTINGS, system: _System | None = None, share: float = 1.0
+    problem: Problem,
+    f: Fit,
+    settings: RegionSettings = SETTINGS,
+    system: NormalEquations | None = None,
+    share: float = 1.0,
+    described: Columns | None = None,
 ) -> tuple[Region, ...]:
     """Every region, the one where the extension is worth least first.
 
     Args:
       system: normal equations about the fit of which `f` is a `share` of the way from the description.
+      described: residuals of the joint as it is described, where they are known already.
     """
-    from ..search.worth import output_scale
-
-    described = problem.residuals([problem.start(None, ())], [()])[0]
-    system = _System(problem, f) if system is None else system
-    scale = output_scale(problem)
+    system = NormalEquations(problem, f) if system is None else system
+    described = tare.described(problem) if described is None else described
+    scale = problem.output_scale
     found = []
     for name, masks in region_masks(problem, settings).items():
         use = [
@@ -187,7 +194,7 @@ def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndar
     return np.sqrt(np.divide(total, count, out=np.full(len(BALANCES), np.nan), where=count > 0))
 
 
-class _System:
+class NormalEquations:
     """The normal equations about a fit, from which rows may be taken."""
 
     def __init__(self, problem: Problem, f: Fit):
@@ -238,15 +245,3 @@ def valid_range(problem: Problem, f: Fit, kept: Sequence[np.ndarray] | None = No
     signs = np.concatenate(drives)
     loads = [name for name, sign in (("driving", 1), ("driven", -1)) if len(signs) and np.mean(signs == sign) > 0.02]
     return ValidRange(link_position=ends(angle), link_velocity=ends(speed), joint_torque=ends(load), loads=loads)
-
-
-__all__ = [
-    "Region",
-    "RegionSettings",
-    "drawn_back",
-    "held_out_regions",
-    "mean_ratio",
-    "region_masks",
-    "rows_of",
-    "valid_range",
-]

@@ -43,6 +43,8 @@ class Problem:
       linear: of these, the ones whose derivatives do not depend on where they are taken, shape (m,).
       zeros: of these, zeros of link encoder and torque sensor, of which a description says next to nothing.
       held: of these, the ones that stay as described, shape (size,), bool.
+      output_scale: newton metres at the output per unit of each balance, shape (len(BALANCES),): of a current N Kt, of a
+        torque one.
     """
 
     def __init__(self, segments: Sequence[Segment], replicates: Sequence[Segment], joint: Joint):
@@ -55,6 +57,8 @@ class Problem:
         at = [i for i, name in enumerate(self.calibration.names) if name in linear]
         self.linear = np.array([*at, *range(self.calibration.size, self.size)])
         self.held = np.zeros(self.size, bool)
+        self.output_scale = np.ones(len(BALANCES))
+        self.output_scale[CURRENT] = joint.numbers["N"].value * joint.numbers["Kt"].value
         self.zeros = np.array([i for i, name in enumerate(self.calibration.names) if name in _ZEROS], int)
 
     def as_described(self) -> Problem:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...models.calibration import Slot
-from ..data.segments import BALANCES
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
 from ..fit.residual import REACH, Model, Problem
 from ..fit.solver import Fit, Fitter
+from ..fit.tare import tared
 from .worth import unexplained
 
 
@@ -21,8 +20,6 @@ class CalibrateSettings:
     """How the joint is calibrated before any cause is tried.
 
     Attributes:
-      tare: values of the link encoder's zero, in its standard deviations, from which the best is where fits start: a
-        milliradian is several newton metres, where nothing is linear.
       iterations: of Gauss–Newton.
       stuck: a number that the data know well and that sits so many standard deviations from nominal may stand in for an effect.
       unsettled: normalised RMS against the sensors' noise from which on a second start is tried.
@@ -30,7 +27,6 @@ class CalibrateSettings:
       plainly: times as small as that of the likelier fit that the error of the other must be, to be the better one.
     """
 
-    tare: tuple[float, ...] = (-2.4, -1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8, 2.4)
     iterations: int = 9
     stuck: float = 0.92 * REACH
     unsettled: float = 1.35
@@ -43,7 +39,7 @@ SETTINGS = CalibrateSettings()
 
 def calibrate(problem: Problem, fitter: Fitter, settings: CalibrateSettings = SETTINGS) -> Fit:
     """The joint without causes at its most probable numbers."""
-    start = tared(problem, problem.start(None, ()), (), settings)
+    start = tared(problem, problem.start(None, ()), ())
     return _of_both(fitter, (), start, settings)
 
 
@@ -70,34 +66,6 @@ def _of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: Calibrat
     return max((annealed, other), key=lambda f: f.log_evidence)
 
 
-def tared(problem: Problem, theta: np.ndarray, model: Model, settings: CalibrateSettings) -> np.ndarray:
-    """The same unknowns with the link encoder's zero where the residual is smallest, on a grid."""
-    names = problem.calibration.names
-    if "link_encoder_zero" not in names or not problem.link_measured:
-        return theta
-    at = names.index("link_encoder_zero")
-    step = settings.tare[1] - settings.tare[0]
-    best, tried = theta, [np.r_[theta[:at], x, theta[at + 1 :]] for x in settings.tare]
-    for _ in range(2):  # a grid, and a finer one about its best
-        found = problem.residuals(tried, [model] * len(tried))
-        best = tried[int(np.nanargmin([roughness(problem, rs) for rs in found]))]
-        tried = [
-            np.r_[best[:at], best[at] + part * step, best[at + 1 :]] for part in (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
-        ]
-    return best
-
-
-def roughness(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
-    """Sum of the logarithms of median absolute residuals in motion: robust, and without a noise model."""
-    total = 0.0
-    for segment, r in zip(problem.segments, residuals, strict=True):
-        for b in range(len(BALANCES)):
-            use = segment.usable[:, b] & ~segment.at_rest
-            if use.any():
-                total += use.sum() * np.log(np.median(np.abs(r[use, b])) + 1e-12)
-    return float(total)
-
-
 def doubtful(problem: Problem, f: Fit, quiet: float, settings: CalibrateSettings) -> bool:
     """Whether a fit may sit in a local minimum: a number that the data know well is near the end of its tolerance."""
     n = problem.calibration.size
@@ -108,7 +76,7 @@ def doubtful(problem: Problem, f: Fit, quiet: float, settings: CalibrateSettings
 def afresh(problem: Problem, fitter: Fitter, f: Fit, settings: CalibrateSettings) -> Fit:
     """The same model calibrated anew, its effects as they are: numbers that stood in for an effect let go of it."""
     theta = np.concatenate([np.zeros(problem.size), f.theta[problem.size :]])
-    return fitter.fit(f.model, tared(problem, theta, f.model, settings), iterations=settings.iterations)
+    return fitter.fit(f.model, tared(problem, theta, f.model), iterations=settings.iterations)
 
 
 def hand_over(problem: Problem, theta: np.ndarray, model: Model) -> np.ndarray:

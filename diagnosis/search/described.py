@@ -18,7 +18,7 @@ from ..fit.noise import EVEN
 from ..fit.regions import Region, held_out_regions, mean_ratio
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
-from .calibrate import tared
+from ..fit.tare import described, tared
 from .screen import Library, screen
 from .stages import (
     SETTINGS,
@@ -72,7 +72,8 @@ def as_described(
       problem: in which only zeros may move (`Problem.as_described`).
     """
     fitter = Fitter(problem, noise=EVEN)
-    start = tared(problem, problem.start(None, ()), (), settings.calibrate)
+    start = tared(problem, problem.start(None, ()), ())
+    before = described(problem)
     at = first = fitter.fit((), start, iterations=settings.calibrate.iterations)
     library = Library(problem, at, hypotheses, settings.screen.coarse_probe)
     rivals: list[Rivals] = []
@@ -84,7 +85,7 @@ def as_described(
         good: list[tuple[float, Finalist, Fit]] = []
         for f in fitted:
             found = fitter.fit(f.fit.model, f.fit.theta, None, settings.calibrate.iterations)
-            regions = held_out_regions(problem, found)
+            regions = held_out_regions(problem, found, described=before)
             reason = _objection(problem, at, found, f.gain, regions, settings, accept)
             if not reason:
                 good.append((mean_ratio(regions), f, found))

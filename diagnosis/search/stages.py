@@ -23,7 +23,8 @@ from ..fit.coordinates import Hypothesis
 from ..fit.noise import learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter, Point, huber_loss, losses_of, prior_cost, tamed, with_dispersion
-from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over, roughness, tared
+from ..fit.tare import roughness, tared
+from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
 from .screen import Library, Screened, ScreenSettings, screen
 from .worth import Worth, unexplained, worth
 
@@ -90,6 +91,8 @@ class SearchSettings:
 
 
 SETTINGS = SearchSettings()
+LOST = 2.25
+"""Ratio of mean squares of what is not explained, without an effect and with it, from which on the fit goes to its end."""
 
 
 @dataclass(frozen=True)
@@ -250,7 +253,7 @@ def _coarse(
 
     Every one is tried at a few sizes on the joint as it is described; the zero of the link encoder answers.
     """
-    zero = tared(problem, problem.start(None, ()), (), settings.calibrate)
+    zero = tared(problem, problem.start(None, ()), ())
     thetas, models = [], []
     for h in hypotheses:
         if len(h.magnitudes) != 1:
@@ -266,7 +269,7 @@ def _coarse(
     for i in np.argsort(rough):
         h = models[i][0]
         if len(found) < 2 and all(g.cause.name != h.cause.name for g, _ in found):
-            found.append((h, tared(problem, thetas[i], models[i], settings.calibrate)))
+            found.append((h, tared(problem, thetas[i], models[i])))
     return found
 
 
@@ -610,7 +613,10 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
     block = problem.place(f.model, index)
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
-    return fitter.fit(model, f.theta[kept], f, 4)
+    other = fitter.fit(model, f.theta[kept], f, 4)
+    if np.sum(unexplained(problem, other.point)) < LOST * np.sum(unexplained(problem, f.point)):
+        return other
+    return fitter.fit(model, other.theta, None, SETTINGS.calibrate.iterations)  # further away than a few steps reach
 
 
 def _simplified(

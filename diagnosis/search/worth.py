@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft, rfft, rfftfreq
 
-from ..data.segments import BALANCES, CURRENT
+from ..data.segments import BALANCES
 from ..fit.noise import whiten
 from ..fit.residual import Problem
 from ..fit.solver import Columns, Fit, Point, bounded_step
+
+OCTAVES = 8
+"""Of frequency in which an effect's worth is judged: the slowest holds all that takes longer than a second or so."""
 
 
 def mean_squares(problem: Problem, columns: Columns) -> np.ndarray:
@@ -24,7 +28,7 @@ def mean_squares(problem: Problem, columns: Columns) -> np.ndarray:
         total += np.sum(np.where(use, x, 0.0) ** 2, axis=0)
         count += np.sum(use, axis=0)
     found = np.divide(total, count, out=np.zeros(len(BALANCES)), where=count > 0)
-    return found * output_scale(problem) ** 2
+    return found * problem.output_scale**2
 
 
 def unexplained(problem: Problem, point: Point) -> np.ndarray:
@@ -40,8 +44,8 @@ class Worth:
     Attributes:
       own: mean squares of the residual that it alone removes, by balance [N·m]².
       share: mean square that it removes where it acts over what is left there beyond the sensors' noise, in the balance where
-        that is most: means weighted by the square of what it removes, so that an effect that acts rarely is judged where it
-        does.
+        that is most: means over time and octaves of frequency weighted by the square of what it removes there, so that an
+        effect that acts rarely, or a ripple beside slow friction, is judged where it acts.
     """
 
     own: np.ndarray
@@ -74,21 +78,20 @@ def worth(
 
 
 def _share(problem: Problem, own: Columns, point: Point) -> float:
-    """Largest share over balances of what is removed to what is left, where it is removed."""
-    noise = mean_squares(problem, point.noise) / np.maximum(output_scale(problem), 1e-30) ** 2
-    removed, left, weight = np.zeros(len(BALANCES)), np.zeros(len(BALANCES)), np.zeros(len(BALANCES))
-    for segment, x, r in zip(problem.segments, own, point.residual, strict=True):
+    """Largest share over balances of what is removed to what is left, where and in the octaves in which it is removed."""
+    removed, left = np.zeros(len(BALANCES)), np.zeros(len(BALANCES))
+    for segment, x, r, n in zip(problem.segments, own, point.residual, point.noise, strict=True):
         use = (segment.usable | segment.held_out) & ~segment.at_rest[:, None]
-        energy = np.where(use, x, 0.0) ** 2
-        removed += np.sum(energy * energy, axis=0)
-        left += np.sum(energy * (r * r - noise), axis=0)
-        weight += np.sum(energy, axis=0)
+        energy, whole, noise = (_octaves(np.where(use, series, 0.0)) ** 2 for series in (x, r, n))
+        level = np.sum(noise, axis=1, keepdims=True) / np.maximum(np.sum(use, axis=0), 1)
+        removed += np.sum(energy * energy, axis=(0, 1))
+        left += np.sum(energy * (whole - level), axis=(0, 1))
     floor = 1e-3 * removed
-    return float(np.max(np.where(weight > 0, removed / np.maximum(np.maximum(left, floor), 1e-300), 0.0)))
+    return float(np.max(np.where(removed > 0, removed / np.maximum(np.maximum(left, floor), 1e-300), 0.0)))
 
 
-def output_scale(problem: Problem) -> np.ndarray:
-    """Newton metres at the output per unit of each balance: of a current N Kt, of a torque one."""
-    scale = np.ones(len(BALANCES))
-    scale[CURRENT] = problem.joint.numbers["N"].value * problem.joint.numbers["Kt"].value
-    return scale
+def _octaves(x: np.ndarray) -> np.ndarray:
+    """Series, shape (k, c), by octaves of frequency from the Nyquist frequency down, shape (bands, k, c); they sum to x."""
+    spectrum = rfft(x, axis=0)
+    octave = np.minimum(-np.log2(np.maximum(2 * rfftfreq(len(x)), 2.0**-OCTAVES)).astype(int), OCTAVES - 1)
+    return irfft(np.where(octave[:, None] == np.arange(OCTAVES)[:, None, None], spectrum, 0.0), len(x), axis=1)

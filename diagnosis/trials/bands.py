@@ -17,7 +17,8 @@ from ...estimator.offline import estimate_recording
 from ...models.joint import Joint
 from ...models.recording import Measurement, Recording
 from ...scenarios.scenario import Scenario
-from ..diagnose import Diagnosis, diagnose
+from ..answer import Diagnosis
+from ..diagnose import diagnose
 from ..validate import SIGMAS, Channels, validate
 from .draw import Challenge, Draw, draw, drawn_scenarios
 from .motions import jittered, record_motion

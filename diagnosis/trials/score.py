@@ -26,7 +26,8 @@ from ...models import causes, plugins
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
 from ...scenarios.scenario import load_scenario
-from ..diagnose import Diagnosis, Finding, diagnose
+from ..answer import Diagnosis, Finding
+from ..diagnose import diagnose
 from ..fit.coordinates import Hypothesis, hypotheses
 from ..fit.noise import whiten
 from ..fit.solver import stacked

@@ -14,8 +14,8 @@ from rich.console import Console
 
 from flexspline.commands import _console
 from flexspline.commands.diagnose import show
+from flexspline.diagnosis.answer import BalanceResidual, Diagnosis, Finding, ParameterEstimate, ParameterShift
 from flexspline.diagnosis.data.mistakes import Mistake
-from flexspline.diagnosis.diagnose import BalanceResidual, Diagnosis, Finding, ParameterEstimate, ParameterShift
 from flexspline.diagnosis.fit.regions import Region
 from flexspline.diagnosis.improvement import Improvement
 from flexspline.diagnosis.planning import Plan, Proposal, Question

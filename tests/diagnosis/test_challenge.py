@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flexspline.diagnosis.diagnose import Diagnosis, diagnose
+from flexspline.diagnosis.answer import Diagnosis
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.replay import residual
 from flexspline.diagnosis.trials import score
 from flexspline.diagnosis.trials.draw import Challenge, Draw, HiddenEffect, _effects, draw, within_tolerance

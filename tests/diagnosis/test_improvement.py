@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.data.segments import SETTINGS, segments
-from flexspline.diagnosis.diagnose import Diagnosis, calibrated
+from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.regions import held_out_regions
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter

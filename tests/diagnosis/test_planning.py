@@ -9,8 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.data.segments import segments
-from flexspline.diagnosis.diagnose import Diagnosis, diagnose
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter

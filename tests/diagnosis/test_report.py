@@ -17,8 +17,9 @@ import pytest
 from rerun.chunk import RrdReader
 
 import flexspline as fs
+from flexspline.diagnosis.answer import Finding
 from flexspline.diagnosis.data.mistakes import Mistake
-from flexspline.diagnosis.diagnose import Finding, diagnose
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.improvement import held_out, improvement, with_improvement
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.search.stages import Decision

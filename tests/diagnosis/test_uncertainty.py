@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flexspline.diagnosis.data.segments import segments
-from flexspline.diagnosis.diagnose import calibrated
+from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.regions import held_out_regions, valid_range
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter, with_dispersion

@@ -25,8 +25,8 @@ from .provenance import provenance
 from .rendering import number, percent, render, squeezed, with_std
 
 if TYPE_CHECKING:
+    from ...diagnosis.answer import Diagnosis, Finding
     from ...diagnosis.data.mistakes import Mistake
-    from ...diagnosis.diagnose import Diagnosis, Finding
     from ...diagnosis.search.stages import Decision
 
 UNIT = "N·m"

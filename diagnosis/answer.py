@@ -1,0 +1,195 @@
+"""The answer of a diagnosis: what was found, how sure that is, and what it rests on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..models.joint import Joint
+from ..models.notebook import html_table, paragraph
+from .data.mistakes import Mistake
+from .fit.regions import Region
+from .fit.residual import Problem
+from .fit.solver import Fit
+from .search.stages import Decision, Search
+
+if TYPE_CHECKING:
+    from .planning import Plan
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """A parameter of a cause: value, standard deviation, unit."""
+
+    value: float
+    std: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A cause that was found.
+
+    Attributes:
+      name, component: as in the library, or `unknown`.
+      confidence: probability that this, and no other cause, is there.
+      parameters: of the extended model.
+      explains: share of the held-out discrepancy that it removes, in mean squares of output torque.
+      worth: root mean square that it alone removes from the simulation's error [N·m at the output].
+      description, depends_on: of an unknown effect.
+    """
+
+    name: str
+    component: str
+    confidence: float
+    parameters: dict[str, ParameterEstimate]
+    explains: float
+    worth: float
+    description: str = ""
+    depends_on: tuple[str, ...] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """As it stands in `diagnosis.json`."""
+        entry: dict[str, Any] = {
+            "name": self.name,
+            "component": self.component,
+            "confidence": round(self.confidence, 3),
+            "parameters": {k: {"value": p.value, "std": p.std, "unit": p.unit} for k, p in self.parameters.items()},
+            "explains": round(self.explains, 4),
+            "worth": {"value": self.worth, "unit": "N·m"},
+        }
+        if self.name == "unknown":
+            entry["description"] = self.description
+            entry["depends_on"] = list(self.depends_on)
+        return entry
+
+
+@dataclass(frozen=True)
+class ParameterShift:
+    """A number that calibration moved within its tolerance."""
+
+    nominal: float
+    value: float
+    std: float
+    tolerance: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class BalanceResidual:
+    """RMS of one balance on held-out data: described and calibrated joint, extended joint, what the sensors' noise explains."""
+
+    before: float
+    after: float
+    noise: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """The answer, with what is needed to show how it came about.
+
+    Attributes:
+      verdict: consistent, discrepancy or inconclusive; reason: why, where that is not plain from the causes.
+      causes: by how much each is worth; minor: effects that are there, too small to be called causes.
+      calibration: numbers that moved.
+      confusable: pairs of causes that this measurement cannot tell apart.
+      undetermined: causes that it could not have shown at ordinary size, with the reason.
+      residual: by balance.
+      regions: what the extended joint is worth where a fit has not been, the worst first.
+      extended: the joint with calibration and effects in it.
+      mistakes: in the data.
+      decisions: about every hypothesis that was looked at.
+      problem, search: what was computed; None where mistakes in the data made physics meaningless.
+      before, after: residuals of every segment, shape (k, len(BALANCES)), for showing.
+      estimation: what diagnosis gains for estimation.
+      plan: what to measure next (`planning.plan`), where it was asked for.
+      held_out: how data were kept from the fits.
+      complete: whether there was time for all stages.
+      seconds: that it took.
+    """
+
+    verdict: str
+    reason: str
+    causes: tuple[Finding, ...]
+    calibration: dict[str, ParameterShift]
+    confusable: tuple[tuple[str, str], ...]
+    undetermined: dict[str, str]
+    residual: dict[str, BalanceResidual]
+    regions: tuple[Region, ...]
+    extended: Joint
+    minor: tuple[Finding, ...] = ()
+    mistakes: tuple[Mistake, ...] = ()
+    decisions: tuple[Decision, ...] = field(default=(), repr=False)
+    problem: Problem | None = field(default=None, repr=False)
+    search: Search | None = field(default=None, repr=False)
+    final: Fit | None = field(default=None, repr=False)
+    before: list[np.ndarray] = field(default_factory=list, repr=False)
+    after: list[np.ndarray] = field(default_factory=list, repr=False)
+    estimation: dict[str, Any] | None = None
+    plan: Plan | None = field(default=None, repr=False)
+    held_out: str = ""
+    complete: bool = True
+    seconds: float = 0.0
+
+    def _repr_html_(self) -> str:
+        causes_ = [
+            (
+                c.name.replace("_", " "), c.component, f"{100 * c.confidence:.0f} %", f"{100 * c.explains:.0f} %", c.worth,
+                c.description
+                or ", ".join(f"{k} = {p.value:.4g} ± {p.std:.2g} {p.unit}".rstrip() for k, p in c.parameters.items()),
+            )
+            for c in self.causes
+        ]  # fmt: skip
+        residual = [(name, r.before, r.after, r.noise, r.unit) for name, r in self.residual.items()]
+        return "".join(
+            (
+                paragraph(self.verdict, self.reason),
+                *(paragraph(f"{m.name}:", f"{m.column} {m.description}") for m in self.mistakes),
+                html_table(("cause", "component", "sure", "explains", "worth [N·m]", "parameters"), causes_),
+                html_table(("residual", "before", "after", "noise", "unit"), residual),
+                paragraph("Cannot be told apart:", "; ".join(" and ".join(p) for p in self.confusable))
+                if self.confusable
+                else "",
+                paragraph("Could not have shown:", ", ".join(self.undetermined)) if self.undetermined else "",
+                "" if self.plan is None else self.plan._repr_html_(),
+            )
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """What `diagnosis.json` holds."""
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "causes": [c.to_json() for c in self.causes],
+            "minor": [c.to_json() for c in self.minor],
+            "calibration": {
+                k: {"nominal": m.nominal, "value": m.value, "std": m.std, "tolerance": m.tolerance, "unit": m.unit}
+                for k, m in self.calibration.items()
+            },
+            "confusable": [list(pair) for pair in self.confusable],
+            "undetermined": list(self.undetermined),
+            "residual": {
+                k: {"before": r.before, "after": r.after, "noise": r.noise, "unit": r.unit}
+                for k, r in self.residual.items()
+            },
+            "regions": [r.to_json() for r in self.regions],
+            "estimation": self.estimation,
+            "held_out": self.held_out,
+            "next": None if self.plan is None else self.plan.to_json(),
+            "mistakes": [m.to_json() for m in self.mistakes],
+            "decisions": [
+                {
+                    "stage": d.stage, "cause": d.cause, "parameters": d.fixed, "gain": _finite(d.gain),
+                    "worth": _finite(d.worth), "size": round(d.size, 4), "taken": d.taken, "reason": d.reason,
+                }
+                for d in self.decisions
+            ],
+            "complete": self.complete,
+        }  # fmt: skip
+
+
+def _finite(x: float) -> float | None:
+    return float(f"{x:.4g}") if np.isfinite(x) else None

@@ -1,0 +1,93 @@
+"""The joint that a fit says: its description with calibrated numbers and with effects."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..models import causes
+from ..models.joint import Effect, Estimate, Joint
+from .answer import ParameterShift
+from .fit.residual import Problem
+from .fit.solver import Fit
+from .search import discrepancy
+from .search.discrepancy import Unknown
+
+
+def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
+    """Numbers that differ from nominal by more than the data's own uncertainty."""
+    c = problem.calibration
+    x = at.theta[: c.size]
+    covariance = at.covariance[: c.size, : c.size]
+    moved = {}
+    for slot in c.slots:
+        value, std = _value(c, slot, x, covariance)
+        number = slot.number
+        shared = problem.joint.shared_tolerances[number.shared] if number.shared else 0.0
+        tolerance = float(np.hypot(np.hypot(number.tolerance, shared), number.deviation))
+        prior = float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
+        if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
+            unit = "" if number.unit == "1" else number.unit
+            moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit)
+    return moved
+
+
+def _value(c, slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+    """Value of a number and its standard deviation."""
+    value = c.value(slot, x)
+    step = 1e-3
+    slope = np.array([(c.value(slot, x + step * e) - value) / step for e in np.eye(c.size)])
+    return value, float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+
+
+_PLACES = {
+    "link_encoder_zero": ("sensors", "link_encoder", "zero"),
+    "current_offset": ("sensors", "motor_current", "offset"),
+    "torque_sensor_gain": ("sensors", "joint_torque", "gain"),
+    "torque_sensor_offset": ("sensors", "joint_torque", "offset"),
+    "Jl": ("link_tolerances", "inertia"),
+    "Mg": ("link_tolerances", "gravity_moment"),
+    "gravity_angle": ("gravity_angle",),
+}
+"""Where in a joint's description the numbers stand that are not in `numbers`."""
+
+
+def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
+    """The joint with the numbers of a fit, their nominal values and standard deviations kept beside them."""
+    c = problem.calibration
+    x, covariance = at.theta[: c.size], at.covariance[: c.size, : c.size]
+    data = joint.model_dump()
+    for slot in c.slots:
+        value, std = _value(c, slot, x, covariance)
+        if slot.field in ("amplitude", "phase"):
+            target = data["kinematic_error"][slot.index][slot.field]
+        elif slot.name in _PLACES:
+            target = data
+            for key in _PLACES[slot.name]:
+                target = target[key]
+        else:
+            target = data["numbers"][slot.name]
+        nominal = target["value"] if target.get("nominal") is None else target["nominal"]
+        target.update(value=value, std=std, nominal=nominal)
+    found = Joint.model_validate(data)
+    found._path = joint._path
+    return found
+
+
+def extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -> Joint:
+    """The joint with calibrated numbers (their nominal kept beside them) and effects."""
+    found = calibrated(problem, at, joint)
+    effects: list[Effect] = []
+    for i, (h, u) in enumerate(zip(at.model, problem.split(at.theta, at.model), strict=True)):
+        if not h.free:
+            continue
+        block = problem.place(at.model, i)
+        values, std = h.values(u), h.deviation(u, at.covariance[block, block])
+        parameters = {
+            q.name: Estimate(value=values[q.name], unit=q.unit, std=std.get(q.name)) for q in h.cause.parameters
+        }
+        effects.append(Effect(name=h.cause.name, parameters=parameters))
+    names = {e.name for e in effects}
+    kept = [e for e in joint.effects if e.name not in names or causes.get(e.name).adds]
+    found = found.model_copy(update={"effects": [*kept, *effects]})
+    found._path = joint._path
+    return discrepancy.extend(found, unknown) if unknown is not None else found
