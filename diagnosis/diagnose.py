@@ -26,6 +26,7 @@ from .search.discrepancy import Unknown
 from .search.identifiability import limits
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import (
+    AcceptSettings,
     Decision,
     Progress,
     Search,
@@ -35,6 +36,7 @@ from .search.stages import (
     search,
     significance,
     size_of,
+    why_needed,
     without_effect,
 )
 from .search.worth import unexplained, worth
@@ -120,7 +122,9 @@ def diagnose(
     unknown = discrepancy.find(problem, fitter, found.base, found.chosen) if time.monotonic() < deadline else None
     progress("numbers and their uncertainty", 0.94)
     final, found = (
-        _settled(problem, fitter, found) if unknown is None else (with_dispersion(problem, unknown.fit), found)
+        _settled(problem, fitter, found, settings.accept)
+        if unknown is None
+        else (with_dispersion(problem, unknown.fit), found)
     )
     final = _inflated(problem, final)
     progress("regions that a fit has not seen", 0.97)
@@ -267,23 +271,32 @@ def _holds_back(outcome: _Outcome) -> str:
     return "; ".join(part for part in told if part)
 
 
-def _settled(problem: Problem, fitter: Fitter, found: Search) -> tuple[Fit, Search]:
+def _settled(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Fit, Search]:
     """The chosen model at its end, without effects that the data do not tell from nothing there; the noise's share taken out."""
     chosen = found.chosen
+    kept: set[int] = set()
+    final = with_dispersion(problem, fitter.polish(chosen))
     while True:
-        final = with_dispersion(problem, fitter.polish(chosen))
-        weak = [i for i in range(len(final.model)) if significance(problem, final, i) < ANSWER.significant]
+        away = {i: significance(problem, final, i) for i, h in enumerate(final.model) if id(h) not in kept}
+        weak = [i for i, x in away.items() if x < ANSWER.significant]
         if not weak:
             return final, found
-        i = min(weak, key=lambda i: significance(problem, final, i))
+        i = min(weak, key=lambda i: away[i])
         h = final.model[i]
-        reason = f"{significance(problem, final, i):.1f} standard deviations from absent where the fit ends"
-        dropped = Decision(
-            "settle", h.cause.name, h.fixed, float("nan"), float("nan"), size_of(problem, final, i), True, False, reason
+        other = without_effect(problem, fitter, final, i)
+        needed = why_needed(problem, final, other, settings)
+        reason = needed or f"{away[i]:.1f} standard deviations from absent where the fit ends"
+        nan = float("nan")
+        decision = Decision(
+            "settle", h.cause.name, h.fixed, nan, nan, size_of(problem, final, i), True, bool(needed), reason
         )
-        chosen = without_effect(problem, fitter, final, i)
+        found = replace(found, decisions=(*found.decisions, decision))
+        if needed:
+            kept.add(id(h))
+            continue
         rivals = tuple(r for j, r in enumerate(found.rivals) if j != i)
-        found = replace(found, chosen=chosen, rivals=rivals, decisions=(*found.decisions, dropped))
+        found = replace(found, chosen=other, rivals=rivals)
+        final = with_dispersion(problem, fitter.polish(other))
 
 
 def _meaningless(measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
@@ -341,6 +354,7 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
         amount = amount_of(problem, final, i)[h.magnitudes]
         worths.append(worth(problem, final, linear.jacobian, effect, others, amount))
     total = max(sum(w.rms**2 for w in worths), 1e-30)
+    confidences = _confidences(problem, found, final, unknown)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
         share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
@@ -359,16 +373,11 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
             q.name: ParameterEstimate(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
             for q in h.cause.parameters
         }
-        confidence = _confidence(found, h.cause.name, i, unknown)
-        if h.cause.resonance and not problem.link_measured:
-            confidence = min(confidence, ANSWER.beside)
-        if _at_bound(h, u):  # an inertia of nothing is no answer, whatever it explains
-            confidence = min(confidence, ANSWER.unsure)
         small = real and size_of(problem, final, i) < ANSWER.minor
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
         (minor if small else findings).append(
-            Finding(h.cause.name, h.cause.component, confidence, parameters, share, w.rms)
+            Finding(h.cause.name, h.cause.component, confidences[i], parameters, share, w.rms)
         )
     return findings, minor
 
@@ -391,6 +400,32 @@ def _held_out_squares(problem: Problem, f: Fit) -> float:
         if count:
             total += max(squares - noise, 0.0) / count * problem.output_scale[b] ** 2
     return float(total)
+
+
+def _confidences(problem: Problem, found: Search, final: Fit, unknown: Unknown | None) -> list[float]:
+    """Probability of each of the final model's causes: among its rivals, and as far as those on which it rests are there.
+
+    Where the sizes of two causes are correlated by ρ, the part ρ² of the one is what it is because the other is there too.
+    """
+    model = final.model if unknown is None else final.model[:-1]
+    alone, sizes = [], []
+    for i, (h, u) in enumerate(zip(model, problem.split(final.theta, final.model), strict=False)):
+        confidence = _confidence(found, h.cause.name, i, unknown)
+        if h.cause.resonance and not problem.link_measured:
+            confidence = min(confidence, ANSWER.beside)
+        if _at_bound(h, u):  # an inertia of nothing is no answer, whatever it explains
+            confidence = min(confidence, ANSWER.unsure)
+        alone.append(confidence)
+        sizes.append(problem.place(final.model, i).start + np.asarray(h.magnitudes))
+    spread = np.sqrt(np.diag(final.covariance))
+    correlation = final.covariance / np.maximum(spread[:, None] * spread, 1e-300)
+
+    def rests_on(i: int, j: int) -> float:
+        return float(np.max(correlation[np.ix_(sizes[i], sizes[j])] ** 2))
+
+    return [
+        min([p, *(1 - (1 - q) * rests_on(i, j) for j, q in enumerate(alone) if j != i)]) for i, p in enumerate(alone)
+    ]
 
 
 def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -> float:

@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 
 from flexspline.diagnosis.data.importing import import_recording, load_layout
+from flexspline.diagnosis.diagnose import diagnose
 from flexspline.models.joint import load_joint
+from flexspline.models.recording import Measurement
 
 ROOT = Path(__file__).resolve().parents[1]
 TORSION = {"stiffness", "hysteresis", "backlash"}
@@ -75,6 +77,17 @@ def test_diagnosis_alone(held, page):
     moving = np.isfinite(page.error(shown))
     inside = np.abs(page.error(shown)) < 1.96 * np.hypot(shown.deviation["motor_current"], 0.026)
     assert inside[moving].mean() > 0.9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [20.0, 28.0])
+def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, page):
+    """Beside friction that the description does not hold either: a ripple is judged in its own band."""
+    recording = import_recording(load_layout("ur3e"), log)
+    first, _ = page.split(recording, seconds)
+    answer = diagnose(Measurement("first", Path(), (first,)), load_joint(recording.joint))
+    found = {c.name: c for c in answer.causes}
+    assert found["cogging"].confidence > 0.9 and found["cogging"].parameters["order"].value == 2
 
 
 @pytest.mark.slow

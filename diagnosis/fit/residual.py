@@ -107,10 +107,17 @@ class Problem:
         return found
 
     def residuals(
-        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False
+        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False, coarse: bool = False
     ) -> list[list[np.ndarray]]:
-        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel."""
+        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel.
+
+        Args:
+          replicate: of the noise replicates in place of the measurement.
+          coarse: replayed in steps twice as long, of use in differences alone.
+        """
         chosen = self.replicates if replicate else self.segments
+        if coarse:
+            chosen = [segment.coarse for segment in chosen]
         tasks = [
             (segment, record, theta)
             for theta, model in zip(thetas, models, strict=True)
@@ -134,6 +141,7 @@ class Problem:
         model: Model,
         columns: np.ndarray | None = None,
         replicate: bool = False,
+        coarse: bool = False,
     ) -> list[np.ndarray]:
         """Derivatives of the residuals, shape (k, len(BALANCES), len(columns)) a segment, by differences."""
         n = len(theta)
@@ -141,7 +149,7 @@ class Problem:
         step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
         replayed = [j for j in columns if not self.calibration.size <= j < self.size]
         points = [theta, *(theta + step[j] * np.eye(n)[j] for j in replayed)]
-        base, *moved = self.residuals(points, [model] * len(points), replicate)
+        base, *moved = self.residuals(points, [model] * len(points), replicate, coarse)
         done = dict(zip(replayed, moved, strict=True))
         found = []
         for s, segment in enumerate(self.replicates if replicate else self.segments):

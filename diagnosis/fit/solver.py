@@ -339,7 +339,8 @@ class Fitter:
                 columns = (
                     np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
                 )
-                common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
+                found = problem.jacobian(theta, model, columns, coarse=True)
+                common = _put(common, found, columns, problem.size)
             assert common is not None
             jacobian = self._with_effects(model, theta, common, jacobian or None)
             noise = learn(problem.segments, residual, replicates, problem.quantum(), settings=self.noise)

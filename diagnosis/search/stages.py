@@ -40,7 +40,8 @@ class AcceptSettings:
       threshold: log evidence that it must add.
       smallest: part of the ordinary size below which it is not named: the laws themselves are not better than that.
       significant: standard deviations that it must be away from absent, by those that no noise model has to be right for too
-        (`solver.with_dispersion`).
+        (`solver.with_dispersion`); nearly: so many are enough where another one would be accepted that explains less and adds
+        less to the log evidence.
       worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
         one of many things that the description does not hold, and no answer to what the simulation gets wrong.
       large, worth_large: from this part of the ordinary size on, so much is enough to be fitted beside the others; what holds
@@ -62,6 +63,7 @@ class AcceptSettings:
     threshold: float = 7.0
     smallest: float = 0.03
     significant: float = 4.0
+    nearly: float = 3.0
     worth: float = 0.5
     large: float = 0.3
     worth_large: float = 0.15
@@ -74,7 +76,7 @@ class AcceptSettings:
     far_finalists: int = 6
     far: float = 10.0
     per_cause: int = 2
-    general: float = 0.02
+    general: float = 0.05
     most: int = 5
     rounds: int = 3
     gross: float = 60.0
@@ -399,6 +401,10 @@ def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], F
         # Of those that explain about the same the likeliest.
         least = min(chosen.removed, chosen.removed / 1.5)
         chosen = max((f for f in good if f.removed >= least), key=lambda f: f.gain)
+        # Two causes that are well known may stand for one that is not.
+        nearly = replace(settings, significant=settings.nearly)
+        better = [f for f in fitted if f.gain > chosen.gain and f.removed > chosen.removed and reasons[id(f)]]
+        chosen = next((f for f in better if not _objection(problem, base, f, nearly)), chosen)
     decisions = []
     for f in fitted:
         h, reason = f.fit.model[-1], reasons[id(f)]
@@ -619,6 +625,14 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
     return fitter.fit(model, other.theta, None, SETTINGS.calibrate.iterations)  # further away than a few steps reach
 
 
+def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
+    """Why an effect stays, however little is known of its size: without it the data are not explained. Empty where they are."""
+    here, there = (float(np.sum(unexplained(problem, x.point))) for x in (f, without))
+    if without.log_evidence < f.log_evidence - settings.threshold and there > (1 + settings.worth) * here:
+        return f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
+    return ""
+
+
 def _simplified(
     problem: Problem,
     fitter: Fitter,
@@ -703,14 +717,10 @@ def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], setti
         i, other = max(trials, key=lambda trial: trial[1].log_evidence)
         w, size, reason = verdicts[i]
         h = f.model[i]
-        here, there = (float(np.sum(unexplained(problem, x.point))) for x in (f, other))
-        if (
-            other.log_evidence < f.log_evidence - settings.threshold
-            and there > (1 + settings.worth) * here
-            and not _is_calibration(problem, f, i)
-        ):
+        needed = why_needed(problem, f, other, settings)
+        if needed and not _is_calibration(problem, f, i):
             kept.add(id(h))
-            reason = f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
+            reason = needed
             gain = f.log_evidence - other.log_evidence
             dropped.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, True, reason))
             continue
