@@ -57,6 +57,7 @@ class AnswerSettings:
       minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
         joint, and told, but none of the causes.
+      little: part of the rated torque that an unknown effect must be worth there, not to be a minor one.
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
@@ -74,6 +75,7 @@ class AnswerSettings:
     nearly_all: float = 2 / 3
     minor: float = 0.12
     quiet: float = 1.6
+    little: float = 0.01
     inflation: float = 5.0
     lookalike: float = 0.015
     slight: float = 0.25
@@ -360,7 +362,9 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
         share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
         if unknown is not None and i == len(final.model) - 1:
             confidence = float(np.clip(1 - np.exp(-unknown.gain / (8 * ANSWER.temper)), 0.3, 0.95))
-            findings.append(
+            # Knees that are smooth, friction that is not quite viscous: many small things are in no library.
+            little = real and w.rms < ANSWER.little * problem.joint.numbers["rated_torque"].value
+            (minor if little else findings).append(
                 Finding(
                     "unknown", unknown.spline.component, confidence, {}, share, w.rms, discrepancy.describe(unknown),
                     discrepancy.depends_on(unknown.spline.variable),

@@ -17,7 +17,7 @@ from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
 from ..fit.regions import Region, held_out_regions, mean_ratio
 from ..fit.residual import Problem
-from ..fit.solver import Fit, Fitter
+from ..fit.solver import Fit, Fitter, with_dispersion
 from ..fit.tare import described, tared
 from .screen import Library, screen
 from .stages import (
@@ -31,6 +31,7 @@ from .stages import (
     others_than,
     quiet_rms,
     rivals_of,
+    significance,
     size_of,
 )
 from .worth import unexplained
@@ -99,6 +100,11 @@ def as_described(
             names = ", ".join(f.name.replace("_", " ") for f in alike)
             decisions.append(_decision(problem, chosen, found, f"cannot be told from {names}"))
             confusable = tuple((chosen.name, f.name) for f in alike)
+            break
+        away = significance(problem, with_dispersion(problem, found))
+        if away < settings.accept.significant:
+            told = f"{away:.1f} standard deviations from absent, must be {settings.accept.significant:g}"
+            decisions.append(_decision(problem, chosen, found, told))
             break
         rivals.append(rivals_of(chosen, {f.name: f.gain for _, f, _ in good}, {}, settings.accept))
         rms = float(np.sqrt(max(chosen.removed, 0.0)))
