@@ -9,12 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models.errors import InputError
+from ._listing import AsJson
 from ._options import Estimators, with_plugins
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from ..estimator.offline import Score
+
+EXAMPLES = (
+    "flexspline estimate measurement --out estimates",
+    "flexspline estimate measurement --joint diagnosis/joint.yaml --filter dynamics_ekf --out estimates",
+)
 
 
 @with_plugins
@@ -23,6 +29,7 @@ def command(
     out: Annotated[Path, typer.Option(help="folder to write to")],
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
     filter_: Estimators = None,
+    as_json: AsJson = False,
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one.
 
@@ -68,6 +75,8 @@ def command(
                 "beyond": beyond,
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
+            if as_json:
+                continue
             terminal.print(f"{path}", highlight=False, markup=False)
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
@@ -77,7 +86,10 @@ def command(
                 terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
+    if as_json:
+        print(text)
+    else:
+        terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+EXAMPLES = ("flexspline export measurement --out mcap",)
+
 
 def command(
     measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],

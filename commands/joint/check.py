@@ -14,6 +14,11 @@ from .._options import with_plugins
 if TYPE_CHECKING:
     from ...models.plausibility import Problem
 
+EXAMPLES = (
+    "flexspline joint check my_joint.yaml",
+    "flexspline joint check my_joint.yaml --json",
+)
+
 
 @with_plugins
 def command(
