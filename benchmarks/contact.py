@@ -8,7 +8,6 @@ noise, and with realistic sensors the drive's lag. Tables go between the markers
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -49,7 +48,9 @@ def main(arguments: Sequence[str] = ()) -> None:
         found = contact.assess(scenario, folder, estimators(DEFAULT), asked.hours, tolerance, asked.threads)
         points = {one.name: contact.at(one, one.threshold(RATE)) for one in found}
         parts += [f"**{label(sensors, tolerance).capitalize()}**", contact_views.contact_markdown(points)]
-        curves = [{"sensors": sensors, **row} for row in contact_views.curve_rows(tolerance, found)]
+        curves = [
+            {"sensors": sensors, **row} for row in (row for one in found for row in contact.curve(one, tolerance))
+        ]
         rows += curves
         drawn += [row for row in curves if sensors == "ideal"]
         print(f"{time.perf_counter() - began:7.0f} s  {label(sensors, tolerance)}", flush=True)
@@ -61,10 +62,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         "[figure](figures/contact.png)."
     )
     fill(asked.page, {"contact about": about, "contact": "\n\n".join(parts)})
-    with (asked.page.parent / "contact.csv").open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, ("sensors", *contact_views.CURVES))
-        writer.writeheader()
-        writer.writerows(rows)
+    contact_views.write_curves(rows, asked.page.parent / "contact.csv")
     save(contact_views.contact_figure(drawn, "collision"), asked.page.parent / "figures" / "contact.png")
 
 

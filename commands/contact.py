@@ -58,6 +58,7 @@ def command(
         raise InputError(f"--tolerance: expected each share once, got {shares}")
     chosen = estimators(filter_ or DEFAULT)
     loaded, folder = load_scenario(scenario, changes)
+    contact.check(loaded, chosen)
     if out is not None:
         check_output(out, "contact", writes=("contact.csv", "contact.md", "contact.png"))
     terminal, rows, texts, points = console(), [], [], {}
@@ -75,7 +76,7 @@ def command(
             )
             at_rate = {one.name: contact.at(one, one.threshold(rate)) for one in found}
             points[share] = at_rate
-            rows += list(contact_views.curve_rows(share, found))
+            rows += [row for one in found for row in contact.curve(one, share)]
             title = (
                 f"{loaded.name}, joint within tolerance ×{share:g}: thresholds for {rate:g} false alarms per hour, "
                 f"{found[0].hours:.2g} h counted"

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
@@ -21,16 +20,11 @@ from .style import SENSOR
 from .tables import narrow_table
 
 if TYPE_CHECKING:
-    from ..scenarios.evaluation.contact import Detector, Point
+    from ..scenarios.evaluation.contact import Point
     from ..scenarios.evaluation.intervals import Interval
 
 HEADS = ("estimator", "threshold [N·m]", "false alarms / h", "smallest push [N·m]", "found of 2 N·m [%]", "delay [ms]")
 """Columns of `contact_rows`."""
-CURVES = (
-    "tolerance", "estimator", "threshold", "false_alarms_per_hour", "smallest_push", "found_of_large", "delay_ms", "hours",
-    "runs",
-)  # fmt: skip
-"""Columns of the curves' CSV; threshold and smallest push [N·m]."""
 
 
 def told(value: Interval, digits: int, scale: float = 1.0) -> str:
@@ -103,22 +97,10 @@ def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def curve_rows(tolerance: float, detectors: Sequence[Detector]) -> Iterator[dict[str, Any]]:
-    """Every detector over its thresholds, by `CURVES`."""
-    from ..scenarios.evaluation.contact import at
-
-    for one in detectors:
-        for threshold in one.thresholds():
-            p = at(one, float(threshold), resamples=0)
-            values = (threshold, p.alarms.mean, p.smallest.mean, p.share.mean, 1e3 * p.delay.mean)
-            cells = [float(f"{v:.4g}") if np.isfinite(v) else None for v in values]
-            yield dict(zip(CURVES, [tolerance, one.name, *cells, one.hours, len(one.quiet)], strict=True))
-
-
 def write_curves(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Curves as CSV; empty where a measure is not defined."""
+    """Curves, rows of `contact.curve`, as CSV; empty where a measure is not defined."""
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, CURVES)
+        writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)
 
@@ -133,8 +115,8 @@ def contact_figure(rows: Sequence[Mapping[str, Any]], scenario: str) -> Figure:
         f"{scenario}. A detector is a threshold on |external torque|; along a curve it falls. Thresholds from every other of the "
         f"runs without contact, false alarms counted on the others ({hours:.2g} h), pushes in runs of their own; every run is "
         "another joint within tolerance, another motion and noise. Smallest push: of which 90 % are found; where an "
-        "alarm is on already, none is. Delay: median, from the onset of half-sine pushes of 2 N·m or more. Below and to the left is "
-        "better."
+        "alarm is on already, none is. Delay: median, from the onset of half-sine pushes of 2 N·m or more. Below and to the left "
+        "is better."
     )
     above, height = 0.55 + 0.2 * -(-len(names) // 5), 2.5
     figure = blank("Contact: false alarms, delay, smallest push", caption, above + len(tolerances) * (height + 0.85))

@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.special import expit
@@ -154,6 +155,24 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
     return Point(threshold, *(Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)))
 
 
+def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
+    """A detector over its thresholds, a row each: what `Point` has, without intervals; none where a measure is not defined."""
+    for threshold in detector.thresholds():
+        p = at(detector, float(threshold), resamples=0)
+        measures = {
+            "threshold": threshold, "false_alarms_per_hour": p.alarms.mean, "smallest_push": p.smallest.mean,
+            "found_of_large": p.share.mean, "delay_ms": 1e3 * p.delay.mean,
+        }  # fmt: skip
+        rounded = {name: float(f"{v:.4g}") if np.isfinite(v) else None for name, v in measures.items()}
+        yield {
+            "tolerance": tolerance,
+            "estimator": detector.name,
+            **rounded,
+            "hours": detector.hours,
+            "runs": len(detector.quiet),
+        }
+
+
 def _quantiles(values: np.ndarray) -> np.ndarray:
     """2.5 and 97.5 % of values; infinite ones are the largest, NaN are left out."""
     values = np.sort(values[~np.isnan(values)])
@@ -222,6 +241,23 @@ def external(
     return {name: by_link} if found.external is None else {name: found.external, f"{name}{BY_LINK}": by_link}
 
 
+def check(scenario: Scenario, estimators: Mapping[str, Estimator]) -> None:
+    """Refuse what `assess` cannot use.
+
+    Raises:
+        InputError: an estimator that looks ahead, torque feedback, or too little time.
+    """
+    for name, estimator in estimators.items():
+        if not estimator.causal:
+            raise InputError(f"contact: {name}: expected an estimator that looks at nothing later, got one that does")
+    if scenario.feedback != "none":
+        raise InputError(f"contact: scenario {scenario.name}: feedback: expected none, got {scenario.feedback!r}")
+    if len(pushes(scenario, 1)) == 0:
+        raise InputError(
+            f"contact: scenario {scenario.name}: duration: expected room for a push, got {scenario.duration:g} s"
+        )
+
+
 def runs_of(scenario: Scenario, hours: float) -> int:
     """How many runs without contact `assess` makes, an even number: so long a time after their transients, four at least."""
     return max(2 * math.ceil(hours * 3600.0 / (2.0 * (scenario.duration - scenario.transient))), 4)
@@ -248,18 +284,10 @@ def assess(
         progress: called after each pair of runs.
 
     Raises:
-        InputError: an estimator that looks ahead, torque feedback, or too little time.
+        InputError: as `check`.
     """
-    for name, estimator in estimators.items():
-        if not estimator.causal:
-            raise InputError(f"contact: {name}: expected an estimator that looks at nothing later, got one that does")
-    if scenario.feedback != "none":
-        raise InputError(f"contact: scenario {scenario.name}: feedback: expected none, got {scenario.feedback!r}")
+    check(scenario, estimators)
     scenario = scenario.model_copy(update={"disturbances": []})
-    if len(pushes(scenario, 1)) == 0:
-        raise InputError(
-            f"contact: scenario {scenario.name}: duration: expected room for a push, got {scenario.duration:g} s"
-        )
     every: dict[str, Estimator | None] = {SENSOR: None, **estimators}
 
     def one(index: int) -> dict[str, list[np.ndarray]]:
