@@ -565,7 +565,7 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
     for symbol in numbers:
         if symbol not in SYMBOLS and symbol not in OPTIONAL_SYMBOLS:
             yield f"numbers.{symbol}: unknown key{nearest(symbol, SYMBOLS)}"
-    for symbol, (unit, may_be_zero) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
+    for symbol, (unit, _) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
         number = numbers.get(symbol)
         if number is None:
             if symbol in SYMBOLS:
@@ -573,17 +573,25 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
             continue
         if not units.same(number.unit, unit):
             yield f"numbers.{symbol}.unit: expected {unit!r}, got {number.unit!r}"
-        low, high = POSSIBLE.get(symbol, (0.0, np.inf))
-        if number.value < 0 or (number.value == 0 and not may_be_zero):
-            yield f"numbers.{symbol}.value: expected a number {'≥' if may_be_zero else '>'} 0, got {number.value:g}"
-        elif number.value and not low <= number.value <= high:
-            possible = f"{low:g} to {high:g} {unit}".removesuffix(" 1")
-            yield f"numbers.{symbol}.value: expected {possible}, beyond which no joint is, got {number.value:g}"
+        if (fault := value_fault(symbol, number.value)) is not None:
+            yield fault
         if number.shared is not None and number.shared not in shared:
             yield f"numbers.{symbol}.shared: expected one of {sorted(shared)}, got {number.shared!r}"
     T1, T2 = numbers.get("T1"), numbers.get("T2")
     if T1 is not None and T2 is not None and T2.value < T1.value:
         yield f"numbers.T2.value: expected T2 ≥ T1 = {T1.value:g} N·m, got {T2.value:g}"
+
+
+def value_fault(symbol: str, value: float) -> str | None:
+    """What is wrong with the value of one number, in its own unit, in a line; None where nothing is."""
+    unit, may_be_zero = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol]
+    low, high = POSSIBLE.get(symbol, (0.0, np.inf))
+    if value < 0 or (value == 0 and not may_be_zero):
+        return f"numbers.{symbol}.value: expected a number {'≥' if may_be_zero else '>'} 0, got {value:g}"
+    if value and not low <= value <= high:
+        possible = f"{low:g} to {high:g} {unit}".removesuffix(" 1")
+        return f"numbers.{symbol}.value: expected {possible}, beyond which no joint is, got {value:g}"
+    return None
 
 
 PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())

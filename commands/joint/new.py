@@ -94,14 +94,13 @@ def command(
         series=series, size=size, ratio=ratio, numbers=numbers, name=name, motor=motor, tolerances=shares, inertia=inertia,
         gravity_moment=gravity_moment, description=description, sources=dict(_pairs("--source", sources)), **encoders,
     )  # fmt: skip
-    path = out if out is not None else Path(f"{new_joint(sheet).joint.name.replace('-', '_')}.yaml")
-    if path.suffix != ".yaml":
-        raise InputError(f"--out {path}: expected a file .yaml")
-    made = new_joint(sheet, path)
-    for target in (path, path.parent / made.joint.model):
+    if out is not None and out.suffix != ".yaml":
+        raise InputError(f"--out {out}: expected a file .yaml")
+    made = new_joint(sheet, out)
+    for target in (made.path, made.path.parent / made.joint.model):
         if target.exists() and not force:
             raise InputError(f"{target}: expected no such file, --force replaces it")
-    path, mjcf = write_joint(made.joint, path)
+    path, mjcf = write_joint(made.joint, made.path)
     if as_json:
         found = {
             "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
