@@ -19,6 +19,9 @@ _SET_HELP = (
     "`filters.3=dynamics_ekf`, `temperature=40` [°C], `feedback=none`. Repeatable."
 )
 
+MeasurementPath = Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")]
+ResultFolder = Annotated[Path, typer.Option(help="folder to write to")]
+OtherJoint = Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")]
 Scenarios = Annotated[list[str], typer.Argument(help="Names of shipped scenarios, or paths of YAML files.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to; one folder per scenario inside.")]
 Seed = Annotated[

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
-from ._options import Estimators, with_plugins
+from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -19,9 +16,9 @@ if TYPE_CHECKING:
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
-    out: Annotated[Path, typer.Option(help="folder to write to")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    out: ResultFolder,
+    joint: OtherJoint = None,
     filter_: Estimators = None,
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one.

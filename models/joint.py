@@ -50,7 +50,7 @@ POSSIBLE: dict[str, tuple[float, float]] = {
     "rated_torque": (1e-2, 1e6),
 }  # fmt: skip
 """Smallest and largest value of numbers, in their units, orders of magnitude beyond anything that is made: what lies outside
-is a slip of the unit or of the key, and is refused. What makers do make stands in `plausibility`."""
+is a slip of the unit or of the key, and is refused. What makers do make stands in `joint_check`."""
 
 
 class Number(Strict):
@@ -624,7 +624,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
       InputError: no such joint, or a description that is wrong; one line.
 
     Warns:
-      InputWarning: numbers that contradict each other (`plausibility`), a line each.
+      InputWarning: numbers that contradict each other (`joint_check`), a line each.
     """
     known = known_joints()
     name = str(source).replace("_", "-")
@@ -641,7 +641,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     if not joint.mjcf.is_file():
         raise InputError(f"{path}: model: expected an MJCF file, no such file {joint.model!r}")
     if name not in known:
-        from .plausibility import contradictions
+        from .joint_check import contradictions
 
         for problem in contradictions(joint):
             warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)

@@ -73,7 +73,7 @@ def command(
     --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit"`
     """
     from ...models.datasheet import Datasheet, new_joint, quantity, write_joint
-    from ...models.plausibility import check
+    from ...models.joint_check import check
 
     answers = {
         "gear": gear, "Kt": torque_constant, "R": resistance, "L": inductance, "Jm": rotor_inertia,
@@ -159,7 +159,7 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
     from rich.text import Text
 
     from ...models.characteristics import drive_gains
-    from ...models.plausibility import check
+    from ...models.joint_check import check
     from ...views.tables import narrow_table
     from .._console import console
     from .check import line

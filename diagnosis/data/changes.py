@@ -16,7 +16,7 @@ import numpy as np
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
-from .plausibility import EFFECTIVE, Fit, Motion, Plausibility, motion_of
+from .plausibility import EFFECTIVE, Plausibility, RelationFit, SmoothedChannels, motion_of
 
 PRICE = 9.0
 """Of a mistake, in log likelihood; a number that is free costs `FREE` more."""
@@ -55,7 +55,7 @@ class Change:
     also: tuple[Change, ...] = ()
     ratio: float = 1.0
 
-    def apply(self, motion: Motion) -> Motion:
+    def apply(self, motion: SmoothedChannels) -> SmoothedChannels:
         """The channels without the mistake; the same where the column is not there."""
         if self.column == GRAVITY:  # all angles less a half turn instead: nothing but gravity knows where they begin
             return replace(self, name="angle_zero", column="").apply(motion)
@@ -72,7 +72,7 @@ class Change:
             return 0.0
         return 0.5 * EFFECTIVE * max(-math.log(self.factor), 0.0)
 
-    def _own(self, motion: Motion) -> Motion:
+    def _own(self, motion: SmoothedChannels) -> SmoothedChannels:
         if self.name == "swapped":
             return swapped(motion)
         x = motion.channels[self.column]
@@ -88,7 +88,7 @@ class Change:
             x = x + np.array([self.offset, 0.0, 0.0])
         return motion.with_channels(**{self.column: x})
 
-    def _position(self, motion: Motion, velocity: np.ndarray) -> np.ndarray:
+    def _position(self, motion: SmoothedChannels, velocity: np.ndarray) -> np.ndarray:
         """The position of a velocity; where another position or the command says it, from there."""
         x = integrated(motion.time, velocity)
         for name in (*POSITIONS, "position_command"):
@@ -99,7 +99,7 @@ class Change:
         return x
 
 
-def swapped(motion: Motion) -> Motion:
+def swapped(motion: SmoothedChannels) -> SmoothedChannels:
     """Both positions exchanged; the only one under the other's name."""
     names = [name for name in POSITIONS if name in motion]
     others = {name: POSITIONS[1 - POSITIONS.index(name)] for name in names}
@@ -131,8 +131,8 @@ class Found:
 class _State:
     """Changes made so far, one after the other, and what became of each recording's channels."""
 
-    motions: tuple[Motion | None, ...]
-    fits: tuple[dict[str, Fit], ...]
+    motions: tuple[SmoothedChannels | None, ...]
+    fits: tuple[dict[str, RelationFit], ...]
     found: tuple[Found, ...] = ()
     price: float = 0.0
 
@@ -141,7 +141,7 @@ class _State:
         return sum(_total(fits) for fits in self.fits) - self.price
 
 
-def _total(fits: dict[str, Fit]) -> float:
+def _total(fits: dict[str, RelationFit]) -> float:
     return sum(fit.agreement for fit in fits.values())
 
 
@@ -181,7 +181,7 @@ class Suspicions:
         motions = tuple(motion_of(r) for r in self.recordings)
         return _State(motions, tuple(self._fits(i, m) for i, m in enumerate(motions)))
 
-    def _fits(self, index: int, motion: Motion | None) -> dict[str, Fit]:
+    def _fits(self, index: int, motion: SmoothedChannels | None) -> dict[str, RelationFit]:
         return {} if motion is None else self._plausible[index].agreement(motion)
 
     def _search(self, start: _State) -> _State:

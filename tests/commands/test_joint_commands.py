@@ -375,7 +375,7 @@ ODD = [None, [], {}, "x", -1.0, 0, 1e300, True, [1, 2], {"a": 1}, "Nm", 10**400]
 def test_what_has_no_errors_loads_and_what_does_not_load_has(tmp_path, rng):
     """Files with places replaced at random."""
     from flexspline.models.errors import InputError
-    from flexspline.models.plausibility import check
+    from flexspline.models.joint_check import check
 
     for _ in range(15):
         data = yaml.safe_load(TEXT)
