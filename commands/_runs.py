@@ -6,7 +6,7 @@ import importlib
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
 from ._console import progress
@@ -82,6 +82,11 @@ def run_all(
                 raise
             finally:  # whoever interrupts does not wait for a simulation that is under way
                 pool.shutdown(wait=False, cancel_futures=True)
+
+
+def metrics_of(runs: list[tuple[Run, Path]]) -> dict[str, Any]:
+    """For programs: by scenario the folder, what whoever reads the measures should know, and the measures."""
+    return {run.name: {"folder": str(folder), "notes": list(run.notes), **run.metrics} for run, folder in runs}
 
 
 def tell(terminal: Console, runs: list[tuple[Run, Path]]) -> None:

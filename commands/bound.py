@@ -7,13 +7,22 @@ from typing import Annotated
 
 import typer
 
-from ._options import Changes, Estimators, with_plugins
+from ._listing import AsJson
+from ._options import Changes, Estimators, shipped, with_plugins
+
+EXAMPLES = (
+    "flexspline bound link_sweep --seeds 5",
+    "flexspline bound external_push --filter RAREKF --filter dynamics_ekf --out limits",
+)
 
 
 @with_plugins
 def command(
     scenarios: Annotated[
-        list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")
+        list[str] | None,
+        typer.Argument(
+            help="Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")
+        ),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds: 1, 2, …")] = 10,
     filter_: Estimators = None,
@@ -30,6 +39,7 @@ def command(
         Path | None, typer.Option(help="Folder for limits.parquet, summary.csv and a figure per scenario.")
     ] = None,
     changes: Changes = None,
+    as_json: AsJson = False,
 ) -> None:
     """Hold every estimator against the posterior Cramér-Rao bound; NIS, NEES and whiteness of the innovations.
 
@@ -63,8 +73,9 @@ def command(
                     )
                 scenario = matched(scenario, level)
             found.append(assess(scenario, folder, range(1, seeds + 1), chosen, level, lambda: bar.advance(task)))
-    for limits in found:
-        terminal.print(limits_table(limits))
+    if not as_json:
+        for limits in found:
+            terminal.print(limits_table(limits))
     if out is not None:
         from ..views.limit_figures import limits_figure, save_figure
         from ..views.limit_files import write_limits, write_summary
@@ -74,6 +85,12 @@ def command(
                 write_limits(limits, folder / limits.scenario / "limits.parquet")
                 save_figure(limits_figure(limits), folder / limits.scenario / "limits.png")
             write_summary(found, folder / "summary.csv")
-        terminal.print(
-            f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario", highlight=False, markup=False
-        )
+        if not as_json:
+            terminal.print(
+                f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario", highlight=False, markup=False
+            )
+    if as_json:
+        from ..models.files import json_text
+        from ..views.limit_files import summary_rows
+
+        print(json_text(list(summary_rows(found))))

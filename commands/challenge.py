@@ -13,6 +13,7 @@ import typer
 
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
+from ._listing import AsJson
 from ._options import with_plugins
 
 if TYPE_CHECKING:
@@ -37,6 +38,11 @@ _KINDS: dict[Kind, str] = {
     "two": "two effects",
     "outside": "an effect outside the library",
 }
+
+EXAMPLES = (
+    "flexspline challenge --draws 5 --hidden one --out outcomes.json",
+    "flexspline challenge --scenario link_sweep --cause backlash --sizes 1,0.3,0.1",
+)
 
 
 @with_plugins
@@ -70,6 +76,7 @@ def command(
     out: Annotated[
         Path | None, typer.Option(help="write every draw and all tables to this file, .json or .parquet")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Hide effects in simulated joints, diagnose the recordings, and say how often it was right.
 
@@ -106,9 +113,15 @@ def command(
     outcomes.sort(key=lambda o: (kinds.index(o.kind), o.index, -o.size))
     how = f"{joint}, {'known exactly' if exact else 'within tolerance'}{', with real imperfections' if real else ''}"
     how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}; seed {seed}"
-    _show(console(), how, outcomes, scanned)
     if out is not None:
         _write(out, outcomes)
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text(score.report(outcomes)))
+        return
+    _show(console(), how, outcomes, scanned)
+    if out is not None:
         console().print(f"{out}", highlight=False)
 
 

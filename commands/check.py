@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from ..diagnosis.data.coverage import RecordingSummary
     from ..models.recording import Recording
 
+EXAMPLES = (
+    "flexspline check measurement",
+    "flexspline check measurement --joint my_joint.yaml --json",
+)
+
 
 @with_plugins
 def command(

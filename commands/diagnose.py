@@ -17,6 +17,7 @@ import typer
 from ..models import plugins
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
+from ._listing import AsJson
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -33,6 +34,11 @@ _PLANNED = 3
 _REGIONS = 3
 """Regions that no fit saw that are shown."""
 
+EXAMPLES = (
+    "flexspline diagnose measurement --out diagnosis",
+    "flexspline diagnose measurement --joint my_joint.yaml --time 60 --out diagnosis --json",
+)
+
 
 @with_plugins
 def command(
@@ -46,6 +52,7 @@ def command(
         float | None, typer.Option("--time", min=0.0, metavar="SECONDS", help="answer with what is known by then")
     ] = None,
     report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
+    as_json: AsJson = False,
 ) -> None:
     """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
     from ..models.recording import read_measurement
@@ -100,6 +107,9 @@ def command(
     except KeyboardInterrupt:
         print("flexspline: interrupted, nothing was written", file=sys.stderr)
         raise
+    if as_json:
+        print(answer)
+        return
     show(console(), found, gained, measurement, out, report)
 
 

@@ -6,12 +6,18 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
+from ._listing import AsJson
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from ..estimator.offline import Score
+
+EXAMPLES = (
+    "flexspline estimate measurement --out estimates",
+    "flexspline estimate measurement --joint diagnosis/joint.yaml --filter dynamics_ekf --out estimates",
+)
 
 
 @with_plugins
@@ -20,6 +26,7 @@ def command(
     out: ResultFolder,
     joint: OtherJoint = None,
     filter_: Estimators = None,
+    as_json: AsJson = False,
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one.
 
@@ -65,6 +72,8 @@ def command(
                 "beyond": beyond,
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
+            if as_json:
+                continue
             terminal.print(f"{path}", highlight=False, markup=False)
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
@@ -74,7 +83,10 @@ def command(
                 terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
+    if as_json:
+        print(text)
+    else:
+        terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:

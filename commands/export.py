@@ -9,6 +9,8 @@ import typer
 
 from ._options import MeasurementPath
 
+EXAMPLES = ("flexspline export measurement --out mcap",)
+
 
 def command(
     measurement: MeasurementPath,

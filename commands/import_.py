@@ -15,6 +15,12 @@ from ._options import with_plugins
 if TYPE_CHECKING:
     from ..models.recording import Measurement
 
+EXAMPLES = (
+    "flexspline import mapping.yaml log.csv --out measurement",
+    "flexspline import ur3e_rtde free.csv loaded.csv --joint my_joint.yaml --out measurement",
+    "flexspline import measurement --fix --out mended",
+)
+
 
 @with_plugins
 def command(

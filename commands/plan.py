@@ -14,6 +14,11 @@ from ._options import OtherJoint, with_plugins
 _BY = 1.0
 """Time [s] after which the search begins no further stage: what is open is known once the joint is calibrated."""
 
+EXAMPLES = (
+    "flexspline plan measurement",
+    "flexspline plan diagnosis --json",
+)
+
 
 @with_plugins
 def command(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from ._listing import AsJson
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -11,12 +12,15 @@ if TYPE_CHECKING:
 
     from ..diagnosis.validate import Validation
 
+EXAMPLES = ("flexspline validate measurement --joint diagnosis/joint.yaml --out check",)
+
 
 @with_plugins
 def command(
     measurement: MeasurementPath,
     out: ResultFolder,
     joint: OtherJoint = None,
+    as_json: AsJson = False,
 ) -> None:
     """Say how well a joint's description predicts a measurement: nothing is fitted."""
     from ..models.files import json_text
@@ -35,9 +39,13 @@ def command(
 
     found = validate(data, described)
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:
-        (folder / "validation.json").write_text(json_text(found.to_json()) + "\n", encoding="utf-8")
+        text = json_text(found.to_json())
+        (folder / "validation.json").write_text(text + "\n", encoding="utf-8")
         for recording in found.recordings:
             write_table(folder / f"{recording.name}.parquet", recording.columns, recording.column_units)
+    if as_json:
+        print(text)
+        return
     _show(console(), found)
     console().print(f"{out}: {', '.join(names)}", highlight=False, markup=False)
 

@@ -12,7 +12,12 @@ import typer
 from .._options import with_plugins
 
 if TYPE_CHECKING:
-    from ...models.joint_check import Finding
+    from ...models.joint_check import Fault
+
+EXAMPLES = (
+    "flexspline joint check my_joint.yaml",
+    "flexspline joint check my_joint.yaml --json",
+)
 
 
 @with_plugins
@@ -42,7 +47,7 @@ def command(
         raise typer.Exit(2)
 
 
-def line(path: Path, problem: Finding) -> str:
+def line(path: Path, problem: Fault) -> str:
     """A problem as it is printed, with the meaning of its symbol."""
     from ...models.errors import one_line
     from ...models.joint import SYMBOLS

@@ -27,6 +27,11 @@ _ASKED = {
 }
 """What a datasheet has and no rule can give: option, question."""
 
+EXAMPLES = (
+    'flexspline joint new --gear CSG-14-100 --torque-constant "57 mNm/A" --resistance 1.56 --inductance "0.6 mH"'
+    ' --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit" --out my_joint.yaml',
+)
+
 
 def command(
     gear: Annotated[str | None, typer.Option(help="Gear as `series-size-ratio`: `CSG-25-100`.")] = None,

@@ -15,6 +15,11 @@ from .._options import with_plugins
 if TYPE_CHECKING:
     from ...models.joint import Joint
 
+EXAMPLES = (
+    "flexspline joint show csg-25-100-tbm2g",
+    "flexspline joint show my_joint.yaml --out my_joint.png",
+)
+
 
 @with_plugins
 def command(

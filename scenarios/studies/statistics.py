@@ -11,6 +11,7 @@ import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -79,20 +80,27 @@ def reference_of(design: Design, i: int) -> int:
     return (fitting or same)[0]
 
 
-def write_csv(aggregates: list[Aggregate], design: Design, path: Path) -> None:
-    """All aggregates as CSV: for each metric mean, lower and upper end, and the same of the paired difference."""
+def summary_rows(aggregates: list[Aggregate], design: Design) -> Iterator[dict[str, Any]]:
+    """All aggregates, a row each: for each metric mean, lower and upper end, and the same of the paired difference."""
     axes = list(aggregates[0].columns) if aggregates else []
     metrics = design.study.metrics
     ends = ("mean", "low", "high")
     head = ["scenario", *axes, "filter", "runs", "failed"]
     head += [f"{m}_{e}" for m in metrics for e in ends] + [f"{m}_difference_{e}" for m in metrics for e in ends]
 
-    def cells(found: dict[str, Interval]) -> list[float | str]:
-        return ["" if m not in found else getattr(found[m], e) for m in metrics for e in ends]
+    def cells(found: dict[str, Interval]) -> list[float | None]:
+        return [None if m not in found else getattr(found[m], e) for m in metrics for e in ends]
 
+    for s in aggregates:
+        at = [s.columns[a] for a in axes]
+        row = [s.scenario, *at, s.filter, s.runs, s.failed, *cells(s.values), *cells(s.differences)]
+        yield dict(zip(head, row, strict=True))
+
+
+def write_csv(aggregates: list[Aggregate], design: Design, path: Path) -> None:
+    """`summary_rows` as CSV."""
+    rows = list(summary_rows(aggregates, design))
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(head)
-        for s in aggregates:
-            at = ["" if s.columns[a] is None else s.columns[a] for a in axes]
-            writer.writerow([s.scenario, *at, s.filter, s.runs, s.failed, *cells(s.values), *cells(s.differences)])
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+        writer.writeheader()
+        writer.writerows(rows)

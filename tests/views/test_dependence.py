@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexspline.views.dependence import ORDERS, explained, means, orders, telling
-from flexspline.views.residuals import BalanceResidual
+from flexspline.views.residuals import ResidualSeries
 
 
 @pytest.fixture
@@ -17,9 +17,9 @@ def balance(rng):
     other = {name: rng.uniform(0, 9, k) for name in ("time", "motor", "load")}
     noise, rising = 0.01 * rng.standard_normal(k), rng.random(k) < 0.5
 
-    def made(effect) -> BalanceResidual:
+    def made(effect) -> ResidualSeries:
         before = noise + effect(velocity, link)
-        return BalanceResidual(
+        return ResidualSeries(
             "motor_current", "A", before, noise, 0.01, link=link, velocity=velocity, rising=rising, **other
         )
 
