@@ -30,6 +30,9 @@ def shipped(room: str) -> Callable[[str], list[str]]:
     return names
 
 
+MeasurementPath = Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")]
+ResultFolder = Annotated[Path, typer.Option(help="folder to write to")]
+OtherJoint = Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")]
 Scenarios = Annotated[
     list[str],
     typer.Argument(help="Names of shipped scenarios, or paths of YAML files.", autocompletion=shipped("scenarios")),

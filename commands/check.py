@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..models.errors import InputError
-from ._options import with_plugins
+from ._options import MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.coverage import RecordingSummary
@@ -25,8 +24,8 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    joint: OtherJoint = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
     """Say what is in a measurement, which mistakes are, what is missing, and what can therefore not be diagnosed."""

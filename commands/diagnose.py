@@ -18,7 +18,7 @@ from ..models import plugins
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._listing import AsJson
-from ._options import with_plugins
+from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -42,9 +42,9 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")],
-    out: Annotated[Path, typer.Option(help="folder to write to")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    out: ResultFolder,
+    joint: OtherJoint = None,
     exact: Annotated[
         bool, typer.Option("--exact", help="take the joint's numbers as exactly known: whatever differs is a cause")
     ] = False,

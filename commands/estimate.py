@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
 from ._listing import AsJson
-from ._options import Estimators, with_plugins
+from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -25,9 +22,9 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
-    out: Annotated[Path, typer.Option(help="folder to write to")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    out: ResultFolder,
+    joint: OtherJoint = None,
     filter_: Estimators = None,
     as_json: AsJson = False,
 ) -> None:

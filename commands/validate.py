@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
-
-import typer
+from typing import TYPE_CHECKING
 
 from ._listing import AsJson
-from ._options import with_plugins
+from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -20,9 +17,9 @@ EXAMPLES = ("flexspline validate measurement --joint diagnosis/joint.yaml --out 
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
-    out: Annotated[Path, typer.Option(help="folder to write to")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    out: ResultFolder,
+    joint: OtherJoint = None,
     as_json: AsJson = False,
 ) -> None:
     """Say how well a joint's description predicts a measurement: nothing is fitted."""

@@ -48,7 +48,7 @@ _JOINT_AXIS = SENSED.index("torque_y")
 
 
 @dataclass(frozen=True)
-class Layout:
+class Addresses:
     """Where things lie in a model's state: addresses of activations and sensor data (−1: none)."""
 
     current: int
@@ -59,7 +59,7 @@ class Layout:
     link_body: int
 
     @classmethod
-    def of(cls, model: mujoco.MjModel) -> Layout:
+    def of(cls, model: mujoco.MjModel) -> Addresses:
         """Look the addresses up."""
         motor = model.actuator("motor").id
         has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
@@ -163,7 +163,7 @@ def simulate(
         address, memory, known, settings, out = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record).arrays()
     with native.quiet(), native.untimed():
         _loop(
-            native.function_address("mj_step"), model._address, data._address, offsets, Layout.of(model).as_array(),
+            native.function_address("mj_step"), model._address, data._address, offsets, Addresses.of(model).as_array(),
             model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,
             temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
             readings, _as_floats(readings), command, failed, tip_force, crosstalk, told, commanded,

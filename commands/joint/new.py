@@ -78,7 +78,7 @@ def command(
     --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit"`
     """
     from ...models.datasheet import Datasheet, new_joint, quantity, write_joint
-    from ...models.plausibility import check
+    from ...models.joint_check import check
 
     answers = {
         "gear": gear, "Kt": torque_constant, "R": resistance, "L": inductance, "Jm": rotor_inertia,
@@ -99,14 +99,13 @@ def command(
         series=series, size=size, ratio=ratio, numbers=numbers, name=name, motor=motor, tolerances=shares, inertia=inertia,
         gravity_moment=gravity_moment, description=description, sources=dict(_pairs("--source", sources)), **encoders,
     )  # fmt: skip
-    path = out if out is not None else Path(f"{new_joint(sheet).joint.name.replace('-', '_')}.yaml")
-    if path.suffix != ".yaml":
-        raise InputError(f"--out {path}: expected a file .yaml")
-    made = new_joint(sheet, path)
-    for target in (path, path.parent / made.joint.model):
+    if out is not None and out.suffix != ".yaml":
+        raise InputError(f"--out {out}: expected a file .yaml")
+    made = new_joint(sheet, out)
+    for target in (made.path, made.path.parent / made.joint.model):
         if target.exists() and not force:
             raise InputError(f"{target}: expected no such file, --force replaces it")
-    path, mjcf = write_joint(made.joint, path)
+    path, mjcf = write_joint(made.joint, made.path)
     if as_json:
         found = {
             "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
@@ -165,7 +164,7 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
     from rich.text import Text
 
     from ...models.characteristics import drive_gains
-    from ...models.plausibility import check
+    from ...models.joint_check import check
     from ...views.tables import narrow_table
     from .._console import console
     from .check import line

@@ -68,8 +68,8 @@ def _seen(joint: Joint) -> dict[str, list[str]]:
     from ...models import causes
     from ...models.signals import CHANNELS
 
-    hidden = drowned(joint)
-    found: dict[str, list[str]] = {"with both encoders and the motor current": []}
+    hidden, usual = drowned(joint), "with both encoders and the motor current"
+    found: dict[str, list[str]] = {usual: []}
     for name in causes.of(joint):
         needs = [n for n in causes.get(name).needs if n not in RECORDED]
         if name in hidden:
@@ -77,6 +77,6 @@ def _seen(joint: Joint) -> dict[str, list[str]]:
         elif needs:
             what = f"with {' and '.join(CHANNELS[n].name.replace('_', ' ') for n in needs)} besides"
         else:
-            what = "with both encoders and the motor current"
+            what = usual
         found.setdefault(what, []).append(name)
     return found

@@ -47,7 +47,7 @@ MOVING = 0.02
 
 
 @dataclass(frozen=True)
-class Draw:
+class DrawnExperiment:
     """An experiment as it was drawn and what became of it; n samples.
 
     Attributes:
@@ -111,7 +111,7 @@ def drawn_record(experiment: Experiment, seed: int, tolerance: float, tared: boo
 
 def draw(
     scenario: Scenario, folder: Path | None, seed: int, tolerance: float = 1.0, tared: bool = True, vary: bool = True
-) -> Draw:
+) -> DrawnExperiment:
     """Draw an experiment and run it, without estimates.
 
     Args:
@@ -128,10 +128,12 @@ def draw(
     return draw_of(experiment, simulation, record, told(experiment.known, tolerance, tared), seed)
 
 
-def draw_of(experiment: Experiment, simulation: Simulation, record: np.ndarray, known: KnownJoint, seed: int) -> Draw:
-    """A simulation of an experiment as a `Draw`."""
+def draw_of(
+    experiment: Experiment, simulation: Simulation, record: np.ndarray, known: KnownJoint, seed: int
+) -> DrawnExperiment:
+    """A simulation of an experiment as a `DrawnExperiment`."""
     time = simulation.time
-    return Draw(
+    return DrawnExperiment(
         seed, known, record, signals_of(simulation), np.ascontiguousarray(simulation.truth["joint_torque"]),
         experiment.external_torque, np.abs(experiment.velocity) > MOVING, time >= experiment.scenario.transient,
     )  # fmt: skip
