@@ -51,8 +51,8 @@ _FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disable
 _ADDRESSES = np.dtype(
     [(name, np.int64) for name in (*_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body")]
 )
-"""Where things lie: fields in MuJoCo's structures (`native.offsets`), activations and sensors in `act` and `sensordata` (−1: there
-is none), the number of the link's body."""
+"""Where things lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata` (−1: there is
+none), the number of the link's body."""
 
 
 @dataclass(frozen=True)
