@@ -29,9 +29,17 @@ def command(
     intensity: Annotated[
         float | None,
         typer.Option(
-            min=0, help="Of the external torque's random walk in the bound, N·m/√s; fitted to the scenario by default."
+            min=0,
+            help="Of the external torque's random walk in the bound, N·m/√s; by default fitted to what the scenario's "
+            "own changes up to 20 Hz.",
         ),
     ] = None,
+    tolerance: Annotated[
+        float,
+        typer.Option(
+            min=0, help="Share of the joint's tolerances that are the prior of the second bound; 0 leaves it out."
+        ),
+    ] = 1.0,
     walk: Annotated[
         bool, typer.Option(help="Replace the disturbances by draws of that random walk: the bound's own model.")
     ] = False,
@@ -43,8 +51,9 @@ def command(
 ) -> None:
     """Hold every estimator against the posterior Cramér-Rao bound; NIS, NEES and whiteness of the innovations.
 
-    The bound holds for the joint's dynamics, exactly known, with a random-walk external torque, and the encoders' noise. Of a
-    scripted scenario it is a yardstick: a filter that adapts may fall below it. With `--walk` it may not.
+    The bound holds for the joint's dynamics, exactly known, with a random-walk external torque, and the encoders' noise; beside
+    it stands the one for a joint that is known within its tolerances. Of a scripted scenario it is a yardstick: a filter that
+    adapts may fall below it. With `--walk` it may not.
     """
     from ..models.errors import InputError
     from ..models.output import check_output, output_folder
@@ -72,7 +81,9 @@ def command(
                         f"scenario {scenario.name}: --walk: expected an --intensity, it has no disturbance to fit"
                     )
                 scenario = matched(scenario, level)
-            found.append(assess(scenario, folder, range(1, seeds + 1), chosen, level, lambda: bar.advance(task)))
+            found.append(
+                assess(scenario, folder, range(1, seeds + 1), chosen, level, tolerance, lambda: bar.advance(task))
+            )
     if not as_json:
         for limits in found:
             terminal.print(limits_table(limits))

@@ -160,12 +160,18 @@ class AnalogSpec(Strict):
 
 
 class WrenchSpec(Strict):
-    """The six-axis force/torque sensor: noise per axis [N rms], [N·m rms], delay [s], sample rate [Hz]."""
+    """The six-axis force/torque sensor: noise per axis [N rms], [N·m rms], delay [s], sample rate [Hz].
+
+    `crosstalk`: what of an axis' load, relative to its rated one [N], [N·m], may show in each of the others [1].
+    """
 
     force_noise: Annotated[float, Field(ge=0)] = 0.0
     torque_noise: Annotated[float, Field(ge=0)] = 0.0
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+    crosstalk: Annotated[float, Field(ge=0, lt=0.2)] = 0.0
+    rated_force: Annotated[float, Field(gt=0)] = 300.0
+    rated_torque: Annotated[float, Field(gt=0)] = 30.0
 
 
 class Sensors(Strict):
