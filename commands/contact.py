@@ -94,7 +94,7 @@ def command(
 
             save_figure(contact_views.contact_figure(rows, loaded.name), new / "contact.png")
         if not as_json:
-            terminal.print(f"{out / 'contact.csv'}, contact.md, contact.png", highlight=False, markup=False)
+            terminal.print(f"{out / 'contact.csv'}, contact.md, contact.png")
     if as_json:
         from ..models.files import json_text
 

@@ -63,7 +63,9 @@ def contact_table(points: Mapping[str, Point], title: str) -> Table:
     )
     for i, head in enumerate(HEADS):
         words, _, unit = head.partition(" [")
-        table.add_column(f"{words}\n\\[{unit}" if unit else words, justify="right" if i else "left", overflow="fold")
+        table.add_column(
+            Text(f"{words}\n[{unit}" if unit else words), justify="right" if i else "left", overflow="fold"
+        )
     for row in contact_rows(points):
         table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))
     return table
