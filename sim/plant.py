@@ -52,8 +52,8 @@ def build(
     p = record[0]
     spec = structure.read(joint.mjcf)
     try:
-        _set_numbers(spec, p, timestep, ideal_current)
-        native_friction = _set_friction(spec, p)
+        set_numbers(spec, p, timestep, ideal_current)
+        native_friction = set_friction(spec, p)
         has_dahl = p["hysteresis_torque"] != 0
         joints: tuple[str, ...] = structure.JOINTS
         if p["flexible_share"] > 0:
@@ -136,7 +136,7 @@ def activation(model: mujoco.MjModel, actuator: str) -> int:
     return int(model.actuator_actadr[i] + model.actuator_actnum[i] - 1)
 
 
-def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
+def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
     spec.option.timestep = timestep
     # Nothing touches anything, and no joint has limits.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -206,7 +206,7 @@ def _hang_flexibly(spec: mujoco.MjSpec, p: np.void) -> None:
     joint.damping = [0.5 * laws.flexible_torque(0.0, 1.0, p), 0, 0]
 
 
-def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
+def set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
     """MuJoCo's own LuGre where the sliding friction is a function of velocity alone; the callback's otherwise."""
     friction = spec.actuator("mesh_friction")
     plain = (
