@@ -170,14 +170,21 @@ def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current:
             raise ValueError(error)
 
 
+def link_mass(p: np.void) -> tuple[float, float]:
+    """Mass of the link [kg] and how far its centre is from the axis [m]: a description states neither, only Mg and Jl."""
+    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"] - laws.flexible_inertia(p))
+    if moment <= 0.0:
+        return 0.1, 0.0
+    # It sits close enough for its own m r² to leave 40 % of the inertia to its shape.
+    lever = min(_LEVER, 0.6 * inertia / moment)
+    return moment / lever, lever
+
+
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     """A mass with the gravity moment, off the link's axis by the gravity angle, and the rest of the inertia as its shape."""
     body = spec.body("link")
-    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"] - laws.flexible_inertia(p))
-    # The mass sits close enough for its own m r² to leave 40 % of the inertia to its shape.
-    lever = min(_LEVER, 0.6 * inertia / moment) if moment > 0 else _LEVER
-    mass = moment / lever if moment > 0 else 0.1
-    position = lever if moment > 0 else 0.0
+    inertia = float(p["Jl"] - laws.flexible_inertia(p))
+    mass, position = link_mass(p)
     about_mass = inertia - mass * position**2
     body.explicitinertial = True
     body.mass = mass
