@@ -9,10 +9,12 @@ from typing import Protocol
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from ...models.errors import InputError
 from ...models.recording import CsvFormat, csv_format, csv_header, read_csv_columns
+from ...models.tables import reading_parquet
 
 
 class Log(Protocol):
@@ -66,23 +68,17 @@ class _Csv:
 class _Parquet:
     def __init__(self, path: Path):
         self.path = path
-        try:
+        with reading_parquet(path):
             self.file = pq.ParquetFile(path)
             self.schema = self.file.schema_arrow
-        except (OSError, pa.ArrowException) as error:
-            raise InputError(f"{path}: not a readable Parquet file: {(str(error).splitlines() or ['?'])[0]}") from error
 
     @property
     def names(self) -> list[str]:
         return list(self.schema.names)
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        try:
+        with reading_parquet(self.path):
             table = self.file.read(wanted)
-        except (OSError, pa.ArrowException) as error:
-            raise InputError(
-                f"{self.path}: not a readable Parquet file: {(str(error).splitlines() or ['?'])[0]}"
-            ) from error
         return {name: self._numbers(name, table.column(name)) for name in wanted}
 
     def _numbers(self, name: str, column: pa.ChunkedArray) -> np.ndarray:
@@ -92,7 +88,7 @@ class _Parquet:
             unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
             ticks = column.cast(pa.int64())
             first = next((t.as_py() for t in ticks if t.is_valid), 0)
-            return np.array([(t - first) * unit if t is not None else np.nan for t in ticks.to_pylist()])
+            return unit * pc.subtract(ticks, first).cast(pa.float64()).to_numpy()
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind)):
             raise InputError(f"{self.path}: column {name!r}: expected numbers, got {kind}")
         return column.cast(pa.float64()).to_numpy()

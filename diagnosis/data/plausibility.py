@@ -10,7 +10,7 @@ Four relations hold between the channels of a joint, however they were recorded:
 Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and
 all causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as
 pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few
-milliseconds apart say the same thing, so a recording counts as `EFFECTIVE` samples.
+milliseconds apart say the same thing, so a recording counts as `AgreementSettings.effective` samples.
 """
 
 from __future__ import annotations
@@ -26,20 +26,39 @@ from ...models.kernels import kernel
 from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
 
-EFFECTIVE = 90.0
-"""Samples that a recording counts as in a relation between its channels."""
-_SAMPLES = 320  # of a recording that are looked at
-_CUTOFF = 6.0  # Hz: of the smoother
-_BIN = 0.01  # s: over which samples are averaged before
+
+@dataclass(frozen=True)
+class AgreementSettings:
+    """How channels are smoothed and held against each other.
+
+    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
+
+    Attributes:
+      effective: samples that a recording counts as in a relation between its channels.
+      samples: of a recording that are looked at.
+      cutoff: of the smoother [Hz].
+      bin: over which samples are averaged before [s].
+      shortest: samples and seconds of a part without gaps.
+      edge: at both ends of a part, where the smoother settles [s].
+      rated_torque: of the joint for which ordinary sizes in N·m are stated: a payload, a cable, a stop [N·m].
+    """
+
+    effective: float = 90.0
+    samples: int = 320
+    cutoff: float = 6.0
+    bin: float = 0.01
+    shortest: tuple[int, float] = (20, 0.3)
+    edge: float = 0.05
+    rated_torque: float = 16.0
+
+
+SETTINGS = AgreementSettings()
 _FREEDOM = 3.0  # of the Student-t distribution
-_SHORTEST = (20, 0.3)  # samples, seconds of a part without gaps
-_EDGE = 0.05  # s at both ends of a part, where the smoother settles
 _CHANNELS = (*POSITIONS, "motor_current", "motor_torque", "joint_torque", "position_command", "external_torque")
-_TEST = 16.0  # N·m: rated torque of the joint for which ordinary sizes in N·m are stated (a payload, a cable, a stop)
 
 
 @dataclass(frozen=True)
-class Motion:
+class SmoothedChannels:
     """A recording's channels, smoothed.
 
     Attributes:
@@ -56,11 +75,11 @@ class Motion:
     def __contains__(self, name: str) -> bool:
         return name in self.channels
 
-    def with_channels(self, **channels: np.ndarray) -> Motion:
+    def with_channels(self, **channels: np.ndarray) -> SmoothedChannels:
         """The same with channels replaced."""
         return replace(self, channels={**self.channels, **channels})
 
-    def without(self, *names: str) -> Motion:
+    def without(self, *names: str) -> SmoothedChannels:
         """The same without channels."""
         return replace(self, channels={n: x for n, x in self.channels.items() if n not in names})
 
@@ -70,7 +89,7 @@ class Motion:
         return "link_position" if "link_position" in self.channels else "motor_position"
 
 
-def motion_of(recording: Recording, second: float = 1.0) -> Motion | None:
+def motion_of(recording: Recording, second: float = 1.0) -> SmoothedChannels | None:
     """Smooth a recording's channels; None where no part without gaps is long enough.
 
     Args:
@@ -80,7 +99,7 @@ def motion_of(recording: Recording, second: float = 1.0) -> Motion | None:
     time = second * (recording.time - recording.time[0])
     interval = float(np.median(np.diff(time)))
     cuts = np.flatnonzero(np.diff(time) > max(GAP, 5 * interval)) + 1
-    step = max(0.02, interval, float(time[-1]) / _SAMPLES)
+    step = max(0.02, interval, float(time[-1]) / SETTINGS.samples)
     names = [name for name in _CHANNELS if name in recording]
     columns = [recording[name] for name in names]
     if recording.load is not None:
@@ -88,17 +107,17 @@ def motion_of(recording: Recording, second: float = 1.0) -> Motion | None:
     times, found = [], []
     for part in np.split(np.arange(len(time)), cuts):
         t = time[part]
-        if len(t) < _SHORTEST[0] or t[-1] - t[0] < _SHORTEST[1]:
+        if len(t) < SETTINGS.shortest[0] or t[-1] - t[0] < SETTINGS.shortest[1]:
             continue
         begins = np.arange(len(t))
-        if interval < 0.5 * _BIN:
-            begins = np.flatnonzero(np.diff(np.floor((t - t[0]) / _BIN), prepend=-1.0))
+        if interval < 0.5 * SETTINGS.bin:
+            begins = np.flatnonzero(np.diff(np.floor((t - t[0]) / SETTINGS.bin), prepend=-1.0))
         count = np.diff(begins, append=len(t))
         mean = [np.add.reduceat(x[part], begins) / count for x in (time, *columns)]
-        if len(mean[0]) < _SHORTEST[0]:
+        if len(mean[0]) < SETTINGS.shortest[0]:
             continue
-        s = smooth(mean[0], np.column_stack(mean[1:]), step, _CUTOFF)
-        inside = (s.time >= t[0] + _EDGE) & (s.time <= t[-1] - _EDGE)
+        s = smooth(mean[0], np.column_stack(mean[1:]), step, SETTINGS.cutoff)
+        inside = (s.time >= t[0] + SETTINGS.edge) & (s.time <= t[-1] - SETTINGS.edge)
         times.append(s.time[inside])
         found.append(np.stack([s.value, s.rate, s.acceleration], axis=-1)[inside])
     if not times:
@@ -106,7 +125,7 @@ def motion_of(recording: Recording, second: float = 1.0) -> Motion | None:
     values = np.concatenate(found)
     n = len(values)
     arm = recording.load is not None
-    return Motion(
+    return SmoothedChannels(
         time=np.concatenate(times),
         channels={name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)},
         known_torque=values[:, len(names), 0] if arm else np.zeros(n),
@@ -192,18 +211,18 @@ class _Shapes:
             self._columns.append(np.broadcast_to(shape, (self._n,)))
             self._numbers.append((low, high, centre, (high - low) / 3 if spread is None else spread))
 
-    def fit(self, y: np.ndarray, sigma: np.ndarray, least: float, effective: float) -> Fit:
+    def fit(self, y: np.ndarray, sigma: np.ndarray, least: float, effective: float) -> RelationFit:
         """The best coefficients for readings y, shape (n,); `least`: what `sigma` is where all is known."""
         A = np.ascontiguousarray(np.column_stack(self._columns))
         low, high, centre, spread = (np.array(x) for x in zip(*self._numbers, strict=True))
         beta = np.empty(len(low))
         misfit = float(_fit(A, y, sigma, low, high, centre, spread, effective / self._n, beta))
         known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
-        return Fit(misfit + known, misfit / effective)
+        return RelationFit(misfit + known, misfit / effective)
 
 
 @dataclass(frozen=True)
-class Fit:
+class RelationFit:
     """A relation at its best coefficients.
 
     Attributes:
@@ -216,7 +235,7 @@ class Fit:
     misfit: float
 
 
-def _same(a: Motion, b: Motion, channels: tuple[str, ...]) -> bool:
+def _same(a: SmoothedChannels, b: SmoothedChannels, channels: tuple[str, ...]) -> bool:
     """Whether some channels are the very same, and both tell the link's motion by the same encoder."""
     return a.position == b.position and all(a.channels.get(n) is b.channels.get(n) for n in channels)
 
@@ -228,12 +247,15 @@ class Plausibility:
         self.joint = joint
         self.p = joint.record(recording.link)[0]
         self.pushed = recording.external == "unmeasured"
-        self._size = joint.numbers["rated_torque"].value / _TEST
+        self._size = joint.numbers["rated_torque"].value / SETTINGS.rated_torque
         self._turned = joint.gravity_angle is not None
 
     def agreement(
-        self, motion: Motion, before: Motion | None = None, known: Mapping[str, Fit] | None = None
-    ) -> dict[str, Fit]:
+        self,
+        motion: SmoothedChannels,
+        before: SmoothedChannels | None = None,
+        known: Mapping[str, RelationFit] | None = None,
+    ) -> dict[str, RelationFit]:
         """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel.
 
         Args:
@@ -248,11 +270,11 @@ class Plausibility:
                 found[name] = self._fit(name, motion)
         return found
 
-    def torques(self, motion: Motion) -> dict[str, Fit]:
+    def torques(self, motion: SmoothedChannels) -> dict[str, RelationFit]:
         """The relations of torques alone."""
         return {name: self._fit(name, motion) for name in self._relations(motion) if name in DRIVING}
 
-    def _relations(self, motion: Motion) -> dict[str, tuple[str, ...]]:
+    def _relations(self, motion: SmoothedChannels) -> dict[str, tuple[str, ...]]:
         """Relations that the channels allow, each with the channels that it is between."""
         found: dict[str, tuple[str, ...]] = {}
         if all(name in motion for name in POSITIONS):
@@ -264,14 +286,14 @@ class Plausibility:
                 found[name] = (motion.position, name, "external_torque")
         return found
 
-    def _fit(self, name: str, motion: Motion) -> Fit:
+    def _fit(self, name: str, motion: SmoothedChannels) -> RelationFit:
         if name == "encoders":
             return self._encoders(motion)
         if name == "command":
             return self._command(motion)
         return self._joint_torque(motion) if name == "joint_torque" else self._drive(motion, name)
 
-    def link(self, motion: Motion) -> np.ndarray:
+    def link(self, motion: SmoothedChannels) -> np.ndarray:
         """The link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
         values = motion.channels[motion.position]
         return values if motion.position == "link_position" else values / self.p["N"]
@@ -282,7 +304,7 @@ class Plausibility:
         shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
         return float(np.hypot(np.hypot(number.tolerance, shared), number.deviation / max(number.value, 1e-12)))
 
-    def _encoders(self, motion: Motion) -> Fit:
+    def _encoders(self, motion: SmoothedChannels) -> RelationFit:
         p = self.p
         theta, v = motion.channels["link_position"][:, 0], motion.channels["link_position"][:, 1]
         zero = self.joint.sensors.link_encoder.zero
@@ -298,9 +320,9 @@ class Plausibility:
         shapes.add(np.tanh(p["N"] * v / p["vs"]), -4 * friction, 4 * friction)
         y = motion.channels["motor_position"][:, 0] / p["N"] - theta
         sigma = 2e-4 + 0.15 * wound + (self.joint.sensors.motor_encoder.resolution / p["N"])
-        return shapes.fit(y, np.full(len(theta), sigma), sigma, EFFECTIVE)
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, SETTINGS.effective)
 
-    def _command(self, motion: Motion) -> Fit:
+    def _command(self, motion: SmoothedChannels) -> RelationFit:
         x = self.link(motion)
         shapes = _Shapes(len(x))
         shapes.add(1.0, -0.1, 0.1)
@@ -308,7 +330,7 @@ class Plausibility:
         shapes.add(x[:, 1], -0.02, 0.5, 0.0, 0.2)
         sigma = 0.03 + 0.02 * float(np.ptp(x[:, 0]))
         y = motion.channels["position_command"][:, 0] - x[:, 0]
-        return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * EFFECTIVE)
+        return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * SETTINGS.effective)
 
     def _gravity(self, shapes: _Shapes, theta: np.ndarray, scale: tuple[float, float]) -> None:
         """Shapes of what the link's own weight, a payload, a cable and a stop ask for [N·m]; `scale`: of the reading."""
@@ -326,13 +348,13 @@ class Plausibility:
         for angle in (0.6, 0.8, 1.0):
             shapes.add(np.maximum(theta - angle, 0.0), 0.0, 45.0 * max(size, 1.0) * high, 0.0, 15.0 * max(size, 1.0))
 
-    def _known(self, shapes: _Shapes, motion: Motion) -> np.ndarray:
+    def _known(self, shapes: _Shapes, motion: SmoothedChannels) -> np.ndarray:
         """Torque that is known to push the link, which the joint need not give; a measured one with a gain near one [N·m]."""
         if "external_torque" in motion and not self.pushed:
             shapes.add(-motion.channels["external_torque"][:, 0], 0.6, 1.5, 1.0, 0.3)
         return -motion.known_torque
 
-    def _drive(self, motion: Motion, name: str) -> Fit:
+    def _drive(self, motion: SmoothedChannels, name: str) -> RelationFit:
         p, size = self.p, self._size
         N = float(p["N"])
         theta, v, a = self.link(motion).T
@@ -368,9 +390,9 @@ class Plausibility:
         # At rest friction may be anything up to its level.
         resting = np.exp(-((N * v / (2 * p["vs"])) ** 2))
         sigma = 0.025 * self.joint.numbers["rated_torque"].value * (1.5 if self.pushed else 1.0)
-        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, EFFECTIVE)
+        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, SETTINGS.effective)
 
-    def _joint_torque(self, motion: Motion) -> Fit:
+    def _joint_torque(self, motion: SmoothedChannels) -> RelationFit:
         size, rated = self._size, self.joint.numbers["rated_torque"].value
         theta, _, a = self.link(motion).T
         inertia = float(self.p["Jl"]) * motion.inertia
@@ -384,4 +406,4 @@ class Plausibility:
         known = self._known(shapes, motion)
         sigma = 0.02 * rated * (1.5 if self.pushed else 1.0)
         y = motion.channels["joint_torque"][:, 0] - known
-        return shapes.fit(y, np.full(len(theta), sigma), sigma, EFFECTIVE)
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, SETTINGS.effective)
