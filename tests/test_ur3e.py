@@ -68,10 +68,10 @@ def test_diagnosis_alone(held, ur3e):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seconds", [20.0, 28.0])
-def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, page):
+def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, ur3e):
     """Beside friction that the description does not hold either: a ripple is judged in its own band."""
     recording = import_recording(load_layout("ur3e"), log)
-    first, _ = page.split(recording, seconds)
+    first, _ = ur3e.split(recording, seconds)
     answer = diagnose(Measurement("first", Path(), (first,)), load_joint(recording.joint))
     found = {c.name: c for c in answer.causes}
     assert found["cogging"].confidence > 0.9 and found["cogging"].parameters["order"].value == 2
