@@ -54,6 +54,21 @@ class Imperfections:
         p["link_error_order"][slot], p["link_error_amplitude"][slot] = 2.0, v["link_encoder_second"]
         p["link_error_phase"][slot] = v["link_encoder_second_phase"]
 
+    def whole(self, name: str, values: dict[str, float]) -> dict[str, float]:
+        """What a joint has of a hidden effect, parameters by name: of an encoder's errors its own imperfection is part."""
+        own = _OWN.get(name)
+        if own is None or values.get("order", 2.0) != 2.0:
+            return values
+        wave = sum(
+            a * np.exp(1j * b)
+            for a, b in ((values["amplitude"], values["phase"]), (self.values[own], self.values[f"{own}_phase"]))
+        )
+        return {**values, "amplitude": float(abs(wave)), "phase": float(np.angle(wave))}
+
+
+_OWN = {"motor_encoder_eccentricity": "motor_eccentricity", "link_encoder_error": "link_encoder_second"}
+"""Causes that add to an imperfection of the same kind (of link encoder errors: twice per turn), and what that is called."""
+
 
 def imperfections(nominal: Joint, rng: np.random.Generator) -> Imperfections:
     """Draw the imperfections of a joint."""

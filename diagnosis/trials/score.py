@@ -31,7 +31,7 @@ from ..diagnose import diagnose
 from ..fit.coordinates import Hypothesis, hypotheses
 from ..fit.noise import whiten
 from ..fit.solver import stacked
-from .draw import Challenge, Hidden, HiddenEffect, draw
+from .draw import Challenge, Draw, Hidden, HiddenEffect, draw
 from .imperfections import NAMEABLE
 
 DETECTED = 3.33
@@ -168,21 +168,23 @@ def attempt(challenge: Challenge, index: int, size: float = 1.0) -> Outcome:
     answer = found.to_json()
     return Outcome(
         **head, verdict=found.verdict, causes=tuple(answer["causes"]), minor=tuple(answer["minor"]),
-        deviations=deviations(drawn.effects, found), smallest=smallest,
+        deviations=deviations(drawn, found), smallest=smallest,
     )  # fmt: skip
 
 
-def deviations(effects: Sequence[HiddenEffect], found: Diagnosis) -> dict[str, tuple[float, float]]:
+def deviations(drawn: Draw, found: Diagnosis) -> dict[str, tuple[float, float]]:
     """Errors of the parameters of causes that were named rightly: in standard deviations, and relative."""
     errors = {}
-    for effect in effects:
+    for effect in drawn.effects:
         cause = _named(effect, found)
         if cause is None:
             continue
+        flaws = drawn.imperfections
+        values = effect.values if flaws is None else flaws.whole(effect.name, effect.values)
         for q in causes.get(cause.name).parameters:
             if q.integer:
                 continue
-            p, true = cause.parameters[q.name], effect.values[q.name]
+            p, true = cause.parameters[q.name], values[q.name]
             error = p.value - true
             scale = abs(true)
             if q.period:

@@ -15,10 +15,11 @@ from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.replay import residual
 from flexspline.diagnosis.trials import score
 from flexspline.diagnosis.trials.draw import Challenge, Draw, HiddenEffect, _effects, draw, within_tolerance
+from flexspline.diagnosis.trials.imperfections import imperfections
 from flexspline.diagnosis.trials.motions import bare, motions, record_motion
 from flexspline.diagnosis.trials.outside import OUTSIDE
 from flexspline.diagnosis.trials.score import Outcome, Rate
-from flexspline.models import causes
+from flexspline.models import causes, laws
 from flexspline.models.calibration import Calibration
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
@@ -75,7 +76,7 @@ def require_found(drawn: Draw, found: Diagnosis) -> None:
     for q in causes.get(effect.name).parameters:
         if q.integer:
             assert found.causes[0].parameters[q.name].value == effect.values[q.name]
-    errors = score.deviations(drawn.effects, found)
+    errors = score.deviations(drawn, found)
     wrong = {k: v for k, v in errors.items() if not (v[0] <= 3.0 or v[1] <= 0.15)}
     assert not wrong, f"{effect.name}: parameters off by (standard deviations, share): {wrong}"
     before, after = held_out_loss(found, found.before), held_out_loss(found, found.after)
@@ -345,6 +346,39 @@ def test_rows_are_those_that_are_asked_for():
     assert "outside the library: right component" not in rows
     assert not replace(found[0], failure="broke", causes=()).first_right
     assert Rate(0, 24).interval[0] == pytest.approx(0.0, abs=1e-12) and 0.1 < Rate(0, 24).interval[1] < 0.2
+
+
+def test_an_imperfection_that_is_worth_more_is_set_aside():
+    named = ["motor_encoder_eccentricity", "cogging"]
+    rows = {row.name: row.value for row in score.rows([outcome(0, {"cogging": {}}, named, real=True)])}
+    assert rows["one effect: first cause right"] == Rate(0, 1)
+    assert rows["… imperfections that are there set aside"] == Rate(1, 1)
+    false = outcome(0, {"cogging": {}}, ["backlash", "cogging"], real=True)
+    assert not false.first_beside_imperfections
+
+
+def test_an_encoders_own_imperfection_is_part_of_a_hidden_error():
+    """The record adds them as vectors: what a perfect diagnosis finds is their sum."""
+    seed = 3
+    print("seed", seed)
+    nominal = load_joint("test-joint")
+    flaws = imperfections(nominal, np.random.default_rng(seed))
+    for name in ("motor_encoder_eccentricity", "link_encoder_error"):
+        record = nominal.record()
+        flaws.apply(record)
+        values = causes.get(name).draw(record[0], np.random.default_rng(seed)) | (
+            {"order": 2.0} if name == "link_encoder_error" else {}
+        )
+        causes.get(name).apply(record[0], values)
+        whole = flaws.whole(name, values)
+        alone = nominal.record()
+        causes.get(name).apply(alone[0], whole)
+        angle = np.linspace(-1.5, 1.5, 50)
+        law = laws.link_reading if name == "link_encoder_error" else laws.motor_reading
+        read = [[law(x, r[0]) for x in angle] for r in (record, alone)]
+        np.testing.assert_allclose(read[0], read[1], atol=1e-12)
+    third = {"order": 3.0, "amplitude": 1e-4, "phase": 0.3}
+    assert flaws.whole("link_encoder_error", third) == third
 
 
 @pytest.mark.slow
