@@ -113,11 +113,12 @@ class Problem:
 
         Args:
           replicate: of the noise replicates in place of the measurement.
-          coarse: replayed in steps twice as long, of use in differences alone.
+          coarse: replayed in steps twice as long, of use in differences alone, where both ends are driven (the resonance of a link
+            that is simulated depends on the step).
         """
         chosen = self.replicates if replicate else self.segments
         if coarse:
-            chosen = [segment.coarse for segment in chosen]
+            chosen = [segment.coarse if segment.link_measured else segment for segment in chosen]
         tasks = [
             (segment, record, theta)
             for theta, model in zip(thetas, models, strict=True)

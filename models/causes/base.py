@@ -185,7 +185,7 @@ class Cause(ABC):
     torsion: ClassVar[bool] = False
     """Whether it lives in the torsion alone, so that one encoder cannot show it."""
     resonance: ClassVar[bool] = False
-    """Whether it is a resonance, which one encoder cannot tell from the transmission's own or a controller's."""
+    """Whether it is a resonance, or makes one: one encoder cannot tell it from the transmission's own or a controller's."""
 
     generalises: ClassVar[tuple[str, ...]] = ()
     """Causes that are special cases of it, with parameters of the same names."""
