@@ -37,6 +37,12 @@ Scenarios = Annotated[
     list[str],
     typer.Argument(help="Names of shipped scenarios, or paths of YAML files.", autocompletion=shipped("scenarios")),
 ]
+SomeScenarios = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")
+    ),
+]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to; one folder per scenario inside.")]
 Seed = Annotated[
     int | None, typer.Option("--seed", min=0, help="Seed of every random stream, instead of the scenario's.")

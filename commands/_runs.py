@@ -93,4 +93,4 @@ def tell(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
     """Print what whoever reads the runs' measures should know."""
     for run, _ in runs:
         for note in run.notes:
-            terminal.print(f"{run.name}: {note}", style="yellow", highlight=False, markup=False)
+            terminal.print(f"{run.name}: {note}", style="yellow")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ._listing import AsJson
-from ._options import Changes, Estimators, shipped, with_plugins
+from ._options import Changes, Estimators, SomeScenarios, with_plugins
 
 EXAMPLES = (
     "flexspline bound link_sweep --seeds 5",
@@ -18,12 +18,7 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    scenarios: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")
-        ),
-    ] = None,
+    scenarios: SomeScenarios = None,
     seeds: Annotated[int, typer.Option(min=1, help="How many seeds: 1, 2, …")] = 10,
     filter_: Estimators = None,
     intensity: Annotated[
@@ -97,9 +92,7 @@ def command(
                 save_figure(limits_figure(limits), folder / limits.scenario / "limits.png")
             write_summary(found, folder / "summary.csv")
         if not as_json:
-            terminal.print(
-                f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario", highlight=False, markup=False
-            )
+            terminal.print(f"{out / 'summary.csv'}; limits.parquet and limits.png per scenario")
     if as_json:
         from ..models.files import json_text
         from ..views.limit_files import summary_rows

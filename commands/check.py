@@ -76,9 +76,9 @@ def command(
     for s in summaries:
         for begin, end in s.gaps:
             text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
-            terminal.print(text, markup=False)
+            terminal.print(text)
         if s.clipped:
-            terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples", markup=False)
+            terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples")
     if missing:
         terminal.print(f"not there: {', '.join(missing)}")
     for balance in found:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ._listing import AsJson
-from ._options import Changes, Out, Seed, shipped, with_plugins
+from ._options import Changes, Out, Seed, SomeScenarios, with_plugins
 
 EXAMPLES = (
     "flexspline compare",
@@ -19,12 +19,7 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    scenarios: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")
-        ),
-    ] = None,
+    scenarios: SomeScenarios = None,
     out: Out = Path("runs"),
     seed: Seed = None,
     changes: Changes = None,
@@ -54,6 +49,4 @@ def command(
     tell(terminal, runs)
     terminal.print(
         f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them",
-        highlight=False,
-        markup=False,
     )

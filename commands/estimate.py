@@ -74,19 +74,19 @@ def command(
             }
             if as_json:
                 continue
-            terminal.print(f"{path}", highlight=False, markup=False)
+            terminal.print(f"{path}")
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
             if beyond:
-                terminal.print(f"{recording.name}: {beyond_sentence(beyond)}", highlight=False, markup=False)
+                terminal.print(f"{recording.name}: {beyond_sentence(beyond)}")
             for name, why in found.left_out.items():
-                terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
+                terminal.print(f"{recording.name}: {name}: {why}")
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
     if as_json:
         print(text)
     else:
-        terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
+        terminal.print(f"{out / 'metrics.json'}")
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:

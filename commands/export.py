@@ -33,4 +33,4 @@ def command(
             write_mcap(recording, folder / name)
     terminal = console()
     for name in names:
-        terminal.print(f"{out / name}", highlight=False, markup=False)
+        terminal.print(f"{out / name}")

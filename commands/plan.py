@@ -39,7 +39,7 @@ def command(
     if not proposals:
         terminal.print("no experiment that was looked at would tell more than this measurement does")
     for number, one in enumerate(proposals, 1):
-        terminal.print(f"{number}. {one['sentence']}", markup=False, highlight=False)
+        terminal.print(f"{number}. {one['sentence']}")
 
 
 def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:

@@ -44,7 +44,7 @@ def command(
     page = _page(folders)
     with write_into_place(out) as temporary:
         temporary.write_text(page, encoding="utf-8")
-    console().print(f"{out}", highlight=False, markup=False)
+    console().print(f"{out}")
 
 
 def _check(out: Path) -> None:

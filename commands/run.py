@@ -43,4 +43,4 @@ def command(
     terminal.print(comparison_table({run.name: run.metrics for run, _ in runs}))
     tell(terminal, runs)
     for _, folder in runs:
-        terminal.print(f"{folder}", highlight=False, markup=False)
+        terminal.print(f"{folder}")

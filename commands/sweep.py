@@ -67,7 +67,7 @@ def command(
         except KeyboardInterrupt:
             bar.stop()
             done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
-            bar.console.print(done, highlight=False, markup=False)
+            bar.console.print(done)
             raise
         bar.update(task, description=f"{asked.name}: summary", total=None)
         found = list(aggregate(dataset))
@@ -89,6 +89,4 @@ def command(
         terminal.print(
             f"{failed} estimates have no measures; `failure` in the rows says why, summary.md where", style="red"
         )
-    terminal.print(
-        f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}", highlight=False, markup=False
-    )
+    terminal.print(f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}")

@@ -10,7 +10,7 @@ import typer
 
 from ..models.errors import InputError
 from ._listing import AsJson
-from ._options import Changes, Estimators, shipped, with_plugins
+from ._options import Changes, Estimators, SomeScenarios, with_plugins
 
 _MOST_SEEDS = 100_000
 
@@ -23,12 +23,7 @@ EXAMPLES = (
 @with_plugins
 def command(
     out: Annotated[Path, typer.Option(help="Folder for tuned.yaml, tuned.md and the figure.")],
-    scenarios: Annotated[
-        list[str] | None,
-        typer.Argument(
-            help="Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")
-        ),
-    ] = None,
+    scenarios: SomeScenarios = None,
     filter_: Estimators = None,
     train: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are tuned on.")] = "1-5",
     test: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are reported.")] = "101-110",
@@ -92,9 +87,7 @@ def command(
 
                 save_figure(pareto_figure(fronts, pushed[0].name, len(testing)), new / "pareto.png")
         if not as_json:
-            terminal.print(
-                f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}", highlight=False, markup=False
-            )
+            terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}")
     if as_json:
         print(json_text(told))
 

@@ -47,7 +47,7 @@ def command(
         print(text)
         return
     _show(console(), found)
-    console().print(f"{out}: {', '.join(names)}", highlight=False, markup=False)
+    console().print(f"{out}: {', '.join(names)}")
 
 
 def _show(terminal: Console, found: Validation) -> None:
@@ -57,7 +57,7 @@ def _show(terminal: Console, found: Validation) -> None:
     from ..models.joint import beyond_sentence
 
     for mistake in found.mistakes:
-        terminal.print(f"mistake in the data: {mistake.description}", highlight=False, markup=False)
+        terminal.print(f"mistake in the data: {mistake.description}")
     table = Table(title=f"{found.joint}: error of the simulation in motion (RMS)")
     for heading in ("", "error", "mean", "noise", "unit", "inside the 95 % band"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
@@ -76,4 +76,4 @@ def _show(terminal: Console, found: Validation) -> None:
     terminal.print(table)
     sentence = beyond_sentence(found.beyond)
     if sentence:
-        terminal.print(f"{sentence} (*: most of the region)", highlight=False, markup=False)
+        terminal.print(f"{sentence} (*: most of the region)")

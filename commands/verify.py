@@ -21,6 +21,7 @@ def command(
 ) -> None:
     """Compare the plant with reference solutions; exit code 1 when a limit is missed."""
     from rich.table import Table
+    from rich.text import Text
 
     from ..models.joint import load_joint
     from ..sim.verify import verify
@@ -38,7 +39,7 @@ def command(
     for heading in ("reference", "channel", "difference", "limit", ""):
         table.add_column(heading, justify="right" if heading in ("difference", "limit") else "left")
     for d in differences:
-        verdict = "[green]met" if d.passed else "[red]missed"
+        verdict = Text("met", "green") if d.passed else Text("missed", "red")
         table.add_row(d.file, d.channel, f"{100 * d.relative:.3f} %", f"{100 * d.limit:g} %", verdict)
     out.print(table)
     if not all(d.passed for d in differences):

@@ -47,36 +47,12 @@ _WRENCH_AT = SENSED.index(WRENCH[0])
 _JOINT_AXIS = SENSED.index("torque_y")
 
 
-@dataclass(frozen=True)
-class Addresses:
-    """Where things lie in a model's state: addresses of activations and sensor data (−1: none)."""
-
-    current: int
-    bristle: int
-    dahl: int
-    force: int
-    torque: int
-    link_body: int
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel) -> Addresses:
-        """Look the addresses up."""
-        motor = model.actuator("motor").id
-        has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
-        return cls(
-            current=plant.activation(model, "motor") if model.actuator_actnum[motor] else -1,
-            bristle=plant.activation(model, "mesh_friction"),
-            dahl=plant.activation(model, "hysteresis") if has_dahl else -1,
-            force=int(model.sensor("force").adr[0]),
-            torque=int(model.sensor("torque").adr[0]),
-            link_body=model.body("link").id,
-        )
-
-    def as_array(self) -> np.ndarray:
-        """Shape (6,), for compiled code."""
-        return np.array(
-            [self.current, self.bristle, self.dahl, self.force, self.torque, self.link_body], dtype=np.int64
-        )
+_FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
+_ADDRESSES = np.dtype(
+    [(name, np.int64) for name in (*_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body")]
+)
+"""Where things lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata` (−1: there is
+none), the number of the link's body."""
 
 
 @dataclass(frozen=True)
@@ -154,16 +130,13 @@ def simulate(
     truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
     failed = np.array([n, 0], dtype=np.int64)
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
-    at = native.offsets()
-    fields = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
-    offsets = np.array([at[k] for k in fields], dtype=np.int64)
     if isinstance(feedback, CompiledStep):
         address, memory, known, settings, out = feedback.arrays()
     else:
         address, memory, known, settings, out = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record).arrays()
     with native.quiet(), native.untimed():
         _loop(
-            native.function_address("mj_step"), model._address, data._address, offsets, Addresses.of(model).as_array(),
+            native.function_address("mj_step"), model._address, data._address, _addresses(model),
             model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,
             temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
             readings, _as_floats(readings), command, failed, tip_force, crosstalk, told, commanded,
@@ -177,6 +150,21 @@ def simulate(
         stamps,
         commanded,
     )
+
+
+def _addresses(model: mujoco.MjModel) -> np.ndarray:
+    """A record of `_ADDRESSES`, shape (1,)."""
+    at = np.zeros(1, _ADDRESSES)
+    for name in _FIELDS:
+        at[name] = native.offsets()[name]
+    has_current = model.actuator_actnum[model.actuator("motor").id]
+    has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
+    at["current"] = plant.activation(model, "motor") if has_current else -1
+    at["bristle"] = plant.activation(model, "mesh_friction")
+    at["dahl"] = plant.activation(model, "hysteresis") if has_dahl else -1
+    at["force"], at["torque"] = (model.sensor(name).adr[0] for name in ("force", "torque"))
+    at["link_body"] = model.body("link").id
+    return at
 
 
 def _as_floats(records: np.ndarray) -> np.ndarray:
@@ -202,20 +190,19 @@ def _in_force(command, step, delay, substeps):
 
 @kernel
 def _loop(
-    step, model, data, offsets, layout, numeric, substeps, h, record, position, velocity, external, temperature,
+    step, model, data, addresses, numeric, substeps, h, record, position, velocity, external, temperature,
     sensors, noise, noise_of, controller, estimator, memory, known, settings, out, truth, readings, reading_of,
     command, failed, tip_force, crosstalk, stamps, commanded,
 ):  # fmt: skip
-    p, c = record[0], controller[0]
+    p, c, at = record[0], controller[0], addresses[0]
     delay = round(c.delay / h)
-    q = carray(floats_at(word_at(data + 8 * offsets[0])), 3)
-    v = carray(floats_at(word_at(data + 8 * offsets[1])), 3)
-    act = floats_at(word_at(data + 8 * offsets[2]))
-    ctrl = floats_at(word_at(data + 8 * offsets[3]))
-    link_force = carray(floats_at(word_at(data + 8 * offsets[4]) + 48 * layout[5]), 6)
-    sensordata = floats_at(word_at(data + 8 * offsets[5]))
-    disabled = ints_at(model + 4 * offsets[6])
-    at_current, at_bristle, at_dahl, at_force, at_torque = layout[0], layout[1], layout[2], layout[3], layout[4]
+    q = carray(floats_at(word_at(data + 8 * at.qpos)), 3)
+    v = carray(floats_at(word_at(data + 8 * at.qvel)), 3)
+    act = floats_at(word_at(data + 8 * at.act))
+    ctrl = floats_at(word_at(data + 8 * at.ctrl))
+    link_force = carray(floats_at(word_at(data + 8 * at.xfrc_applied) + 48 * at.link_body), 6)
+    sensordata = floats_at(word_at(data + 8 * at.sensordata))
+    disabled = ints_at(model + 4 * at.disableflags)
 
     n, channels = position.size, len(sensors)
     dt = substeps * h
@@ -237,11 +224,11 @@ def _loop(
         theta[:] = q
         before[:] = v
         numeric[TEMPERATURE] = temperature[k]
-        current = act[at_current] if at_current >= 0 else _in_force(command, k * substeps - 1, delay, substeps)
-        dahl = act[at_dahl] if at_dahl >= 0 else 0.0
+        current = act[at.current] if at.current >= 0 else _in_force(command, k * substeps - 1, delay, substeps)
+        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
 
         # The sensors that read the state itself, at this instant.
-        state = state_of(theta, before, act[at_bristle], dahl, current, time, temperature[k])
+        state = state_of(theta, before, act[at.bristle], dahl, current, time, temperature[k])
         dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
         for s in range(channels):
             if sensors[s].at_step == 0.0:
@@ -280,8 +267,8 @@ def _loop(
         call_step(step, model, data)
         for s in range(3):
             omega[s] = 0.5 * (before[s] + v[s])
-        dahl = act[at_dahl] if at_dahl >= 0 else 0.0
-        state = state_of(theta, omega, act[at_bristle], dahl, current, time, temperature[k])
+        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
+        state = state_of(theta, omega, act[at.bristle], dahl, current, time, temperature[k])
         b = dynamics.balance(state, p)
         t = truth[k]
         t.motor_position, t.wave_generator_position, t.link_position = theta[ROTOR], theta[WAVE_GENERATOR], theta[LINK]
@@ -296,8 +283,8 @@ def _loop(
         # The torque sensor and its wrench, which MuJoCo evaluates within the step.
         dynamics.readings(state, b, p, ideal[0])
         for axis in range(3):
-            ideal_of[_WRENCH_AT + axis] = sensordata[at_force + axis]
-            ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at_torque + axis]
+            ideal_of[_WRENCH_AT + axis] = sensordata[at.force + axis]
+            ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at.torque + axis]
         # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
         ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
         # Its torque acts already; a force at a point in the sensor's plane is what the joint must hold against, along x.

@@ -66,6 +66,14 @@ def test_files_that_are_named_are_there(page):
     assert not missing
 
 
+@pytest.mark.parametrize("room", ["models", "sim", "estimator", "scenarios", "diagnosis"])
+def test_every_file_of_a_room_has_its_place(room):
+    """docs/architecture.md says what each is for."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    files = {path.name for path in (ROOT / room).glob("*.py")} - {"__init__.py"}
+    assert not [name for name in sorted(files) if f"`{name}`" not in text]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
 def test_commands_and_their_options_are_there(page):
     wrong = []
@@ -146,7 +154,7 @@ def test_the_first_five_minutes(flexspline, shared, tmp_path, monkeypatch):
 
 
 STEP = re.compile(
-    r"^(?P<commands>(?:    flexspline .*\n(?:        .*\n)*)+)|^```yaml\n(?P<yaml>.*?)```|^```python\n(?P<python>.*?)```"
+    r"^(?P<commands>(?:    flexspline [^\n]*\n(?:        [^\n]*\n)*)+)|^```yaml\n(?P<yaml>.*?)```|^```python\n(?P<python>.*?)```"
     r"|^<!-- output -->\n```text\n(?P<output>.*?)```",
     re.DOTALL | re.MULTILINE,
 )

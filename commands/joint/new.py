@@ -181,11 +181,11 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
         table.add_row(Text(f.name), Text(f"{f.value:.4g}{unit}"), tolerance, Text(f.rule))
     terminal.print(table)
     for problem in check(path).problems:
-        terminal.print(line(path, problem), style="yellow", highlight=False, markup=False, soft_wrap=True)
-    terminal.print(f"{path} and {mjcf}", highlight=False, markup=False)
+        terminal.print(line(path, problem), style="yellow", soft_wrap=True)
+    terminal.print(f"{path} and {mjcf}")
     kp, kd = drive_gains(made.joint)
     terminal.print(
         f"now: flexspline joint show {path}\n     flexspline run link_sweep --set joint={path} --set controller.kp={kp:.2g} "
         f"--set controller.kd={kd:.2g}",
-        highlight=False, markup=False, soft_wrap=True,
-    )  # fmt: skip
+        soft_wrap=True,
+    )

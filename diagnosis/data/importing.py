@@ -121,7 +121,7 @@ class ChannelSource(Strict):
 
     @model_validator(mode="after")
     def _one_or_several(self) -> ChannelSource:
-        own = self.model_fields_set & {"column", "unit", "scale", "sign", "counts", "wraps"}
+        own = self.model_fields_set & set(SourceColumn.model_fields)
         if self.sum is not None:
             if own:
                 raise ValueError(f"expected either column or sum, got sum and {', '.join(sorted(own))}")
@@ -140,16 +140,7 @@ class ChannelSource(Strict):
         """The columns that are summed."""
         if self.sum is not None:
             return self.sum
-        return [
-            SourceColumn(
-                column=self.column,
-                unit=self.unit,
-                scale=self.scale,
-                sign=self.sign,
-                counts=self.counts,
-                wraps=self.wraps,
-            )
-        ]
+        return [SourceColumn.model_validate({name: getattr(self, name) for name in SourceColumn.model_fields})]
 
     @property
     def sources(self) -> list[str]:
