@@ -74,14 +74,20 @@ def chosen(names: Iterable[str] = NAMES) -> dict[str, Estimator]:
     return {name: inverse if name == "inverse" else registry.get(name) for name in names}
 
 
-def drawn(scenario: str, tolerance: float, seed: int, folder: Path | None, realistic: bool = False) -> DrawnExperiment:
-    """A draw, from a folder where it has been kept; `realistic`: sensors, clock and drive as they are."""
-    sensors = "_realistic" if realistic else ""
-    kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}{sensors}.pkl"
+REALISTIC = ("sensors=realistic",)
+"""Changes of a scenario that make sensors, clock and drive what they are."""
+
+
+def drawn(
+    scenario: str, tolerance: float, seed: int, folder: Path | None, changes: Sequence[str] = ()
+) -> DrawnExperiment:
+    """A draw, from a folder where it has been kept; `changes`: of the scenario, `key=value`."""
+    of = "".join(f"_{change}" for change in changes)
+    kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}{of}.pkl"
     if kept is not None and kept.is_file():
         with kept.open("rb") as file:
             return pickle.load(file)
-    described, home = load_scenario(scenario, ["sensors=realistic"] if realistic else [])
+    described, home = load_scenario(scenario, list(changes))
     found = draw(described, home, seed, tolerance)
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
@@ -338,14 +344,14 @@ def main(arguments: Sequence[str] = ()) -> None:
     )
     asked = parser.parse_args(arguments)
     estimators, rows, began = chosen(), [], time.perf_counter()
-    seeds = range(101, 101 + asked.seeds)
+    seeds, changes = range(101, 101 + asked.seeds), REALISTIC if asked.realistic else ()
     for costly in (False, True):
         some = {name: one for name, one in estimators.items() if one.costly == costly}
         for tolerance in asked.tolerances:
             if costly and tolerance not in COSTLY_AT:
                 continue
             for scenario in SCENARIOS:
-                rows += _rows(scenario, tolerance, seeds, some, asked.draws, asked.threads, asked.realistic)
+                rows += _rows(scenario, tolerance, seeds, some, asked.draws, asked.threads, changes)
                 print(f"{time.perf_counter() - began:7.0f} s  tolerance ×{tolerance:g}, {scenario}", flush=True)
         results = Results(rows)
         if asked.realistic:
@@ -366,10 +372,10 @@ def _rows(
     estimators: dict[str, Estimator],
     kept: Path | None,
     threads: int,
-    realistic: bool = False,
+    changes: Sequence[str] = (),
 ) -> list[Row]:
     def one(seed: int) -> list[Row]:
-        return assess(drawn(scenario, tolerance, seed, kept, realistic), scenario, tolerance, estimators)
+        return assess(drawn(scenario, tolerance, seed, kept, changes), scenario, tolerance, estimators)
 
     with ThreadPoolExecutor(threads) as pool:
         return [row for several in pool.map(one, seeds) for row in several]

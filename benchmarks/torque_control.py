@@ -28,7 +28,7 @@ from .estimators import fill
 
 ROOT = Path(__file__).resolve().parents[1]
 SENSOR, NONE = "torque sensor", "no torque loop"
-NAMES = (NONE, SENSOR, "momentum_torsion", "augmented", "momentum", "EKF", "RAREKF", "AREKF", "current")
+NAMES = (NONE, SENSOR, "momentum_torsion", "augmented", "momentum", "EKF", "RAREKF", "current")
 TOLERANCE = 0.2
 FIRST = 101
 
