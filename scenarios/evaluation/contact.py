@@ -156,7 +156,7 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
 
 
 def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
-    """A detector over its thresholds, a row each: what `OperatingPoint` has, without intervals; none where a measure is undefined."""
+    """A detector over its thresholds, a row each: `OperatingPoint` without intervals; none where a measure is not defined."""
     for threshold in detector.thresholds():
         p = at(detector, float(threshold), resamples=0)
         measures = {
