@@ -304,3 +304,18 @@ def test_the_command_writes_a_page_and_only_over_pages(flexspline, pushed, repai
     ):  # fmt: skip
         code, _, err = flexspline("report", *words)
         assert code == 2 and err.count("\n") == 1, (words, err)
+
+
+NEAR = """
+const svg = document.querySelector("svg.chart"), box = svg.getBoundingClientRect(), plot = svg.querySelector(".plot");
+const left = +plot.getAttribute("x"), wide = +plot.getAttribute("width"), scale = box.width / svg.viewBox.baseVal.width;
+const at = (share, kind) => svg.dispatchEvent(new PointerEvent(kind, {
+  clientX: box.left + (left + share * wide) * scale, clientY: box.top + 50, pointerType: "mouse", button: 0, bubbles: true}));
+at(0.6, "pointerdown"); at(0.95, "pointerup");
+return [...svg.querySelectorAll(".tick.made.middle")].map(t => t.textContent);
+"""
+
+
+@pytest.mark.slow
+def test_places_with_names_keep_them_when_zoomed(sweep_page, tmp_path):
+    assert look(sweep_page, NEAR, 1400, tmp_path) == ["8"]

@@ -110,7 +110,7 @@ def _charts(rows: Sequence[Row], tolerance: float, names: Sequence[str], kinds: 
     for key, what in (("smallest_push", "smallest push [N·m]"), ("delay_ms", "delay [ms]")):
         values = np.array([row[key] for row in here])
         chart = Chart(
-            (-1.0, 4.0), limits(np.append(values, 0.0), 4.0), _joint(tolerance), "false alarms per hour", what,
+            (-1.0, 4.3), limits(np.append(values, 0.0), 4.0), _joint(tolerance), "false alarms per hour", what,
             labels=labels, width=540, height=240,
         )  # fmt: skip
         for name in names:
