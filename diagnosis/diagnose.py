@@ -39,7 +39,7 @@ from .search.stages import (
     why_needed,
     without_effect,
 )
-from .search.worth import unexplained, worth
+from .search.worth import mean_squares, unexplained, worth
 from .uncertainty import stated
 
 
@@ -61,6 +61,7 @@ class AnswerSettings:
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
+      useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
@@ -81,6 +82,7 @@ class AnswerSettings:
     slight: float = 0.25
     far: float = 5.0
     worth: float = 0.02
+    useless: float = 1.05
     simpler: float = 2.0
 
 
@@ -190,9 +192,9 @@ def _told(outcome: _Outcome) -> Diagnosis:
     """An outcome as the answer."""
     problem, found, final, joint = outcome.problem, outcome.found, outcome.drawn, outcome.problem.joint
     findings, minor = _findings(problem, found, outcome.final, outcome.unknown)
-    findings, minor = (
-        [replace(f, confidence=min(f.confidence, outcome.surest)) for f in fs] for fs in (findings, minor)
-    )
+    useless = bool(findings) and _explains_nothing(problem, found.base, outcome.final)
+    surest = min(outcome.surest, ANSWER.unsure) if useless else outcome.surest
+    findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
     if outcome.nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
         findings = [
@@ -200,7 +202,8 @@ def _told(outcome: _Outcome) -> Diagnosis:
         ]
     residual = _balances(problem, found.base, final)
     verdict, reason = _verdict(problem, findings, residual, outcome.nearly_all)
-    reason = "; ".join(part for part in (reason, _holds_back(outcome)) if part)
+    nothing = "the causes named leave no less unexplained than calibration alone" if useless else ""
+    reason = "; ".join(part for part in (reason, nothing, _holds_back(outcome)) if part)
     extended_joint = joint
     if outcome.share > 0.0:
         extended_joint = extended(problem, final, joint, outcome.unknown)
@@ -384,6 +387,13 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
             Finding(h.cause.name, h.cause.component, confidences[i], parameters, share, w.rms)
         )
     return findings, minor
+
+
+def _explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:
+    """Whether a model with causes leaves more of the simulation's error than the calibrated joint, whatever the evidence says."""
+    before, after = (float(np.sum(unexplained(problem, f.point))) for f in (base, final))
+    noise = float(np.sum(mean_squares(problem, base.point.noise)))
+    return after > ANSWER.useless * before + (ANSWER.useless - 1) * noise
 
 
 def _at_bound(h: Hypothesis, u: np.ndarray) -> bool:

@@ -113,8 +113,8 @@ class Problem:
 
         Args:
           replicate: of the noise replicates in place of the measurement.
-          coarse: replayed in steps twice as long, of use in differences alone, where both ends are driven (the resonance of a link
-            that is simulated depends on the step).
+          coarse: replayed in steps twice as long, of use in differences alone, where both ends are driven: the resonance of a
+            link that is simulated depends on the step.
         """
         chosen = self.replicates if replicate else self.segments
         if coarse:
