@@ -62,7 +62,7 @@ GRAVITY = "gravity_angle"
 
 
 @dataclass(frozen=True)
-class Change:
+class ColumnChange:
     """A change of one column that would mend it.
 
     Attributes:
@@ -78,7 +78,7 @@ class Change:
     factor: float | None = None
     offset: float | None = None
     price: float = SETTINGS.price
-    also: tuple[Change, ...] = ()
+    also: tuple[ColumnChange, ...] = ()
     ratio: float = 1.0
 
     def apply(self, motion: SmoothedChannels) -> SmoothedChannels:
@@ -148,7 +148,7 @@ class Found:
       confidence: of it.
     """
 
-    change: Change
+    change: ColumnChange
     recordings: tuple[int, ...]
     confidence: float
 
@@ -260,7 +260,7 @@ class Suspicions:
             )
         return steps
 
-    def _changes(self, state: _Progress) -> Iterator[Change]:
+    def _changes(self, state: _Progress) -> Iterator[ColumnChange]:
         """Changes that may mend what is left in a state, each column's once."""
         there = {name for m in state.motions if m is not None for name in m.channels}
         done = {(f.change.name, f.change.column) for f in state.found}
@@ -268,7 +268,7 @@ class Suspicions:
             if (change.name, change.column) not in done:
                 yield change
 
-    def _scales(self, there: set[str]) -> Iterator[Change]:
+    def _scales(self, there: set[str]) -> Iterator[ColumnChange]:
         """Units and signs."""
         N, Kt = self.joint.numbers["N"].value, self.joint.numbers["Kt"].value
         sensors = self.joint.sensors
@@ -299,7 +299,7 @@ class Suspicions:
             if column in there:
                 yield _unit(column, "mN·m", 1e-3)
 
-    def _counts(self, column: str, encoder: EncoderSpec) -> Iterator[Change]:
+    def _counts(self, column: str, encoder: EncoderSpec) -> Iterator[ColumnChange]:
         """Counts of the encoder as it is described, or, where every value is a whole number, of any other."""
         lines = 2 * math.pi / encoder.resolution
         for times in (1.0, 4.0, 0.25):
@@ -309,24 +309,24 @@ class Suspicions:
                 if abs(bits - math.log2(lines)) > 0.1:
                     yield _unit(column, f"counts ({2**bits} a turn)", 2 * math.pi / 2**bits, SETTINGS.price + 2)
 
-    def _exchanges(self, there: set[str], state: _Progress) -> Iterator[Change]:
+    def _exchanges(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
         """Positions that are something else: the other side's, a velocity."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]
         if len(positions) == 2:
-            yield Change("swapped", "", "motor and link position stand under each other's name")
+            yield ColumnChange("swapped", "", "motor and link position stand under each other's name")
         else:
             other = POSITIONS[1 - POSITIONS.index(positions[0])].replace("_", " ")
-            yield Change("swapped", positions[0], f"what stands here is the {other}")
+            yield ColumnChange("swapped", positions[0], f"what stands here is the {other}")
         for column in positions:
             side = 1 / N if column == "link_position" else N
             for said, factor in (("rad/s", 1.0), ("deg/s", _DEGREE), ("rpm", _RPM), ("rad/s of the other side", side)):
-                yield Change(
+                yield ColumnChange(
                     "velocity", column, f"a velocity ({said}) where the position belongs", None if factor == 1.0 else factor,
                     price=SETTINGS.price + (0.0 if factor == 1.0 else 3.0), ratio=N,
                 )  # fmt: skip
 
-    def _fitted(self, there: set[str], state: _Progress) -> Iterator[Change]:
+    def _fitted(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
         """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
         if all(name in there for name in POSITIONS):
             slope = self._slope(state)
@@ -335,19 +335,19 @@ class Suspicions:
                 yield self._gear_ratio("link_position", slope)
         yield from self._zeros(there, state)
 
-    def _gear_ratio(self, column: str, slope: float) -> Change:
+    def _gear_ratio(self, column: str, slope: float) -> ColumnChange:
         """Another ratio between the encoders; near N ± 1 the one of the other kind of strain wave gear."""
         N = round(self.joint.numbers["N"].value)
         for other in (N - 1, N + 1):
             if abs(slope * N / other - 1) < 1.5e-3:
                 text = f"the motor makes {other} turns for one of the link, not {N}"
                 if column == "motor_position":
-                    return Change("gear_ratio", column, text, other / N, price=SETTINGS.price)
+                    return ColumnChange("gear_ratio", column, text, other / N, price=SETTINGS.price)
         text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:g}"
         if column == "motor_position":
-            return Change("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free)
+            return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free)
         text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
-        return Change("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free + 3)
+        return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free + 3)
 
     def _slope(self, state: _Progress) -> float | None:
         """Turns of the motor over N times those of the link, of all recordings; None where the link hardly moves."""
@@ -363,7 +363,7 @@ class Suspicions:
                 weights.append(float(l @ l))
         return float(np.average(found, weights=weights)) if found else None
 
-    def _zeros(self, there: set[str], state: _Progress) -> Iterator[Change]:
+    def _zeros(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
         """Zeros of the angle, of one encoder or of all angles together."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]
@@ -383,12 +383,12 @@ class Suspicions:
             if "position_command" in there:
                 yield _zeros([*positions, "position_command"], angle, N)
 
-    def _gravity(self, there: set[str], angle: float) -> Change:
+    def _gravity(self, there: set[str], angle: float) -> ColumnChange:
         """Gravity's direction turned round, where the description says that it has one."""
         angles = [n for n in (*POSITIONS, "position_command") if n in there]
         turned = _zeros(angles, angle, self.joint.numbers["N"].value)
         text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
-        return Change("sign", GRAVITY, text, price=SETTINGS.price - 1, also=(turned,))
+        return ColumnChange("sign", GRAVITY, text, price=SETTINGS.price - 1, also=(turned,))
 
     def _median(self, state: _Progress, a: str, b: str) -> float | None:
         """Median of one position less another on the output side [rad], of all recordings that have both."""
@@ -432,12 +432,12 @@ class Suspicions:
         return best if abs(best) > 0.1 else None
 
 
-def _sign(column: str) -> Change:
-    return Change("sign", column, "turned round", price=SETTINGS.price - 1)
+def _sign(column: str) -> ColumnChange:
+    return ColumnChange("sign", column, "turned round", price=SETTINGS.price - 1)
 
 
-def _unit(column: str, said: str, factor: float, price: float = SETTINGS.price) -> Change:
-    return Change("unit", column, f"{said} taken for {_SI[column]}", factor, price=price)
+def _unit(column: str, said: str, factor: float, price: float = SETTINGS.price) -> ColumnChange:
+    return ColumnChange("unit", column, f"{said} taken for {_SI[column]}", factor, price=price)
 
 
 _SI = {
@@ -446,17 +446,17 @@ _SI = {
 }  # fmt: skip
 
 
-def _angles(column: str) -> Iterator[Change]:
+def _angles(column: str) -> Iterator[ColumnChange]:
     yield _unit(column, "degrees", _DEGREE)
     yield _unit(column, "turns", 2 * math.pi)
     yield _unit(column, "mrad", 1e-3)
 
 
-def _zero(column: str, offset: float) -> Change:
-    return Change("angle_zero", column, "zero is elsewhere", offset=offset, price=SETTINGS.price + SETTINGS.free)
+def _zero(column: str, offset: float) -> ColumnChange:
+    return ColumnChange("angle_zero", column, "zero is elsewhere", offset=offset, price=SETTINGS.price + SETTINGS.free)
 
 
-def _zeros(columns: Sequence[str], offset: float, N: float) -> Change:
+def _zeros(columns: Sequence[str], offset: float, N: float) -> ColumnChange:
     """The same turn of several angles, the link's first."""
     changes = [
         _zero(column, offset * (N if column == "motor_position" else 1.0))
