@@ -17,6 +17,7 @@ from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
+from .fit.noise import whiten
 from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, tamed, with_dispersion
@@ -39,7 +40,7 @@ from .search.stages import (
     why_needed,
     without_effect,
 )
-from .search.worth import mean_squares, unexplained, worth
+from .search.worth import Worth, mean_squares, unexplained, worth
 from .uncertainty import stated
 
 
@@ -50,7 +51,9 @@ class AnswerSettings:
     Attributes:
       temper: by how much log evidence is divided before it becomes a probability: the laws are not exact and neither is the noise
         model; `inexact` of what other hypotheses still gain is added.
-      significant: standard deviations that an effect must be away from absent where the fit ends.
+      significant: standard deviations that an effect must be away from absent where the fit ends; by those that are inflated, it
+        is no surer than `beside` below, and than `unsure` below `barely`; plainly: unless it is worth so many times what nothing
+        explains.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
@@ -61,6 +64,7 @@ class AnswerSettings:
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
+      diluted: part of the energy of an effect's derivatives that may be the encoders' noise, for it to be sure.
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
@@ -70,6 +74,8 @@ class AnswerSettings:
     temper: float = 5.0
     inexact: float = 0.02
     significant: float = 3.0
+    barely: float = 2.0
+    plainly: float = 2.0
     surest: float = 0.99
     unsure: float = 0.5
     beside: float = 0.7
@@ -82,6 +88,7 @@ class AnswerSettings:
     slight: float = 0.25
     far: float = 5.0
     worth: float = 0.02
+    diluted: float = 0.1
     useless: float = 1.05
     simpler: float = 2.0
 
@@ -351,7 +358,8 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
     left = float(np.sqrt(np.sum(unexplained(problem, final.point))))
     findings: list[Finding] = []
     minor: list[Finding] = []
-    worths, linear = [], tamed(problem, final)
+    worths: list[Worth] = []
+    linear = tamed(problem, final)
     for i, h in enumerate(final.model):
         block = problem.place(final.model, i)
         effect = block.start + np.asarray(h.magnitudes)
@@ -359,7 +367,7 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
         amount = amount_of(problem, final, i)[h.magnitudes]
         worths.append(worth(problem, final, linear.jacobian, effect, others, amount))
     total = max(sum(w.rms**2 for w in worths), 1e-30)
-    confidences = _confidences(problem, found, final, unknown)
+    confidences = _confidences(problem, found, final, unknown, worths, left)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
         share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
@@ -396,6 +404,18 @@ def _explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:
     return after > ANSWER.useless * before + (ANSWER.useless - 1) * noise
 
 
+def _diluted(problem: Problem, f: Fit, index: int) -> bool:
+    """Whether what an effect does is in good part the encoders' noise: its size is then biased to less (regression dilution)."""
+    if f.noise_jacobian is None:
+        return False
+    block = problem.place(f.model, index)
+    energy = [
+        float(np.sum(whiten(problem.segments, f.noise, [j[..., block] for j in columns]).rows ** 2))
+        for columns in (f.jacobian, f.noise_jacobian)
+    ]
+    return energy[1] > ANSWER.diluted * energy[0]
+
+
 def _at_bound(h: Hypothesis, u: np.ndarray) -> bool:
     """Whether a size sits at the end of what the cause's parameters can be."""
     low, high = h.limits
@@ -416,7 +436,9 @@ def _held_out_squares(problem: Problem, f: Fit) -> float:
     return float(total)
 
 
-def _confidences(problem: Problem, found: Search, final: Fit, unknown: Unknown | None) -> list[float]:
+def _confidences(
+    problem: Problem, found: Search, final: Fit, unknown: Unknown | None, worths: list[Worth], left: float
+) -> list[float]:
     """Probability of each of the final model's causes: among its rivals, and as far as those on which it rests are there.
 
     Where the sizes of two causes are correlated by ρ, the part ρ² of the one is what it is because the other is there too.
@@ -427,8 +449,11 @@ def _confidences(problem: Problem, found: Search, final: Fit, unknown: Unknown |
         confidence = _confidence(found, h.cause.name, i, unknown)
         if h.cause.resonance and not problem.link_measured:
             confidence = min(confidence, ANSWER.beside)
-        if _at_bound(h, u):  # an inertia of nothing is no answer, whatever it explains
+        if _at_bound(h, u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
             confidence = min(confidence, ANSWER.unsure)
+        away = significance(problem, final, i)
+        if away < ANSWER.significant and worths[i].rms < ANSWER.plainly * left:
+            confidence = min(confidence, ANSWER.beside if away > ANSWER.barely else ANSWER.unsure)
         alone.append(confidence)
         sizes.append(problem.place(final.model, i).start + np.asarray(h.magnitudes))
     spread = np.sqrt(np.diag(final.covariance))
