@@ -1,4 +1,4 @@
-"""What holds of estimates for any recording: units and the clock's zero say nothing, uncertainty is positive. Drawn by Hypothesis."""
+"""What holds of estimates for any recording: units and the clock's zero say nothing, uncertainty is positive."""
 
 from __future__ import annotations
 
@@ -84,7 +84,8 @@ def test_units_and_signs_of_a_log_say_nothing(tmp_path_factory, seed, units, sig
     rows = zip(*(values.tolist() for values in columns.values()), strict=True)
     log.write_text("\n".join([",".join(columns), *(",".join(map(repr, row)) for row in rows)]))
     read = {
-        name: {"column": name, "unit": unit} | ({} if name == "time" else {"sign": sign}) for name, unit in units.items()
+        name: {"column": name, "unit": unit} | ({} if name == "time" else {"sign": sign})
+        for name, unit in units.items()
     }
     layout = Layout.model_validate(
         {"format": 1, "name": "any", "joint": "test-joint", "link": one.link.model_dump(), "columns": read}
@@ -130,9 +131,7 @@ def test_covariances_of_any_model_are_covariances(data, n, m, rule):
     F = data.draw(arrays(np.float64, (n, n), elements=st.floats(-1.0, 1.0)))
     assume(np.abs(np.linalg.eigvals(F)).max() <= 1.0)
     H = data.draw(arrays(np.float64, (m, n), elements=st.floats(-2.0, 2.0)))
-    model = FilterModel(
-        F, H, data.draw(squared(n)), data.draw(squared(m)) + 1e-3 * np.eye(m), data.draw(squared(n))
-    )
+    model = FilterModel(F, H, data.draw(squared(n)), data.draw(squared(m)) + 1e-3 * np.eye(m), data.draw(squared(n)))
     y = data.draw(arrays(np.float64, (15, m), elements=st.floats(-10.0, 10.0)))
     try:
         found = run(PaperFilter(rule=rule), y, model=model, initial_state=np.zeros(n))
