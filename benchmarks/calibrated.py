@@ -30,8 +30,7 @@ from pathlib import Path
 import numpy as np
 
 from flexspline.diagnosis.diagnose import diagnose
-from flexspline.diagnosis.trials.draw import Challenge, draw
-from flexspline.diagnosis.trials.draw import Draw as Trial
+from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.estimator import registry
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import KnownJoint
@@ -78,7 +77,7 @@ class Row:
     exact_resting: float
 
 
-def known(one: Trial, extended: Joint, experiment: Experiment, record: np.ndarray) -> dict[str, KnownJoint]:
+def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray) -> dict[str, KnownJoint]:
     """What the estimators are told of a joint, by knowledge."""
     described = KnownJoint.of(one.nominal, experiment.mounting)
     tared = replace(described.told(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
@@ -99,7 +98,7 @@ def assessed(hidden: str, real: bool, index: int, names: Sequence[str] = NAMES) 
 
 
 def errors(
-    one: Trial,
+    one: Draw,
     extended: Joint,
     names: Sequence[str],
     said: tuple[str, bool, int, str, str],

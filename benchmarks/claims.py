@@ -22,7 +22,7 @@ from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation import metrics
-from flexspline.scenarios.evaluation.draws import Draw, rms
+from flexspline.scenarios.evaluation.draws import DrawnExperiment, rms
 from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
@@ -75,7 +75,7 @@ def mistaken(known: KnownJoint, factors: Mapping[str, float]) -> KnownJoint:
     return known.told(**{name: factor * known.p[name] for name, factor in factors.items()})
 
 
-def examine(scenario: str, one: Draw) -> Iterator[Found]:
+def examine(scenario: str, one: DrawnExperiment) -> Iterator[Found]:
     """Every setting over a draw."""
     truth, kept = one.truth, one.kept
     steady = metrics.steady(truth, CONTROL_PERIOD, kept)

@@ -28,7 +28,7 @@ from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
 from flexspline.models.joint import load_joint
 from flexspline.scenarios.evaluation import metrics
-from flexspline.scenarios.evaluation.draws import Draw, draw, geometric, geometric_over, rms
+from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, geometric, geometric_over, rms
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim.loop import CONTROL_PERIOD
@@ -74,7 +74,7 @@ def chosen(names: Iterable[str] = NAMES) -> dict[str, Estimator]:
     return {name: inverse if name == "inverse" else registry.get(name) for name in names}
 
 
-def drawn(scenario: str, tolerance: float, seed: int, folder: Path | None) -> Draw:
+def drawn(scenario: str, tolerance: float, seed: int, folder: Path | None) -> DrawnExperiment:
     """A draw, from a folder where it has been kept."""
     kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}.pkl"
     if kept is not None and kept.is_file():
@@ -89,7 +89,7 @@ def drawn(scenario: str, tolerance: float, seed: int, folder: Path | None) -> Dr
     return found
 
 
-def assess(one: Draw, scenario: str, tolerance: float, estimators: dict[str, Estimator]) -> list[Row]:
+def assess(one: DrawnExperiment, scenario: str, tolerance: float, estimators: dict[str, Estimator]) -> list[Row]:
     """What every estimator is worth in a draw; infinity where it diverges."""
     rows = []
     events = [(a, b) for a, b in metrics.pushes(one.external_torque, CONTROL_PERIOD) if one.kept[a]]
@@ -263,7 +263,7 @@ def told_table(seeds: Sequence[int], kept: Path | None, threads: int) -> str:
     return markdown(heads, table)
 
 
-def cost_table(estimators: dict[str, Estimator], one: Draw) -> str:
+def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment) -> str:
     """Core time of an update, median of five."""
     part = one.signals.part(slice(0, 4000))
     rows = []
@@ -348,7 +348,7 @@ def _rows(
         return [row for several in pool.map(one, seeds) for row in several]
 
 
-def tables(results: Results, seeds: int, estimators: dict[str, Estimator], one: Draw) -> dict[str, str]:
+def tables(results: Results, seeds: int, estimators: dict[str, Estimator], one: DrawnExperiment) -> dict[str, str]:
     """The page's tables by name; `one`: a draw on which the time of updates is measured."""
     return {
         "about": about(seeds),

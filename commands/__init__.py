@@ -1,5 +1,5 @@
-"""The command line: one file a command. A file here with a function `command` is a command of that file's name, and a folder is a
-group of commands, described in its `__init__.py`.
+"""The command line: one file a command. A file here with a function `command` is a command of that file's name, with
+`EXAMPLES` of how it is called, and a folder is a group of commands, described in its `__init__.py`.
 
 What a command needs is imported when it is called, not before: `--help` reads the commands' docstrings from their files.
 """
@@ -27,6 +27,11 @@ from typer.core import TyperCommand, TyperGroup
 from ..models.errors import InputError, InputWarning
 
 _MARKUP: Any = "markdown"
+_CONTEXT: dict[str, Any] = {"help_option_names": ["-h", "--help"]}
+_MORE = """`flexspline COMMAND -h` has options and examples; `--install-completion` makes your shell complete them.
+
+**Exit codes**: 0 done; 1 a limit is missed (`verify`); 2 input that cannot be used, said in one line on stderr; 130 Ctrl-C;
+141 whoever read the output had enough; 143 asked to end (SIGTERM)."""
 
 
 class _Commands(TyperGroup):
@@ -54,22 +59,39 @@ app = typer.Typer(
     cls=_Commands,
     no_args_is_help=True,
     invoke_without_command=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=_MARKUP,
+    context_settings=_CONTEXT,
+    epilog=_MORE,
 )
 
 
 @app.callback()
 def _root(
-    version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", help="Print the version, and those of what it is made of, and exit.")
+    ] = False,
 ) -> None:
     """A testbed for joint torque estimation with harmonic drives."""
     if version:
-        from importlib import metadata
-
-        print(metadata.version("flexspline"))
+        print(versions())
         raise typer.Exit()
+
+
+def versions() -> str:
+    """Versions for a report of a bug: of this package, of Python, of what the package needs, a line each."""
+    import platform
+    import re
+    from importlib import metadata
+
+    lines = [f"flexspline {metadata.version('flexspline')}"]
+    lines.append(f"Python {platform.python_version()} on {platform.system()} {platform.release()} {platform.machine()}")
+    for needed in metadata.requires("flexspline") or ():
+        name, _, condition = needed.partition(";")
+        if "extra" not in condition:
+            name = re.split(r"[^\w.-]", name.strip())[0]
+            lines.append(f"{name} {metadata.version(name)}")
+    return "\n".join(lines)
 
 
 @cache
@@ -99,18 +121,22 @@ def _descriptions(folder: str = "") -> dict[str, str]:
 def _load(name: str, folder: str = "") -> Any:
     """The command of that name, ready to be called."""
     module = _files(folder)[name]
-    alone = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=_MARKUP)
+    alone = typer.Typer(
+        add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=_MARKUP, context_settings=_CONTEXT
+    )
     if (Path(__file__).parent / folder / module).is_dir():
         group = type("_Group", (_Commands,), {"folder": module})
         alone.callback(cls=group, help=_descriptions()[name], no_args_is_help=True)(lambda: None)
         return typer.main.get_command(alone)
-    function = importlib.import_module(".".join(part for part in (__name__, folder, module) if part)).command
+    loaded = importlib.import_module(".".join(part for part in (__name__, folder, module) if part))
+    function = loaded.command
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
         function(**{key: _home(value) for key, value in options.items()})
 
-    alone.command(name)(command)
+    examples = "\n\n".join(("**Examples**", *(f"    {line}" for line in loaded.EXAMPLES)))
+    alone.command(name, epilog=examples, context_settings=_CONTEXT)(command)
     return typer.main.get_command(alone)
 
 

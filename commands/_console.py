@@ -15,11 +15,11 @@ _WIDTH = 132
 
 
 def console() -> Console:
-    """Console for results."""
+    """Console for results: text is printed as it is, nothing in it is taken for a style."""
     from rich.console import Console
 
-    found = Console()
-    return found if found.is_terminal else Console(width=max(found.width, _WIDTH))
+    found = Console(markup=False, highlight=False)
+    return found if found.is_terminal else Console(width=max(found.width, _WIDTH), markup=False, highlight=False)
 
 
 def progress(counting: bool = False, remaining: bool = False) -> Progress:

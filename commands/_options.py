@@ -19,7 +19,30 @@ _SET_HELP = (
     "`filters.3=dynamics_ekf`, `temperature=40` [°C], `feedback=none`. Repeatable."
 )
 
-Scenarios = Annotated[list[str], typer.Argument(help="Names of shipped scenarios, or paths of YAML files.")]
+
+def shipped(room: str) -> Callable[[str], list[str]]:
+    """Names that a shell completes: of the YAML files of a room."""
+
+    def names(incomplete: str) -> list[str]:
+        found = (path.stem for path in (Path(__file__).resolve().parents[1] / room).glob("*.yaml"))
+        return sorted(name for name in found if name.startswith(incomplete))
+
+    return names
+
+
+MeasurementPath = Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")]
+ResultFolder = Annotated[Path, typer.Option(help="folder to write to")]
+OtherJoint = Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")]
+Scenarios = Annotated[
+    list[str],
+    typer.Argument(help="Names of shipped scenarios, or paths of YAML files.", autocompletion=shipped("scenarios")),
+]
+SomeScenarios = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="Names or paths; the paper's three experiments by default.", autocompletion=shipped("scenarios")
+    ),
+]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write to; one folder per scenario inside.")]
 Seed = Annotated[
     int | None, typer.Option("--seed", min=0, help="Seed of every random stream, instead of the scenario's.")

@@ -6,7 +6,7 @@ import importlib
 import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
 from ._console import progress
@@ -84,8 +84,13 @@ def run_all(
                 pool.shutdown(wait=False, cancel_futures=True)
 
 
+def metrics_of(runs: list[tuple[Run, Path]]) -> dict[str, Any]:
+    """For programs: by scenario the folder, what whoever reads the measures should know, and the measures."""
+    return {run.name: {"folder": str(folder), "notes": list(run.notes), **run.metrics} for run, folder in runs}
+
+
 def tell(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
     """Print what whoever reads the runs' measures should know."""
     for run, _ in runs:
         for note in run.notes:
-            terminal.print(f"{run.name}: {note}", style="yellow", highlight=False, markup=False)
+            terminal.print(f"{run.name}: {note}", style="yellow")

@@ -5,6 +5,11 @@ from __future__ import annotations
 from ._listing import AsJson
 from ._options import with_plugins
 
+EXAMPLES = (
+    "flexspline causes",
+    "flexspline causes --json --plugin my_cause.py",
+)
+
 
 @with_plugins
 def command(as_json: AsJson = False) -> None:

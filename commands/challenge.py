@@ -13,6 +13,7 @@ import typer
 
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
+from ._listing import AsJson
 from ._options import with_plugins
 
 if TYPE_CHECKING:
@@ -37,6 +38,11 @@ _KINDS: dict[Kind, str] = {
     "two": "two effects",
     "outside": "an effect outside the library",
 }
+
+EXAMPLES = (
+    "flexspline challenge --draws 5 --hidden one --out outcomes.json",
+    "flexspline challenge --scenario link_sweep --cause backlash --sizes 1,0.3,0.1",
+)
 
 
 @with_plugins
@@ -70,6 +76,7 @@ def command(
     out: Annotated[
         Path | None, typer.Option(help="write every draw and all tables to this file, .json or .parquet")
     ] = None,
+    as_json: AsJson = False,
 ) -> None:
     """Hide effects in simulated joints, diagnose the recordings, and say how often it was right.
 
@@ -106,9 +113,15 @@ def command(
     outcomes.sort(key=lambda o: (kinds.index(o.kind), o.index, -o.size))
     how = f"{joint}, {'known exactly' if exact else 'within tolerance'}{', with real imperfections' if real else ''}"
     how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}; seed {seed}"
-    _show(console(), how, outcomes, scanned)
     if out is not None:
         _write(out, outcomes)
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text(score.report(outcomes)))
+        return
+    _show(console(), how, outcomes, scanned)
+    if out is not None:
         console().print(f"{out}", highlight=False)
 
 
@@ -123,7 +136,6 @@ def _sizes(text: str) -> tuple[float, ...]:
 
 
 def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
     from ..diagnosis.trials import score
@@ -135,23 +147,18 @@ def _show(terminal: Console, how: str, outcomes: Sequence[Outcome], sizes: Seque
     for row in score.rows(largest):
         value = row.value if isinstance(row.value, score.Rate) else f"{row.value:.1f}"
         target = f"{100 * row.target:.0f} %" if isinstance(row.value, score.Rate) else f"{row.target:g}"
-        table.add_row(
-            escape(row.name), str(value), f"{'≤' if row.at_most else '≥'} {target}{'' if row.met else '  missed'}"
-        )
+        table.add_row(row.name, str(value), f"{'≤' if row.at_most else '≥'} {target}{'' if row.met else '  missed'}")
     terminal.print(table)
     for kind in dict.fromkeys(o.kind for o in outcomes):
         _show_kind(terminal, kind, [o for o in outcomes if o.kind == kind], sizes)
     _show_reliability(terminal, outcomes)
     for o in outcomes:
         if o.failure:
-            terminal.print(
-                f"{o.kind}, draw {o.index} at size {o.size:g} failed: {o.failure}", style="red", markup=False
-            )
+            terminal.print(f"{o.kind}, draw {o.index} at size {o.size:g} failed: {o.failure}", style="red")
 
 
 def _show_kind(terminal: Console, kind: Kind, outcomes: Sequence[Outcome], sizes: Sequence[float]) -> None:
     """All numbers of one kind of draws, by size."""
-    from rich.markup import escape
     from rich.table import Table
 
     from ..diagnosis.trials import score
@@ -163,7 +170,7 @@ def _show_kind(terminal: Console, kind: Kind, outcomes: Sequence[Outcome], sizes
     columns = [score.summary([o for o in outcomes if o.size == s]) for s in sizes]
     for key in dict.fromkeys(k for c in columns for k in c):
         cells = [c.get(key, "–") for c in columns]
-        table.add_row(escape(key), *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
+        table.add_row(key, *(f"{x:.3g}" if isinstance(x, float) else str(x) for x in cells))
     terminal.print(table)
     _show_confusion(terminal, score.confusion(outcomes))
     if kind == "one":

@@ -5,23 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..models.errors import InputError
-from ._options import with_plugins
+from ._options import MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.coverage import RecordingSummary
     from ..models.recording import Recording
 
+EXAMPLES = (
+    "flexspline check measurement",
+    "flexspline check measurement --joint my_joint.yaml --json",
+)
+
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    joint: OtherJoint = None,
     as_json: Annotated[bool, typer.Option("--json", help="print JSON instead of tables")] = False,
 ) -> None:
     """Say what is in a measurement, which mistakes are, what is missing, and what can therefore not be diagnosed."""
@@ -72,9 +76,9 @@ def command(
     for s in summaries:
         for begin, end in s.gaps:
             text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
-            terminal.print(text, markup=False)
+            terminal.print(text)
         if s.clipped:
-            terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples", markup=False)
+            terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples")
     if missing:
         terminal.print(f"not there: {', '.join(missing)}")
     for balance in found:

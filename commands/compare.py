@@ -7,25 +7,31 @@ from typing import Annotated
 
 import typer
 
-from ._options import Changes, Out, Seed, with_plugins
+from ._listing import AsJson
+from ._options import Changes, Out, Seed, SomeScenarios, with_plugins
+
+EXAMPLES = (
+    "flexspline compare",
+    'flexspline compare link_sweep --set "filters=[RAREKF, dynamics_ekf]" --json',
+    'flexspline compare --plugin my_filter.py --set "filters=[RAREKF, moving_average]"',
+)
 
 
 @with_plugins
 def command(
-    scenarios: Annotated[
-        list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")
-    ] = None,
+    scenarios: SomeScenarios = None,
     out: Out = Path("runs"),
     seed: Seed = None,
     changes: Changes = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
+    as_json: AsJson = False,
 ) -> None:
     """Compare the filters: error, noise, delay, response time, robust share, NIS."""
     from ..models.files import json_text
     from ..models.output import output_folder
     from ._console import console
-    from ._runs import PAPER, run_all, tell
+    from ._runs import PAPER, metrics_of, run_all, tell
 
     with output_folder(out, "compare", writes=("comparison.json", "comparison.md")) as folder:
         runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
@@ -35,11 +41,12 @@ def command(
         text = json_text(metrics)
         (folder / "comparison.json").write_text(text, encoding="utf-8")
         (folder / "comparison.md").write_text(comparison_markdown(metrics), encoding="utf-8")
+    if as_json:
+        print(json_text(metrics_of(runs)))
+        return
     terminal = console()
     terminal.print(comparison_table(metrics))
     tell(terminal, runs)
     terminal.print(
         f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them",
-        highlight=False,
-        markup=False,
     )

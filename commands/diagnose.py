@@ -17,7 +17,8 @@ import typer
 from ..models import plugins
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
-from ._options import with_plugins
+from ._listing import AsJson
+from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -33,12 +34,17 @@ _PLANNED = 3
 _REGIONS = 3
 """Regions that no fit saw that are shown."""
 
+EXAMPLES = (
+    "flexspline diagnose measurement --out diagnosis",
+    "flexspline diagnose measurement --joint my_joint.yaml --time 60 --out diagnosis --json",
+)
+
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several taken on the same joint")],
-    out: Annotated[Path, typer.Option(help="folder to write to")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    out: ResultFolder,
+    joint: OtherJoint = None,
     exact: Annotated[
         bool, typer.Option("--exact", help="take the joint's numbers as exactly known: whatever differs is a cause")
     ] = False,
@@ -46,6 +52,7 @@ def command(
         float | None, typer.Option("--time", min=0.0, metavar="SECONDS", help="answer with what is known by then")
     ] = None,
     report: Annotated[bool, typer.Option(help="write report.html and report.rrd")] = True,
+    as_json: AsJson = False,
 ) -> None:
     """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
     from ..models.recording import read_measurement
@@ -100,6 +107,9 @@ def command(
     except KeyboardInterrupt:
         print("flexspline: interrupted, nothing was written", file=sys.stderr)
         raise
+    if as_json:
+        print(answer)
+        return
     show(console(), found, gained, measurement, out, report)
 
 

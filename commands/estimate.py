@@ -3,26 +3,30 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
-from ._options import Estimators, with_plugins
+from ._listing import AsJson
+from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from ..estimator.offline import Score
 
+EXAMPLES = (
+    "flexspline estimate measurement --out estimates",
+    "flexspline estimate measurement --joint diagnosis/joint.yaml --filter dynamics_ekf --out estimates",
+)
+
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
-    out: Annotated[Path, typer.Option(help="folder to write to")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    out: ResultFolder,
+    joint: OtherJoint = None,
     filter_: Estimators = None,
+    as_json: AsJson = False,
 ) -> None:
     """Estimate the torques of a measurement without reading its torque sensor; score where there is one.
 
@@ -68,16 +72,21 @@ def command(
                 "beyond": beyond,
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
-            terminal.print(f"{path}", highlight=False, markup=False)
+            if as_json:
+                continue
+            terminal.print(f"{path}")
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
             if beyond:
-                terminal.print(f"{recording.name}: {beyond_sentence(beyond)}", highlight=False, markup=False)
+                terminal.print(f"{recording.name}: {beyond_sentence(beyond)}")
             for name, why in found.left_out.items():
-                terminal.print(f"{recording.name}: {name}: {why}", highlight=False, markup=False)
+                terminal.print(f"{recording.name}: {name}: {why}")
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    terminal.print(f"{out / 'metrics.json'}", highlight=False, markup=False)
+    if as_json:
+        print(text)
+    else:
+        terminal.print(f"{out / 'metrics.json'}")
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:

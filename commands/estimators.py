@@ -5,6 +5,11 @@ from __future__ import annotations
 from ._listing import AsJson
 from ._options import with_plugins
 
+EXAMPLES = (
+    "flexspline estimators",
+    "flexspline estimators --plugin my_filter.py --json",
+)
+
 
 @with_plugins
 def command(as_json: AsJson = False) -> None:

@@ -7,9 +7,13 @@ from typing import Annotated
 
 import typer
 
+from ._options import MeasurementPath
+
+EXAMPLES = ("flexspline export measurement --out mcap",)
+
 
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
+    measurement: MeasurementPath,
     out: Annotated[Path, typer.Option(help="folder that the files are written to")],
 ) -> None:
     """Write recordings as MCAP, a file each: ROS 2 messages for Foxglove, PlotJuggler and `ros2 bag`.
@@ -29,4 +33,4 @@ def command(
             write_mcap(recording, folder / name)
     terminal = console()
     for name in names:
-        terminal.print(f"{out / name}", highlight=False, markup=False)
+        terminal.print(f"{out / name}")

@@ -15,6 +15,12 @@ from ._options import with_plugins
 if TYPE_CHECKING:
     from ..models.recording import Measurement
 
+EXAMPLES = (
+    "flexspline import mapping.yaml log.csv --out measurement",
+    "flexspline import ur3e_rtde free.csv loaded.csv --joint my_joint.yaml --out measurement",
+    "flexspline import measurement --fix --out mended",
+)
+
 
 @with_plugins
 def command(
@@ -71,12 +77,10 @@ def command(
             path = out / write_recording(told, folder).name
             if edited(path):
                 _keep(path.with_suffix(".yaml"), folder / path.name)
-                terminal.print(f"{path.with_suffix('.yaml')}: kept, as it was edited", highlight=False, markup=False)
+                terminal.print(f"{path.with_suffix('.yaml')}: kept, as it was edited")
             seconds = recording.time[-1] - recording.time[0]
             columns = ", ".join(["time", *recording.columns])
-            terminal.print(
-                f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}", highlight=False, markup=False
-            )
+            terminal.print(f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}")
 
 
 def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:

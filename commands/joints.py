@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from ._listing import AsJson
 
+EXAMPLES = (
+    "flexspline joints",
+    "flexspline joints --json",
+)
+
 
 def command(as_json: AsJson = False) -> None:
     """List the joints that come with the testbed: what they are, where their numbers come from.

@@ -9,10 +9,15 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError, read_text
-from ._options import with_plugins
+from ._options import OtherJoint, with_plugins
 
 _BY = 1.0
 """Time [s] after which the search begins no further stage: what is open is known once the joint is calibrated."""
+
+EXAMPLES = (
+    "flexspline plan measurement",
+    "flexspline plan diagnosis --json",
+)
 
 
 @with_plugins
@@ -20,7 +25,7 @@ def command(
     source: Annotated[
         Path, typer.Argument(help="a measurement, or the folder of a diagnosis", metavar="MEASUREMENT|DIAGNOSIS")
     ],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    joint: OtherJoint = None,
     as_json: Annotated[bool, typer.Option("--json", help="print it as JSON")] = False,
 ) -> None:
     """Say what to measure next, and what each experiment is expected to tell: simulated, nothing is moved."""
@@ -34,7 +39,7 @@ def command(
     if not proposals:
         terminal.print("no experiment that was looked at would tell more than this measurement does")
     for number, one in enumerate(proposals, 1):
-        terminal.print(f"{number}. {one['sentence']}", markup=False, highlight=False)
+        terminal.print(f"{number}. {one['sentence']}")
 
 
 def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:

@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
+from ._listing import AsJson
 from ._options import Changes, Out, Scenarios, Seed, with_plugins
+
+EXAMPLES = (
+    "flexspline run external_push",
+    "flexspline run link_sweep --set joint=my_joint.yaml --set controller.kp=6 --seed 3 --out runs",
+    "flexspline run my_scenario.yaml --no-figures --json",
+)
 
 
 @with_plugins
@@ -18,16 +25,22 @@ def command(
     changes: Changes = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
     recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
+    as_json: AsJson = False,
 ) -> None:
     """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording."""
     from ._console import console
-    from ._runs import run_all, tell
+    from ._runs import metrics_of, run_all, tell
 
     runs = run_all(scenarios, out, seed, changes, figures, recording)
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text(metrics_of(runs)))
+        return
     from ..views.tables import comparison_table
 
     terminal = console()
     terminal.print(comparison_table({run.name: run.metrics for run, _ in runs}))
     tell(terminal, runs)
     for _, folder in runs:
-        terminal.print(f"{folder}", highlight=False, markup=False)
+        terminal.print(f"{folder}")

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from ._listing import AsJson
 
+EXAMPLES = (
+    "flexspline scenarios",
+    "flexspline scenarios --json",
+)
+
 
 def command(as_json: AsJson = False) -> None:
     """List the scenarios that come with the testbed; commands take one of these names, or the path of a YAML file."""

@@ -4,6 +4,11 @@ from __future__ import annotations
 
 from ._listing import AsJson
 
+EXAMPLES = (
+    "flexspline studies",
+    "flexspline studies --json",
+)
+
 
 def command(as_json: AsJson = False) -> None:
     """List the studies that come with the testbed; `flexspline sweep` takes one of these names, or the path of a YAML file."""

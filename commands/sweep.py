@@ -8,18 +8,30 @@ from typing import Annotated
 
 import typer
 
-from ._options import with_plugins
+from ._listing import AsJson
+from ._options import shipped, with_plugins
+
+EXAMPLES = (
+    "flexspline sweep noise_and_load --seeds 3 --out sweep",
+    "flexspline sweep my_study.yaml --scheduler tcp://head:8786 --out sweep",
+)
 
 
 @with_plugins
 def command(
-    study: Annotated[str, typer.Argument(help="Name of a shipped study, or path of a YAML file.")],
+    study: Annotated[
+        str,
+        typer.Argument(
+            help="Name of a shipped study, or path of a YAML file.", autocompletion=shipped("scenarios/studies")
+        ),
+    ],
     out: Annotated[Path, typer.Option("--out", help="Folder of the dataset; one that was begun goes on.")],
     jobs: Annotated[int | None, typer.Option(min=1, help="threads; all cores by default")] = None,
     scheduler: Annotated[str, typer.Option(help="address of a Dask scheduler, `tcp://…`: compute on its workers")] = "",
     chunk: Annotated[int | None, typer.Option(min=1, help="runs per file; the rows do not depend on it")] = None,
     seeds: Annotated[int | None, typer.Option(min=1, help="how many seeds, instead of the study's")] = None,
     figures: Annotated[bool, typer.Option(help="Draw the figures.")] = True,
+    as_json: AsJson = False,
 ) -> None:
     """Sweep a study: seeds × parameters × scenarios × filters.
 
@@ -32,7 +44,7 @@ def command(
     from ..models.output import check_output, output_folder
     from ..scenarios.studies.dataset import Dataset
     from ..scenarios.studies.design import Design
-    from ..scenarios.studies.statistics import aggregate, write_csv
+    from ..scenarios.studies.statistics import aggregate, summary_rows, write_csv
     from ..scenarios.studies.study import load_study
     from ..scenarios.studies.sweep import sweep, versions
     from ..views.sweep_tables import sweep_markdown, sweep_table
@@ -55,7 +67,7 @@ def command(
         except KeyboardInterrupt:
             bar.stop()
             done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
-            bar.console.print(done, highlight=False, markup=False)
+            bar.console.print(done)
             raise
         bar.update(task, description=f"{asked.name}: summary", total=None)
         found = list(aggregate(dataset))
@@ -66,12 +78,15 @@ def command(
                 from ..views.sweep_figures import save_sweep_figures
 
                 save_sweep_figures(found, asked, new / "figures")
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text(list(summary_rows(found, design))))
+        return
     terminal.print(sweep_table(found, asked, asked.metrics[0]))
     failed = sum(s.failed for s in found)
     if failed:
         terminal.print(
             f"{failed} estimates have no measures; `failure` in the rows says why, summary.md where", style="red"
         )
-    terminal.print(
-        f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}", highlight=False, markup=False
-    )
+    terminal.print(f"{out / 'summary.md'}, {out / 'summary.csv'}; rows in {out / 'rows'}")

@@ -9,17 +9,21 @@ from typing import Annotated
 import typer
 
 from ..models.errors import InputError
-from ._options import Changes, Estimators, with_plugins
+from ._listing import AsJson
+from ._options import Changes, Estimators, SomeScenarios, with_plugins
 
 _MOST_SEEDS = 100_000
+
+EXAMPLES = (
+    "flexspline tune link_sweep --filter RAREKF --out tuned",
+    "flexspline tune --together --evaluations 100 --out tuned",
+)
 
 
 @with_plugins
 def command(
     out: Annotated[Path, typer.Option(help="Folder for tuned.yaml, tuned.md and the figure.")],
-    scenarios: Annotated[
-        list[str] | None, typer.Argument(help="Names or paths; the paper's three experiments by default.")
-    ] = None,
+    scenarios: SomeScenarios = None,
     filter_: Estimators = None,
     train: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are tuned on.")] = "1-5",
     test: Annotated[str, typer.Option(metavar="A-B", help="Seeds that are reported.")] = "101-110",
@@ -32,6 +36,7 @@ def command(
     threads: Annotated[int, typer.Option(min=1, help="Runs at a time; the result does not depend on it.")] = 1,
     pareto: Annotated[bool, typer.Option(help="Sweep noise against delay where a scenario has pushes.")] = True,
     changes: Changes = None,
+    as_json: AsJson = False,
 ) -> None:
     """Tune filters for the RMS error on training seeds, report on test seeds; noise against delay as a curve per filter.
 
@@ -41,6 +46,7 @@ def command(
     both = sorted(set(training) & set(testing))
     if both:
         raise InputError(f"--test: expected other seeds than those of --train, got {both[0]} in both")
+    from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
     from ..scenarios.filters import estimators
@@ -51,7 +57,7 @@ def command(
     chosen = estimators(filter_ or ())
     loaded = load_all(scenarios or PAPER, changes)
     groups = [loaded] if together else [[one] for one in loaded]
-    terminal = console()
+    terminal, told = console(), {}
     folders = [out if together or len(groups) == 1 else out / group[0][0].name for group in groups]
     for folder in folders:
         check_output(folder, "tune", writes=("tuned.yaml", "tuned.md", "pareto.png"), within=out)
@@ -69,7 +75,9 @@ def command(
                     fronts.append(tuning.pareto(estimator, pushed, found[-1].tuned, threads=threads))
                 bar.advance(task)
         title = f"{', '.join(names)}: tuned on seeds {train}, tested on {test}"
-        terminal.print(tuned_table(found, title))
+        told[", ".join(names)] = tuning.tuned_data(found, names, training, testing)
+        if not as_json:
+            terminal.print(tuned_table(found, title))
         with output_folder(folder, "tune", within=out) as new:
             tuning.write_tuned(found, names, training, testing, new / "tuned.yaml")
             text = f"# {title}\n\n{markdown(TUNED_HEADS, tuned_rows(found))}\n"
@@ -78,9 +86,10 @@ def command(
                 from ..views.limit_figures import pareto_figure, save_figure
 
                 save_figure(pareto_figure(fronts, pushed[0].name, len(testing)), new / "pareto.png")
-        terminal.print(
-            f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}", highlight=False, markup=False
-        )
+        if not as_json:
+            terminal.print(f"{folder / 'tuned.yaml'}, tuned.md{', pareto.png' if fronts else ''}")
+    if as_json:
+        print(json_text(told))
 
 
 def _seeds(text: str, option: str) -> list[int]:

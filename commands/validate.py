@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from ._options import with_plugins
+from ._listing import AsJson
+from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from ..diagnosis.validate import Validation
 
+EXAMPLES = ("flexspline validate measurement --joint diagnosis/joint.yaml --out check",)
+
 
 @with_plugins
 def command(
-    measurement: Annotated[Path, typer.Argument(help="a recording, or a folder of several")],
-    out: Annotated[Path, typer.Option(help="folder to write to")],
-    joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the recordings' by default")] = None,
+    measurement: MeasurementPath,
+    out: ResultFolder,
+    joint: OtherJoint = None,
+    as_json: AsJson = False,
 ) -> None:
     """Say how well a joint's description predicts a measurement: nothing is fitted."""
     from ..models.files import json_text
@@ -38,11 +39,15 @@ def command(
 
     found = validate(data, described)
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:
-        (folder / "validation.json").write_text(json_text(found.to_json()) + "\n", encoding="utf-8")
+        text = json_text(found.to_json())
+        (folder / "validation.json").write_text(text + "\n", encoding="utf-8")
         for recording in found.recordings:
             write_table(folder / f"{recording.name}.parquet", recording.columns, recording.column_units)
+    if as_json:
+        print(text)
+        return
     _show(console(), found)
-    console().print(f"{out}: {', '.join(names)}", highlight=False, markup=False)
+    console().print(f"{out}: {', '.join(names)}")
 
 
 def _show(terminal: Console, found: Validation) -> None:
@@ -52,7 +57,7 @@ def _show(terminal: Console, found: Validation) -> None:
     from ..models.joint import beyond_sentence
 
     for mistake in found.mistakes:
-        terminal.print(f"mistake in the data: {mistake.description}", highlight=False, markup=False)
+        terminal.print(f"mistake in the data: {mistake.description}")
     table = Table(title=f"{found.joint}: error of the simulation in motion (RMS)")
     for heading in ("", "error", "mean", "noise", "unit", "inside the 95 % band"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")
@@ -71,4 +76,4 @@ def _show(terminal: Console, found: Validation) -> None:
     terminal.print(table)
     sentence = beyond_sentence(found.beyond)
     if sentence:
-        terminal.print(f"{sentence} (*: most of the region)", highlight=False, markup=False)
+        terminal.print(f"{sentence} (*: most of the region)")

@@ -18,6 +18,11 @@ RECORDINGS = ("run.rrd", "report.rrd")
 """Of a run and of a diagnosis, in their folders."""
 _MAGIC = b"RRF"
 
+EXAMPLES = (
+    "flexspline view runs/external_push",
+    "flexspline view diagnosis --web",
+)
+
 
 def command(
     run: Annotated[

@@ -12,7 +12,7 @@ sum of
 * what it believes of itself (`Posterior.variance`), where it does.
 
 Whatever is done to a recording before it is estimated (zeros, payload, bandwidth) is done again in each case. Noise is added at
-the recording's own rate; what the other changes do is smooth, and is computed at every so-manieth sample (`RATE`).
+the recording's own rate; what the other changes do is smooth, and is computed on fewer samples (`RATE`).
 """
 
 from __future__ import annotations
@@ -101,16 +101,14 @@ def deviations(
         again, base, *done = pool.map(lambda case: run(*case), [(noisy, known), *cases])
     found = {}
     for name, values in estimated.items():
-        change = [
-            np.nan_to_num(other.get(name, base[name]) - base[name]) if name in base else 0 * few.time for other in done
-        ]
+        change = [np.nan_to_num(other.get(name, base[name]) - base[name]) for other in done] if name in base else []
         noise = np.nan_to_num(again.get(name, values) - values)
         variance = uniform_filter1d(noise**2, _samples(time), mode="nearest")
         for one, (error, size) in zip(change, probes.items(), strict=False):
             gain = float(np.sqrt(np.mean(one**2))) / max(size, 1e-12)
             variance = variance + (gain * getattr(errors, error)) ** 2
-        moved_by = np.sum(np.square(change[len(probes) :]), axis=0) if len(change) > len(probes) else 0 * few.time
-        found[name] = np.sqrt(variance + np.interp(time, few.time, moved_by))
+        by_numbers = sum((one**2 for one in change[len(probes) :]), np.zeros(len(few.time)))
+        found[name] = np.sqrt(variance + np.interp(time, few.time, by_numbers))
     return found
 
 
@@ -184,18 +182,18 @@ def motion_and_load(signals: Signals, known: KnownJoint) -> tuple[smoothed.Motio
 
 def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
     motion, load = motion_and_load(signals, known)
-    stretch, stated = np.ones(len(motion.time)), {}
+    inflation, stated = np.ones(len(motion.time)), {}
     if joint.uncertainty is not None:
         stated = dict(joint.uncertainty.discrepancy)
         if joint.valid is not None:
             far = joint.valid.distance(motion.link_position, motion.link_velocity, load)
-            stretch = 1 + (joint.uncertainty.beyond - 1) * far
+            inflation = 1 + (joint.uncertainty.beyond - 1) * far
     # At rest friction is anything up to its level.
     p = known.p
     near_rest = p["N"] * p["Fs"] / np.sqrt(3) * np.exp(-((motion.motor_velocity / p["vs"]) ** 2))
     scale = float(known.p["N"] * known.p["Kt"])
-    current = scale * stated.get("motor_current", 0.0) * stretch
-    torsion = max(stated.get("joint_torque", 0.0), stated.get("link_balance", 0.0)) * stretch
+    current = scale * stated.get("motor_current", 0.0) * inflation
+    torsion = max(stated.get("joint_torque", 0.0), stated.get("link_balance", 0.0)) * inflation
     # Torque follows from torsion up to the hysteresis, which may be anything between its ends.
     torsion = np.hypot(torsion, p["hysteresis_torque"] / np.sqrt(3))
     return _Errors(*(motion.at(signals.time, x) for x in (current, torsion, near_rest)))

@@ -18,6 +18,9 @@ torque is a random walk of a stated intensity, a priori (0.2·T2)² at the start
 noise of variance σ² + q²/12, step q. Of all noise of that variance the Gaussian one tells least: a filter that uses
 where the counts change may come out below such a bound. So may one that adapts, on a scenario that rests most of the time:
 the bound holds for the mean over random walks. It is the bound for filtering; a smoother has a lower one, which is not computed.
+
+**Numbers that nobody knows exactly** are further states, constant, with the tolerances as prior (Van Trees' bound with random
+parameters): J starts with their unit information, and their columns of F and H are secants of one standard deviation.
 """
 
 from __future__ import annotations
@@ -29,13 +32,13 @@ import numpy as np
 from ..models.errors import InputError
 from ..models.kernels import kernel
 from . import joint_model as model
-from . import quantised
-from .dynamics_filter import propagate
 from .estimator import KnownJoint, SensorNoise
 from .joint_model import DAHL, LINK, LINK_RATE, MESH, MOTOR, SIZE, ProcessNoise
 
 QUIET = ProcessNoise()
 """Prior of the joint's states; and, by its `external`, the lowest intensity of an external torque that is worth stating."""
+BANDWIDTH = 20.0
+"""Up to which frequency [Hz] a random walk stands for an external torque: that of the momentum observers' default."""
 _FINE = 1e-2  # of the estimators' difference steps
 
 
@@ -75,9 +78,21 @@ def posterior_information(F, Q, H, R, J0) -> np.ndarray:
     return J
 
 
-def walk_intensity(torque: np.ndarray, time: np.ndarray) -> float:
-    """Return the intensity [N·m/√s] of the random walk that a torque, shape (n,), most likely was: √(Σ Δ²/time)."""
-    return float(np.sqrt(np.sum(np.diff(torque) ** 2) / (time[-1] - time[0])))
+def walk_intensity(torque: np.ndarray, time: np.ndarray, bandwidth: float = BANDWIDTH) -> float:
+    """Return the intensity q [N·m/√s] of the random walk that changes as much as a torque does, up to a bandwidth.
+
+    q² = mean of (τ(t + h) − τ(t))²/h over the record, held at both ends, with h = 1/(2·bandwidth). A walk's changes grow with
+    the time between them, q²·h, and any h gives its q. A smooth torque's grow with h², so that increments of single samples
+    would say the less, the faster it is sampled.
+
+    Args:
+        torque: Shape (n,) [N·m]. time: Shape (n,), evenly spaced [s].
+        bandwidth: [Hz]; half the sample rate at most.
+    """
+    step = float(time[-1] - time[0]) / (len(time) - 1)
+    lag = max(round(0.5 / (bandwidth * step)), 1)
+    held = np.concatenate([np.full(lag - 1, torque[0]), torque, np.full(lag - 1, torque[-1])])
+    return float(np.sqrt(np.sum((held[lag:] - held[:-lag]) ** 2) / (lag * (time[-1] - time[0]))))
 
 
 def joint_bound(
@@ -89,6 +104,7 @@ def joint_bound(
     noise: SensorNoise,
     intensity: float,
     temperature: np.ndarray | None = None,
+    others: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the bound of the joint torque's error variance [(N·m)²], shape (n,), along a true trajectory.
 
@@ -100,6 +116,8 @@ def joint_bound(
         noise: of the encoders.
         intensity: of the external torque's random walk [N·m/√s]; ≥ 0.
         temperature: Shape (n,), of the gear [°C]; by default the one that the joint's friction is stated for.
+        others: Shape (k,), the record with one number of k each a standard deviation off: not known better than that, and
+            independent of one another. By default everything is known exactly.
 
     Raises:
         InputError: an intensity that is none, or shapes that do not fit.
@@ -121,17 +139,19 @@ def joint_bound(
     if temperature is None:
         temperature = np.full(len(time), joint.p["reference_temperature"])
     out = np.empty(len(time))
-    _along(time, np.ascontiguousarray(states), current, command, temperature, record, random, out)
+    others = np.zeros(0, record.dtype) if others is None else np.ascontiguousarray(others)
+    _along(time, np.ascontiguousarray(states), current, command, temperature, record, others, random, out)
     return out
 
 
 @kernel
-def _along(time, states, current, command, temperature, record, random, out):
+def _along(time, states, current, command, temperature, record, others, random, out):
     p, noise = record[0], random[0]
     m = int(noise.count)
+    n = m + len(others)
     x, y, ahead, work = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros((3, SIZE))
-    P, F, A = np.zeros((m, m)), np.zeros((m, m)), np.zeros((m, m))
-    H, PH, slopes = np.zeros(m), np.zeros(m), np.zeros(SIZE)
+    P, F, A = np.eye(n), np.zeros((m, n)), np.zeros((m, n))
+    H, PH = np.zeros(n), np.zeros(n)
     for i in range(m):
         P[i, i] = noise.start[int(noise.active[i])]
     for k in range(len(time)):
@@ -146,31 +166,90 @@ def _along(time, states, current, command, temperature, record, random, out):
                 dt,
                 temperature[k - 1],
                 p,
+                others,
                 noise,
                 F,
                 y,
                 ahead,
                 work,
             )
-            propagate(F, P, A, m)
+            _propagate(F, P, A)
             for i in range(m):
                 P[i, i] += noise.walk[int(noise.active[i])] * dt
             H[:] = 0.0
             H[MOTOR] = 1.0
-            quantised.update(x, P, noise.active, H, 0.0, noise.motor_variance, 0.0, PH)
+            motor = model.read_motor(x, p)
+            for j in range(len(others)):
+                H[m + j] = model.read_motor(x, others[j]) - motor
+            _condition(P, H, noise.motor_variance, PH)
             reading = model.read_link(x, time[k], p)
             x[LINK] += 1e-5
             slope = (model.read_link(x, time[k], p) - reading) / 1e-5
             x[LINK] -= 1e-5
             H[MOTOR], H[LINK], H[LINK_RATE] = 0.0, slope, -p.link_delay * slope
-            quantised.update(x, P, noise.active, H, 0.0, noise.link_variance, 0.0, PH)
+            for j in range(len(others)):
+                H[m + j] = model.read_link(x, time[k], others[j]) - reading
+            _condition(P, H, noise.link_variance, PH)
         torque = model.joint_torque(x, time[k], p)
-        out[k] = max(model.torque_variance(x, P, torque, time[k], p, noise, slopes), 0.0)
+        H[:] = 0.0
+        for i in range(m):
+            state = int(noise.active[i])
+            kept = x[state]
+            x[state] += model.STEPS[state]
+            H[i] = (model.joint_torque(x, time[k], p) - torque) / model.STEPS[state]
+            x[state] = kept
+        for j in range(len(others)):
+            H[m + j] = model.joint_torque(x, time[k], others[j]) - torque
+        variance = 0.0
+        for i in range(n):
+            for j in range(n):
+                variance += H[i] * P[i, j] * H[j]
+        out[k] = max(variance, 0.0)
 
 
 @kernel
-def _jacobian(at, current, command, time, dt, temperature, p, noise, F, low, high, work):
-    """Write the Jacobian of a step at a true state, shape (m, m), by central differences.
+def _propagate(F, P, A):
+    """P ← G P Gᵀ with G = [F; 0 1], F: shape (m, n), of the states; the n − m constants stay. A: scratch, shape (m, n)."""
+    m, n = F.shape
+    for i in range(m):
+        for j in range(n):
+            total = 0.0
+            for l in range(n):
+                total += F[i, l] * P[l, j]
+            A[i, j] = total
+    for i in range(m):
+        for j in range(i + 1):
+            total = 0.0
+            for l in range(n):
+                total += A[i, l] * F[j, l]
+            P[i, j] = total
+            P[j, i] = total
+        for j in range(m, n):
+            P[i, j] = A[i, j]
+            P[j, i] = A[i, j]
+
+
+@kernel
+def _condition(P, H, variance, PH):
+    """P ← P − P Hᵀ H P/(H P Hᵀ + variance); PH: scratch, shape (n,)."""
+    n, S = len(H), variance
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[i, j] * H[j]
+        PH[i] = total
+    for i in range(n):
+        S += H[i] * PH[i]
+    for i in range(n):
+        for j in range(i + 1):
+            P[i, j] -= PH[i] * PH[j] / S
+            P[j, i] = P[i, j]
+
+
+@kernel
+def _jacobian(at, current, command, time, dt, temperature, p, others, noise, F, low, high, work):
+    """Write the Jacobian of a step at a true state into F, shape (m, m + k): central differences of the states, secants of the k
+    other records.
 
     Their steps are a hundredth of what an estimator takes: near rest a longer one would reach across the kink of
     friction's |w| and show an instability that is not there.
@@ -190,6 +269,16 @@ def _jacobian(at, current, command, time, dt, temperature, p, noise, F, low, hig
         for i in range(m):
             b = int(noise.active[i])
             F[i, j] = (high[b] - low[b]) / (2.0 * width)
+    if len(others) == 0:
+        return
+    low[:] = at
+    model.advance(low, current, command, time, dt, steps, 1.0, temperature, p, work)
+    for j in range(len(others)):
+        high[:] = at
+        model.advance(high, current, command, time, dt, steps, 1.0, temperature, others[j], work)
+        for i in range(m):
+            state = int(noise.active[i])
+            F[i, m + j] = high[state] - low[state]
 
 
 def random_walk_bound(W, V, P0: float) -> np.ndarray:

@@ -78,8 +78,8 @@ def measure(m, s, p):
     motor_torque = dynamics.rotor_torque(still, 0.0, m.torque, p)  # at no velocity: without its damping
     if p.link_delay > 0.0:
         torsion = _late_torsion(m, s, motor, motor_torque, w, p)
-        theta_w = motor - laws.wave_generator_torsion(motor_torque, p)
-        link = theta_w / p.N - laws.kinematic_error(theta_w, p) - torsion
+        turned, theta_w = dynamics.measured_torsion(motor, 0.0, motor_torque, p)
+        link = turned - torsion
     else:
         link = dynamics.actual_link_position(s.link_position, motor, w, s.time, p)
         torsion, theta_w = dynamics.measured_torsion(motor, link, motor_torque, p)

@@ -16,6 +16,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from ..models import causes
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from ..models.kernels import kernel
@@ -121,7 +122,8 @@ class KnownJoint:
         """What a joint's description says, in a mounting; `record`, shape (1,), instead of the description's own."""
         s = joint.sensors
         zero, share = s.link_encoder.zero, joint.numbers.get("back_driven_friction")
-        wander = [e.parameters["amplitude"].std or 0.0 for e in joint.effects if e.name in _LINK_ENCODER]
+        on_link = [e.parameters for e in joint.effects if causes.get(e.name).sensor == "link_position"]
+        wander = [parameters["amplitude"].std or 0.0 for parameters in on_link if "amplitude" in parameters]
         return cls(
             joint.record(mounting) if record is None else record,
             SensorNoise(
@@ -167,9 +169,6 @@ def _relative(joint: Joint, symbol: str) -> float:
     if number.std is not None:
         return number.std / number.value if number.value > 0.0 else 0.0
     return math.hypot(number.tolerance, joint.shared_tolerances.get(number.shared, 0.0) if number.shared else 0.0)
-
-
-_LINK_ENCODER = ("link_encoder_eccentricity", "link_encoder_error")
 
 
 def _deviation(number: Any) -> float:

@@ -361,13 +361,8 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     motion = smoothed.smooth_motion(signals, joint, cutoff)
     own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
     payload = observe(signals, joint, motion, own)
-    joint = joint.told(back_driven_friction=float(payload[3]))
-    note |= {"bandwidth": cutoff} | {
-        name: float(value)
-        for name, value in zip(
-            ("payload_sin", "payload_cos", "payload_inertia", "back_driven_friction"), payload, strict=False
-        )
-    }
+    joint = joint.told(back_driven_friction=payload.back_driven_friction)
+    note |= {"bandwidth": cutoff} | payload._asdict()
     walk = 1.0
     if measured >= set(POSITIONS):
         zero, std = tared(signals, joint, motion)
@@ -414,9 +409,8 @@ def _wind_link(motor_reading, torque, record, out):
     p = record[0]
     for i in range(len(out)):
         motor = dynamics.actual_motor_position(motor_reading[i], p)
-        theta_w = motor - laws.wave_generator_torsion(torque[i] / p.N, p)
-        link = theta_w / p.N - laws.kinematic_error(theta_w, p) - laws.flexspline_torsion(torque[i], p)
-        out[i] = laws.link_reading(link, p)
+        turned, _ = dynamics.measured_torsion(motor, 0.0, torque[i] / p.N, p)
+        out[i] = laws.link_reading(turned - laws.flexspline_torsion(torque[i], p), p)
 
 
 def _motor_of_link(signals: Signals, joint: KnownJoint) -> np.ndarray:
@@ -434,10 +428,7 @@ def _motor_of_link(signals: Signals, joint: KnownJoint) -> np.ndarray:
 def _wind_motor(link, torque, record, out):
     p = record[0]
     for i in range(len(out)):
-        wound = laws.flexspline_torsion(torque[i], p)
-        theta_w = p.N * (link[i] + wound)
-        for _ in range(3):
-            theta_w = p.N * (link[i] + wound + laws.kinematic_error(theta_w, p))
+        theta_w = dynamics.wave_generator_position(link[i] + laws.flexspline_torsion(torque[i], p), p)
         out[i] = laws.motor_reading(theta_w + laws.wave_generator_torsion(torque[i] / p.N, p), p)
 
 

@@ -48,6 +48,16 @@ class Seen(NamedTuple):
     own_torque: float
 
 
+class KnownPayload(NamedTuple):
+    """What is known of a payload: moments α, β [N·m], inertia J [kg·m²]; and the share κ of the load-dependent friction that acts
+    while the load drives."""
+
+    payload_sin: float
+    payload_cos: float
+    payload_inertia: float
+    back_driven_friction: float
+
+
 def friction_error(joint: KnownJoint) -> float:
     """Standard deviation [N·m, output side] of the friction model: its tolerance, or what a diagnosis found."""
     return float(max(joint.friction, FRICTION_ERROR) * joint.p["N"] * joint.p["Fc"])

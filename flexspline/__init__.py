@@ -219,8 +219,8 @@ def compare(
     Returns:
       A table with index (scenario, filter) and the measures of `scenarios.evaluation.metrics` after the transient: `rms`, `max`
       and `noise` of the error against the true joint torque, `rms_to_sensor` [N·m], `noise_ratio` to the raw compliance
-      model's [1], `delay_ms` and `response_ms` [ms], of pushes after the truth, `robust_share` [1], `mean_nis` [1]; NaN where
-      one is not defined.
+      model's [1], `delay_ms` and `response_ms` [ms], of pushes after the truth, `missed` and `robust_share` [1], `mean_nis`
+      [1]; NaN where one is not defined.
 
     Raises:
       InputError, FilterDiverged: as `simulate`.

@@ -32,22 +32,16 @@ _STRONG = ("CSG", "SHG", "LCSG", "LHSG")
 _KNEES = {14: (2.0, 6.9), 17: (3.9, 12), 20: (7.0, 25), 25: (14, 48), 32: (29, 108), 40: (54, 196)}
 _STIFFNESS: Mapping[str, Mapping[int, tuple[tuple[float, float, float], tuple[float, float, float]]]] = {
     "cup": {
-        14: ((0.34, 0.47, 0.57), (0.47, 0.61, 0.71)),
-        17: ((0.81, 1.1, 1.3), (1.0, 1.4, 1.6)),
-        20: ((1.3, 1.8, 2.3), (1.6, 2.5, 2.9)),
-        25: ((2.5, 3.4, 4.4), (3.1, 5.0, 5.7)),
-        32: ((5.4, 7.8, 9.8), (6.7, 11, 12)),
-        40: ((10, 14, 18), (13, 20, 23)),
+        14: ((0.34, 0.47, 0.57), (0.47, 0.61, 0.71)), 17: ((0.81, 1.1, 1.3), (1.0, 1.4, 1.6)),
+        20: ((1.3, 1.8, 2.3), (1.6, 2.5, 2.9)), 25: ((2.5, 3.4, 4.4), (3.1, 5.0, 5.7)),
+        32: ((5.4, 7.8, 9.8), (6.7, 11, 12)), 40: ((10, 14, 18), (13, 20, 23)),
     },
     "flat": {
-        14: ((0.29, 0.37, 0.47), (0.40, 0.44, 0.61)),
-        17: ((0.67, 0.88, 1.2), (0.84, 0.94, 1.3)),
-        20: ((1.1, 1.3, 2.0), (1.3, 1.7, 2.5)),
-        25: ((2.0, 2.7, 3.7), (2.7, 3.7, 4.7)),
-        32: ((4.7, 6.1, 8.4), (6.1, 7.8, 11)),
-        40: ((8.8, 11, 15), (11, 14, 20)),
+        14: ((0.29, 0.37, 0.47), (0.40, 0.44, 0.61)), 17: ((0.67, 0.88, 1.2), (0.84, 0.94, 1.3)),
+        20: ((1.1, 1.3, 2.0), (1.3, 1.7, 2.5)), 25: ((2.0, 2.7, 3.7), (2.7, 3.7, 4.7)),
+        32: ((4.7, 6.1, 8.4), (6.1, 7.8, 11)), 40: ((8.8, 11, 15), (11, 14, 20)),
     },
-}
+}  # fmt: skip
 # By size, for ratios 50, 80, 100, 120, 160: rated torque at 2000 rpm and limit for repeated peaks [N·m]; none where there is
 # no such gear.
 _RATED: Mapping[str, Mapping[int, tuple[float, ...]]] = {
@@ -136,20 +130,20 @@ def gear(series: str, size: float, ratio: float) -> Gear:
     rating = "flat" if shape == "flat" else "strong" if kind in _STRONG else "standard"
     share = min(max((ratio - 50) / 30, 0.0), 1.0)  # of the column for 80 and more
     few = min(ratio / 50, 1.0)
-    K1, K2, K3 = (
-        1e4
-        * few**1.15
-        * _at_size({s: (1 - share) * a[i] + share * b[i] for s, (a, b) in _STIFFNESS[shape].items()}, size, 3)
-        for i in range(3)
-    )
+
+    def stiffness(k: int) -> float:
+        table = {s: (1 - share) * low[k] + share * high[k] for s, (low, high) in _STIFFNESS[shape].items()}
+        return 1e4 * few**1.15 * _at_size(table, size, 3)
+
     rated, peak, starting = (
         few**power * _at_size({s: _at_ratio(row, ratio) for s, row in table.items()}, size, growth)
         for table, power, growth in ((_RATED[rating], 0.55, 3), (_PEAK, 0.55, 3), (_STARTING, -0.5, 2.5))
     )
+    T1, T2 = (_at_size({s: knees[k] for s, knees in _KNEES.items()}, size, 3) for k in (0, 1))
     return Gear(
         series=kind, size=size, ratio=ratio, rated_torque=rated, peak_torque=_PEAK_SHARE[rating] * peak,
-        knees=(_at_size({s: t[0] for s, t in _KNEES.items()}, size, 3), _at_size({s: t[1] for s, t in _KNEES.items()}, size, 3)),
-        stiffness=(K1, K2, K3), starting_torque=1e-2 * starting, inertia=_at_size(_INERTIA, size, 5),
+        knees=(T1, T2), stiffness=(stiffness(0), stiffness(1), stiffness(2)), starting_torque=1e-2 * starting,
+        inertia=_at_size(_INERTIA, size, 5),
         accuracy=math.radians(_at_size(_ACCURACY, size, 0) / 60),
         exact=size in SIZES and ratio in RATIOS[: len(_PEAK[int(size)])],
     )  # fmt: skip

@@ -17,7 +17,7 @@ from typing import Any
 from .catalogue import Gear, gear
 from .errors import InputError, nearest
 from .files import check_name, flow_text, write_into_place
-from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, as_joint
+from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, as_joint, value_fault
 from .joint_mjcf import mjcf_text
 from .parameters import GRAVITY
 from .units import plain
@@ -151,19 +151,21 @@ class NewJoint:
       joint: the description.
       filled: what its rules filled, in its order.
       gear: of the catalogue.
+      path: of the file that it is for.
     """
 
     joint: Joint
     filled: tuple[Filled, ...]
     gear: Gear
+    path: Path
 
 
-def new_joint(sheet: Datasheet, path: Path = Path()) -> NewJoint:
+def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
     """Describe a joint.
 
     Args:
       sheet: what is known of it.
-      path: of its file, which names the MJCF beside it.
+      path: of its file, which names the MJCF beside it; by default the joint's name.
 
     Returns:
       The description, complete, and what was filled by which rule.
@@ -172,14 +174,19 @@ def new_joint(sheet: Datasheet, path: Path = Path()) -> NewJoint:
       InputError: a gear or number that cannot be, or a number that is needed and not given.
     """
     catalogued = gear(sheet.series, sheet.size, sheet.ratio)
-    for symbol in sheet.numbers:
+    for symbol, value in sheet.numbers.items():
         if symbol not in SYMBOLS:
             raise InputError(f"{symbol}: unknown number{nearest(symbol, SYMBOLS)}")
-    given = dict(sheet.numbers) | {"N": float(sheet.ratio)}
+        if (fault := value_fault(symbol, value)) is not None:
+            raise InputError(fault)
+    if sheet.inertia is not None and not sheet.inertia > 0:
+        raise InputError(f"inertia: expected a number > 0 kg·m², got {sheet.inertia:g}")
+    given = {"N": float(sheet.ratio)} | dict(sheet.numbers)  # mounted another way, a gear has a turn more
     missing = [symbol for symbol in _DRIVEN if symbol not in given]
     if missing:
         raise InputError(f"datasheet: expected {', '.join(missing)}, got none")
     name = check_name(sheet.name or catalogued.name.lower(), "name")
+    path = path or Path(f"{name.replace('-', '_')}.yaml")
     rules = _Rules(catalogued, given)
     numbers: dict[str, dict[str, Any]] = {}
     for symbol, (unit, _) in SYMBOLS.items():
@@ -196,7 +203,7 @@ def new_joint(sheet: Datasheet, path: Path = Path()) -> NewJoint:
         "format": 1,
         "name": name,
         "description": sheet.description or _description(sheet, catalogued),
-        "model": f"{path.stem or name.replace('-', '_')}.xml",
+        "model": f"{path.stem}.xml",
         "mounting": "link",
         "shared_tolerances": {
             "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if exact else 0.2,
@@ -212,7 +219,7 @@ def new_joint(sheet: Datasheet, path: Path = Path()) -> NewJoint:
         "sensors": _sensors(sheet, values),
     }
     joint = as_joint(data, path)
-    return NewJoint(joint, tuple(_filled(data, sheet)), catalogued)
+    return NewJoint(joint, tuple(_filled(data, sheet)), catalogued, path)
 
 
 _SHARED = {"K1": "stiffness", "K2": "stiffness", "K3": "stiffness", "Fc": "friction", "Fs": "friction"}
@@ -312,12 +319,9 @@ class _Rules:
         return 48.0, 0.0, "48 V, usual for robot joints"
 
     def _current_limit(self) -> tuple[float, float, str]:
-        torque = self.gear.peak_torque / self.gear.ratio + self._value("Fs")
-        return (
-            torque / self._value("Kt"),
-            0.0,
-            f"what gives the gear's limit for repeated peaks, {self.gear.peak_torque:.3g} N·m",
-        )
+        peak = self.gear.peak_torque
+        current = (peak / self._value("N") + self._value("Fs")) / self._value("Kt")
+        return current, 0.0, f"what gives the gear's limit for repeated peaks, {peak:.3g} N·m"
 
     def _K1(self) -> tuple[float, float, str]:
         return self._stiffness(0)
@@ -374,11 +378,8 @@ class _Rules:
         return self._value("Fc") / 200, _TYPICAL, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"
 
     def _bl(self) -> tuple[float, float, str]:
-        return (
-            0.02 * (self.gear.size / 17) ** 3,
-            _TYPICAL,
-            "output bearing, with the cube of the size from the test joint's",
-        )
+        damping = 0.02 * (self.gear.size / 17) ** 3
+        return damping, _TYPICAL, "output bearing, with the cube of the size from the test joint's"
 
     def kinematic_error(self) -> list[dict[str, Any]]:
         """Orders 2 and 4: a share of the catalogue's transmission accuracy, of unknown phase."""
@@ -401,11 +402,9 @@ def _mountings(sheet: Datasheet, catalogued: Gear, value: Mapping[str, float]) -
     moment = sheet.gravity_moment
     if moment is None:
         motor = value["N"] * (value["Kt"] * value["current_limit"] - value["Fs"])
-        moment = min(0.5 * value["rated_torque"], 0.4 * motor)
-    inertia = moment / GRAVITY * 0.38 * scale if sheet.inertia is None else sheet.inertia
+        moment = max(min(0.5 * value["rated_torque"], 0.4 * motor), 0.0)
     bare = 0.004 * scale**5
-    if inertia <= 0:
-        inertia = bare
+    inertia = (moment / GRAVITY * 0.38 * scale or bare) if sheet.inertia is None else sheet.inertia
     return {
         "no_load": {"inertia": float(f"{bare:.3g}"), "gravity_moment": 0},
         "link": {"inertia": float(f"{inertia:.4g}"), "gravity_moment": float(f"{moment:.4g}")},

@@ -209,6 +209,17 @@ def measured_torsion(motor_position, link_position, motor_torque, p):
 
 
 @kernel
+def wave_generator_position(angle, p):
+    """Wave generator's angle θw [rad, motor side] at which θw/N − θerr(θw) is an angle [rad]: that of the link with the torsion
+    Δθf, Eq. (6)."""
+    theta_w = p.N * angle
+    for _ in range(4):  # Newton's steps
+        excess = theta_w / p.N - laws.kinematic_error(theta_w, p) - angle
+        theta_w -= excess / (1.0 / p.N - laws.kinematic_error_slope(theta_w, p))
+    return theta_w
+
+
+@kernel
 def steady_motion(link_position, link_velocity, link_acceleration, external_torque, time, temperature, p):
     """Rotor angle [rad], motor current [A] and joint torque Ts [N·m] that a motion of the link takes, friction sliding.
 
@@ -220,11 +231,7 @@ def steady_motion(link_position, link_velocity, link_acceleration, external_torq
     blank = State(0.0, w, 0.0, w, link_position, link_velocity, 0.0, 0.0, 0.0, time, temperature)
     Ts = p.Jl * link_acceleration - link_torque(blank, 0.0, p) - external_torque
     Tf = Ts + p.bl * link_velocity
-    wound = laws.flexspline_torsion(Tf, p)
-    theta_w = p.N * (link_position + wound)
-    for _ in range(4):  # Newton's steps: θw/N − θerr(θw) = θl + Δθf
-        excess = theta_w / p.N - laws.kinematic_error(theta_w, p) - link_position - wound
-        theta_w -= excess / (1.0 / p.N - laws.kinematic_error_slope(theta_w, p))
+    theta_w = wave_generator_position(link_position + laws.flexspline_torsion(Tf, p), p)
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta_w, p)
     friction = sliding_friction(blank, Tf, p) * math.tanh(w / p.vs) + laws.viscous_friction(w, temperature, p)
     Tw = Tf * ratio + friction + p.Jw * a

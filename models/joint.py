@@ -50,7 +50,7 @@ POSSIBLE: dict[str, tuple[float, float]] = {
     "rated_torque": (1e-2, 1e6),
 }  # fmt: skip
 """Smallest and largest value of numbers, in their units, orders of magnitude beyond anything that is made: what lies outside
-is a slip of the unit or of the key, and is refused. What makers do make stands in `plausibility`."""
+is a slip of the unit or of the key, and is refused. What makers do make stands in `joint_check`."""
 
 
 class Number(Strict):
@@ -160,12 +160,18 @@ class AnalogSpec(Strict):
 
 
 class WrenchSpec(Strict):
-    """The six-axis force/torque sensor: noise per axis [N rms], [N·m rms], delay [s], sample rate [Hz]."""
+    """The six-axis force/torque sensor: noise per axis [N rms], [N·m rms], delay [s], sample rate [Hz].
+
+    `crosstalk`: what of an axis' load, relative to its rated one [N], [N·m], may show in each of the others [1].
+    """
 
     force_noise: Annotated[float, Field(ge=0)] = 0.0
     torque_noise: Annotated[float, Field(ge=0)] = 0.0
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+    crosstalk: Annotated[float, Field(ge=0, lt=0.2)] = 0.0
+    rated_force: Annotated[float, Field(gt=0)] = 300.0
+    rated_torque: Annotated[float, Field(gt=0)] = 30.0
 
 
 class Sensors(Strict):
@@ -565,7 +571,7 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
     for symbol in numbers:
         if symbol not in SYMBOLS and symbol not in OPTIONAL_SYMBOLS:
             yield f"numbers.{symbol}: unknown key{nearest(symbol, SYMBOLS)}"
-    for symbol, (unit, may_be_zero) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
+    for symbol, (unit, _) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
         number = numbers.get(symbol)
         if number is None:
             if symbol in SYMBOLS:
@@ -573,17 +579,25 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
             continue
         if not units.same(number.unit, unit):
             yield f"numbers.{symbol}.unit: expected {unit!r}, got {number.unit!r}"
-        low, high = POSSIBLE.get(symbol, (0.0, np.inf))
-        if number.value < 0 or (number.value == 0 and not may_be_zero):
-            yield f"numbers.{symbol}.value: expected a number {'≥' if may_be_zero else '>'} 0, got {number.value:g}"
-        elif number.value and not low <= number.value <= high:
-            possible = f"{low:g} to {high:g} {unit}".removesuffix(" 1")
-            yield f"numbers.{symbol}.value: expected {possible}, beyond which no joint is, got {number.value:g}"
+        if (fault := value_fault(symbol, number.value)) is not None:
+            yield fault
         if number.shared is not None and number.shared not in shared:
             yield f"numbers.{symbol}.shared: expected one of {sorted(shared)}, got {number.shared!r}"
     T1, T2 = numbers.get("T1"), numbers.get("T2")
     if T1 is not None and T2 is not None and T2.value < T1.value:
         yield f"numbers.T2.value: expected T2 ≥ T1 = {T1.value:g} N·m, got {T2.value:g}"
+
+
+def value_fault(symbol: str, value: float) -> str | None:
+    """What is wrong with the value of one number, in its own unit, in a line; None where nothing is."""
+    unit, may_be_zero = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol]
+    low, high = POSSIBLE.get(symbol, (0.0, np.inf))
+    if value < 0 or (value == 0 and not may_be_zero):
+        return f"numbers.{symbol}.value: expected a number {'≥' if may_be_zero else '>'} 0, got {value:g}"
+    if value and not low <= value <= high:
+        possible = f"{low:g} to {high:g} {unit}".removesuffix(" 1")
+        return f"numbers.{symbol}.value: expected {possible}, beyond which no joint is, got {value:g}"
+    return None
 
 
 PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())
@@ -616,7 +630,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
       InputError: no such joint, or a description that is wrong; one line.
 
     Warns:
-      InputWarning: numbers that contradict each other (`plausibility`), a line each.
+      InputWarning: numbers that contradict each other (`joint_check`), a line each.
     """
     known = known_joints()
     name = str(source).replace("_", "-")
@@ -633,7 +647,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     if not joint.mjcf.is_file():
         raise InputError(f"{path}: model: expected an MJCF file, no such file {joint.model!r}")
     if name not in known:
-        from .plausibility import contradictions
+        from .joint_check import contradictions
 
         for problem in contradictions(joint):
             warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)

@@ -21,7 +21,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
-from .errors import InputError
+from .errors import InputError, first_line
 
 try:
     import fcntl
@@ -352,4 +352,4 @@ def described(error: OSError) -> str:
     """What went wrong, in a few words."""
     if error.errno:
         return os.strerror(error.errno)
-    return (str(error).splitlines() or [type(error).__name__])[0]
+    return first_line(error)

@@ -23,13 +23,13 @@ from pydantic import model_validator
 from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
-from .errors import InputError, nearest
+from .errors import InputError, first_line, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
 from .notebook import html_table, paragraph
 from .output import recover
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
-from .tables import write_table
+from .tables import reading_parquet, write_table
 
 GAP = 0.1
 """A time [s] between samples that splits a recording into segments."""
@@ -429,10 +429,8 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     import pyarrow as pa
     import pyarrow.parquet
 
-    try:
+    with reading_parquet(path):
         table = pa.parquet.read_table(path)
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a readable Parquet file: {_first_line(error)}") from error
     table = table.drop_columns([name for name in table.column_names if name.startswith("__index_level")])
     _check_header(path, table.column_names)
     columns = {}
@@ -506,7 +504,7 @@ def csv_header(path: Path, form: CsvFormat = _OWN) -> list[str]:
         with path.open(newline="", encoding=form.encoding) as file:
             row = next(csv.reader(file, delimiter=form.separator), None)
     except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
+        raise InputError(f"{path}: not a readable CSV file: {first_line(error)}") from error
     if not row:
         raise InputError(f"{path}: expected a header and rows, got an empty file")
     return [name.strip().removeprefix("\ufeff") for name in row]
@@ -531,7 +529,7 @@ def read_csv_columns(path: Path, wanted: list[str], form: CsvFormat = _OWN) -> d
         )
     except (OSError, ValueError, pa.ArrowException) as error:
         _name_bad_cell(path, names, wanted, form)
-        raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
+        raise InputError(f"{path}: not a readable CSV file: {first_line(error)}") from error
     for name in wanted:
         if table.column(name).null_count:
             _name_bad_cell(path, names, wanted, form)
@@ -559,8 +557,4 @@ def _name_bad_cell(path: Path, names: list[str], wanted: list[str], form: CsvFor
                                 f"{path}: column {name!r}, {where}: expected a number, got {cell!r}"
                             ) from None
         except csv.Error as error:
-            raise InputError(f"{path}: not a readable CSV file: {_first_line(error)}") from error
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
+            raise InputError(f"{path}: not a readable CSV file: {first_line(error)}") from error

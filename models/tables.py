@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, first_line
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -55,19 +56,31 @@ def write_table(
     pq.write_table(table, path, compression="zstd", use_dictionary=False)
 
 
+@contextmanager
+def reading_parquet(path: Path) -> Iterator[None]:
+    """Say in one line what is wrong with a Parquet file that is read within.
+
+    Raises:
+      InputError: it cannot be read.
+    """
+    import pyarrow as pa
+
+    try:
+        yield
+    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not a readable Parquet file: {first_line(error)}") from error
+
+
 def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, str]]]:
     """Columns of a Parquet file, shape (n,) each, and what their metadata say (`unit`, notes).
 
     Raises:
       InputError: not a Parquet file.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    try:
+    with reading_parquet(path):
         table = pq.read_table(path)
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: not a readable Parquet file: {(str(error).splitlines() or ['?'])[0]}") from error
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}
     return columns, notes

@@ -38,7 +38,7 @@ class Experiment:
       record: parameters of the plant, shape (1,).
       known: what the estimators know.
       position, velocity, external_torque, temperature: commands [rad], [rad/s], torque on the link [N·m], temperature [°C],
-        shape (n,).
+        shape (n,). tip_force: tangential force [N] that the external torque comes from, shape (n,).
       fed_back: the estimator whose torque is fed back; None: the sensor's, or none.
     """
 
@@ -52,6 +52,7 @@ class Experiment:
     velocity: np.ndarray
     external_torque: np.ndarray
     temperature: np.ndarray
+    tip_force: np.ndarray
     fed_back: Estimator | None
 
     @classmethod
@@ -75,6 +76,7 @@ class Experiment:
         return cls(
             scenario, joint, known_joint, mounting, joint.record(mounting), KnownJoint.of(known_joint, known_mounting),
             position, velocity, scenario.external_torque(), scenario.temperature.signal(scenario.time),
+            scenario.tip_force(),
             next((f.build() for f in scenario.filters if f.name == scenario.feedback), None),
         )  # fmt: skip
 
@@ -119,6 +121,10 @@ class Experiment:
             scenario.controller.record(p, CONTROL_PERIOD, scenario.feedback != "none"),
             feedback,
             self.temperature,
+            self.tip_force,
+            sensors.wrench_crosstalk(self.joint, scenario.seed if seed is None else seed),
+            sensors.time_stamps(scenario.time, scenario.jitter, scenario.seed if seed is None else seed),
+            scenario.current == "command",
         )
         tick = simulation.failed[0]
         overloaded = _overload(simulation)
@@ -137,9 +143,13 @@ class Experiment:
 
 
 def signals_of(simulation: Simulation) -> Signals:
-    """What an estimator may read of a simulation: sensors that are read before the drive acts, and the current command."""
+    """What an estimator may read of a simulation: sensors that are read before the drive acts, and the current command where it
+    is told that; at their time stamps."""
     readings = simulation.readings
-    return Signals(simulation.time, {name: readings[name] for name in _SEEN} | {"current_command": simulation.command})
+    columns = {name: readings[name] for name in _SEEN}
+    if simulation.commanded:
+        columns["current_command"] = simulation.command
+    return Signals(simulation.time if simulation.stamps is None else simulation.stamps, columns)
 
 
 def estimate(

@@ -199,7 +199,7 @@ class Run:
             columns["external_torque"] = self.external_torque
         return Recording(
             name=self.name,
-            time=self.time,
+            time=self.signals.time,
             columns=columns,
             joint=self.joint.name,
             description=self.scenario.description,

@@ -19,6 +19,7 @@ from ..models.recording import write_recording
 from ..models.signals import CHANNELS, READINGS, SENSED
 from ..models.tables import read_table, write_table
 from ..sim.loop import CONTROL_PERIOD, TRUTH, Simulation
+from ..sim.sensors import time_stamps
 from .run import Run
 from .scenario import Scenario
 
@@ -98,7 +99,10 @@ def load_run(folder: Path) -> Run:
         truth[name] = _column(columns, f"true_{name}", folder)
     for name in SENSED:
         readings[name] = _column(columns, name, folder)
-    simulation = Simulation(time, truth, readings, _column(columns, "current_command", folder), (len(time), 0))
+    simulation = Simulation(
+        time, truth, readings, _column(columns, "current_command", folder), (len(time), 0),
+        time_stamps(time, scenario.jitter, scenario.seed), scenario.current == "command",
+    )  # fmt: skip
     return Run(scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario))
 
 

@@ -23,7 +23,7 @@ from ..models.signals import SENSED
 from ..sim.drive import Controller
 from ..sim.loop import CONTROL_PERIOD
 from ..sim.plant import TIMESTEP
-from ..sim.sensors import stream
+from ..sim.sensors import realistic, stream
 from .filters import PAPER, FilterEntry, paper_entries
 
 
@@ -38,8 +38,8 @@ class Waypoint(Strict):
 
 
 class Disturbance(Strict):
-    """Torque on the link: a push (half sine), a step (held for the duration), a ramp up and down (triangle), or a random
-    walk, another one for each seed."""
+    """A force at the link, by its torque: a push (half sine), a step (held for the duration), a ramp up and down (triangle), a
+    sine, or a random walk, another one for each seed."""
 
     kind: Literal["push", "step", "triangle", "sine", "walk"]
     start: Annotated[float, Field(ge=0, description="s")]
@@ -48,6 +48,10 @@ class Disturbance(Strict):
         float,
         Field(description="N·m at its largest; positive pushes forward. Of a walk: standard deviation at its end"),
     ]
+    lever: Annotated[
+        float,
+        Field(ge=0, description="m from the axis, where a force at the link makes that torque; 0: a torque alone"),
+    ] = 0.4
     cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
 
     def signal(self, time: np.ndarray, seed: int = 0) -> np.ndarray:
@@ -120,7 +124,14 @@ class Scenario(Strict):
     locked_rotor: bool = False
     trajectory: Annotated[list[Waypoint], Field(min_length=1)]
     disturbances: list[Disturbance] = []
-    sensors: Annotated[dict[str, Any], Field(description="changes to the joint's sensors")] = {}
+    sensors: Annotated[
+        dict[str, Any] | Literal["realistic"],
+        Field(description="changes to the joint's sensors, or `realistic`: sensors, clock and drive as they are"),
+    ] = {}
+    current: Annotated[
+        Literal["command", "sensor"], Field(description="what estimators are told of the motor current")
+    ] = "command"
+    jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()
     feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
     temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
@@ -131,6 +142,17 @@ class Scenario(Strict):
         list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
     ] = []
     transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
+
+    @model_validator(mode="before")
+    @classmethod
+    def _as_they_are(cls, given: Any) -> Any:
+        """`sensors: realistic` says what the clock and the drive are, too, where they are not stated."""
+        if not isinstance(given, dict) or given.get("sensors") != "realistic":
+            return given
+        found = {"current": "sensor", "jitter": 1e-4} | given
+        if "controller" not in given:
+            found["controller"] = Controller().lagging(2e-3)
+        return found
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
@@ -204,6 +226,12 @@ class Scenario(Strict):
         time = self.time
         return sum((d.signal(time, self.seed) for d in self.disturbances), np.zeros_like(time))
 
+    def tip_force(self) -> np.ndarray:
+        """Tangential force on the link [N], shape (n,), of the disturbances that have a lever; positive pushes forward."""
+        time = self.time
+        forces = [d.signal(time, self.seed) / d.lever for d in self.disturbances if d.lever > 0.0]
+        return sum(forces, np.zeros_like(time))
+
     def estimators(self) -> dict[str, Estimator]:
         """Its filters by name."""
         return {entry.name: entry.build() for entry in self.filters}
@@ -222,9 +250,10 @@ class Scenario(Strict):
     def _with_sensors(self, joint: Joint) -> Joint:
         if not self.sensors:
             return joint
-        merged = _merge(joint.sensors.model_dump(), self.sensors)
+        changes = realistic(joint) if isinstance(self.sensors, str) else self.sensors
+        merged = _merge(joint.sensors.model_dump(), changes)
         # A resolution given one way replaces the other.
-        for name, change in self.sensors.items():
+        for name, change in changes.items():
             if isinstance(change, dict) and isinstance(merged.get(name), dict):
                 for given, other in (("bits", "counts"), ("counts", "bits")):
                     if given in change and other not in change:

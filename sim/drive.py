@@ -15,7 +15,7 @@ from ..models.files import Strict
 from ..models.kernels import kernel
 
 CONTROLLER = np.dtype(
-    [(name, np.float64) for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain")]
+    [(name, np.float64) for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "delay")]
 )
 """The controller as one record for compiled code."""
 
@@ -25,7 +25,7 @@ class Controller(Strict):
 
     `i = kp·e + kd·e' + ki·∫e dt + torque_feedback·T̂/(N·Kt)`, clipped at the motor's current limit, with
     e = N·q_d − θm. The measured velocity is the difference quotient of the encoder through a first-order low-pass.
-    The integral stops while the current is clipped.
+    The integral stops while the current is clipped. `delay`: dead time of the drive, from the command to the winding.
     """
 
     kp: Annotated[float, Field(ge=0, description="A/rad, motor side")] = 8.0
@@ -35,6 +35,19 @@ class Controller(Strict):
     torque_feedback: Annotated[
         float, Field(ge=0, le=1, description="share of the estimated torque that is fed back")
     ] = 0.8
+    delay: Annotated[float, Field(ge=0, le=0.02, description="from the command to the winding, s")] = 0.0
+
+    def lagging(self, delay: float) -> Controller:
+        """The same for a drive that lags by `delay` [s]: gains lowered so that its phase margin stays.
+
+        The dead time, half a control period and the velocity's low-pass lag together; at the crossover, about Kt·kd/J, the phase
+        that they cost stays as it is where kd falls as they grow, and kp with its square.
+        """
+        own = 0.5e-3 + self.velocity_filter
+        share = own / (own + delay)
+        return self.model_copy(
+            update={"kp": share**2 * self.kp, "kd": share * self.kd, "ki": share**3 * self.ki, "delay": delay}
+        )
 
     def record(self, p: np.void, dt: float, feedback: bool) -> np.ndarray:
         """The controller for a joint's parameters and a control period [s], as a record, shape (1,)."""
@@ -43,6 +56,7 @@ class Controller(Strict):
         c["kp"], c["kd"], c["ki"] = self.kp, self.kd, self.ki
         c["filter"] = 1.0 - math.exp(-dt / self.velocity_filter) if self.velocity_filter > 0 else 1.0
         c["limit"], c["gear"] = p["current_limit"], p["N"]
+        c["delay"] = self.delay
         c["torque_gain"] = self.torque_feedback / (p["N"] * p["Kt"]) if feedback else 0.0
         return record
 

@@ -47,36 +47,12 @@ _WRENCH_AT = SENSED.index(WRENCH[0])
 _JOINT_AXIS = SENSED.index("torque_y")
 
 
-@dataclass(frozen=True)
-class Layout:
-    """Where things lie in a model's state: addresses of activations and sensor data (−1: none)."""
-
-    current: int
-    bristle: int
-    dahl: int
-    force: int
-    torque: int
-    link_body: int
-
-    @classmethod
-    def of(cls, model: mujoco.MjModel) -> Layout:
-        """Look the addresses up."""
-        motor = model.actuator("motor").id
-        has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
-        return cls(
-            current=plant.activation(model, "motor") if model.actuator_actnum[motor] else -1,
-            bristle=plant.activation(model, "mesh_friction"),
-            dahl=plant.activation(model, "hysteresis") if has_dahl else -1,
-            force=int(model.sensor("force").adr[0]),
-            torque=int(model.sensor("torque").adr[0]),
-            link_body=model.body("link").id,
-        )
-
-    def as_array(self) -> np.ndarray:
-        """Shape (6,), for compiled code."""
-        return np.array(
-            [self.current, self.bristle, self.dahl, self.force, self.torque, self.link_body], dtype=np.int64
-        )
+_FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
+_ADDRESSES = np.dtype(
+    [(name, np.int64) for name in (*_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body")]
+)
+"""Where things lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata` (−1: there is
+none), the number of the link's body."""
 
 
 @dataclass(frozen=True)
@@ -89,6 +65,8 @@ class Simulation:
       readings: shape (n,), records of `signals.READINGS`, SI.
       command: shape (n,), current command [A].
       failed: tick at which the estimator in the loop failed, and its status; (n, 0) where it did not.
+      stamps: shape (n,), time stamps of the readings [s]; `time` where the clock is exact.
+      commanded: whether estimators are told the current command; otherwise they have the current sensor alone.
     """
 
     time: np.ndarray
@@ -96,6 +74,8 @@ class Simulation:
     readings: np.ndarray
     command: np.ndarray
     failed: tuple[int, int]
+    stamps: np.ndarray | None = None
+    commanded: bool = True
 
 
 SENSOR_FEEDBACK = "sensor"
@@ -113,6 +93,10 @@ def simulate(
     controller: np.ndarray,
     feedback: CompiledStep | str | None = None,
     temperature: np.ndarray | None = None,
+    tip_force: np.ndarray | None = None,
+    crosstalk: np.ndarray | None = None,
+    stamps: np.ndarray | None = None,
+    commanded: bool = True,
 ) -> Simulation:
     """Run the closed loop from rest at the first commanded position.
 
@@ -124,6 +108,11 @@ def simulate(
       controller: `drive.CONTROLLER` record, shape (1,).
       feedback: the estimator that closes the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: none.
       temperature: of the gear [°C], shape (n,); constant by default.
+      tip_force: tangential force on the link [N] that the external torque comes from, shape (n,): the wrench shows it. By default
+        the external torque is a torque alone.
+      crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
+      stamps: time stamps of the readings [s], shape (n,); exact by default.
+      commanded: whether the estimator in the loop is told the current command.
     """
     n = len(position)
     if temperature is None:
@@ -134,30 +123,48 @@ def simulate(
     begin = position[0]
     p = record[0]
     plant.start(model, data, np.array([begin * p["N"], begin * p["N"], begin]))
+    tip_force = np.zeros(n) if tip_force is None else tip_force
+    crosstalk = np.zeros((6, 6)) if crosstalk is None else crosstalk
+    time = np.arange(n) * (round(CONTROL_PERIOD / model.opt.timestep) * float(model.opt.timestep))
+    told = np.ascontiguousarray(time if stamps is None else stamps, dtype=np.float64)
     truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
     failed = np.array([n, 0], dtype=np.int64)
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
-    at = native.offsets()
-    fields = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
-    offsets = np.array([at[k] for k in fields], dtype=np.int64)
     if isinstance(feedback, CompiledStep):
         address, memory, known, settings, out = feedback.arrays()
     else:
         address, memory, known, settings, out = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record).arrays()
     with native.quiet(), native.untimed():
         _loop(
-            native.function_address("mj_step"), model._address, data._address, offsets, Layout.of(model).as_array(),
+            native.function_address("mj_step"), model._address, data._address, _addresses(model),
             model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,
             temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
-            readings, _as_floats(readings), command, failed,
+            readings, _as_floats(readings), command, failed, tip_force, crosstalk, told, commanded,
         )  # fmt: skip
     return Simulation(
-        np.arange(n) * (substeps * float(model.opt.timestep)),
+        time,
         truth,
         readings,
         command,
         (int(failed[0]), int(failed[1])),
+        stamps,
+        commanded,
     )
+
+
+def _addresses(model: mujoco.MjModel) -> np.ndarray:
+    """A record of `_ADDRESSES`, shape (1,)."""
+    at = np.zeros(1, _ADDRESSES)
+    for name in _FIELDS:
+        at[name] = native.offsets()[name]
+    has_current = model.actuator_actnum[model.actuator("motor").id]
+    has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
+    at["current"] = plant.activation(model, "motor") if has_current else -1
+    at["bristle"] = plant.activation(model, "mesh_friction")
+    at["dahl"] = plant.activation(model, "hysteresis") if has_dahl else -1
+    at["force"], at["torque"] = (model.sensor(name).adr[0] for name in ("force", "torque"))
+    at["link_body"] = model.body("link").id
+    return at
 
 
 def _as_floats(records: np.ndarray) -> np.ndarray:
@@ -175,20 +182,27 @@ def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
 
 
 @kernel
+def _in_force(command, step, delay, substeps):
+    """The current command [A] in force in a plant step, counted from the start; `delay`: of the drive, in plant steps."""
+    k = (step - delay) // substeps
+    return command[k] if k >= 0 else 0.0
+
+
+@kernel
 def _loop(
-    step, model, data, offsets, layout, numeric, substeps, h, record, position, velocity, external, temperature,
+    step, model, data, addresses, numeric, substeps, h, record, position, velocity, external, temperature,
     sensors, noise, noise_of, controller, estimator, memory, known, settings, out, truth, readings, reading_of,
-    command, failed,
+    command, failed, tip_force, crosstalk, stamps, commanded,
 ):  # fmt: skip
-    p, c = record[0], controller[0]
-    q = carray(floats_at(word_at(data + 8 * offsets[0])), 3)
-    v = carray(floats_at(word_at(data + 8 * offsets[1])), 3)
-    act = floats_at(word_at(data + 8 * offsets[2]))
-    ctrl = floats_at(word_at(data + 8 * offsets[3]))
-    link_force = carray(floats_at(word_at(data + 8 * offsets[4]) + 48 * layout[5]), 6)
-    sensordata = floats_at(word_at(data + 8 * offsets[5]))
-    disabled = ints_at(model + 4 * offsets[6])
-    at_current, at_bristle, at_dahl, at_force, at_torque = layout[0], layout[1], layout[2], layout[3], layout[4]
+    p, c, at = record[0], controller[0], addresses[0]
+    delay = round(c.delay / h)
+    q = carray(floats_at(word_at(data + 8 * at.qpos)), 3)
+    v = carray(floats_at(word_at(data + 8 * at.qvel)), 3)
+    act = floats_at(word_at(data + 8 * at.act))
+    ctrl = floats_at(word_at(data + 8 * at.ctrl))
+    link_force = carray(floats_at(word_at(data + 8 * at.xfrc_applied) + 48 * at.link_body), 6)
+    sensordata = floats_at(word_at(data + 8 * at.sensordata))
+    disabled = ints_at(model + 4 * at.disableflags)
 
     n, channels = position.size, len(sensors)
     dt = substeps * h
@@ -202,18 +216,19 @@ def _loop(
     drive = np.zeros(3)
     drive[0] = c.gear * position[0]
     theta, before, omega = np.zeros(3), np.zeros(3), np.zeros(3)
-    current_command, last_command, last_external, estimate = 0.0, 0.0, 0.0, 0.0
+    last_command, last_external, last_force, estimate = 0.0, 0.0, 0.0, 0.0
+    wrench = np.zeros(6)
 
     for k in range(n):
         time = k * dt
         theta[:] = q
         before[:] = v
         numeric[TEMPERATURE] = temperature[k]
-        current = act[at_current] if at_current >= 0 else last_command
-        dahl = act[at_dahl] if at_dahl >= 0 else 0.0
+        current = act[at.current] if at.current >= 0 else _in_force(command, k * substeps - 1, delay, substeps)
+        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
 
         # The sensors that read the state itself, at this instant.
-        state = state_of(theta, before, act[at_bristle], dahl, current, time, temperature[k])
+        state = state_of(theta, before, act[at.bristle], dahl, current, time, temperature[k])
         dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
         for s in range(channels):
             if sensors[s].at_step == 0.0:
@@ -223,9 +238,10 @@ def _loop(
         if estimator == 1:
             estimate = readings[k - 1].joint_torque if k > 0 else 0.0
         elif estimator != 0:
-            # As differences of the ticks' times, which is what whoever reads the signals afterwards has.
-            given[0].time, given[0].interval = time, time - (k - 1) * dt if k > 0 else 0.0
-            given[0].current_command = last_command
+            # As differences of the time stamps, which is what whoever reads the signals afterwards has.
+            given[0].time = stamps[k] - stamps[0]
+            given[0].interval = stamps[k] - stamps[k - 1] if k > 0 else 0.0
+            given[0].current_command = last_command if commanded else np.nan
             for s in range(channels):
                 if sensors[s].at_step == 0.0:
                     given_of[_READINGS_AT + s] = reading_of[k, s]
@@ -241,17 +257,18 @@ def _loop(
                 failed[0], failed[1] = k, status
                 return
             estimate = out[0]
-        current_command = control(position[k], velocity[k], readings[k].motor_position, estimate, drive, dt, c)
-        command[k] = current_command
+        command[k] = control(position[k], velocity[k], readings[k].motor_position, estimate, drive, dt, c)
 
         # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
-        ctrl[0] = p.Kt * 0.5 * (current_command + last_command)
+        first = k * substeps
+        in_force = _in_force(command, first, delay, substeps)
+        ctrl[0] = p.Kt * 0.5 * (in_force + _in_force(command, first - 1, delay, substeps))
         link_force[4] = -0.5 * (external[k] + last_external)
         call_step(step, model, data)
         for s in range(3):
             omega[s] = 0.5 * (before[s] + v[s])
-        dahl = act[at_dahl] if at_dahl >= 0 else 0.0
-        state = state_of(theta, omega, act[at_bristle], dahl, current, time, temperature[k])
+        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
+        state = state_of(theta, omega, act[at.bristle], dahl, current, time, temperature[k])
         b = dynamics.balance(state, p)
         t = truth[k]
         t.motor_position, t.wave_generator_position, t.link_position = theta[ROTOR], theta[WAVE_GENERATOR], theta[LINK]
@@ -266,20 +283,27 @@ def _loop(
         # The torque sensor and its wrench, which MuJoCo evaluates within the step.
         dynamics.readings(state, b, p, ideal[0])
         for axis in range(3):
-            ideal_of[_WRENCH_AT + axis] = sensordata[at_force + axis]
-            ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at_torque + axis]
+            ideal_of[_WRENCH_AT + axis] = sensordata[at.force + axis]
+            ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at.torque + axis]
         # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
         ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
+        # Its torque acts already; a force at a point in the sensor's plane is what the joint must hold against, along x.
+        ideal_of[_WRENCH_AT] -= 0.5 * (tip_force[k] + last_force)
+        wrench[:] = ideal_of[_WRENCH_AT : _WRENCH_AT + 6]
+        for axis in range(6):
+            for other in range(6):
+                ideal_of[_WRENCH_AT + axis] += crosstalk[axis, other] * wrench[other]
         for s in range(channels):
             if sensors[s].at_step != 0.0:
                 reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
 
         # The other steps of the tick, whose sensors nobody reads: they are a tenth of a step.
-        ctrl[0] = p.Kt * current_command
         link_force[4] = -external[k]
         flags = disabled[0]
         disabled[0] = flags | _NO_SENSORS
-        for _ in range(1, substeps):
+        for s in range(1, substeps):
+            before_it, in_force = in_force, _in_force(command, first + s, delay, substeps)
+            ctrl[0] = p.Kt * 0.5 * (in_force + before_it)
             call_step(step, model, data)
         disabled[0] = flags
-        last_command, last_external = current_command, external[k]
+        last_command, last_external, last_force = command[k], external[k], tip_force[k]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -94,6 +95,49 @@ def flicker(samples: int, rng: np.random.Generator) -> np.ndarray:
     x = np.fft.irfft(spectrum / np.sqrt(shape), samples)
     spread = float(np.std(x))
     return x / spread if spread > 0.0 else x
+
+
+def wrench_crosstalk(joint: Joint, seed: int) -> np.ndarray:
+    """What of the wrench's axes shows in the others, shape (6, 6), zero on the diagonal; another sensor for each seed.
+
+    A share, even within ± the stated one, of each axis' load relative to its rated one.
+    """
+    spec = joint.sensors.wrench
+    rated = np.repeat([spec.rated_force, spec.rated_torque], 3)
+    share = spec.crosstalk * stream(seed, "wrench crosstalk").uniform(-1.0, 1.0, (6, 6))
+    np.fill_diagonal(share, 0.0)
+    return share * rated[:, None] / rated[None, :]
+
+
+def time_stamps(time: np.ndarray, jitter: float, seed: int) -> np.ndarray:
+    """Times [s], shape (n,), as a clock writes them that is off by `jitter` [s rms]; they still increase."""
+    if jitter == 0.0:
+        return time
+    step = float(time[1] - time[0])
+    error = np.clip(jitter * stream(seed, "jitter").standard_normal(len(time)), -0.45 * step, 0.45 * step)
+    return time + error
+
+
+def realistic(joint: Joint) -> dict[str, Any]:
+    """Changes to a joint's sensors that make them what sensors are, in proportion to the joint; what it states itself stays.
+
+    Encoders with an error of 0.2 counts that returns with every line; a current sensor behind an ADC of 12 bits over ± the
+    current limit, with a ripple of 0.5 % of it (Maxon and drive makers state 0.3 to 1 %); a torque sensor and a wrench with 1 %
+    of crosstalk (data sheets of six-axis sensors: 1 to 2 % of the rated load).
+    """
+    limit, s = joint.numbers["current_limit"].value, joint.sensors
+    found: dict[str, Any] = {"motor_current": {}, "joint_torque": {}, "wrench": {}}
+    for name in ("motor_encoder", "link_encoder"):
+        found[name] = {} if getattr(s, name).cyclic_error else {"cyclic_error": 0.2}
+    if s.motor_current.step == 0.0:
+        found["motor_current"]["step"] = 2.0 * limit / 2**12
+    if s.motor_current.ripple is None:
+        found["motor_current"]["ripple"] = {"order": 14, "amplitude": 0.005 * limit}
+    if s.joint_torque.crosstalk == 0.0:
+        found["joint_torque"]["crosstalk"] = 0.01 * joint.mount().gravity_moment
+    if s.wrench.crosstalk == 0.0:
+        found["wrench"]["crosstalk"] = 0.01
+    return found
 
 
 def stream(seed: int, name: str) -> np.random.Generator:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import sys
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -35,6 +37,35 @@ def reference(shared):
         return {column: table[column].to_numpy() for column in table.column_names}
 
     return read
+
+
+@pytest.fixture(scope="session")
+def page():
+    """Return a function: name of a page in docs/ → the program behind it, as a module."""
+
+    def read(name: str) -> ModuleType:
+        spec = importlib.util.spec_from_file_location(f"{name}_page", ROOT / "docs" / f"{name}.py")
+        assert spec is not None and spec.loader is not None
+        module = sys.modules[spec.name] = importlib.util.module_from_spec(
+            spec
+        )  # dataclasses look their module up there
+        spec.loader.exec_module(module)
+        return module
+
+    return read
+
+
+@pytest.fixture(scope="session")
+def measured(shared):
+    """Return a function: names of folder and file → path of a measured log."""
+
+    def find(*names: str) -> Path:
+        path = shared.joinpath("data", *names)
+        if not path.is_file():
+            pytest.skip(f"no measured motion at {path}")
+        return path
+
+    return find
 
 
 @pytest.fixture

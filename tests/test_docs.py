@@ -62,6 +62,14 @@ def test_files_that_are_named_are_there(page):
     assert not missing
 
 
+@pytest.mark.parametrize("room", ["models", "sim", "estimator", "scenarios", "diagnosis"])
+def test_every_file_of_a_room_has_its_place(room):
+    """docs/architecture.md says what each is for."""
+    text = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    files = {path.name for path in (ROOT / room).glob("*.py")} - {"__init__.py"}
+    assert not [name for name in sorted(files) if f"`{name}`" not in text]
+
+
 @pytest.mark.parametrize("page", PAGES, ids=ids(PAGES))
 def test_commands_and_their_options_are_there(page):
     wrong = []

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -19,15 +18,10 @@ from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement
 from flexspline.sim import plant
 
-ROOT = Path(__file__).resolve().parents[1]
-
 
 @pytest.fixture(scope="module")
-def log(shared):
-    path = shared / "data" / "lara8" / "joint3_outbound.csv"
-    if not path.is_file():
-        pytest.skip(f"no measured sweep at {path}")
-    return path
+def log(measured):
+    return measured("lara8", "joint3_outbound.csv")
 
 
 @pytest.fixture(scope="module")
@@ -36,12 +30,8 @@ def recording(log):
 
 
 @pytest.fixture(scope="module")
-def page():
-    """The program behind docs/lara8.md."""
-    spec = importlib.util.spec_from_file_location("lara8_page", ROOT / "docs" / "lara8.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+def lara8(page):
+    return page("lara8")
 
 
 @pytest.mark.parametrize("name", ["lara8-joint3", "lara8-joint3-extended"])
@@ -77,8 +67,8 @@ def test_import(recording):
     assert recording["external_torque"].min() == pytest.approx(-32, abs=0.1)
 
 
-def test_the_shipped_extension_is_what_the_data_give(recording, page):
-    made = page.extend(recording, load_joint("lara8-joint3"))
+def test_the_shipped_extension_is_what_the_data_give(recording, lara8):
+    made = lara8.extend(recording, load_joint("lara8-joint3"))
     shipped = load_joint("lara8-joint3-extended")
     assert [e.name for e in made.effects] == [e.name for e in shipped.effects]
     for a, b in zip(made.effects, shipped.effects, strict=True):
@@ -87,8 +77,8 @@ def test_the_shipped_extension_is_what_the_data_give(recording, page):
             assert value.std is not None and abs(value.value) > 3 * value.std
 
 
-def test_payload_torque_on_held_out_angles(recording, page, log):
-    rows = page.table(recording, log)
+def test_payload_torque_on_held_out_angles(recording, lara8, log):
+    rows = lara8.table(recording, log)
     assert len(rows) == 7
     for name, (published, model, ekf, arekf, rarekf, current, current_smoothed, payload, payload_smoothed) in rows:
         assert published > 3.5, name
@@ -99,21 +89,21 @@ def test_payload_torque_on_held_out_angles(recording, page, log):
         assert payload < (3.0 if first else 2.0), name
 
 
-def test_the_whole_sweep_under_assumed_truths(recording, page):
+def test_the_whole_sweep_under_assumed_truths(recording, lara8):
     """Nobody has told how friction behaves when the load drives the motor: estimate it with the payload."""
-    for name, (rarekf, current, payload, *_alone) in page.assumed(recording):
+    for name, (rarekf, current, payload, *_alone) in lara8.assumed(recording):
         assert max(current, payload) < 2.0 and rarekf < 2.67, name
 
 
-def test_another_payload_is_not_the_remembered_one(recording, page):
+def test_another_payload_is_not_the_remembered_one(recording, lara8):
     """Half the payload, put into the current by the friction law that was fitted: the estimate follows."""
-    joint = page.extend(recording, load_joint("lara8-joint3"))
+    joint = lara8.extend(recording, load_joint("lara8-joint3"))
     mu = joint.effects[0].values["coefficient"]
     S = recording["external_torque"]
     current = recording["motor_current"] + (1 + mu) * 0.5 * S
     half = replace(recording, columns={**recording.columns, "motor_current": current, "external_torque": 0.5 * S})
     moving = np.gradient(half["link_position"], half.time) > 0.05
-    found = page.external_torques(half, joint)
+    found = lara8.external_torques(half, joint)
     for name in ("current", "current_smoothed", "payload_smoothed", "RAREKF"):
         error = (found[name] - half["external_torque"])[moving]
         assert np.sqrt(np.mean(error**2)) < 2.3, name
@@ -147,9 +137,9 @@ def test_diagnosis_extends_a_joint_with_a_gravity_angle(recording, tmp_path):
     assert found.gravity_angle.nominal == joint.gravity_angle.value
 
 
-def test_diagnosis_alone_finds_what_the_torsion_hides(recording, page):
+def test_diagnosis_alone_finds_what_the_torsion_hides(recording, lara8):
     """Of the three effects the eccentricity, worth 50 N·m in torsion, is the one that one-way motion leaves no doubt of."""
-    name, answer, errors = next(page.diagnosed(recording))
+    name, answer, errors = next(lara8.diagnosed(recording))
     assert name == "nothing" and answer.verdict == "discrepancy"
     (found,) = answer.causes
     assert found.name == "link_encoder_eccentricity" and found.component == "sensor"
@@ -162,20 +152,20 @@ def test_diagnosis_alone_finds_what_the_torsion_hides(recording, page):
     current = answer.residual["motor_current"]
     assert current.after < current.before / 3
     after, before = (
-        dict(zip(page.DIAGNOSED, errors, strict=True)),
-        dict(zip(page.DIAGNOSED, page.described(recording)[0], strict=True)),
+        dict(zip(lara8.DIAGNOSED, errors, strict=True)),
+        dict(zip(lara8.DIAGNOSED, lara8.described(recording)[0], strict=True)),
     )
     assert after["RAREKF"] < before["RAREKF"] / 5 and after["model"] < before["model"] / 5
     assert after["current"] < 1.02 * before["current"] and after["payload_smoothed"] < before["payload_smoothed"]
 
 
 @pytest.mark.slow
-def test_diagnosis_alone_is_nowhere_worse_than_the_nominal_joint(recording, page):
+def test_diagnosis_alone_is_nowhere_worse_than_the_nominal_joint(recording, lara8):
     """On angles that it has not seen: what a part of the sweep taught makes no estimator worse."""
-    described = page.described(recording)
+    described = lara8.described(recording)
     gained = 0
-    for (name, _, errors), nominal in zip(page.diagnosed(recording), described, strict=True):
-        for estimator, error, before in zip(page.DIAGNOSED, errors, nominal, strict=True):
+    for (name, _, errors), nominal in zip(lara8.diagnosed(recording), described, strict=True):
+        for estimator, error, before in zip(lara8.DIAGNOSED, errors, nominal, strict=True):
             assert error < 1.1 * before, (name, estimator)
             gained += error < 0.5 * before
     assert gained >= 8  # RAREKF and model on half of the splits, and more

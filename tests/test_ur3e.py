@@ -2,38 +2,23 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.models.joint import load_joint
 
-ROOT = Path(__file__).resolve().parents[1]
 TORSION = {"stiffness", "hysteresis", "backlash"}
 
 
 @pytest.fixture(scope="module")
-def log(shared):
-    path = shared / "data" / "ur3e" / "shoulder_first_half.csv"
-    if not path.is_file():
-        pytest.skip(f"no measured motion at {path}")
-    return path
+def log(measured):
+    return measured("ur3e", "shoulder_first_half.csv")
 
 
 @pytest.fixture(scope="module")
-def page():
-    """The program behind docs/ur3e.md."""
-    spec = importlib.util.spec_from_file_location("ur3e_page", ROOT / "docs" / "ur3e.py")
-    module = importlib.util.module_from_spec(spec)
-
-    sys.modules[spec.name] = module  # dataclasses look their module up
-    spec.loader.exec_module(module)
-    yield module
-    del sys.modules[spec.name]
+def ur3e(page):
+    return page("ur3e")
 
 
 def test_import_and_check(flexspline, log, tmp_path):
@@ -45,23 +30,23 @@ def test_import_and_check(flexspline, log, tmp_path):
     assert "it lives in the torsion, which one encoder does not show" in text
 
 
-def test_regression_that_diagnosis_is_held_against(log, page):
+def test_regression_that_diagnosis_is_held_against(log, ur3e):
     """The README of the data: 0.0595 A of gravity, inertia and friction, 0.036 / 0.034 A with 92 harmonics."""
-    found = page.regressions(log, 20.0)
+    found = ur3e.regressions(log, 20.0)
     plain, harmonics = found.rms(20.096)
     assert plain == pytest.approx(0.062, abs=0.002)
     assert harmonics == pytest.approx(0.038, abs=0.002)
 
 
 @pytest.fixture(scope="module")
-def held(log, page):
+def held(log, ur3e):
     """Diagnosed on the first 24 s, held against what follows."""
     recording = import_recording(load_layout("ur3e"), log)
-    return page.held_against(*page.split(recording, 24.0), load_joint(recording.joint))
+    return ur3e.held_against(*ur3e.split(recording, 24.0), load_joint(recording.joint))
 
 
 @pytest.mark.slow
-def test_diagnosis_alone(held, page):
+def test_diagnosis_alone(held, ur3e):
     answer = held.answer
     assert answer.verdict == "discrepancy"
     cogging = {c.name: c for c in answer.causes}["cogging"]
@@ -69,15 +54,15 @@ def test_diagnosis_alone(held, page):
     assert set(answer.undetermined) >= TORSION
     for why in (answer.undetermined[name] for name in TORSION):
         assert "one encoder" in why
-    described, extended = (page.error(shown) for shown in (held.described, held.extended))
+    described, extended = (ur3e.error(shown) for shown in (held.described, held.extended))
     assert np.sqrt(np.nanmean(extended**2)) < 0.25 * np.sqrt(np.nanmean(described**2))
     shown = held.extended
-    moving = np.isfinite(page.error(shown))
-    inside = np.abs(page.error(shown)) < 1.96 * np.hypot(shown.deviation["motor_current"], 0.026)
+    moving = np.isfinite(ur3e.error(shown))
+    inside = np.abs(ur3e.error(shown)) < 1.96 * np.hypot(shown.deviation["motor_current"], 0.026)
     assert inside[moving].mean() > 0.9
 
 
 @pytest.mark.slow
 @pytest.mark.xfail(strict=False, reason="0.051 A: no better than gravity, inertia, viscous and Coulomb friction")
-def test_current_on_what_the_fit_has_not_seen(held, page):
-    assert np.sqrt(np.nanmean(page.error(held.extended) ** 2)) <= 0.036
+def test_current_on_what_the_fit_has_not_seen(held, ur3e):
+    assert np.sqrt(np.nanmean(ur3e.error(held.extended) ** 2)) <= 0.036

@@ -17,7 +17,7 @@ def plotted(
 
     Args:
       title: above.
-      x: shape (n,), or (m, n) where each curve has its own; curves: shape (n,) each.
+      x: shape (n,); curves: shape (n,) each.
       width, height: of the plot in characters, with numbers.
       ends: what stands at the left and right end of the horizontal axis; unit: of the vertical one.
 
@@ -30,16 +30,14 @@ def plotted(
     margin = max(len(label) for label in labels) + 1
     columns = width - margin
     grid = np.zeros((4 * height, 2 * columns), bool)
-    each = x if x.ndim == 2 else np.broadcast_to(x, (len(curves), len(x)))
     left, right = float(x.min()), float(x.max())
-    for xs, ys in zip(each, curves, strict=True):
-        for k in range(len(ys) - 1):  # enough dots between two points that none is missing
-            at = np.linspace(0, 1, 2 * columns)
-            across = (xs[k] + at * (xs[k + 1] - xs[k]) - left) / (right - left)
-            up = (ys[k] + at * (ys[k + 1] - ys[k]) - low) / (high - low)
-            column = np.clip(np.rint(across * (2 * columns - 1)), 0, 2 * columns - 1).astype(int)
-            row = np.clip(np.rint((1 - up) * (4 * height - 1)), 0, 4 * height - 1).astype(int)
-            grid[row, column] = True
+    # Enough dots between two points that none is missing.
+    at = np.linspace(0, len(x) - 1, 2 * columns * (len(x) - 1))
+    across = (np.interp(at, np.arange(len(x)), x) - left) / (right - left)
+    column = np.rint(across * (2 * columns - 1)).astype(int)
+    for curve in curves:
+        up = (np.interp(at, np.arange(len(x)), curve) - low) / (high - low)
+        grid[np.rint((1 - up) * (4 * height - 1)).astype(int), column] = True
     lines = [f"{title} [{unit}]".ljust(width)]
     for r in range(height):
         label = labels[0] if r == 0 else labels[1] if r == height - 1 else ""

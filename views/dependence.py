@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from .residuals import Balance
+from .residuals import ResidualSeries
 
 VARIABLES = {
     "time": "time since the start [s]",
@@ -23,7 +23,7 @@ ORDERS = np.arange(0.5, 14.01, 0.5)
 """Orders per turn of the motor at which a residual is looked at."""
 
 
-def explained(b: Balance, residual: np.ndarray, key: str) -> float:
+def explained(b: ResidualSeries, residual: np.ndarray, key: str) -> float:
     """Share of a residual's mean square that its mean in bins of a variable explains, 0 … 1, less what chance does."""
     bins = _bins(b, key)
     count = np.bincount(bins)
@@ -34,7 +34,7 @@ def explained(b: Balance, residual: np.ndarray, key: str) -> float:
     return float(np.clip((power - chance) / max(1 - chance, 1e-9), 0.0, 1.0))
 
 
-def _bins(b: Balance, key: str) -> np.ndarray:
+def _bins(b: ResidualSeries, key: str) -> np.ndarray:
     """Bin of every sample, shape (k,): of the variable, and for angle and load of the direction too."""
     x = b.variable(key)
     if key == "direction":
@@ -44,7 +44,7 @@ def _bins(b: Balance, key: str) -> np.ndarray:
     return 2 * i + b.sides(key)[0] if key in ("link", "load", "loading") else i
 
 
-def telling(found: Sequence[Balance]) -> tuple[Balance, str, float] | None:
+def telling(found: Sequence[ResidualSeries]) -> tuple[ResidualSeries, str, float] | None:
     """The balance and variable that give most of the discrepancy away, with the share explained; None without any.
 
     In terms of what exceeds the noise: a variable that explains everything of a balance that is quiet gives nothing away.

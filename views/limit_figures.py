@@ -57,13 +57,20 @@ def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
     names = list(shown) or [e.name for e in every]
     if len(names) > len(_SHOWN) and not shown:
         names = [e.name for e in every if e.name in _SHOWN]
+    tolerant = (
+        f"Dotted: the first for a joint that is known within {limits.tolerance:g} × its tolerances, which are the prior; RMS "
+        f"{limits.tolerance_bound_rms:.4f} N·m. "
+        if limits.tolerance > 0.0
+        else ""
+    )
     caption = (
         f"{limits.scenario}, {len(limits.seeds)} seeds. RMS error over seeds in bins of 0.1 s. Bound: posterior Cramér-Rao, the "
         f"joint's dynamics with encoders and current command, external torque a random walk of {limits.intensity:.3g} N·m/√s "
         f"(the scenario's own: {limits.fitted:.3g}); RMS {limits.bound_rms:.4f} N·m. Dashed: the paper's model, joint torque "
         f"as a random walk of {limits.torsion_intensity:.3g} N·m/√s seen through the torsion; RMS "
-        f"{limits.torsion_bound_rms:.4f} N·m. Bars: 95 % intervals of a filter that knows its covariance; χ², NIS of all "
-        "samples, NEES of one error per run. Shaded at the right: 95 % band of white innovations."
+        f"{limits.torsion_bound_rms:.4f} N·m. {tolerant}All are averaged over the seeds' truths and take the "
+        "encoders' counts for Gaussian noise: a single run may come out below. Bars: 95 % intervals of a filter that knows its "
+        "covariance; χ², NIS of all samples, NEES of one error per run. Shaded at the right: 95 % band of white innovations."
     )
     shown_ones = [e for e in every if e.name in names and e.error.size]
     rows = -(-(len(shown_ones) + 2) // 4)
@@ -75,6 +82,8 @@ def limits_figure(limits: Limits, shown: Iterable[str] = ()) -> Figure:
     for one in shown_ones:
         top.plot(limits.time, one.error, color=contender_color(one.name), lw=0.9, label=one.name)
     top.plot(limits.time, limits.torsion_bound, color=COMMAND, ls="--", lw=1.6, label="bound, paper's model")
+    if limits.tolerance > 0.0:
+        top.plot(limits.time, limits.tolerance_bound, color=TRUTH, ls=":", lw=1.8, label="bound, tolerances as prior")
     top.plot(limits.time, limits.bound, color=TRUTH, lw=2.4, label="bound, joint's dynamics")
     after = limits.time >= limits.transient
     floor = 0.5 * min(limits.bound[after].min(), *(e.error[after].min() for e in every if e.error.size), np.inf)

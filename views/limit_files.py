@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from ..scenarios.evaluation.limits import Limits
 
 SUMMARY = (
-    "scenario", "estimator", "causal", "seeds", "rms", "rms_std", "bound", "ratio", "bound_paper_model", "intensity",
+    "scenario", "estimator", "causal", "seeds", "rms", "rms_std", "bound", "ratio", "bound_paper_model", "tolerance",
+    "bound_tolerance", "intensity",
     "nis", "nis_low", "nis_high", "nees", "nees_low", "nees_high", "nees_inside", "outside_white_band", "ljung_box_p",
 )  # fmt: skip
 """Columns of the summary; errors and bounds [N·m], intensity [N·m/√s]."""
@@ -30,6 +31,8 @@ def write_limits(limits: Limits, path: Path) -> None:
         "bound": ("N·m", limits.bound),
         "bound_paper_model": ("N·m", limits.torsion_bound),
     }
+    if limits.tolerance > 0.0:
+        columns["bound_tolerance"] = ("N·m", limits.tolerance_bound)
     for e in limits.estimators:
         if e.error.size:
             columns[f"error_{e.name}"] = ("N·m", e.error)
@@ -41,18 +44,24 @@ def write_limits(limits: Limits, path: Path) -> None:
         pq.write_table(table, temporary, compression="zstd")
 
 
+def summary_rows(found: Sequence[Limits]) -> Iterator[dict[str, Any]]:
+    """A row per scenario and estimator, by `SUMMARY`; none where a measure is not defined."""
+    for limits in found:
+        for e in limits.estimators:
+            spread = float(np.std(e.rms, ddof=1)) if len(e.rms) > 1 else None
+            row = [
+                limits.scenario, e.name, e.causal, len(limits.seeds), e.mean_rms, spread, limits.bound_rms,
+                limits.ratio(e.name), limits.torsion_bound_rms, limits.tolerance,
+                limits.tolerance_bound_rms if limits.tolerance > 0.0 else None, limits.intensity,
+            ]  # fmt: skip
+            for mean in (e.nis, e.nees):
+                row += [None, None, None] if mean is None else [mean.value, mean.low, mean.high]
+            yield dict(zip(SUMMARY, [*row, e.nees_share, e.outside, e.whiteness], strict=True))
+
+
 def write_summary(found: Sequence[Limits], path: Path) -> None:
-    """A row per scenario and estimator as CSV; empty where a measure is not defined."""
+    """`summary_rows` as CSV; empty where a measure is not defined."""
     with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(SUMMARY)
-        for limits in found:
-            for e in limits.estimators:
-                spread = float(np.std(e.rms, ddof=1)) if len(e.rms) > 1 else None
-                row = [
-                    limits.scenario, e.name, e.causal, len(limits.seeds), e.mean_rms, spread, limits.bound_rms,
-                    limits.ratio(e.name), limits.torsion_bound_rms, limits.intensity,
-                ]  # fmt: skip
-                for mean in (e.nis, e.nees):
-                    row += ["", "", ""] if mean is None else [mean.value, mean.low, mean.high]
-                writer.writerow([*row, e.nees_share, e.outside, e.whiteness])
+        writer = csv.DictWriter(file, SUMMARY)
+        writer.writeheader()
+        writer.writerows(summary_rows(found))

@@ -45,10 +45,16 @@ def limits_table(limits: Limits) -> Table:
     """A scenario's estimators beside the bound, for the terminal: NIS and NEES above their intervals."""
     table = narrow_table(
         f"{limits.scenario}: {len(limits.seeds)} seeds, bound {limits.bound_rms:.4f} N·m (external torque a random walk of "
-        f"{limits.intensity:.3g} N·m/√s), bound of the paper's model {limits.torsion_bound_rms:.4f} N·m",
-        "times bound: RMS in units of the bound; NIS, NEES with 95 % intervals: 1 where a filter knows its covariance, above: it "
-        "trusts itself too much; inside: share of time in which NEES over seeds is in its interval; ρ outside: lags beyond the "
-        "band of white innovations, 5 % is white",
+        f"{limits.intensity:.3g} N·m/√s), bound of the paper's model {limits.torsion_bound_rms:.4f} N·m"
+        + (
+            f", bound for a joint within {limits.tolerance:g} × its tolerances {limits.tolerance_bound_rms:.4f} N·m"
+            if limits.tolerance > 0.0
+            else ""
+        ),
+        "bound: of a joint that is known exactly, averaged over the seeds' truths, encoders' counts taken for Gaussian noise: a "
+        "single run may come out below; times bound: RMS in units of it; NIS, NEES with 95 % intervals: 1 where a filter knows "
+        "its covariance, above: it trusts itself too much; inside: share of time in which NEES over seeds is in its interval; ρ "
+        "outside: lags beyond the band of white innovations, 5 % is white",
     )
     heads = [("estimator", ""), ("RMS", "N·m"), ("times bound", ""), ("NIS 95\u00a0%", ""), ("NEES 95\u00a0%", ""),
              ("inside", "%"), ("ρ\u00a0outside", "%")]  # fmt: skip

@@ -48,7 +48,7 @@ class Overlay:
 
 
 @dataclass(frozen=True)
-class Balance:
+class ResidualSeries:
     """A torque balance's residual with what it may depend on, all recordings joined; k samples that count.
 
     Attributes:
@@ -135,7 +135,7 @@ def _overlay(report: Report, c: int, name: str, pieces: list[int]) -> Overlay:
     )
 
 
-def balances(report: Report) -> list[Balance]:
+def balances(report: Report) -> list[ResidualSeries]:
     """The torque balances that the measurement has, with at least 200 samples that count."""
     d = report.diagnosis
     found = []
@@ -153,7 +153,7 @@ def balances(report: Report) -> list[Balance]:
         joined = [np.concatenate(x) for x in columns]
         if len(joined[0]) > _LEAST:
             known = d.residual[channel]
-            found.append(Balance(channel, known.unit, joined[0], joined[1], known.noise, *joined[2:]))
+            found.append(ResidualSeries(channel, known.unit, joined[0], joined[1], known.noise, *joined[2:]))
     return found
 
 

@@ -99,7 +99,7 @@ def sweep_figure(
             line = [
                 (k, one)
                 for k, v in enumerate(places)
-                if (s := _at(aggregates, name, across, v, panel)) is not None and (one := found(s)) is not None
+                if (s := place_of(aggregates, name, across, v, panel)) is not None and (one := found(s)) is not None
             ]
             if not line:
                 continue
@@ -166,7 +166,7 @@ def _first(aggregates: Sequence[Aggregate], axes: Sequence[str]) -> str:
     return next((a for a in axes if any(s.columns[a] is None for s in aggregates)), axes[0])
 
 
-def _at(
+def place_of(
     aggregates: Sequence[Aggregate], name: str, across: str, value: Value | None, panel: dict[str, Value]
 ) -> Aggregate | None:
     """A filter's summary at a place of a panel; one that an axis does not vary is the same everywhere on it."""

@@ -104,8 +104,8 @@ def _wide(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
     for scenario, columns, of in sweep_rows(aggregates):
         if before not in (None, scenario):
             table.add_section()
-        cells = [Text(_cell(of.get(name), metric, column), style=_style(of.get(name), metric)) for name in study.names]
-        at = (Text(_value(value)) for value in columns.values())
+        cells = [Text(cell(of.get(name), metric, column), style=_style(of.get(name), metric)) for name in study.names]
+        at = (Text(value_text(value)) for value in columns.values())
         table.add_row(Text(scenario if before != scenario else ""), *at, *cells)
         before = scenario
     return table
@@ -117,11 +117,11 @@ def _long(aggregates: Sequence[Aggregate], study: Study, metric: str) -> Table:
     table.add_column("filter", overflow="fold")
     table.add_column(Text(column.title), justify="right", no_wrap=True)
     for scenario, columns, of in sweep_rows(aggregates):
-        place = [Text(scenario), *(Text(_value(value)) for value in columns.values())]
+        place = [Text(scenario), *(Text(value_text(value)) for value in columns.values())]
         for i, name in enumerate(study.names):
-            cell = Text(_cell(of.get(name), metric, column), style=_style(of.get(name), metric))
+            shown = Text(cell(of.get(name), metric, column), style=_style(of.get(name), metric))
             first = place if i == 0 else [Text("")] * len(place)
-            table.add_row(*first, Text(name, style=colors[name]), cell, end_section=i + 1 == len(study.names))
+            table.add_row(*first, Text(name, style=colors[name]), shown, end_section=i + 1 == len(study.names))
     return table
 
 
@@ -142,7 +142,7 @@ def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
     ]
     failed = [s for s in aggregates if s.failed]
     for s in failed:
-        at = ", ".join(f"{k} {_value(v)}" for k, v in s.columns.items() if v is not None)
+        at = ", ".join(f"{k} {value_text(v)}" for k, v in s.columns.items() if v is not None)
         lines += [
             f"{s.scenario}, {at}: {s.filter} has no estimate in {s.failed} of {s.runs} runs, which are left out.",
             "",
@@ -153,24 +153,31 @@ def sweep_markdown(aggregates: Sequence[Aggregate], study: Study) -> str:
         lines.append("| " + " | ".join(("scenario", *axes, *study.names)) + " |")
         lines.append("|---|" + "---:|" * (len(axes) + len(study.names)))
         for scenario, columns, of in sweep_rows(aggregates):
-            cells = [_cell(of.get(name), metric, column) for name in study.names]
-            lines.append("| " + " | ".join((scenario, *(_value(columns[a]) for a in axes), *cells)) + " |")
+            cells = [cell(of.get(name), metric, column) for name in study.names]
+            lines.append("| " + " | ".join((scenario, *(value_text(columns[a]) for a in axes), *cells)) + " |")
         lines.append("")
     return "\n".join(lines)
 
 
-def _cell(summary: Aggregate | None, metric: str, column: Column) -> str:
+def cell(summary: Aggregate | None, metric: str, column: Column) -> str:
+    """Mean, interval and mark of a metric as text."""
     if summary is None:
         return "–"
     text = with_interval(summary.values[metric], column.scale)
-    sign = summary.differences[metric].sign if metric in summary.differences else 0
+    sign = sign_of(summary, metric)
     return f"{text} {' ' if sign == 0 else BETTER if sign < 0 else WORSE}".rstrip()
 
 
+def sign_of(summary: Aggregate | None, metric: str) -> int:
+    """−1 where the difference to the reference is surely below zero, 1 where above, else 0."""
+    return summary.differences[metric].sign if summary is not None and metric in summary.differences else 0
+
+
 def _style(summary: Aggregate | None, metric: str) -> str:
-    sign = summary.differences[metric].sign if summary is not None and metric in summary.differences else 0
+    sign = sign_of(summary, metric)
     return "" if sign == 0 else "green" if sign < 0 else "red"
 
 
-def _value(value: float | str | None) -> str:
+def value_text(value: float | str | None) -> str:
+    """A value of an axis as text."""
     return "–" if value is None else value if isinstance(value, str) else f"{value:g}"

@@ -12,7 +12,12 @@ import typer
 from .._options import with_plugins
 
 if TYPE_CHECKING:
-    from ...models.plausibility import Problem
+    from ...models.joint_check import Fault
+
+EXAMPLES = (
+    "flexspline joint check my_joint.yaml",
+    "flexspline joint check my_joint.yaml --json",
+)
 
 
 @with_plugins
@@ -24,7 +29,7 @@ def command(
 
     Exit code 2 where there are errors: commands refuse the file, or its numbers contradict each other. Warnings leave it 0.
     """
-    from ...models.plausibility import check
+    from ...models.joint_check import check
 
     checked = check(joint)
     warnings = len(checked.problems) - checked.errors
@@ -42,7 +47,7 @@ def command(
         raise typer.Exit(2)
 
 
-def line(path: Path, problem: Problem) -> str:
+def line(path: Path, problem: Fault) -> str:
     """A problem as it is printed, with the meaning of its symbol."""
     from ...models.errors import one_line
     from ...models.joint import SYMBOLS

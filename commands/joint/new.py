@@ -27,6 +27,11 @@ _ASKED = {
 }
 """What a datasheet has and no rule can give: option, question."""
 
+EXAMPLES = (
+    'flexspline joint new --gear CSG-14-100 --torque-constant "57 mNm/A" --resistance 1.56 --inductance "0.6 mH"'
+    ' --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit" --out my_joint.yaml',
+)
+
 
 def command(
     gear: Annotated[str | None, typer.Option(help="Gear as `series-size-ratio`: `CSG-25-100`.")] = None,
@@ -73,7 +78,7 @@ def command(
     --rotor-inertia "181 gcm²" --motor-encoder 4096 --link-encoder "20 bit"`
     """
     from ...models.datasheet import Datasheet, new_joint, quantity, write_joint
-    from ...models.plausibility import check
+    from ...models.joint_check import check
 
     answers = {
         "gear": gear, "Kt": torque_constant, "R": resistance, "L": inductance, "Jm": rotor_inertia,
@@ -94,14 +99,13 @@ def command(
         series=series, size=size, ratio=ratio, numbers=numbers, name=name, motor=motor, tolerances=shares, inertia=inertia,
         gravity_moment=gravity_moment, description=description, sources=dict(_pairs("--source", sources)), **encoders,
     )  # fmt: skip
-    path = out if out is not None else Path(f"{new_joint(sheet).joint.name.replace('-', '_')}.yaml")
-    if path.suffix != ".yaml":
-        raise InputError(f"--out {path}: expected a file .yaml")
-    made = new_joint(sheet, path)
-    for target in (path, path.parent / made.joint.model):
+    if out is not None and out.suffix != ".yaml":
+        raise InputError(f"--out {out}: expected a file .yaml")
+    made = new_joint(sheet, out)
+    for target in (made.path, made.path.parent / made.joint.model):
         if target.exists() and not force:
             raise InputError(f"{target}: expected no such file, --force replaces it")
-    path, mjcf = write_joint(made.joint, path)
+    path, mjcf = write_joint(made.joint, made.path)
     if as_json:
         found = {
             "file": str(path), "mjcf": str(mjcf), "filled": [asdict(f) for f in made.filled],
@@ -160,7 +164,7 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
     from rich.text import Text
 
     from ...models.characteristics import drive_gains
-    from ...models.plausibility import check
+    from ...models.joint_check import check
     from ...views.tables import narrow_table
     from .._console import console
     from .check import line
@@ -177,11 +181,11 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
         table.add_row(Text(f.name), Text(f"{f.value:.4g}{unit}"), tolerance, Text(f.rule))
     terminal.print(table)
     for problem in check(path).problems:
-        terminal.print(line(path, problem), style="yellow", highlight=False, markup=False, soft_wrap=True)
-    terminal.print(f"{path} and {mjcf}", highlight=False, markup=False)
+        terminal.print(line(path, problem), style="yellow", soft_wrap=True)
+    terminal.print(f"{path} and {mjcf}")
     kp, kd = drive_gains(made.joint)
     terminal.print(
         f"now: flexspline joint show {path}\n     flexspline run link_sweep --set joint={path} --set controller.kp={kp:.2g} "
         f"--set controller.kd={kd:.2g}",
-        highlight=False, markup=False, soft_wrap=True,
-    )  # fmt: skip
+        soft_wrap=True,
+    )

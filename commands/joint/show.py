@@ -15,6 +15,11 @@ from .._options import with_plugins
 if TYPE_CHECKING:
     from ...models.joint import Joint
 
+EXAMPLES = (
+    "flexspline joint show csg-25-100-tbm2g",
+    "flexspline joint show my_joint.yaml --out my_joint.png",
+)
+
 
 @with_plugins
 def command(
@@ -63,8 +68,8 @@ def _seen(joint: Joint) -> dict[str, list[str]]:
     from ...models import causes
     from ...models.signals import CHANNELS
 
-    hidden = drowned(joint)
-    found: dict[str, list[str]] = {"with both encoders and the motor current": []}
+    hidden, usual = drowned(joint), "with both encoders and the motor current"
+    found: dict[str, list[str]] = {usual: []}
     for name in causes.of(joint):
         needs = [n for n in causes.get(name).needs if n not in RECORDED]
         if name in hidden:
@@ -72,6 +77,6 @@ def _seen(joint: Joint) -> dict[str, list[str]]:
         elif needs:
             what = f"with {' and '.join(CHANNELS[n].name.replace('_', ' ') for n in needs)} besides"
         else:
-            what = "with both encoders and the motor current"
+            what = usual
         found.setdefault(what, []).append(name)
     return found

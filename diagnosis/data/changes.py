@@ -16,7 +16,7 @@ import numpy as np
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
-from .plausibility import EFFECTIVE, Fit, Motion, Plausibility, motion_of
+from .plausibility import EFFECTIVE, Plausibility, RelationFit, SmoothedChannels, motion_of
 
 PRICE = 9.0
 """Of a mistake, in log likelihood; a number that is free costs `FREE` more."""
@@ -55,7 +55,7 @@ class Change:
     also: tuple[Change, ...] = ()
     ratio: float = 1.0
 
-    def apply(self, motion: Motion) -> Motion:
+    def apply(self, motion: SmoothedChannels) -> SmoothedChannels:
         """The channels without the mistake; the same where the column is not there."""
         if self.column == GRAVITY:  # all angles less a half turn instead: nothing but gravity knows where they begin
             return replace(self, name="angle_zero", column="").apply(motion)
@@ -72,7 +72,7 @@ class Change:
             return 0.0
         return 0.5 * EFFECTIVE * max(-math.log(self.factor), 0.0)
 
-    def _own(self, motion: Motion) -> Motion:
+    def _own(self, motion: SmoothedChannels) -> SmoothedChannels:
         if self.name == "swapped":
             return swapped(motion)
         x = motion.channels[self.column]
@@ -88,7 +88,7 @@ class Change:
             x = x + np.array([self.offset, 0.0, 0.0])
         return motion.with_channels(**{self.column: x})
 
-    def _position(self, motion: Motion, velocity: np.ndarray) -> np.ndarray:
+    def _position(self, motion: SmoothedChannels, velocity: np.ndarray) -> np.ndarray:
         """The position of a velocity; where another position or the command says it, from there."""
         x = integrated(motion.time, velocity)
         for name in (*POSITIONS, "position_command"):
@@ -99,7 +99,7 @@ class Change:
         return x
 
 
-def swapped(motion: Motion) -> Motion:
+def swapped(motion: SmoothedChannels) -> SmoothedChannels:
     """Both positions exchanged; the only one under the other's name."""
     names = [name for name in POSITIONS if name in motion]
     others = {name: POSITIONS[1 - POSITIONS.index(name)] for name in names}
@@ -128,11 +128,11 @@ class Found:
 
 
 @dataclass(frozen=True)
-class _State:
+class _Progress:
     """Changes made so far, one after the other, and what became of each recording's channels."""
 
-    motions: tuple[Motion | None, ...]
-    fits: tuple[dict[str, Fit], ...]
+    motions: tuple[SmoothedChannels | None, ...]
+    fits: tuple[dict[str, RelationFit], ...]
     found: tuple[Found, ...] = ()
     price: float = 0.0
 
@@ -141,7 +141,7 @@ class _State:
         return sum(_total(fits) for fits in self.fits) - self.price
 
 
-def _total(fits: dict[str, Fit]) -> float:
+def _total(fits: dict[str, RelationFit]) -> float:
     return sum(fit.agreement for fit in fits.values())
 
 
@@ -177,17 +177,17 @@ class Suspicions:
         self._plausible = [Plausibility(joint, r) for r in recordings]
         self.found = self._search(self._state()).found
 
-    def _state(self) -> _State:
+    def _state(self) -> _Progress:
         motions = tuple(motion_of(r) for r in self.recordings)
-        return _State(motions, tuple(self._fits(i, m) for i, m in enumerate(motions)))
+        return _Progress(motions, tuple(self._fits(i, m) for i, m in enumerate(motions)))
 
-    def _fits(self, index: int, motion: Motion | None) -> dict[str, Fit]:
+    def _fits(self, index: int, motion: SmoothedChannels | None) -> dict[str, RelationFit]:
         return {} if motion is None else self._plausible[index].agreement(motion)
 
-    def _search(self, start: _State) -> _State:
+    def _search(self, start: _Progress) -> _Progress:
         beam, best = [start], start
         for _ in range(_MOST):
-            further: list[_State] = []
+            further: list[_Progress] = []
             for state in beam:
                 if self._suspicious(state):
                     further += self._steps(state)
@@ -199,10 +199,10 @@ class Suspicions:
             best = beam[0]
         return best
 
-    def _suspicious(self, state: _State) -> bool:
+    def _suspicious(self, state: _Progress) -> bool:
         return any(fit.misfit < _SUSPICIOUS for fits in state.fits for fit in fits.values())
 
-    def _steps(self, state: _State) -> list[_State]:
+    def _steps(self, state: _Progress) -> list[_Progress]:
         """All states one change further that are better than this one by more than that change's price."""
         steps = []
         for change in self._changes(state):
@@ -223,7 +223,7 @@ class Suspicions:
                 continue
             found = Found(change, tuple(chosen), 1 / (1 + math.exp(-min(gain, 50.0) / 3)))
             steps.append(
-                _State(
+                _Progress(
                     tuple(
                         m if i in chosen else old for i, (m, old) in enumerate(zip(motions, state.motions, strict=True))
                     ),
@@ -234,7 +234,7 @@ class Suspicions:
             )
         return steps
 
-    def _changes(self, state: _State) -> Iterator[Change]:
+    def _changes(self, state: _Progress) -> Iterator[Change]:
         """Changes that may mend what is left in a state, each column's once."""
         there = {name for m in state.motions if m is not None for name in m.channels}
         done = {(f.change.name, f.change.column) for f in state.found}
@@ -283,7 +283,7 @@ class Suspicions:
                 if abs(bits - math.log2(lines)) > 0.1:
                     yield _unit(column, f"counts ({2**bits} a turn)", 2 * math.pi / 2**bits, PRICE + 2)
 
-    def _exchanges(self, there: set[str], state: _State) -> Iterator[Change]:
+    def _exchanges(self, there: set[str], state: _Progress) -> Iterator[Change]:
         """Positions that are something else: the other side's, a velocity."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]
@@ -300,7 +300,7 @@ class Suspicions:
                     price=PRICE + (0.0 if factor == 1.0 else 3.0), ratio=N,
                 )  # fmt: skip
 
-    def _fitted(self, there: set[str], state: _State) -> Iterator[Change]:
+    def _fitted(self, there: set[str], state: _Progress) -> Iterator[Change]:
         """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
         if all(name in there for name in POSITIONS):
             slope = self._slope(state)
@@ -323,7 +323,7 @@ class Suspicions:
         text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
         return Change("gear_ratio", column, text, slope, price=PRICE + FREE + 3)
 
-    def _slope(self, state: _State) -> float | None:
+    def _slope(self, state: _Progress) -> float | None:
         """Turns of the motor over N times those of the link, of all recordings; None where the link hardly moves."""
         N = self.joint.numbers["N"].value
         found, weights = [], []
@@ -337,7 +337,7 @@ class Suspicions:
                 weights.append(float(l @ l))
         return float(np.average(found, weights=weights)) if found else None
 
-    def _zeros(self, there: set[str], state: _State) -> Iterator[Change]:
+    def _zeros(self, there: set[str], state: _Progress) -> Iterator[Change]:
         """Zeros of the angle, of one encoder or of all angles together."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]
@@ -364,7 +364,7 @@ class Suspicions:
         text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
         return Change("sign", GRAVITY, text, price=PRICE - 1, also=(turned,))
 
-    def _median(self, state: _State, a: str, b: str) -> float | None:
+    def _median(self, state: _Progress, a: str, b: str) -> float | None:
         """Median of one position less another on the output side [rad], of all recordings that have both."""
         N = self.joint.numbers["N"].value
         found = []
@@ -374,7 +374,7 @@ class Suspicions:
                 found.append(x - y)
         return float(np.median(np.concatenate(found))) if found else None
 
-    def _hanging(self, state: _State) -> float | None:
+    def _hanging(self, state: _Progress) -> float | None:
         """What all angles would have to be turned by for gravity to suit them best [rad]; None where it hardly matters."""
         torques = [i for i, fits in enumerate(state.fits) if any(n in fits for n in DRIVING)]
         weights = [i for i in torques if self._plausible[i].p["Mg"] > 0]

@@ -51,7 +51,7 @@ class Zero(Strict):
     beyond: Annotated[float, Field(ge=0)] = 0.0
 
 
-class Part(Strict):
+class SourceColumn(Strict):
     """One foreign column, made SI: sign · scale · unit · column. `scale` may carry a unit (a lever, A per N·m)."""
 
     column: str
@@ -64,7 +64,7 @@ class Part(Strict):
     """Whether the reading starts again after a revolution; jumps of more than half a one are undone."""
 
     @model_validator(mode="after")
-    def _known_unit(self) -> Part:
+    def _known_unit(self) -> SourceColumn:
         _check_unit(self.unit)
         if (self.unit == "counts") != (self.counts is not None):
             raise ValueError("counts: expected with unit 'counts' and only then (per revolution)")
@@ -81,7 +81,7 @@ class Part(Strict):
         return self.sign * self.scale * values
 
 
-class Channel(Strict):
+class ChannelSource(Strict):
     """A column of a recording: one foreign column with its unit, or the `sum` of several; then offset and zero.
 
     `integrate`: the column is a speed, and its integral the channel. `optional`: taken where the log has the column.
@@ -93,14 +93,14 @@ class Channel(Strict):
     sign: Literal[1, -1] = 1
     counts: Annotated[int, Field(gt=1)] | None = None
     wraps: bool = False
-    sum: list[Part] | None = None
+    sum: list[SourceColumn] | None = None
     integrate: bool = False
     optional: bool = False
     offset: float = 0.0
     zero: Literal["first"] | Zero | None = None
 
     @model_validator(mode="after")
-    def _one_or_several(self) -> Channel:
+    def _one_or_several(self) -> ChannelSource:
         own = self.model_fields_set & {"column", "unit", "scale", "sign", "counts", "wraps"}
         if self.sum is not None:
             if own:
@@ -116,12 +116,12 @@ class Channel(Strict):
         return self
 
     @property
-    def parts(self) -> list[Part]:
+    def parts(self) -> list[SourceColumn]:
         """The columns that are summed."""
         if self.sum is not None:
             return self.sum
         return [
-            Part(
+            SourceColumn(
                 column=self.column,
                 unit=self.unit,
                 scale=self.scale,
@@ -152,7 +152,7 @@ class Channel(Strict):
         return values
 
 
-class Payload(Strict):
+class PayloadSpec(Strict):
     """A mass that hung on the link: `mass` [kg], `distance` of its centre from the axis [m], `angle` of it against the link's own
     centre of mass [rad], `inertia` about its own centre [kg·m²]."""
 
@@ -178,7 +178,7 @@ class LogLoad(Strict):
     it was pushed."""
 
     link: Mounting | None = None
-    payload: Payload | None = None
+    payload: PayloadSpec | None = None
     arm: ArmSpec | None = None
     external_torque: External | None = None
 
@@ -198,7 +198,7 @@ class Layout(Strict):
     external_torque: External = "none"
     separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
     decimal: Literal[".", ","] | None = None
-    columns: dict[str, Channel]
+    columns: dict[str, ChannelSource]
     logs: dict[str, LogLoad] = {}
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ import pyarrow.parquet as pq
 
 from ...models.errors import InputError
 from ...models.recording import CsvFormat, csv_format, csv_header, read_csv_columns
+from ...models.tables import reading_parquet
 
 
 class Log(Protocol):
@@ -66,23 +67,17 @@ class _Csv:
 class _Parquet:
     def __init__(self, path: Path):
         self.path = path
-        try:
+        with reading_parquet(path):
             self.file = pq.ParquetFile(path)
             self.schema = self.file.schema_arrow
-        except (OSError, pa.ArrowException) as error:
-            raise InputError(f"{path}: not a readable Parquet file: {(str(error).splitlines() or ['?'])[0]}") from error
 
     @property
     def names(self) -> list[str]:
         return list(self.schema.names)
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        try:
+        with reading_parquet(self.path):
             table = self.file.read(wanted)
-        except (OSError, pa.ArrowException) as error:
-            raise InputError(
-                f"{self.path}: not a readable Parquet file: {(str(error).splitlines() or ['?'])[0]}"
-            ) from error
         return {name: self._numbers(name, table.column(name)) for name in wanted}
 
     def _numbers(self, name: str, column: pa.ChunkedArray) -> np.ndarray:

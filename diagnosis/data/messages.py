@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from ...models.errors import InputError
+from ...models.errors import InputError, first_line
 from ...models.recording import GAP
 
 STAMP = "stamp"
@@ -340,9 +340,7 @@ def _mcap(path: Path, wanted: Wanted) -> Found:
         except (McapError, EOFError, OSError, ValueError, RuntimeError) as error:
             if isinstance(error, InputError):
                 raise
-            raise InputError(
-                f"{path}: not a readable MCAP file: {(str(error).splitlines() or [type(error).__name__])[0]}"
-            ) from error
+            raise InputError(f"{path}: not a readable MCAP file: {first_line(error)}") from error
 
 
 def _decoded(path: Path, topic: str, decode: Callable[[bytes], Any], data: bytes) -> Any:

@@ -39,7 +39,7 @@ _TEST = 16.0  # N·m: rated torque of the joint for which ordinary sizes in N·m
 
 
 @dataclass(frozen=True)
-class Motion:
+class SmoothedChannels:
     """A recording's channels, smoothed.
 
     Attributes:
@@ -56,11 +56,11 @@ class Motion:
     def __contains__(self, name: str) -> bool:
         return name in self.channels
 
-    def with_channels(self, **channels: np.ndarray) -> Motion:
+    def with_channels(self, **channels: np.ndarray) -> SmoothedChannels:
         """The same with channels replaced."""
         return replace(self, channels={**self.channels, **channels})
 
-    def without(self, *names: str) -> Motion:
+    def without(self, *names: str) -> SmoothedChannels:
         """The same without channels."""
         return replace(self, channels={n: x for n, x in self.channels.items() if n not in names})
 
@@ -70,7 +70,7 @@ class Motion:
         return "link_position" if "link_position" in self.channels else "motor_position"
 
 
-def motion_of(recording: Recording, second: float = 1.0) -> Motion | None:
+def motion_of(recording: Recording, second: float = 1.0) -> SmoothedChannels | None:
     """Smooth a recording's channels; None where no part without gaps is long enough.
 
     Args:
@@ -106,7 +106,7 @@ def motion_of(recording: Recording, second: float = 1.0) -> Motion | None:
     values = np.concatenate(found)
     n = len(values)
     arm = recording.load is not None
-    return Motion(
+    return SmoothedChannels(
         time=np.concatenate(times),
         channels={name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)},
         known_torque=values[:, len(names), 0] if arm else np.zeros(n),
@@ -192,18 +192,18 @@ class _Shapes:
             self._columns.append(np.broadcast_to(shape, (self._n,)))
             self._numbers.append((low, high, centre, (high - low) / 3 if spread is None else spread))
 
-    def fit(self, y: np.ndarray, sigma: np.ndarray, least: float, effective: float) -> Fit:
+    def fit(self, y: np.ndarray, sigma: np.ndarray, least: float, effective: float) -> RelationFit:
         """The best coefficients for readings y, shape (n,); `least`: what `sigma` is where all is known."""
         A = np.ascontiguousarray(np.column_stack(self._columns))
         low, high, centre, spread = (np.array(x) for x in zip(*self._numbers, strict=True))
         beta = np.empty(len(low))
         misfit = float(_fit(A, y, sigma, low, high, centre, spread, effective / self._n, beta))
         known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
-        return Fit(misfit + known, misfit / effective)
+        return RelationFit(misfit + known, misfit / effective)
 
 
 @dataclass(frozen=True)
-class Fit:
+class RelationFit:
     """A relation at its best coefficients.
 
     Attributes:
@@ -216,7 +216,7 @@ class Fit:
     misfit: float
 
 
-def _same(a: Motion, b: Motion, channels: tuple[str, ...]) -> bool:
+def _same(a: SmoothedChannels, b: SmoothedChannels, channels: tuple[str, ...]) -> bool:
     """Whether some channels are the very same, and both tell the link's motion by the same encoder."""
     return a.position == b.position and all(a.channels.get(n) is b.channels.get(n) for n in channels)
 
@@ -232,8 +232,11 @@ class Plausibility:
         self._turned = joint.gravity_angle is not None
 
     def agreement(
-        self, motion: Motion, before: Motion | None = None, known: Mapping[str, Fit] | None = None
-    ) -> dict[str, Fit]:
+        self,
+        motion: SmoothedChannels,
+        before: SmoothedChannels | None = None,
+        known: Mapping[str, RelationFit] | None = None,
+    ) -> dict[str, RelationFit]:
         """All relations that the channels allow, by name: `encoders`, `command`, and the name of each torque channel.
 
         Args:
@@ -248,11 +251,11 @@ class Plausibility:
                 found[name] = self._fit(name, motion)
         return found
 
-    def torques(self, motion: Motion) -> dict[str, Fit]:
+    def torques(self, motion: SmoothedChannels) -> dict[str, RelationFit]:
         """The relations of torques alone."""
         return {name: self._fit(name, motion) for name in self._relations(motion) if name in DRIVING}
 
-    def _relations(self, motion: Motion) -> dict[str, tuple[str, ...]]:
+    def _relations(self, motion: SmoothedChannels) -> dict[str, tuple[str, ...]]:
         """Relations that the channels allow, each with the channels that it is between."""
         found: dict[str, tuple[str, ...]] = {}
         if all(name in motion for name in POSITIONS):
@@ -264,14 +267,14 @@ class Plausibility:
                 found[name] = (motion.position, name, "external_torque")
         return found
 
-    def _fit(self, name: str, motion: Motion) -> Fit:
+    def _fit(self, name: str, motion: SmoothedChannels) -> RelationFit:
         if name == "encoders":
             return self._encoders(motion)
         if name == "command":
             return self._command(motion)
         return self._joint_torque(motion) if name == "joint_torque" else self._drive(motion, name)
 
-    def link(self, motion: Motion) -> np.ndarray:
+    def link(self, motion: SmoothedChannels) -> np.ndarray:
         """The link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
         values = motion.channels[motion.position]
         return values if motion.position == "link_position" else values / self.p["N"]
@@ -282,7 +285,7 @@ class Plausibility:
         shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
         return float(np.hypot(np.hypot(number.tolerance, shared), number.deviation / max(number.value, 1e-12)))
 
-    def _encoders(self, motion: Motion) -> Fit:
+    def _encoders(self, motion: SmoothedChannels) -> RelationFit:
         p = self.p
         theta, v = motion.channels["link_position"][:, 0], motion.channels["link_position"][:, 1]
         zero = self.joint.sensors.link_encoder.zero
@@ -300,7 +303,7 @@ class Plausibility:
         sigma = 2e-4 + 0.15 * wound + (self.joint.sensors.motor_encoder.resolution / p["N"])
         return shapes.fit(y, np.full(len(theta), sigma), sigma, EFFECTIVE)
 
-    def _command(self, motion: Motion) -> Fit:
+    def _command(self, motion: SmoothedChannels) -> RelationFit:
         x = self.link(motion)
         shapes = _Shapes(len(x))
         shapes.add(1.0, -0.1, 0.1)
@@ -326,13 +329,13 @@ class Plausibility:
         for angle in (0.6, 0.8, 1.0):
             shapes.add(np.maximum(theta - angle, 0.0), 0.0, 45.0 * max(size, 1.0) * high, 0.0, 15.0 * max(size, 1.0))
 
-    def _known(self, shapes: _Shapes, motion: Motion) -> np.ndarray:
+    def _known(self, shapes: _Shapes, motion: SmoothedChannels) -> np.ndarray:
         """Torque that is known to push the link, which the joint need not give; a measured one with a gain near one [N·m]."""
         if "external_torque" in motion and not self.pushed:
             shapes.add(-motion.channels["external_torque"][:, 0], 0.6, 1.5, 1.0, 0.3)
         return -motion.known_torque
 
-    def _drive(self, motion: Motion, name: str) -> Fit:
+    def _drive(self, motion: SmoothedChannels, name: str) -> RelationFit:
         p, size = self.p, self._size
         N = float(p["N"])
         theta, v, a = self.link(motion).T
@@ -370,7 +373,7 @@ class Plausibility:
         sigma = 0.025 * self.joint.numbers["rated_torque"].value * (1.5 if self.pushed else 1.0)
         return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, EFFECTIVE)
 
-    def _joint_torque(self, motion: Motion) -> Fit:
+    def _joint_torque(self, motion: SmoothedChannels) -> RelationFit:
         size, rated = self._size, self.joint.numbers["rated_torque"].value
         theta, _, a = self.link(motion).T
         inertia = float(self.p["Jl"]) * motion.inertia

@@ -21,9 +21,8 @@ from numba import carray
 from ...models.kernels import kernel
 from ...models.pointers import record_at
 from ...models.step import Step, sample_at
-from ..compliance import measure
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, TorqueFilter, memory_at, out_at, predict, settings_at, start, tell
+from .kalman import ACCELERATION, TorqueFilter, innovation, memory_at, out_at, settings_at, tell
 
 _TOLERANCE, _MOST = 1e-9, 50
 
@@ -58,15 +57,9 @@ def correct(f, e, V, k, tolerance, most):
 def _step(memory, sample, record, settings, out):
     m, s, p = carray(memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
     c, o = carray(settings_at(settings), 1)[0], carray(out_at(out), 1)[0]
-    y = measure(m.torsion, s, p).torque
-    f, e, S = m.filter, 0.0, 0.0
-    if s.interval == 0.0:
-        start(f, y, c)
-    else:
-        predict(f, s.interval, c.q)
-        e = y - f.torque
-        S = correct(f, e, c.V, c.first, _TOLERANCE, _MOST)
-    return tell(f, e, S, o)
+    e = innovation(m, s, p, c)
+    S = correct(m.filter, e, c.V, c.first, _TOLERANCE, _MOST) if s.interval != 0.0 else 0.0
+    return tell(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)

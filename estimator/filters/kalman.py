@@ -50,6 +50,17 @@ def predict(f, h, q):
 
 
 @kernel
+def innovation(m, s, p, c):
+    """Begin at the first sample, predict a record of `MEMORY` up to others; what is read there less what was expected [N·m]."""
+    f, y = m.filter, measure(m.torsion, s, p).torque
+    if s.interval == 0.0:
+        start(f, y, c)
+        return 0.0
+    predict(f, s.interval, c.q)
+    return y - f.torque
+
+
+@kernel
 def correct(f, e, V):
     """Update with the innovation `e` [N·m] of a measurement with variance V, in place; returns its variance S."""
     S = f.P00 + V
@@ -73,15 +84,9 @@ def tell(f, e, S, o):
 def _step(memory, sample, record, settings, out):
     m, s, p = carray(memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
     c, o = carray(settings_at(settings), 1)[0], carray(out_at(out), 1)[0]
-    y = measure(m.torsion, s, p).torque
-    f, e, S = m.filter, 0.0, 0.0
-    if s.interval == 0.0:
-        start(f, y, c)
-    else:
-        predict(f, s.interval, c.q)
-        e = y - f.torque
-        S = correct(f, e, c.V)
-    return tell(f, e, S, o)
+    e = innovation(m, s, p, c)
+    S = correct(m.filter, e, c.V) if s.interval != 0.0 else 0.0
+    return tell(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)

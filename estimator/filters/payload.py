@@ -24,7 +24,7 @@ from ...models.step import Step, sample_at
 from .. import smoothed
 from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior, fields_of
 from ..motion import CUTOFF
-from ..payload_model import INTERVAL, MEMORY, SIZE, Seen, external_torque, forget, noise, prior, update
+from ..payload_model import INTERVAL, MEMORY, SIZE, KnownPayload, Seen, external_torque, forget, noise, prior, update
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
@@ -32,15 +32,9 @@ _DECIMATION = 4  # grid steps per sample
 _ITERATIONS = 10
 _SECOND = 1.5  # cutoff of the second low-pass in that of the first: less lag for what acceleration still must lose
 
-MEMORY_RECORD = np.dtype(
-    [
-        ("x", np.float64, SIZE),
-        ("P", np.float64, (SIZE, SIZE)),
-        ("motor", LOWPASS, 2),
-        ("link", LOWPASS, 2),
-        ("drive", LOWPASS, 2),
-    ]
-)
+MEMORY_RECORD = np.dtype([
+    ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("motor", LOWPASS, 2), ("link", LOWPASS, 2), ("drive", LOWPASS, 2),
+])  # fmt: skip
 SETTINGS = np.dtype([("cutoff", np.float64), ("noise", np.float64), ("prior", np.float64, (SIZE, 2))])
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "external_torque", "payload_sin", "payload_cos", "payload_inertia", "back_driven_friction", "friction_error",
@@ -80,13 +74,8 @@ def _step(memory, sample, record, settings, out):
         update(x, P, Seen(seen, m.motor[1].acceleration, a, m.drive[1].value, own), x.copy(), c.noise, p)
     o.external_torque = external_torque(x, link, a)
     o.torque = p.Jl * a - dynamics.link_torque(now, 0.0, p) - o.external_torque
-    o.payload_sin, o.payload_cos, o.payload_inertia, o.back_driven_friction, o.friction_error = (
-        x[0],
-        x[1],
-        x[2],
-        x[3],
-        x[4],
-    )
+    o.payload_sin, o.payload_cos, o.payload_inertia = x[0], x[1], x[2]
+    o.back_driven_friction, o.friction_error = x[3], x[4]
     return 0 if math.isfinite(o.torque) else 1
 
 
@@ -138,17 +127,16 @@ class PayloadSmoothed(Estimator):
         load = smoothed.torque_from_current(motion, joint)
         own = smoothed.own_torque(motion, joint, load)
         x = observe(signals, joint, motion, own)
-        external = (
-            x[0] * np.sin(motion.link_position) + x[1] * np.cos(motion.link_position) - x[2] * motion.link_acceleration
-        )
-        whole = np.ones(len(signals.time))
-        columns = {name: value * whole for name, value in zip(fields_of(OUT)[2:6], x, strict=False)}
+        angle, whole = motion.link_position, np.ones(len(signals.time))
+        external = x.payload_sin * np.sin(angle) + x.payload_cos * np.cos(angle)
+        external -= x.payload_inertia * motion.link_acceleration
+        columns = {name: value * whole for name, value in x._asdict().items()}
         torque, external = motion.at(signals.time, own - external), motion.at(signals.time, external)
         return Posterior(self.name, signals.time, torque, columns=columns, external=external)
 
 
-def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray) -> np.ndarray:
-    """What a recording's part shows of [α, β, J, κ, r] in the end, shape (SIZE,).
+def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray) -> KnownPayload:
+    """What a recording's part shows of the payload in the end.
 
     Args:
         motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque`, shape (n,) [N·m].
@@ -169,7 +157,7 @@ def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: n
         x = _filter(*given, joint.record, first, sigma, share, about)
         if np.allclose(x[:4], about, rtol=1e-3, atol=1e-3):
             break
-    return x
+    return KnownPayload(*map(float, x[:4]))
 
 
 @kernel

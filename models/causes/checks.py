@@ -65,6 +65,8 @@ def _cause(given: Any, name: str) -> Cause:
     for column in cause.needs:
         if column not in CHANNELS:
             raise InputError(f"needs: expected a channel, got {column!r}{nearest(column, CHANNELS)}")
+    if cause.sensor is not None and cause.sensor not in CHANNELS:
+        raise InputError(f"sensor: expected a channel, got {cause.sensor!r}{nearest(str(cause.sensor), CHANNELS)}")
     if not isinstance(cause.requires, Requirements):
         raise InputError(f"requires: expected Requirements, got {type(cause.requires).__name__}")
     _check_effect(cause)

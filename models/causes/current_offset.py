@@ -10,6 +10,7 @@ class CurrentOffset(Cause):
 
     name = "current_offset"
     component = "sensor"
+    sensor = "motor_current"
     description = "a constant is added to the current reading"
     parameters = (CauseParameter("value", "A", (-10.0, 10.0), ((-0.15, -0.05), (0.05, 0.15)), magnitude=True),)
     sets = {"value": "current_offset"}

@@ -12,6 +12,7 @@ class LinkEncoderEccentricity(Cause):
 
     name = "link_encoder_eccentricity"
     component = "sensor"
+    sensor = "link_position"
     description = "the link encoder is mounted off centre: reading + A (sin(θl + φ) − sin φ)"
     adds = True
     requires = Requirements(link_travel=0.5)

@@ -15,6 +15,7 @@ class LinkEncoderError(Cause):
 
     name = "link_encoder_error"
     component = "sensor"
+    sensor = "link_position"
     description = "the link encoder's error has an order of 2 to 4 per turn: reading + A (sin(n θl + φ) − sin φ)"
     adds = True
     requires = Requirements(link_travel=0.5)

@@ -10,6 +10,7 @@ class TorqueSensorDrift(Cause):
 
     name = "torque_sensor_drift"
     component = "sensor"
+    sensor = "joint_torque"
     description = "the torque sensor's reading drifts with time"
     parameters = (CauseParameter("rate", "N·m/s", (-10.0, 10.0), ((-0.05, -0.02), (0.02, 0.05)), magnitude=True),)
     sets = {"rate": "torque_rate"}

@@ -10,6 +10,7 @@ class TorqueSensorGain(Cause):
 
     name = "torque_sensor_gain"
     component = "sensor"
+    sensor = "joint_torque"
     description = "the torque sensor's reading is scaled"
     parameters = (CauseParameter("gain", "1", (0.05, 20.0), ((0.80, 0.92), (1.08, 1.20)), neutral=1.0, magnitude=True),)
     sets = {"gain": "torque_gain"}

@@ -7,7 +7,7 @@ to chance, so that measures of draws are independent and an interval over them m
 * the joint: every number that has a tolerance, drawn within `tolerance` times it (`models.calibration`);
 * the motion: start angle, within one turn of the motor to either side or more, and with it the motor's phase; its duration;
 * pushes: onset, duration, size and sign;
-* the sensors' noise.
+* the sensors' noise; with `sensors: realistic` also the drive's lag.
 
 The estimators are told the nominal numbers, and how well those are known.
 """
@@ -18,12 +18,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...estimator.estimator import KnownJoint
 from ...models.calibration import Calibration
 from ...models.signals import Signals
+from ...sim.drive import Controller
 from ...sim.loop import Simulation
 from ...sim.sensors import stream
 from ..experiment import Experiment, signals_of
@@ -38,12 +40,14 @@ ONSET = 0.9
 """Time [s] by which a push may come earlier or later."""
 SIZE = (0.5, 1.5)
 """Range of a push's size and duration, in the scenario's own."""
+LAG = 4e-3
+"""Largest time [s] by which a drive lags where `sensors: realistic`."""
 MOVING = 0.02
 """Speed [rad/s] of the command from which on the joint counts as moving: the motor at the Stribeck velocity."""
 
 
 @dataclass(frozen=True)
-class Draw:
+class DrawnExperiment:
     """An experiment as it was drawn and what became of it; n samples.
 
     Attributes:
@@ -80,7 +84,10 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
         for w in scenario.trajectory
     ]
     pushes = [_varied_push(d, rng, scenario.duration) for d in scenario.disturbances]
-    return scenario.model_copy(update={"trajectory": waypoints, "disturbances": pushes, "seed": seed})
+    found: dict[str, Any] = {"trajectory": waypoints, "disturbances": pushes, "seed": seed}
+    if scenario.sensors == "realistic":
+        found["controller"] = Controller().lagging(rng.uniform(0.0, LAG))
+    return scenario.model_copy(update=found)
 
 
 def _varied_push(push: Disturbance, rng: np.random.Generator, end: float) -> Disturbance:
@@ -104,7 +111,7 @@ def drawn_record(experiment: Experiment, seed: int, tolerance: float, tared: boo
 
 def draw(
     scenario: Scenario, folder: Path | None, seed: int, tolerance: float = 1.0, tared: bool = True, vary: bool = True
-) -> Draw:
+) -> DrawnExperiment:
     """Draw an experiment and run it, without estimates.
 
     Args:
@@ -121,10 +128,12 @@ def draw(
     return draw_of(experiment, simulation, record, told(experiment.known, tolerance, tared), seed)
 
 
-def draw_of(experiment: Experiment, simulation: Simulation, record: np.ndarray, known: KnownJoint, seed: int) -> Draw:
-    """A simulation of an experiment as a `Draw`."""
+def draw_of(
+    experiment: Experiment, simulation: Simulation, record: np.ndarray, known: KnownJoint, seed: int
+) -> DrawnExperiment:
+    """A simulation of an experiment as a `DrawnExperiment`."""
     time = simulation.time
-    return Draw(
+    return DrawnExperiment(
         seed, known, record, signals_of(simulation), np.ascontiguousarray(simulation.truth["joint_torque"]),
         experiment.external_torque, np.abs(experiment.velocity) > MOVING, time >= experiment.scenario.transient,
     )  # fmt: skip

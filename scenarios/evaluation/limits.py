@@ -14,7 +14,10 @@ from ...estimator.consistency import Mean
 from ...estimator.errors import FilterDiverged
 from ...estimator.estimator import Estimator, KnownJoint
 from ...estimator.joint_model import STATES
+from ...models.calibration import Calibration
 from ...models.errors import InputError
+from ...models.joint import Joint, Mounting
+from ...models.parameters import PARAMETERS
 from ..run import Run, simulate_scenario
 from ..scenario import Disturbance, Scenario
 
@@ -22,6 +25,7 @@ BIN = 0.1
 """Time [s] over which errors are averaged to be shown over time."""
 LAGS = 50
 """Lags of the innovations' autocorrelation, samples."""
+_UNSEEN = ("link_encoder_zero", "current_offset", "torque_sensor_gain", "torque_sensor_offset")
 _APART = 0.25  # s: errors this far apart count for NEES; the slowest filter forgets in a tenth of it
 
 
@@ -72,6 +76,8 @@ class Limits:
         bound_rms: of it after the transient [N·m].
         torsion_bound, torsion_bound_rms: likewise for the paper's model: the joint torque as a random walk of intensity
             `torsion_intensity` [N·m/√s], fitted to it, seen through the compliance model with the encoders' noise only.
+        tolerance: share of the joint's tolerances with which nobody knows it better than described.
+        tolerance_bound, tolerance_bound_rms: the bound with these as prior, the link encoder's zero tared; NaN at 0.
         band: half-width of the band of white innovations [1].
         estimators: what each is worth.
     """
@@ -87,6 +93,9 @@ class Limits:
     torsion_intensity: float
     torsion_bound: np.ndarray
     torsion_bound_rms: float
+    tolerance: float
+    tolerance_bound: np.ndarray
+    tolerance_bound_rms: float
     band: float
     estimators: tuple[Assessment, ...]
 
@@ -104,7 +113,7 @@ def matched(scenario: Scenario, intensity: float) -> Scenario:
 
 
 def fitted_intensity(scenario: Scenario) -> float:
-    """Intensity [N·m/√s] of the random walk that the scenario's external torque most likely was; 0 where there is none."""
+    """Intensity [N·m/√s] of the random walk that changes as much as the scenario's external torque (`bound.walk_intensity`)."""
     return bound.walk_intensity(scenario.external_torque(), scenario.time)
 
 
@@ -114,6 +123,7 @@ def assess(
     seeds: Sequence[int],
     estimators: Mapping[str, Estimator],
     intensity: float | None = None,
+    tolerance: float = 1.0,
     progress: Callable[[], None] = lambda: None,
 ) -> Limits:
     """Run a scenario with every seed and hold every estimator against the bounds.
@@ -125,6 +135,7 @@ def assess(
         estimators: by name.
         intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario, and at least
             0.001·T2, a joint whose load is known to 1 % after 40 s: nobody knows that nothing acts.
+        tolerance: share of the joint's tolerances that are the prior of the second bound; 0 leaves it out.
         progress: called after each seed.
 
     Raises:
@@ -141,10 +152,13 @@ def assess(
         intensity = max(fitted, bound.QUIET.external * float(record[0]["T2"]))
 
     collected = [_Collected(name, one) for name, one in estimators.items()]
-    variances, torsion_variances, walks = [], [], []
+    others = doubtful(joint, joint.mount(scenario.mounting or None), tolerance)
+    variances, torsion_variances, doubtful_variances, walks = [], [], [], []
     for seed in seeds:
         run = simulate_scenario(scenario, folder, seed)
         variances.append(joint_variance(run, record, intensity))
+        if len(others):
+            doubtful_variances.append(joint_variance(run, record, intensity, others))
         walks.append(bound.walk_intensity(run.truth("joint_torque"), run.time))
         torsion_variances.append(torsion_variance(run, record, walks[-1]))
         for one in collected:
@@ -153,10 +167,12 @@ def assess(
     kept = run.time >= scenario.transient
     size = round(BIN / (run.time[1] - run.time[0]))
     v, t = np.mean(variances, axis=0), np.mean(torsion_variances, axis=0)
+    d = np.mean(doubtful_variances, axis=0) if len(others) else np.full_like(v, np.nan)
     return Limits(
         scenario.name, np.array(seeds), _binned(run.time, size), scenario.transient, float(intensity), fitted,
         np.sqrt(_binned(v, size)), float(np.sqrt(v[kept].mean())),
         float(np.mean(walks)), np.sqrt(_binned(t, size)), float(np.sqrt(t[kept].mean())),
+        tolerance, np.sqrt(_binned(d, size)), float(np.sqrt(d[kept].mean())),
         consistency.white_band(int(np.count_nonzero(kept))),
         tuple(one.assessment() for one in collected),
     )  # fmt: skip
@@ -174,11 +190,26 @@ def true_states(run: Run) -> np.ndarray:
     return states
 
 
-def joint_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarray:
-    """Bound of the error variance along a run's truth, shape (n,) [(N·m)²]; `record`: of the plant."""
+def doubtful(joint: Joint, mounting: Mounting, tolerance: float) -> np.ndarray:
+    """Records of a joint with one number each a standard deviation off, shape (k,): `tolerance` times its tolerances.
+
+    The link encoder's zero is tared. Numbers that neither motion nor encoders show stay as they are.
+    """
+    calibration = Calibration(joint)
+    found = []
+    for i, name in enumerate(calibration.names):
+        if name not in _UNSEEN and tolerance > 0.0:
+            x = np.zeros(calibration.size)
+            x[i] = tolerance
+            found.append(calibration.record(x, mounting))
+    return np.concatenate(found) if found else np.zeros(0, PARAMETERS)
+
+
+def joint_variance(run: Run, record: np.ndarray, intensity: float, others: np.ndarray | None = None) -> np.ndarray:
+    """Bound of the error variance along a run's truth, shape (n,) [(N·m)²]; `record`: of the plant; `others`: `doubtful`."""
     noise = KnownJoint.of(run.joint).noise
     current, command = run.truth("motor_current"), run.simulation.command
-    return bound.joint_bound(run.time, true_states(run), current, command, record, noise, intensity)
+    return bound.joint_bound(run.time, true_states(run), current, command, record, noise, intensity, others=others)
 
 
 def torsion_variance(run: Run, record: np.ndarray, intensity: float) -> np.ndarray:

@@ -109,6 +109,12 @@ def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: li
     return float(np.nanmean(times)) if np.isfinite(times).any() else None
 
 
+def missed(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
+    """Share of the pushes that the estimate never follows (`responses`); None where there is none to follow."""
+    times = responses(estimate, truth, dt, events)
+    return float(np.mean(np.isnan(times))) if len(times) else None
+
+
 def responses(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> np.ndarray:
     """Time [s] after the truth at which the estimate has made 90 % of the first swing that each push gives the torque.
 
@@ -208,6 +214,7 @@ class Reference:
             "noise_ratio": _finite(own_noise / self.raw_noise) if self.raw_noise > 0 else None,
             "delay_ms": None if lag is None else 1e3 * lag,
             "response_ms": self.response_ms(estimate),
+            "missed": missed(estimate, self.truth, self.dt, self.events),
         }
 
     def evaluate_posterior(self, found: Posterior) -> dict[str, float | None]:

@@ -290,11 +290,11 @@ def _on_threads(function: Callable[[_In], _Out], items: Sequence[_In], threads: 
 # --- the file ------------------------------------------------------------------------------------------------------
 
 
-def write_tuned(
-    found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int], path: Path
-) -> None:
-    """Write `tuned.yaml`: estimators as a scenario's `filters` and as numbers what they are worth."""
-    data: dict[str, Any] = {
+def tuned_data(
+    found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int]
+) -> dict[str, Any]:
+    """Estimators as a scenario's `filters` and as numbers what they are worth, RMS error [N·m] by seed."""
+    return {
         "format": 1,
         "scenarios": list(scenarios),
         "train": [int(s) for s in train],
@@ -308,8 +308,14 @@ def write_tuned(
         },
         "filters": [entry_of(one).model_dump() for one in found],
     }
+
+
+def write_tuned(
+    found: Sequence[Tuned], scenarios: Sequence[str], train: Sequence[int], test: Sequence[int], path: Path
+) -> None:
+    """Write `tuned.yaml`, of `tuned_data`."""
     text = "# Found by `flexspline tune`. rms: default, tuned [N·m]. `filters` can be copied into a scenario.\n"
-    text += yaml_text(data)
+    text += yaml_text(tuned_data(found, scenarios, train, test))
     with write_into_place(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 

@@ -62,7 +62,7 @@ class Dataset:
             if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
                 raise InputError(f"{folder}: expected an empty or new folder, or one of a sweep, got something else")
         else:
-            before = _read(note)
+            before = read_note(note)
             if before["digest"] != design.digest:
                 raise InputError(
                     f"{folder}: expected a sweep of this very study, found one of {before['study']['name']} that differs in "
@@ -181,7 +181,12 @@ def _is_whole(path: Path) -> bool:
     return True
 
 
-def _read(note: Path) -> dict[str, Any]:
+def read_note(note: Path) -> dict[str, Any]:
+    """What a dataset says of itself: `study`, `digest`, `versions`, `seeds`.
+
+    Raises:
+      InputError: a file that is no such note.
+    """
     try:
         before = json.loads(note.read_text(encoding="utf-8"))
         if all(key in before for key in ("digest", "versions", "seeds", "study")):

@@ -11,14 +11,16 @@ import csv
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ...models.errors import InputError
 from ...models.files import write_into_place
 from ..evaluation.intervals import Interval, interval, paired
 from .dataset import Dataset
 from .design import Design
-from .study import Value
+from .study import Study, Value
 
 
 @dataclass(frozen=True)
@@ -79,20 +81,61 @@ def reference_of(design: Design, i: int) -> int:
     return (fitting or same)[0]
 
 
-def write_csv(aggregates: list[Aggregate], design: Design, path: Path) -> None:
-    """All aggregates as CSV: for each metric mean, lower and upper end, and the same of the paired difference."""
+def summary_rows(aggregates: list[Aggregate], design: Design) -> Iterator[dict[str, Any]]:
+    """All aggregates, a row each: for each metric mean, lower and upper end, and the same of the paired difference."""
     axes = list(aggregates[0].columns) if aggregates else []
     metrics = design.study.metrics
     ends = ("mean", "low", "high")
     head = ["scenario", *axes, "filter", "runs", "failed"]
     head += [f"{m}_{e}" for m in metrics for e in ends] + [f"{m}_difference_{e}" for m in metrics for e in ends]
 
-    def cells(found: dict[str, Interval]) -> list[float | str]:
-        return ["" if m not in found else getattr(found[m], e) for m in metrics for e in ends]
+    def cells(found: dict[str, Interval]) -> list[float | None]:
+        return [None if m not in found else getattr(found[m], e) for m in metrics for e in ends]
 
+    for s in aggregates:
+        at = [s.columns[a] for a in axes]
+        row = [s.scenario, *at, s.filter, s.runs, s.failed, *cells(s.values), *cells(s.differences)]
+        yield dict(zip(head, row, strict=True))
+
+
+def read_csv(path: Path, study: Study) -> list[Aggregate]:
+    """Aggregates that `write_csv` wrote.
+
+    Raises:
+      InputError: a file that is none of this study.
+    """
+
+    def cells(row: dict[str, str], kind: str, n: int) -> dict[str, Interval]:
+        ends = {m: [row[f"{m}_{kind}{end}"] for end in ("mean", "low", "high")] for m in study.metrics}
+        return {m: Interval(float(a), float(b), float(c), n) for m, (a, b, c) in ends.items() if a and b and c}
+
+    def value(text: str) -> Value | None:
+        try:
+            return float(text) if text else None
+        except ValueError:
+            return text
+
+    found = []
+    try:
+        with path.open(newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                head = list(row)
+                axes = head[1 : head.index("filter")]
+                runs, failed = int(row["runs"]), int(row["failed"])
+                values, differences = cells(row, "", runs - failed), cells(row, "difference_", runs - failed)
+                at = {axis: value(row[axis]) for axis in axes}
+                found.append(Aggregate(row["scenario"], at, row["filter"], runs, failed, values, differences))
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(f"{path}: expected the summary of a sweep of {study.name}, got something else") from error
+    if not found:
+        raise InputError(f"{path}: expected a summary with rows, got none; the sweep has not begun")
+    return found
+
+
+def write_csv(aggregates: list[Aggregate], design: Design, path: Path) -> None:
+    """`summary_rows` as CSV."""
+    rows = list(summary_rows(aggregates, design))
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(head)
-        for s in aggregates:
-            at = ["" if s.columns[a] is None else s.columns[a] for a in axes]
-            writer.writerow([s.scenario, *at, s.filter, s.runs, s.failed, *cells(s.values), *cells(s.differences)])
+        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+        writer.writeheader()
+        writer.writerows(rows)

@@ -15,7 +15,8 @@ from ...models.files import Strict, find, load, shown
 from ..filters import FilterEntry, paper_entries, parameters_of
 
 METRICS = (
-    "rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms", "robust_share", "mean_nis",
+    "rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms", "missed",
+    "robust_share", "mean_nis",
 )  # fmt: skip
 """What may be measured of an estimate; as in a run's `metrics.json`."""
 COLUMNS = ("scenario", "cell", "run", "seed", "key", "cause", "filter", "failure")

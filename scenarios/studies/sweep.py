@@ -40,7 +40,7 @@ def versions() -> dict[str, str]:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class VariantOutcome:
     """What became of one variant in one run: measures by name, or why there are none."""
 
     metrics: dict[str, float | None]
@@ -88,27 +88,27 @@ def schema(design: Design) -> pa.Schema:
 
 def outcomes_of(
     design: Design, cell: Cell, seed: int, experiment: Experiment, record: np.ndarray | None, model: mujoco.MjModel
-) -> list[Outcome]:
+) -> list[VariantOutcome]:
     """Simulate once; what became of every variant. One that diverges leaves the others as they are."""
     try:
         simulation = experiment.simulate(design.noise_seed(cell, seed), record, model)
         signals = signals_of(simulation)
         raw = registry.get("model").estimate(signals, experiment.known).mean
     except (InputError, FilterDiverged) as error:
-        return [Outcome({}, str(error))] * len(design.variants)
+        return [VariantOutcome({}, str(error))] * len(design.variants)
     reference = reference_of(simulation, raw, experiment.external_torque, experiment.scenario.transient)
     outcomes = []
     for variant in design.variants:
         try:
             found = variant.estimator.estimate(signals, experiment.known)
         except (InputError, FilterDiverged) as error:
-            outcomes.append(Outcome({}, str(error)))
+            outcomes.append(VariantOutcome({}, str(error)))
             continue
         if not np.isfinite(found.mean).all():
-            outcomes.append(Outcome({}, f"{variant.estimator.name}: the estimate is no longer a finite number"))
+            outcomes.append(VariantOutcome({}, f"{variant.estimator.name}: the estimate is no longer a finite number"))
             continue
         measured = reference.evaluate_posterior(found)
-        outcomes.append(Outcome({name: measured[name] for name in design.study.metrics}))
+        outcomes.append(VariantOutcome({name: measured[name] for name in design.study.metrics}))
     return outcomes
 
 

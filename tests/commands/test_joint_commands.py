@@ -98,6 +98,11 @@ def test_numbers_are_read_as_datasheets_write_them(flexspline, option, same):
             {"motor_encoder": "some"},
             "--motor-encoder: expected counts per revolution (4096) or bits (20 bit), got 'some'",
         ),
+        ({"torque_constant": "0"}, "numbers.Kt.value: expected a number > 0, got 0"),
+        ({"resistance": "-1 ohm"}, "numbers.R.value: expected a number > 0, got -1"),
+        ({"set": "rated_torque=0"}, "numbers.rated_torque.value: expected a number > 0, got 0"),
+        ({"inertia": "0"}, "inertia: expected a number > 0 kg·m², got 0"),
+        ({"link_encoder": "60 bit"}, "csg_14_100.yaml: sensors.link_encoder.bits: expected less than 40, got 60"),
         ({"set": "K9=3"}, "--set K9=3: expected one of N, Jm"),
         ({"set": "K1"}, "--set K1: expected SYMBOL=…, got no '='"),
         ({"tolerance": "Jm=2"}, "--tolerance Jm=2: expected a share from 0 to 1, got '2'"),
@@ -110,6 +115,16 @@ def test_what_cannot_be_is_one_line(flexspline, tmp_path, changes, expected):
     assert code == 2 and out == "" and error.count("\n") == 1
     assert expected in error
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_given_wins_over_the_catalogue(flexspline):
+    """A gear that is driven the other way round has a turn more; a motor that cannot lift a link holds none."""
+    options = ("--set", "N=101", "--set", "current_limit=0.01 A", "--out", "a.yaml")
+    code, _, error = flexspline("joint", "new", *words(), *options)
+    assert code == 0, error
+    joint = load_joint("a.yaml")
+    assert joint.numbers["N"].value == 101 and joint.numbers["K1"].value == 4700
+    assert joint.mountings["link"].gravity_moment == 0.0
 
 
 def test_everything_that_is_missing_is_named_at_once(flexspline, monkeypatch):
@@ -360,7 +375,7 @@ ODD = [None, [], {}, "x", -1.0, 0, 1e300, True, [1, 2], {"a": 1}, "Nm", 10**400]
 def test_what_has_no_errors_loads_and_what_does_not_load_has(tmp_path, rng):
     """Files with places replaced at random."""
     from flexspline.models.errors import InputError
-    from flexspline.models.plausibility import check
+    from flexspline.models.joint_check import check
 
     for _ in range(15):
         data = yaml.safe_load(TEXT)

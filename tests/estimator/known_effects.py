@@ -9,8 +9,7 @@ import numpy as np
 
 from flexspline.estimator import Estimator, KnownJoint
 from flexspline.models import causes
-from flexspline.models.joint import Discrepancy, load_joint
-from flexspline.models.parameters import PLACES, VARIABLES
+from flexspline.models.joint import load_joint
 from flexspline.models.signals import Signals
 from flexspline.sim import loop, plant, sensors
 from flexspline.sim.drive import Controller
@@ -60,14 +59,7 @@ class Case:
             place, variable, low, high, size = self.discrepancy
             shape = np.random.default_rng(seed).standard_normal(9)
             coefficients = size * (shape - shape.mean()) / np.abs(shape - shape.mean()).max()
-            one = Discrepancy(
-                place=place, variable=variable, low=low, high=high, unit="", coefficients=coefficients.tolist()
-            )
-            p["discrepancy_place"][0] = PLACES.index(one.place)
-            p["discrepancy_variable"][0] = VARIABLES.index(one.variable)
-            p["discrepancy_low"][0], p["discrepancy_high"][0] = one.low, one.high
-            p["discrepancy_count"][0] = len(one.coefficients)
-            p["discrepancy_coefficient"][0, : len(one.coefficients)] = one.coefficients
+            causes.put_discrepancy(p, place, variable, low, high, coefficients)
         return record
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from flexspline.estimator import registry
-from flexspline.scenarios.evaluation.draws import Draw, draw, rms
+from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, rms
 from flexspline.scenarios.scenario import load_scenario
 
 
 @pytest.fixture(scope="module")
-def pushed() -> Draw:
+def pushed() -> DrawnExperiment:
     """14 s of the pushed sweep with a joint drawn within its tolerances."""
     scenario, folder = load_scenario("external_push")
     few = [d for d in scenario.disturbances if d.start < 12.5]

@@ -141,6 +141,61 @@ def test_joint_bound_is_the_information_recursion(record):
         assert ours[k] == pytest.approx(gradient @ np.linalg.solve(J[k], gradient), rel=0.02)
 
 
+def test_numbers_with_a_prior_are_constant_states(record):
+    """Against the dense recursion of states and numbers together, with Jacobians of its own."""
+    time, states, current, command, _, _ = walk(record, 3, 1.0, 81)
+    others = np.concatenate([record, record, record])
+    others[0]["K1"] *= 1.07
+    others[0]["K2"] *= 1.07
+    others[1]["Mg"] *= 1.01
+    others[2]["phase"][0] += 0.2
+    active = np.r_[0:7, EXTERNAL]
+    n, scale = 11, np.r_[joint_model.STEPS[active], np.ones(3)]
+
+    def after(x, k, p):
+        y = x.copy()
+        steps = joint_model.substeps(states[k], 1e-3, record[0])
+        joint_model.advance(y, current[k], command[k], time[k], 1e-3, steps, 1.0, 25.0, p, np.zeros((3, SIZE)))
+        return y[active]
+
+    def gradient(of, x):
+        found = []
+        for state in active:
+            y = x.copy()
+            y[state] += joint_model.STEPS[state]
+            found.append((of(y, record[0]) - of(x, record[0])) / joint_model.STEPS[state])
+        return np.array(found + [of(x, p) - of(x, record[0]) for p in others])
+
+    start = ProcessNoise().record(KnownJoint(record, NOISE), 1e-3)[0]["start"][active]
+    P = np.diag(np.r_[start, 1.0, 1.0, 1.0] / scale**2)
+    ours = bound.joint_bound(time, states, current, command, record, NOISE, 1.0, others=others)
+    exact = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)
+    for k in range(1, 81):
+        F = np.eye(n)
+        for j, state in enumerate(active):
+            width = 1e-2 * joint_model.STEPS[state]
+            low, high = states[k - 1].copy(), states[k - 1].copy()
+            low[state] -= width
+            high[state] += width
+            F[:8, j] = (after(high, k - 1, record[0]) - after(low, k - 1, record[0])) / (2 * width)
+        for j, p in enumerate(others):
+            F[:8, 8 + j] = after(states[k - 1], k - 1, p) - after(states[k - 1], k - 1, record[0])
+        F = F / scale[:, None] * scale[None, :]
+        P = F @ P @ F.T
+        P[7, 7] += 1e-3 / scale[7] ** 2
+        H = np.array([
+            gradient(joint_model.read_motor, states[k]),
+            gradient(lambda x, p, k=k: joint_model.read_link(x, time[k], p), states[k]),
+        ])  # fmt: skip
+        H *= scale
+        S = H @ P @ H.T + np.diag([NOISE.motor_noise**2, NOISE.link_noise**2])
+        P = P - P @ H.T @ np.linalg.solve(S, H @ P)
+        if k % 20 == 0:
+            of_torque = gradient(lambda x, p, k=k: joint_model.joint_torque(x, time[k], p), states[k]) * scale
+            assert ours[k] == pytest.approx(of_torque @ P @ of_torque, rel=1e-3)
+    assert (ours[1:] >= exact[1:] * (1 - 1e-9)).all() and ours[-1] > 1.05 * exact[-1]
+
+
 def test_a_filter_of_the_same_model_attains_it(record):
     """Mean square error over draws of the model: not below the bound, and not far above."""
     intensity, seeds = 2.0, range(40, 64)
@@ -184,9 +239,24 @@ def test_intensity():
     rng = np.random.default_rng(0)
     time = np.arange(20001) * 1e-3
     steps = 0.7 * np.sqrt(1e-3) * rng.standard_normal(20000)
-    fitted = bound.walk_intensity(np.r_[0.0, np.cumsum(steps)], time)
-    assert fitted == pytest.approx(0.7, rel=3 / np.sqrt(2 * 20000))
+    walk = np.r_[0.0, np.cumsum(steps)]
+    # Of increments that overlap, h samples long, h/(3n) is the relative variance of q.
+    for bandwidth, lag in ((500.0, 1), (20.0, 25)):
+        spread = np.sqrt(max(lag / 3, 0.5) / 20000)
+        assert bound.walk_intensity(walk, time, bandwidth) == pytest.approx(0.7, rel=3 * spread)
     assert bound.walk_intensity(np.zeros(10), time[:10]) == 0.0
+
+
+def test_intensity_of_a_smooth_torque_does_not_depend_on_how_fast_it_is_sampled():
+    """A sine of whole periods: (2 A sin(ω h/2))² is twice the mean square of its changes over h; a step has its size alone."""
+    A, omega, h, end = 3.0, 2 * np.pi * 2.0, 0.025, 20.0
+    closed = np.sqrt(2.0) * A * np.sin(0.5 * omega * h) / np.sqrt(h)
+    for rate in (400, 1000, 4000):
+        time = np.arange(int(end * rate) + 1) / rate
+        found = bound.walk_intensity(A * np.sin(omega * time), time, 20.0)
+        assert found == pytest.approx(closed, rel=2e-3), rate  # the ends, held
+        step = np.where(time > 3.0, A, 0.0)
+        assert bound.walk_intensity(step, time, 20.0) == pytest.approx(A / np.sqrt(end), rel=1e-9)
 
 
 def test_bad_input(record):

@@ -10,7 +10,7 @@ from flexspline.models.catalogue import RATIOS, SERIES, SIZES, gear
 from flexspline.models.datasheet import Datasheet, new_joint
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
-from flexspline.models.plausibility import check
+from flexspline.models.joint_check import check
 
 
 def test_numbers_that_other_sources_state():

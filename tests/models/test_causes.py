@@ -121,6 +121,7 @@ def test_what_it_scales_and_sets_is_what_it_changes(name, rng):
 def test_what_it_takes_to_be_seen_is_plain_data(name):
     cause = causes.get(name)
     assert set(cause.needs) <= set(CHANNELS)
+    assert (cause.sensor in CHANNELS) == (cause.component == "sensor")
     assert isinstance(cause.requires, causes.Requirements)
     moving = cause.component in ("motor", "transmission")
     assert (cause.requires.sliding > 0) == moving
@@ -345,6 +346,7 @@ MINE = {
             "", "no change of K1 where the effect is absent .value 0.; check `neutral`",
         ),
         ({"needs": "('temprature',)"}, "", "needs: expected a channel, got 'temprature'; did you mean 'temperature'"),
+        ({"sensor": "'encoder'"}, "", "sensor: expected a channel, got 'encoder'"),
         ({}, "    def apply(self, p, values): 1 / 0", "ZeroDivisionError: division by zero"),
         ({}, "    def apply(self, p, values): p['backlash'] = float('nan')", "expected finite numbers"),
     ],

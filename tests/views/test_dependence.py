@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flexspline.views.dependence import ORDERS, explained, means, orders, telling
-from flexspline.views.residuals import Balance
+from flexspline.views.residuals import ResidualSeries
 
 
 @pytest.fixture
@@ -17,9 +17,11 @@ def balance(rng):
     other = {name: rng.uniform(0, 9, k) for name in ("time", "motor", "load")}
     noise, rising = 0.01 * rng.standard_normal(k), rng.random(k) < 0.5
 
-    def made(effect) -> Balance:
+    def made(effect) -> ResidualSeries:
         before = noise + effect(velocity, link)
-        return Balance("motor_current", "A", before, noise, 0.01, link=link, velocity=velocity, rising=rising, **other)
+        return ResidualSeries(
+            "motor_current", "A", before, noise, 0.01, link=link, velocity=velocity, rising=rising, **other
+        )
 
     return made
 

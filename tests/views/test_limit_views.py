@@ -21,7 +21,8 @@ def limits() -> Limits:
     time = 0.05 + 0.1 * np.arange(40)
     mean = Mean(0.5, 0.9, 1.1, 100)
     return Limits(
-        "external_push", np.arange(1, 4), time, 1.0, 1.3, 1.3, np.full(40, 0.01), 0.01, 0.7, np.full(40, 0.02), 0.02, 0.02,
+        "external_push", np.arange(1, 4), time, 1.0, 1.3, 1.3, np.full(40, 0.01), 0.01, 0.7, np.full(40, 0.02), 0.02,
+        1.0, np.full(40, 0.015), 0.015, 0.02,
         (
             Assessment("RAREKF", True, np.array([0.05, 0.06, 0.055]), np.full(40, 0.055), mean, mean, np.ones(40), 0.9,
                        np.linspace(0.3, 0, 50), 0.4, 0.01),

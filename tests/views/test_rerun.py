@@ -10,7 +10,7 @@ from rerun.chunk import RrdReader
 
 from flexspline.models.errors import InputError
 from flexspline.sim import plant
-from flexspline.views.rerun import Channel, rerun_measurement, write_rerun
+from flexspline.views.rerun import ModelledChannel, rerun_measurement, write_rerun
 from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
 from flexspline.views.rerun.recording import recording as opened
 from flexspline.views.rerun.scene import send_geoms, shape_of
@@ -96,8 +96,8 @@ def test_measured_against_simulated(tmp_path):
     measured = np.sin(time)
     measured[300:400] = np.nan  # a gap
     channels = [
-        Channel("joint torque", "N·m", time, measured, np.sin(time) + 0.1, {"with backlash": np.sin(time)}),
-        Channel("motor current", "A", time, np.cos(time), np.cos(time)),
+        ModelledChannel("joint torque", "N·m", time, measured, np.sin(time) + 0.1, {"with backlash": np.sin(time)}),
+        ModelledChannel("motor current", "A", time, np.cos(time), np.cos(time)),
     ]
     path = rerun_measurement(tmp_path / "measurement.rrd", "drop", channels, notes="# Drop")
     reader = RrdReader(path)

@@ -7,6 +7,7 @@ from terminal import rendered
 from flexspline.views.sweep_tables import metric_column
 from flexspline.views.tables import (
     COLUMNS,
+    IN_TERMINAL,
     RAW_MODEL,
     comparison_markdown,
     comparison_rows,
@@ -17,9 +18,9 @@ from flexspline.views.tables import (
 METRICS = {
     "push": {
         "filters": {
-            "EKF": {"rms": 0.5, "max": 1.25, "noise_ratio": 0.2, "delay_ms": -0.001, "response_ms": None,
+            "EKF": {"rms": 0.5, "max": 1.25, "noise_ratio": 0.2, "delay_ms": -0.001, "response_ms": None, "missed": 1.0,
                     "robust_share": 0.0, "mean_nis": float("nan"), "rms_to_sensor": 0.51},
-            "RAREKF": {"rms": 0.25, "max": 2.0, "noise_ratio": 0.4, "delay_ms": 1.5, "response_ms": 12.34,
+            "RAREKF": {"rms": 0.25, "max": 2.0, "noise_ratio": 0.4, "delay_ms": 1.5, "response_ms": 12.34, "missed": 1 / 7,
                        "robust_share": 0.123, "mean_nis": 1.0, "rms_to_sensor": 0.3},
         },
         "model": {"rms": 1.0, "max": 3.0, "noise_ratio": 1.0, "rms_to_sensor": 1.1},
@@ -31,8 +32,8 @@ METRICS = {
 def test_rows_are_scenario_by_filter_with_units_applied():
     rows = comparison_rows(METRICS)
     assert [row[:2] for row in rows] == [("push", RAW_MODEL), ("push", "EKF"), ("push", "RAREKF"), ("rest", "EKF")]
-    assert rows[2] == ("push", "RAREKF", "0.250", "2.000", "0.40", "1.5", "12.3", "12.3", "1.00", "0.300")
-    assert rows[1][5:9] == ("0.0", "–", "0.0", "–")  # no minus zero, no None, no NaN
+    assert rows[2] == ("push", "RAREKF", "0.250", "2.000", "0.40", "1.5", "12.3", "14", "12.3", "1.00", "0.300")
+    assert rows[1][5:10] == ("0.0", "–", "100", "0.0", "–")  # no minus zero, no None, no NaN
 
 
 def test_markdown_has_a_row_each_and_explains_its_columns():
@@ -62,16 +63,18 @@ def test_comparison_is_whole_at_80_columns():
         "rms_to_sensor": 12.3,
         "robust_share": 1.0,
         "response_ms": 104.2,
+        "missed": 1.0,
         "mean_nis": 10.0,
     }
     found = {name: {**METRICS["push"], "filters": {**METRICS["push"]["filters"], "AREKF": loud}} for name in names}
     text = rendered(comparison_table(found))
     head = text.split("─")[0]
-    for column in COLUMNS:
+    for column in IN_TERMINAL:
         assert all(word in head.split() for word in column.heading.split()), column.heading
         assert head.count(f"[{column.unit}]") >= (1 if column.unit else 0), column.unit
-    assert head.count("[ms]") == 2 and head.count("[N·m]") == 3 and head.count("[%]") == 1
-    for scenario, name, *cells in comparison_rows(found):
+    assert head.count("[ms]") == 2 and head.count("[N·m]") == 2 and head.count("[%]") == 2
+    for scenario, name, *every in comparison_rows(found):
+        cells = [cell for cell, column in zip(every, COLUMNS, strict=True) if column in IN_TERMINAL]
         assert scenario in text
         assert any(line.split() == [*name.split(), *cells] for line in text.splitlines()), (scenario, name)
 

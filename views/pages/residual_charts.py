@@ -9,7 +9,7 @@ import numpy as np
 
 from ..dependence import ORDERS, VARIABLES, explained, means, orders, telling
 from ..report import plain
-from ..residuals import Balance, Overlay
+from ..residuals import Overlay, ResidualSeries
 from .chart import Chart, limits
 from .rendering import percent
 
@@ -77,7 +77,7 @@ def trace(improvement: Improvement) -> dict[str, Any]:
     return {"name": t.name, "charts": [values, below]}
 
 
-def told(found: list[Balance]) -> dict[str, Any] | None:
+def told(found: list[ResidualSeries]) -> dict[str, Any] | None:
     """What gives the discrepancy away: channel, variable, and the share of the residual that it explains before and after."""
     most = telling(found)
     if most is None:
@@ -86,7 +86,7 @@ def told(found: list[Balance]) -> dict[str, Any] | None:
     return {"channel": b.channel, "key": key, "before": share, "after": explained(b, b.after, key)}
 
 
-def by_variable(found: list[Balance]) -> list[Group]:
+def by_variable(found: list[ResidualSeries]) -> list[Group]:
     """A group per balance: its residual against everything that it may depend on."""
     most = telling(found)
     groups = []
@@ -98,7 +98,7 @@ def by_variable(found: list[Balance]) -> list[Group]:
     return groups
 
 
-def _charts(b: Balance, accent: str) -> list[Chart]:
+def _charts(b: ResidualSeries, accent: str) -> list[Chart]:
     y = limits(np.concatenate([b.before, b.after]), 0.3, 0.1, 2.5 * b.noise)
     some = np.random.default_rng(0).choice(len(b.before), min(_DOTS, len(b.before)), replace=False)
     charts = []
@@ -121,7 +121,7 @@ def _charts(b: Balance, accent: str) -> list[Chart]:
     return charts
 
 
-def _orders(b: Balance) -> Chart:
+def _orders(b: ResidualSeries) -> Chart:
     label = "order per turn of the motor"
     moving = np.flatnonzero(np.abs(b.velocity) > 2.0)[:: max(len(b.velocity) // 6000, 1)]
     if len(moving) < 200:
@@ -135,7 +135,7 @@ def _orders(b: Balance) -> Chart:
     return chart
 
 
-def _direction(b: Balance, y: tuple[float, float], text: str, accent: bool) -> Chart:
+def _direction(b: ResidualSeries, y: tuple[float, float], text: str, accent: bool) -> Chart:
     labels = ((-0.6, "backward"), (0.6, "forward"))
     chart = Chart((-1.2, 1.2), y, text, VARIABLES["direction"], b.unit, accent, labels)
     chart.band(-2 * b.noise, 2 * b.noise, "noise")

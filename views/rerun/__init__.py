@@ -5,8 +5,8 @@ so that a recording opens laid out. Entities of a run: `scene/…` the 3D joint,
 `mode/<filter>`, `robust_share/<filter>`, `torsion/…`, `external_torque`, `position/…`, `position_error`, `current/…`.
 """
 
-from .channels import Channel, rerun_measurement
+from .channels import ModelledChannel, rerun_measurement
 from .diagnosis import write_rerun_report
 from .run import write_rerun
 
-__all__ = ["Channel", "rerun_measurement", "write_rerun", "write_rerun_report"]
+__all__ = ["ModelledChannel", "rerun_measurement", "write_rerun", "write_rerun_report"]

@@ -18,7 +18,7 @@ BEFORE, AFTER = "#E0533D", TRUTH
 
 
 @dataclass(frozen=True)
-class Channel:
+class ModelledChannel:
     """A measured quantity beside what a model says it should have been.
 
     Attributes:
@@ -44,7 +44,7 @@ class Channel:
         return self.below + self.name.replace(" ", "_").replace("/", "_")
 
 
-def rerun_measurement(path: Path, name: str, channels: Sequence[Channel], notes: str = "") -> Path:
+def rerun_measurement(path: Path, name: str, channels: Sequence[ModelledChannel], notes: str = "") -> Path:
     """Write measured channels against simulated ones as a recording: values above, residuals below, a tab each.
 
     Args:
@@ -71,7 +71,7 @@ def rerun_measurement(path: Path, name: str, channels: Sequence[Channel], notes:
     return Path(path)
 
 
-def channel_panel(channel: Channel) -> rrb.Container:
+def channel_panel(channel: ModelledChannel) -> rrb.Container:
     """The panel of a channel: values above, residuals below."""
     return rrb.Vertical(
         series_view(f"{channel.name} [{channel.unit}]", f"{channel.path}/values"),
@@ -81,7 +81,7 @@ def channel_panel(channel: Channel) -> rrb.Container:
     )
 
 
-def send_channel(stream: rr.RecordingStream, channel: Channel) -> None:
+def send_channel(stream: rr.RecordingStream, channel: ModelledChannel) -> None:
     """Send a channel's series."""
     simulations = {"simulated": channel.simulated, **(channel.candidates or {})}
     # What a candidate improves on is red, and the first candidate green, as in the page.

@@ -14,7 +14,7 @@ from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
 from ..style import SENSOR
 from .blueprint import joint_view
-from .channels import AFTER, BEFORE, Channel, send_channel
+from .channels import AFTER, BEFORE, ModelledChannel, send_channel
 from .recording import TIMELINE, layout, recording, series_view
 from .scene import reach, send_bodies, send_torques, shape_of, thin_frames
 
@@ -56,10 +56,10 @@ def _place(name: str) -> str:
     return "recordings/" + "".join(c if c.isalnum() else "_" for c in name)
 
 
-def _channel(o: Overlay) -> Channel:
+def _channel(o: Overlay) -> ModelledChannel:
     """An overlay as a channel: without values where only the residual means something."""
     base = o.measured if o.measured is not None else np.zeros(len(o.time))
-    return Channel(
+    return ModelledChannel(
         plain(o.channel), o.unit, o.time, base, base - o.before, {"extended": base - o.after}, _place(o.name) + "/"
     )
 

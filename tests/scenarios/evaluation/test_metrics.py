@@ -119,6 +119,8 @@ def test_response_counts_from_ones_own_level():
     found = metrics.responses(once, truth, DT, events)
     assert found[0] == 0.0 and np.isnan(found[1:]).all()
     assert metrics.response_time(once, truth, DT, events) == 0.0
+    assert metrics.missed(once, truth, DT, events) == pytest.approx(2 / 3)
+    assert metrics.missed(truth, truth, DT, events) == 0.0 and metrics.missed(truth, truth, DT, []) is None
 
 
 def test_evaluate_puts_it_together(rng):
@@ -128,7 +130,7 @@ def test_evaluate_puts_it_together(rng):
     estimate = truth + 0.02 * rng.standard_normal(len(T))
     reference = metrics.Reference(truth, truth, raw, external, DT, 1.0)
     got = reference.evaluate(estimate)
-    assert set(got) == {"rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms"}
+    assert set(got) == {"rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms", "missed"}
     assert got["rms"] == pytest.approx(0.02, rel=0.05)
     assert got["noise_ratio"] == pytest.approx(0.25, rel=0.1)
     assert got["response_ms"] is None

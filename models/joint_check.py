@@ -33,7 +33,7 @@ Severity = Literal["error", "warning"]
 
 
 @dataclass(frozen=True)
-class Problem:
+class Fault:
     """One thing that is wrong: how badly, where in the file, what was expected and what came."""
 
     severity: Severity
@@ -47,7 +47,7 @@ class Checked:
 
     path: Path
     joint: Joint | None
-    problems: tuple[Problem, ...]
+    problems: tuple[Fault, ...]
 
     @property
     def errors(self) -> int:
@@ -73,9 +73,9 @@ def check(source: str | Path) -> Checked:
     try:
         data = read_yaml(path, "a joint description")
     except InputError as error:
-        return Checked(path, None, (Problem("error", "file", str(error).removeprefix(str(path)).lstrip(":, ")),))
+        return Checked(path, None, (Fault("error", "file", str(error).removeprefix(str(path)).lstrip(":, ")),))
     if not isinstance(data, dict):
-        return Checked(path, None, (Problem("error", "file", f"expected a mapping of keys, got {shown(data)}"),))
+        return Checked(path, None, (Fault("error", "file", f"expected a mapping of keys, got {shown(data)}"),))
     joint, faults = _read(data)
     found = [_problem("error", text) for text in faults]
     if joint is not None:
@@ -90,7 +90,7 @@ def check(source: str | Path) -> Checked:
     return Checked(path, joint if not faults else None, tuple(sorted(found, key=lambda p: p.severity != "error")))
 
 
-def contradictions(joint: Joint) -> list[Problem]:
+def contradictions(joint: Joint) -> list[Fault]:
     """The numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static friction."""
     value = {symbol: number.value for symbol, number in joint.numbers.items()}
     fitted = {symbol for symbol, number in joint.numbers.items() if number.nominal is not None}
@@ -136,23 +136,23 @@ def _each(given: Any, model: type[BaseModel]) -> dict[str, Any]:
     return found
 
 
-def _problem(severity: Severity, text: str) -> Problem:
+def _problem(severity: Severity, text: str) -> Fault:
     field, _, message = text.partition(": ")
-    return Problem(severity, field, message)
+    return Fault(severity, field, message)
 
 
-def _mjcf(joint: Joint) -> list[Problem]:
+def _mjcf(joint: Joint) -> list[Fault]:
     try:
         mjcf = joint.mjcf
         if not mjcf.is_file():
-            return [Problem("error", "model", f"expected an MJCF file, no such file {joint.model!r}")]
+            return [Fault("error", "model", f"expected an MJCF file, no such file {joint.model!r}")]
         check_mjcf(mjcf)
     except InputError as error:
-        return [Problem("error", "model", str(error))]
+        return [Fault("error", "model", str(error))]
     return []
 
 
-def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Problem]:
+def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Fault]:
     """What numbers and mountings say that no joint does, or few do; as far as they can be read."""
     value = {symbol: number.value for symbol, number in numbers.items() if number.value > 0}
     fitted = {symbol for symbol, number in numbers.items() if number.nominal is not None}
@@ -166,15 +166,15 @@ def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting
         yield from _mounting(name, mounting, value)
 
 
-def _contradictions(value: Mapping[str, float], fitted: set[str]) -> Iterator[Problem]:
+def _contradictions(value: Mapping[str, float], fitted: set[str]) -> Iterator[Fault]:
     """Numbers that contradict each other. Fitted ones may cross: each is as the data have it."""
 
-    def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Problem]:
+    def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Fault]:
         if small in value and large in value and value[small] > value[large]:
             unit = SYMBOLS[large][0]
             worst: Severity = "warning" if {small, large} & fitted else severity
             text = f"expected {large} ≥ {small} = {value[small]:g} {unit}, {why}, got {value[large]:g}"
-            yield Problem(worst, f"numbers.{large}", text)
+            yield Fault(worst, f"numbers.{large}", text)
 
     yield from ordered("K1", "K3", "a strain wave gear stiffens with torque")
     yield from ordered("K1", "K2", "a strain wave gear stiffens with torque", "warning")
@@ -182,11 +182,11 @@ def _contradictions(value: Mapping[str, float], fitted: set[str]) -> Iterator[Pr
     yield from ordered("Fc", "Fs", "static friction is no less than Coulomb friction")
 
 
-def _odd_value(field: str, expected: str, got: float) -> Problem:
-    return Problem("warning", field, f"expected {expected}, got {got:.3g}")
+def _odd_value(field: str, expected: str, got: float) -> Fault:
+    return Fault("warning", field, f"expected {expected}, got {got:.3g}")
 
 
-def _proportions(value: Mapping[str, float]) -> Iterator[Problem]:
+def _proportions(value: Mapping[str, float]) -> Iterator[Fault]:
     """Numbers that do not fit each other: a slip of a unit shows here when each alone could be."""
 
     def has(*symbols: str) -> bool:
@@ -227,7 +227,7 @@ def _proportions(value: Mapping[str, float]) -> Iterator[Problem]:
             yield _odd_value("numbers.current_limit", expected, times)
 
 
-def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iterator[Problem]:
+def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iterator[Fault]:
     if mounting.locked or not mounting.gravity_moment:
         return
     lever = mounting.inertia * GRAVITY / mounting.gravity_moment
@@ -239,13 +239,13 @@ def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iter
         yield _odd_value(f"mountings.{name}", expected, mounting.gravity_moment)
 
 
-def _odd(joint: Joint) -> Iterator[Problem]:
+def _odd(joint: Joint) -> Iterator[Fault]:
     """What can be said of a description that is whole."""
     p = joint.bare_record()[0]
     slope = sum(abs(float(o.order * o.amplitude.value)) for o in joint.kinematic_error) * float(p["N"])
     if slope >= 1:
         text = f"expected a kinematic error that never turns the motion round (Σ order·A < 1/N), got {slope:.3g}/N"
-        yield Problem("warning", "kinematic_error", text)
+        yield Fault("warning", "kinematic_error", text)
     sensors = joint.sensors
     seen = math.hypot(sensors.motor_encoder.resolution / float(p["N"]), sensors.link_encoder.resolution)
     rated = joint.numbers["rated_torque"].value
@@ -257,7 +257,7 @@ def _odd(joint: Joint) -> Iterator[Problem]:
         yield from _effect(i, effect)
 
 
-def _effect(i: int, effect: Effect) -> Iterator[Problem]:
+def _effect(i: int, effect: Effect) -> Iterator[Fault]:
     """An effect's parameters far beyond what is ordinary."""
     for q in causes.get(effect.name).parameters:
         largest = max((abs(high) for _, high in q.ordinary), default=math.inf)

@@ -1,0 +1,111 @@
+"""`flexspline report`: one self-contained page of what a folder holds, to send to a colleague."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..models.errors import InputError
+from ._options import with_plugins
+
+EXAMPLES = (
+    "flexspline report runs/external_push",
+    "flexspline report runs --out comparison.html",
+    "flexspline report before after --out repair.html",
+    "flexspline report sweep --out study.html",
+)
+_MARK = '<meta name="generator" content="flexspline">'
+
+
+@with_plugins
+def command(
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            help="of a run, a comparison, a diagnosis or a sweep; or two diagnoses of a joint, before and after",
+            metavar="FOLDER [FOLDER]",
+        ),
+    ],
+    out: Annotated[Path, typer.Option(help="the page, an HTML file that needs nothing beside it")] = Path(
+        "report.html"
+    ),
+) -> None:
+    """Write one self-contained page of a run, a comparison, a diagnosis or a sweep; or of two diagnoses side by side.
+
+    It starts with what was found, how sure that is and what to do now, and ends with where it comes from. Charts zoom, tell
+    their values and hide their lines; it is made for light and dark, a phone and paper.
+    """
+    from ..models.files import write_into_place
+    from ._console import console
+
+    _check(out)
+    page = _page(folders)
+    with write_into_place(out) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    console().print(f"{out}")
+
+
+def _check(out: Path) -> None:
+    """Refuse to replace what this command did not write.
+
+    Raises:
+      InputError: there is another kind of file, or a folder.
+    """
+    if out.is_dir():
+        raise InputError(f"--out {out}: expected a file, got a folder")
+    if not out.parent.is_dir():
+        raise InputError(f"--out {out}: expected a file in a folder that is there, {out.parent} is not")
+    if out.exists() and _MARK not in out.read_text(encoding="utf-8", errors="replace")[:2000]:
+        raise InputError(f"--out {out}: expected no file, or a page of this program, got another file")
+
+
+def _page(folders: list[Path]) -> str:
+    for folder in folders:
+        if not folder.is_dir():
+            raise InputError(f"{folder}: expected a folder of a run, a comparison, a diagnosis or a sweep, found none")
+    if len(folders) == 2:
+        from ..views.pages.two_diagnoses import read_diagnosis, two_html
+
+        return two_html(*(read_diagnosis(folder) for folder in folders))
+    if len(folders) > 2:
+        raise InputError(f"report: expected one folder, or two diagnoses, got {len(folders)}")
+    (folder,) = folders
+    if (folder / "diagnosis.json").is_file():
+        return _diagnosis(folder)
+    if (folder / "study.json").is_file():
+        return _sweep(folder)
+    if (folder / "scenario.yaml").is_file():
+        return _runs([folder])
+    found = sorted(path.parent for path in folder.glob("*/scenario.yaml"))
+    if found:
+        return _runs(found)
+    raise InputError(f"{folder}: expected a folder of a run, a comparison, a diagnosis or a sweep, got something else")
+
+
+def _diagnosis(folder: Path) -> str:
+    """The page that diagnosing wrote: what it shows was fitted then."""
+    page = folder / "report.html"
+    if not page.is_file():
+        raise InputError(f"{page}: expected the page of the diagnosis, found none; diagnose again without --no-report")
+    return page.read_text(encoding="utf-8")
+
+
+def _runs(folders: list[Path]) -> str:
+    from ..scenarios.run_folder import load_run
+    from ..views.pages.run import runs_html
+
+    return runs_html([(load_run(folder), folder) for folder in folders])
+
+
+def _sweep(folder: Path) -> str:
+    from ..models.files import parse
+    from ..scenarios.studies.dataset import read_note
+    from ..scenarios.studies.statistics import read_csv
+    from ..scenarios.studies.study import Study
+    from ..views.pages.sweep import sweep_html
+
+    note = read_note(folder / "study.json")
+    study = parse(note["study"], Study, str(folder / "study.json"))
+    return sweep_html(study, read_csv(folder / "summary.csv", study), note["versions"], note["digest"], folder)

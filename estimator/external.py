@@ -1,0 +1,66 @@
+"""External torque on the link from any estimate of the joint torque: the link's momentum observer (De Luca & Mattone, "Sensorless
+robot collision detection and hybrid force/motion control", ICRA 2005; for an elastic joint with its torque known: De Luca,
+Albu-Schäffer, Haddadin & Hirzinger, IROS 2006, Eq. 14). With the link's momentum p = Jl·ωl and p' = Ts + own torques + τext
+
+    r = K (p − p(0) − ∫ (T̂ + own torques + r) dt)        so that  r' = K (τext + Ts − T̂ − r)
+
+so that the residual r is the external torque, and what the estimate is wrong by, behind a first-order low-pass of K/2π Hz.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ..models import dynamics
+from ..models.errors import InputError
+from ..models.kernels import kernel
+from ..models.signals import Signals
+from .estimator import KnownJoint
+
+BANDWIDTH, CUTOFF = 20.0, 40.0
+"""Of the observer, and of the low-pass of the link's velocity [Hz]: those of the estimator `momentum`."""
+
+
+def external_torque(
+    signals: Signals, torque: np.ndarray, joint: KnownJoint, bandwidth: float = BANDWIDTH, cutoff: float = CUTOFF
+) -> np.ndarray:
+    """External torque on the link [N·m], shape (n,), that an estimate of the joint torque means.
+
+    Args:
+        signals: with both positions.
+        torque: Shape (n,), the estimate [N·m].
+        joint: what is known of it: inertia, weight, zero of the link encoder.
+        bandwidth: of the observer [Hz]. cutoff: of the link velocity's low-pass [Hz].
+
+    Raises:
+        InputError: a torque of another length than the signals.
+    """
+    if np.shape(torque) != signals.time.shape:
+        raise InputError(f"external torque: expected a torque of shape {signals.time.shape}, got {np.shape(torque)}")
+    out = np.zeros(len(signals.time))
+    _observe(
+        joint.since(signals.time), signals["motor_position"], signals["link_position"],
+        np.ascontiguousarray(torque, dtype=np.float64), joint.record, 2 * math.pi * bandwidth, 2 * math.pi * cutoff, out,
+    )  # fmt: skip
+    return out
+
+
+@kernel
+def _observe(time, motor, link, torque, record, gain, cutoff, out):
+    p = record[0]
+    velocity, total, residual = 0.0, 0.0, 0.0
+    before = dynamics.actual_link_position(link[0], motor[0], 0.0, time[0], p)
+    for k in range(1, len(time)):
+        h = time[k] - time[k - 1]
+        position = dynamics.actual_link_position(link[k], motor[k], p.N * velocity, time[k], p)
+        velocity += (1.0 - math.exp(-cutoff * h)) * ((position - before) / h - velocity)
+        before = position
+        state = dynamics.drive_state(
+            motor[k], p.N * velocity, position, velocity, 0.0, 0.0, time[k], p.reference_temperature
+        )
+        total += h * (torque[k] + dynamics.link_torque(state, torque[k], p))
+        residual = gain * (p.Jl * velocity - total) / (1.0 + gain * h)  # implicit in r: stable at any gain
+        total += h * residual
+        out[k] = residual

@@ -1,0 +1,361 @@
+"""Collision detection on each estimator's external torque: false alarms against delay and the smallest push that is found.
+
+A detector is a threshold on |external torque|. Runs without contact give the thresholds, others of them the false alarms per
+hour; runs with drawn pushes give how many are found and how late. Every run is a draw of its own (`draws`): another joint
+within tolerance, another start and pace, another noise, and, with `sensors: realistic`, another lag of the drive. A joint that
+is off its description is off throughout a run, so the run is what is independent: intervals are bootstrapped over runs.
+
+* **False alarms**: seconds in which the threshold is exceeded, per hour without contact.
+* **Found**: the threshold is exceeded between a push's onset and 0.1 s after its end, and was not in the half second before it.
+* **Delay**: from the onset, at which the torque is zero, to the alarm.
+* **Smallest push**: the size of which 90 % are found, by logistic regression over the logarithm of the size.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.special import expit
+
+from ...estimator.errors import FilterDiverged
+from ...estimator.estimator import Estimator, KnownJoint
+from ...estimator.external import external_torque
+from ...models.errors import InputError
+from ...models.signals import Signals
+from ...sim.loop import CONTROL_PERIOD, Simulation
+from ...sim.sensors import stream
+from ..experiment import Experiment, signals_of
+from ..scenario import Disturbance, Scenario
+from .draws import drawn_record, told, varied
+from .intervals import Interval
+
+SENSOR = "torque sensor"
+"""Stands for the torque sensor's own reading among the estimators: what a joint with one has."""
+SIZES = (0.05, 8.0)
+"""Smallest and largest drawn push [N·m]; evenly over the logarithm, either sign."""
+DURATIONS = (0.1, 0.5)
+"""Shortest and longest drawn push [s], a half sine; likewise."""
+BY_LINK = ", by the link"
+"""Behind the name of an estimator that has an external torque of its own: the link's observer with its joint torque instead."""
+LARGE = 2.0
+"""Pushes of this size [N·m] or more count for the delay."""
+SHARE = 0.9
+"""Share of pushes found that makes a size the smallest."""
+RATES = (60.0, 10.0, 1.0)
+"""False alarms per hour at which detectors are told of; below what a run's hours can show none is."""
+_PERIOD = 5.0  # s: a push in each
+_SECOND = 1.0  # s, in which alarms are one
+_AFTER = 0.1  # s after a push in which it may still be found
+_BEFORE = 0.5  # s before it in which there must be no alarm
+_RIDGE = 0.002  # of the logistic slope: keeps it finite where found and missed do not overlap
+
+
+@dataclass(frozen=True)
+class Detector:
+    """What an estimator's external torque does without and with contact.
+
+    Attributes:
+        name: of the estimator.
+        quiet: Shape (runs, seconds), largest |external torque| [N·m] in each second without contact; infinite after it diverged.
+        size: Shape (runs, pushes), |torque| of pushes at their largest [N·m].
+        before: Shape (runs, pushes), largest |external torque| in the half second before.
+        rising: Shape (runs, pushes, ticks), largest |external torque| from the onset until then, held 0.1 s after the push.
+    """
+
+    name: str
+    quiet: np.ndarray
+    size: np.ndarray
+    before: np.ndarray
+    rising: np.ndarray
+
+    @property
+    def hours(self) -> float:
+        """Time without contact [h] over which false alarms are counted: half of it, the other gives the thresholds."""
+        return self._counted.size * _SECOND / 3600.0
+
+    @property
+    def _counted(self) -> np.ndarray:
+        return self.quiet[1::2]
+
+    def threshold(self, rate: float) -> float:
+        """Threshold [N·m] that is exceeded `rate` seconds an hour without contact in every other run; NaN where their time is
+        too short to tell."""
+        seconds = np.sort(self.quiet[::2].reshape(-1))[::-1]
+        exceeded = rate * len(seconds) * _SECOND / 3600.0
+        return float(seconds[round(exceeded)]) if 1.0 <= exceeded < len(seconds) - 0.5 else math.nan
+
+    def thresholds(self, points: int = 40) -> np.ndarray:
+        """Thresholds for curves, shape (points,) or fewer: from an alarm every other second to one in all of the time."""
+        seconds = np.sort(self.quiet[::2].reshape(-1))
+        above = np.unique(np.round(np.geomspace(1, len(seconds) // 2, points)).astype(int))
+        return np.unique(seconds[len(seconds) - above][np.isfinite(seconds[len(seconds) - above])])
+
+    def alarms(self, threshold: float) -> np.ndarray:
+        """False alarms per hour of each run that gave no threshold, shape (runs/2,)."""
+        return 3600.0 / _SECOND * np.mean(self._counted > threshold, axis=1)
+
+    def found(self, threshold: float) -> np.ndarray:
+        """Which pushes are found, shape (runs, pushes)."""
+        return (self.rising[:, :, -1] > threshold) & ~(self.before > threshold)
+
+    def delays(self, threshold: float) -> np.ndarray:
+        """Delay of every push [s], shape (runs, pushes); NaN where it is not found."""
+        late = np.argmax(self.rising > threshold, axis=2) * CONTROL_PERIOD
+        return np.where(self.found(threshold), late, np.nan)
+
+
+@dataclass(frozen=True)
+class Point:
+    """A detector at a threshold.
+
+    Attributes:
+        threshold: [N·m].
+        alarms: false alarms per hour, counted on other runs than those that gave the threshold.
+        smallest: size of which 90 % are found [N·m]; infinite where none is.
+        share, delay: of the large pushes the share that is found, and the median delay of those [s].
+    """
+
+    threshold: float
+    alarms: Interval
+    smallest: Interval
+    share: Interval
+    delay: Interval
+
+
+def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> Point:
+    """A detector at a threshold, with 95 % bootstrap intervals over runs; none with `resamples` 0."""
+    alarms, found, delays = detector.alarms(threshold), detector.found(threshold), detector.delays(threshold)
+    large = detector.size >= LARGE
+    rng = np.random.default_rng(seed)
+
+    def measures(quiet: np.ndarray, pushed: np.ndarray) -> tuple[float, float, float, float]:
+        of_large = large[pushed]
+        late = delays[pushed][of_large]
+        late = late[np.isfinite(late)]
+        return (
+            float(np.mean(alarms[quiet])),
+            smallest_push(detector.size[pushed].reshape(-1), found[pushed].reshape(-1)),
+            float(np.mean(found[pushed][of_large])) if of_large.any() else math.nan,
+            float(np.median(late)) if len(late) else math.nan,
+        )
+
+    n, m = len(alarms), len(found)
+    mean = measures(np.arange(n), np.arange(m))
+    drawn = np.array([measures(rng.integers(0, n, n), rng.integers(0, m, m)) for _ in range(resamples)]).reshape(-1, 4)
+    ends = [(math.nan, math.nan)] * 4
+    if resamples:
+        ends = [tuple(_quantiles(column)) for column in drawn.T]
+    counts = (n, m, m, m)
+    return Point(threshold, *(Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)))
+
+
+def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
+    """A detector over its thresholds, a row each: what `Point` has, without intervals; none where a measure is not defined."""
+    for threshold in detector.thresholds():
+        p = at(detector, float(threshold), resamples=0)
+        measures = {
+            "threshold": threshold, "false_alarms_per_hour": p.alarms.mean, "smallest_push": p.smallest.mean,
+            "found_of_large": p.share.mean, "delay_ms": 1e3 * p.delay.mean,
+        }  # fmt: skip
+        rounded = {name: float(f"{v:.4g}") if np.isfinite(v) else None for name, v in measures.items()}
+        yield {
+            "tolerance": tolerance,
+            "estimator": detector.name,
+            **rounded,
+            "hours": detector.hours,
+            "runs": len(detector.quiet),
+        }
+
+
+def _quantiles(values: np.ndarray) -> np.ndarray:
+    """2.5 and 97.5 % of values; infinite ones are the largest, NaN are left out."""
+    values = np.sort(values[~np.isnan(values)])
+    if not len(values):
+        return np.full(2, np.nan)
+    return values[np.round(np.array([0.025, 0.975]) * (len(values) - 1)).astype(int)]
+
+
+def smallest_push(size: np.ndarray, found: np.ndarray, share: float = SHARE) -> float:
+    """Size [N·m] of which a share is found: logistic regression, P(found) = 1/(1 + exp(−(a + b ln size))), by Newton's steps.
+
+    Args:
+        size: Shape (n,) [N·m]. found: Shape (n,), bool.
+
+    Returns:
+        The size; infinite where the fit finds no more of larger pushes, or that size lies beyond twice the largest.
+    """
+    if not found.any():
+        return math.inf
+    X = np.column_stack([np.ones(len(size)), np.log(size)])
+    ridge = np.diag([1e-6, _RIDGE])
+    beta = np.zeros(2)
+    for _ in range(60):
+        p = expit(X @ beta)
+        gradient = X.T @ (found - p) - ridge @ beta
+        step = np.linalg.solve((X * (p * (1.0 - p))[:, None]).T @ X + ridge, gradient)
+        beta = beta + step * min(1.0, 2.0 / max(float(np.max(np.abs(step))), 1e-12))
+        if float(np.max(np.abs(step))) < 1e-8:
+            break
+    if beta[1] <= 0.0:
+        return math.inf
+    logarithm = (math.log(share / (1.0 - share)) - beta[0]) / beta[1]
+    return math.exp(logarithm) if logarithm <= math.log(2.0 * float(np.max(size))) else math.inf
+
+
+def pushes(scenario: Scenario, seed: int) -> list[Disturbance]:
+    """Drawn pushes, one in every five seconds after the transient: onset, duration, size and sign."""
+    rng = stream(seed, f"contact {scenario.name}")
+    found = []
+    for begin in np.arange(scenario.transient + 1.0, scenario.duration - _PERIOD, _PERIOD):
+        duration = float(np.exp(rng.uniform(*np.log(DURATIONS))))
+        torque = float(np.exp(rng.uniform(*np.log(SIZES))) * rng.choice((-1.0, 1.0)))
+        start = float(round(begin + rng.uniform(_BEFORE, _PERIOD - _BEFORE - duration - _AFTER), 3))
+        found.append(Disturbance(kind="push", start=start, duration=duration, torque=torque))
+    return found
+
+
+def external(
+    name: str, estimator: Estimator | None, signals: Signals, reading: np.ndarray, known: KnownJoint
+) -> dict[str, np.ndarray]:
+    """An estimator's external torque [N·m], shape (n,): its own where it has one, and that of the link's observer with its joint
+    torque, by name.
+
+    Args:
+        estimator: None: the torque sensor. reading: of the sensor, shape (n,) [N·m].
+
+    Raises:
+        FilterDiverged: an estimate that is no longer finite.
+    """
+    if estimator is None:
+        p = known.p
+        torque = (reading - p["torque_offset"] - p["torque_rate"] * known.since(signals.time)) / p["torque_gain"]
+        return {name: external_torque(signals, torque, known)}
+    found = estimator.estimate(signals, known)
+    by_link = external_torque(signals, found.mean, known)
+    return {name: by_link} if found.external is None else {name: found.external, f"{name}{BY_LINK}": by_link}
+
+
+def check(scenario: Scenario, estimators: Mapping[str, Estimator]) -> None:
+    """Refuse what `assess` cannot use.
+
+    Raises:
+        InputError: an estimator that looks ahead, torque feedback, or too little time.
+    """
+    for name, estimator in estimators.items():
+        if not estimator.causal:
+            raise InputError(f"contact: {name}: expected an estimator that looks at nothing later, got one that does")
+    if scenario.feedback != "none":
+        raise InputError(f"contact: scenario {scenario.name}: feedback: expected none, got {scenario.feedback!r}")
+    if len(pushes(scenario, 1)) == 0:
+        raise InputError(
+            f"contact: scenario {scenario.name}: duration: expected room for a push, got {scenario.duration:g} s"
+        )
+
+
+def runs_of(scenario: Scenario, hours: float) -> int:
+    """How many runs without contact `assess` makes, an even number: so long a time after their transients, four at least."""
+    return max(2 * math.ceil(hours * 3600.0 / (2.0 * (scenario.duration - scenario.transient))), 4)
+
+
+def assess(
+    scenario: Scenario,
+    folder: Path | None,
+    estimators: Mapping[str, Estimator],
+    hours: float = 1.0,
+    tolerance: float = 1.0,
+    threads: int = 1,
+    progress: Callable[[], None] = lambda: None,
+) -> list[Detector]:
+    """Draw runs without and with contact; what every estimator's external torque does in them.
+
+    Args:
+        scenario: its motion, joint and sensors; disturbances of its own are left out. folder: of its file.
+        estimators: by name, causal ones; the torque sensor stands beside them.
+        hours: without contact in all; as many runs with pushes as there are of these, and another joint in each.
+        tolerance: share of the joint's tolerances within which it is drawn; the estimators are told the nominal numbers and how
+            well they are known, and the link encoder is tared.
+        threads: runs at a time; the result does not depend on it.
+        progress: called after each pair of runs.
+
+    Raises:
+        InputError: as `check`.
+    """
+    check(scenario, estimators)
+    scenario = scenario.model_copy(update={"disturbances": []})
+    every: dict[str, Estimator | None] = {SENSOR: None, **estimators}
+
+    def one(index: int) -> dict[str, list[np.ndarray]]:
+        quiet = _simulated(scenario, folder, 2 * index + 1, tolerance, [])
+        chosen = pushes(scenario, 2 * index + 2)
+        touched = _simulated(scenario, folder, 2 * index + 2, tolerance, chosen)
+        found = {}
+        for name, each in every.items():
+            silent, heard = _heard(name, each, *quiet), _heard(name, each, *touched)
+            for label in silent.keys() | heard.keys():
+                a, b = (x.get(label, x.get(name)) for x in (silent, heard))
+                assert a is not None and b is not None
+                found[label] = [_seconds(a, scenario), *_around(b, chosen)]
+        progress()
+        return found
+
+    with ThreadPoolExecutor(threads, thread_name_prefix="contact") as pool:
+        done = list(pool.map(one, range(runs_of(scenario, hours))))
+    labels = [label for name in every for label in (name, f"{name}{BY_LINK}") if any(label in d for d in done)]
+    return [
+        Detector(label, *(np.array([d.get(label, d.get(_plain(label), []))[i] for d in done]) for i in range(4)))
+        for label in labels
+    ]
+
+
+def _plain(label: str) -> str:
+    return label.removesuffix(BY_LINK)
+
+
+Ran = tuple[Simulation, KnownJoint]
+
+
+def _simulated(
+    scenario: Scenario, folder: Path | None, seed: int, tolerance: float, pushed: Sequence[Disturbance]
+) -> Ran:
+    chosen = varied(scenario, seed).model_copy(update={"disturbances": list(pushed)})
+    experiment = Experiment.of(chosen, folder)
+    record = drawn_record(experiment, seed, tolerance, tared=True)
+    simulation = experiment.simulate(seed, record, experiment.build(record))
+    return simulation, told(experiment.known, tolerance, tared=True)
+
+
+def _heard(name: str, estimator: Estimator | None, simulation: Simulation, known: KnownJoint) -> dict[str, np.ndarray]:
+    """|External torque| [N·m], shape (n,), by name; infinite where the estimator diverged."""
+    signals = signals_of(simulation)
+    try:
+        found = external(name, estimator, signals, simulation.readings["joint_torque"], known)
+    except FilterDiverged:
+        return {name: np.full(len(signals.time), np.inf)}
+    return {label: np.abs(values) for label, values in found.items()}
+
+
+def _seconds(heard: np.ndarray, scenario: Scenario) -> np.ndarray:
+    """Largest value in each second after the transient."""
+    width = round(_SECOND / CONTROL_PERIOD)
+    kept = heard[round(scenario.transient / CONTROL_PERIOD) :]
+    return kept[: len(kept) // width * width].reshape(-1, width).max(axis=1)
+
+
+def _around(heard: np.ndarray, pushed: Sequence[Disturbance]) -> Iterator[np.ndarray]:
+    """Sizes of the pushes, largest value before each, and running maximum from its onset on."""
+    width = round((DURATIONS[1] + _AFTER) / CONTROL_PERIOD)
+    before, rising = [], []
+    for one in pushed:
+        begin = math.ceil(one.start / CONTROL_PERIOD - 1e-6)
+        end = min(math.ceil((one.start + one.duration + _AFTER) / CONTROL_PERIOD), begin + width)
+        before.append(heard[max(begin - round(_BEFORE / CONTROL_PERIOD), 0) : begin + 1].max())
+        rising.append(np.pad(np.maximum.accumulate(heard[begin:end]), (0, width - (end - begin)), mode="edge"))
+    yield np.array([abs(one.torque) for one in pushed])
+    yield np.array(before)
+    yield np.array(rising)

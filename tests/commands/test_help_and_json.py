@@ -1,0 +1,81 @@
+"""What every command offers: help with examples, `-h`, completion, JSON for programs."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from flexspline import commands
+
+ALL = [(folder, name) for folder in ("", "joint") for name in commands._files(folder) if name != "joint"]
+SHORT = ["--set", "duration=3", "--set", "filters=[RAREKF, current]"]
+
+
+@pytest.mark.parametrize(("folder", "name"), ALL, ids=[" ".join(one).strip() for one in ALL])
+def test_every_command_has_examples_in_its_help(flexspline, folder, name):
+    module = ".".join(part for part in ("flexspline.commands", folder, commands._files(folder)[name]) if part)
+    examples = importlib.import_module(module).EXAMPLES
+    words = [word for word in (folder, name) if word]
+    code, out, err = flexspline(*words, "-h")
+    assert code == 0 and not err
+    text = " ".join(out.split())
+    for example in examples:
+        assert example.startswith(f"flexspline {' '.join(words)}")
+        assert example in text
+
+
+def test_exit_codes_are_documented(flexspline):
+    _, out, _ = flexspline("-h")
+    assert "Exit codes: 0 done; 1 a limit is missed" in " ".join(out.split())
+
+
+def test_version_says_what_it_is_made_of(flexspline):
+    _, out, _ = flexspline("--version")
+    lines = out.splitlines()
+    assert lines[0].startswith("flexspline ") and lines[1].startswith("Python ")
+    assert {"mujoco", "numpy", "numba", "rerun-sdk"} <= {line.split()[0] for line in lines}
+
+
+@pytest.mark.parametrize(
+    ("typed", "offered"),
+    [("ru", "run"), ("run ext", "external_push"), ("run --se", "--seed"), ("joint sh", "show"), ("sweep noi", "noise_and_load")],
+)  # fmt: skip
+def test_a_shell_completes(typed, offered):
+    words = {"COMP_WORDS": f"flexspline {typed}", "COMP_CWORD": str(len(typed.split()))}
+    program = "import sys; sys.argv = ['flexspline']; from flexspline.commands import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True,
+        env={**os.environ, "_FLEXSPLINE_COMPLETE": "complete_bash", **words},
+    )  # fmt: skip
+    assert offered in done.stdout.split()
+
+
+def test_a_run_and_a_comparison_as_json(flexspline, tmp_path):
+    code, out, err = flexspline("run", "no_load", *SHORT, "--out", tmp_path, "--no-figures", "--no-recording", "--json")
+    assert code == 0, err
+    (run,) = json.loads(out).values()
+    assert run["folder"] == str(tmp_path / "no_load") and set(run["filters"]) == {"RAREKF", "current"}
+    code, out, err = flexspline(
+        "compare", "no_load", *SHORT, "--out", tmp_path, "--no-figures", "--no-recording", "--json"
+    )
+    assert code == 0, err
+    assert json.loads(out)["no_load"]["filters"] == run["filters"]
+    measured = tmp_path / "no_load" / "no_load.yaml"
+    code, out, err = flexspline("estimate", measured, "--filter", "current", "--out", tmp_path / "estimates", "--json")
+    assert code == 0, err
+    assert json.loads(out) == json.loads((tmp_path / "estimates" / "metrics.json").read_text())
+    code, out, err = flexspline("validate", measured, "--out", tmp_path / "check", "--json")
+    assert code == 0, err
+    assert json.loads(out) == json.loads((tmp_path / "check" / "validation.json").read_text())
+
+
+def test_limits_as_json(flexspline):
+    code, out, err = flexspline("bound", "no_load", *SHORT, "--seeds", 1, "--filter", "RAREKF", "--json")
+    assert code == 0, err
+    (row,) = json.loads(out)
+    assert row["estimator"] == "RAREKF" and row["rms"] > row["bound"] / 3 > 0

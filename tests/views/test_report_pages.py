@@ -1,0 +1,265 @@
+"""Pages of runs, comparisons, sweeps and two diagnoses: self-contained, they begin with the answer, and their charts answer."""
+
+from __future__ import annotations
+
+import json
+import re
+from html import unescape
+from pathlib import Path
+
+import pytest
+from browser import assert_fits, look
+
+from flexspline.models.errors import InputError
+from flexspline.models.joint import load_joint
+from flexspline.scenarios.run_folder import save_run
+from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
+from flexspline.scenarios.studies.study import Study
+from flexspline.views.pages.rendering import TEMPLATES
+from flexspline.views.pages.run import line_kinds, runs_html
+from flexspline.views.pages.sweep import sweep_html
+from flexspline.views.pages.two_diagnoses import read_diagnosis, two_html
+
+HEAD = ("What was found", "How sure", "What to do now", "Where this page comes from")
+
+
+def text_of(page: str) -> str:
+    return " ".join(
+        unescape(re.sub(r"<style.*?</style>|<script.*?</script>|<[^>]*>", " ", page, flags=re.DOTALL)).split()
+    )
+
+
+@pytest.fixture(scope="module")
+def run_page(pushed, bare, tmp_path_factory) -> str:
+    return runs_html([(pushed, Path("runs/external push")), (bare, Path("runs/no_load"))])
+
+
+@pytest.fixture(scope="module")
+def sweep_page() -> str:
+    return sweep_html(STUDY, found(), {"flexspline": "0.1.0"}, "abcdef0123456789", Path("sweeps/s"))
+
+
+STUDY = Study.model_validate(
+    {
+        "name": "levels", "description": "Noise <1>.", "seeds": {"count": 9}, "scenarios": ["link_sweep", "no_load"],
+        "axes": [{"kind": "scale", "name": "level", "keys": {"sensors.link_encoder.noise": 1e-6}, "values": [1, 8]}],
+        "metrics": ["rms", "max"], "filters": ["EKF", "RAREKF"], "reference": "RAREKF",
+    }
+)  # fmt: skip
+
+
+def found() -> list[Aggregate]:
+    """EKF is better where there is little noise, worse where there is more."""
+
+    def one(mean: float, half: float = 0.01) -> Interval:
+        return Interval(mean, mean - half, mean + half, 9)
+
+    rows = []
+    for scenario in ("link_sweep", "no_load"):
+        for level, error in ((1.0, 0.1), (8.0, 0.4)):
+            for name, value in (("EKF", error), ("RAREKF", 0.2)):
+                differences = {} if name == "RAREKF" else {m: one(value - 0.2) for m in STUDY.metrics}
+                rows.append(
+                    Aggregate(
+                        scenario, {"level": level}, name, 9, 0, {m: one(value) for m in STUDY.metrics}, differences
+                    )
+                )
+    return rows
+
+
+def diagnosed(folder: Path, verdict: str, causes: list, calibrated: dict[str, tuple[float, float]], blind=()) -> Path:
+    """A folder as `flexspline diagnose` leaves it, without its pages."""
+    joint = load_joint("test-joint")
+    numbers = {
+        name: number.model_copy(
+            update={"value": number.value * calibrated[name][0], "std": number.value * calibrated[name][1]}
+        )
+        if name in calibrated
+        else number
+        for name, number in joint.numbers.items()
+    }
+    folder.mkdir()
+    joint.model_copy(update={"numbers": numbers}).write(folder / "joint.yaml")
+    error = {"before": 0.2, "after": 0.02, "noise": 0.019, "unit": "N·m"}
+    answer = {
+        "verdict": verdict, "causes": causes, "undetermined": list(blind), "residual": {"joint_torque": error},
+        "estimation": {"estimators": {"RAREKF": {"before": 0.3, "after": 0.1}}},
+    }  # fmt: skip
+    (folder / "diagnosis.json").write_text(json.dumps(answer), encoding="utf-8")
+    return folder
+
+
+def named(name: str, component: str, **parameters) -> dict:
+    values = {k: {"value": v, "std": s, "unit": u} for k, (v, s, u) in parameters.items()}
+    return {"name": name, "component": component, "confidence": 0.98, "parameters": values}
+
+
+@pytest.fixture(scope="module")
+def repair(tmp_path_factory) -> tuple[Path, Path]:
+    root = tmp_path_factory.mktemp("repair <1>")
+    gap = named("backlash", "transmission", gap=(4e-4, 1e-5, "rad"))
+    before = diagnosed(
+        root / "before", "discrepancy",
+        [gap, named("mesh_friction", "transmission", scale=(1.4, 0.01, "1"))], {"K1": (0.9, 0.01), "Jm": (1.01, 0.01)},
+    )  # fmt: skip
+    after = diagnosed(
+        root / "after", "discrepancy",
+        [named("mesh_friction", "transmission", scale=(1.1, 0.01, "1"))], {"K1": (1.02, 0.01), "Jm": (1.0, 0.01)}, ["backlash"],
+    )  # fmt: skip
+    return before, after
+
+
+@pytest.fixture(scope="module")
+def repair_page(repair) -> str:
+    return two_html(*(read_diagnosis(folder) for folder in repair))
+
+
+def test_pages_are_self_contained_and_begin_with_the_answer(run_page, sweep_page, repair_page):
+    for page in (run_page, sweep_page, repair_page):
+        assert not re.search(r"\b(?:src|href)=|@import|url\(", page)
+        assert '<meta name="generator" content="flexspline">' in page
+        text = text_of(page)
+        places = [text.index(part) for part in HEAD]
+        assert places == sorted(places)
+        assert not re.search(r"\b(?:nan|inf|None|undefined)\b", text)
+        assert "nan" not in "".join(re.findall(r' d="([^"]*)"', page))
+        assert len(page.encode()) < 3e6
+
+
+def test_a_comparison_names_the_closest_and_what_to_type(run_page, pushed, bare):
+    text = text_of(run_page)
+    assert "closest to the true joint torque" in text and "Geometric mean over the scenarios" in text
+    for run in (pushed, bare):
+        assert f"seed {run.scenario.seed}" in text
+        for measures in run.metrics["filters"].values():
+            assert f"{measures['rms']:.3f}" in text
+    assert "flexspline view 'runs/external push'" in text
+    assert "exactly as it is simulated" in text
+
+
+def test_a_filter_has_one_colour_on_all_pages():
+    assert line_kinds(["mine", "RAREKF"])["RAREKF"] == line_kinds(["RAREKF", "EKF"])["RAREKF"]
+    assert len(set(line_kinds(["EKF", "AREKF", "RAREKF", "REKF", "a", "b", "c", "d"]).values())) == 8
+
+
+def test_a_study_says_who_is_better_where(sweep_page):
+    text = text_of(sweep_page)
+    assert "EKF has the lowest RMS error in 2 of 4 combinations" in text
+    assert "EKF against RAREKF: lower in 2, higher in 2, no telling in 0" in text
+    assert "flexspline sweep levels --seeds 18 --out sweeps/s" in text
+    assert "abcdef012345" in text and "Noise <1>" in text
+    assert sweep_page.count('<svg class="chart"') == 2
+
+
+def test_a_summary_is_read_back(tmp_path):
+    class Of:
+        study = STUDY
+
+    path = tmp_path / "summary.csv"
+    write_csv(found(), Of, path)
+    assert list(summary_rows(read_csv(path, STUDY), Of)) == list(summary_rows(found(), Of))
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="expected the summary of a sweep of levels"):
+        read_csv(path, STUDY)
+
+
+def test_a_repair_says_what_is_gone_what_stays_and_what_moved(repair_page):
+    text = text_of(repair_page)
+    assert (
+        "Backlash is gone, mesh friction is still there, mesh friction has changed and 1 number of the joint moved."
+        in text
+    )
+    assert "the later measurement could not have shown it" in text
+    assert "K1 moved from" in text and "Jm moved from" not in text
+    assert "1.400 ± 0.010, then 1.100 ± 0.010" in text
+
+
+def test_two_joints_are_no_repair(repair, tmp_path):
+    other = diagnosed(tmp_path / "other", "consistent", [], {})
+    described = (other / "joint.yaml").read_text(encoding="utf-8").replace("name: test-joint", "name: another")
+    (other / "joint.yaml").write_text(described, encoding="utf-8")
+    with pytest.raises(InputError, match="expected a diagnosis of test-joint"):
+        two_html(read_diagnosis(repair[0]), read_diagnosis(other))
+    (other / "diagnosis.json").write_text("[]")
+    with pytest.raises(InputError, match="expected what flexspline diagnose writes"):
+        read_diagnosis(other)
+
+
+def luminance(colour: str) -> float:
+    """Relative luminance (WCAG 2) of `#rgb` or `#rrggbb`."""
+    digits = colour.lstrip("#")
+    digits = "".join(c + c for c in digits) if len(digits) == 3 else digits
+    parts = [int(digits[i : i + 2], 16) / 255 for i in (0, 2, 4)]
+    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def test_contrast_of_text_and_lines_light_and_dark():
+    style = (TEMPLATES / "style.css.j2").read_text(encoding="utf-8")
+    for part in style.split("@media screen")[:2]:
+        colours = dict(re.findall(r"--(\w+):(#\w+)", part))
+
+        def contrast(a: str, b: str, colours=colours) -> float:
+            high, low = sorted((luminance(colours[a]), luminance(colours[b])), reverse=True)
+            return (high + 0.05) / (low + 0.05)
+
+        for ground in ("ground", "card", "note", "code"):
+            assert contrast("ink", ground) >= 7
+            assert contrast("soft", ground) >= 4.5, ground
+        lines = ("measured", "before", "after", "forward", "backward", *(f"s{i}" for i in range(8)))
+        for line in lines:
+            assert contrast(line, "card") >= 3, line
+
+
+ANSWERS = """
+const svg = document.querySelector("svg.chart"), box = svg.getBoundingClientRect(), plot = svg.querySelector(".plot");
+const at = (share, kind) => svg.dispatchEvent(new PointerEvent(kind, {
+  clientX: box.left + share * box.width, clientY: box.top + box.height / 2, pointerType: "mouse", button: 0, bubbles: true}));
+at(0.5, "pointermove");
+const told = document.querySelector(".tip").textContent;
+at(0.4, "pointerdown"); at(0.6, "pointermove"); at(0.6, "pointerup");
+const near = plot.getAttribute("viewBox"), made = svg.querySelectorAll(".tick.made").length;
+const others = [...document.querySelectorAll("section")][0].querySelectorAll(".plot[viewBox]").length;
+svg.dispatchEvent(new MouseEvent("dblclick", {bubbles: true}));
+const far = plot.getAttribute("viewBox"), left = svg.querySelectorAll(".tick.made").length;
+const entry = document.querySelector(".legend span"), kind = entry.querySelector("i").classList[0];
+entry.click();
+const off = plot.querySelectorAll(`.${kind}.off`).length;
+entry.dispatchEvent(new KeyboardEvent("keydown", {key: "Enter"}));
+return {told, near, made, others, far, left, off, on: plot.querySelectorAll(".off").length};
+"""
+
+
+@pytest.mark.slow
+def test_charts_tell_zoom_and_hide(run_page, tmp_path):
+    found = look(run_page, ANSWERS, 1400, tmp_path)
+    assert re.search(r"\d", found["told"]) and "true:" in found["told"] and "RAREKF:" in found["told"]
+    left, _, width, _ = map(float, found["near"].split())
+    assert 0 < left and 50 < width < 200 and found["made"] >= 4 and found["others"] == 5
+    assert found["far"].startswith("0 0 ") and found["left"] == 0
+    assert found["off"] == 1 and found["on"] == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("width", [360, 800, 1400])
+@pytest.mark.parametrize("which", ["run_page", "sweep_page", "repair_page"])
+def test_nothing_is_wider_than_the_window(which, width, request, tmp_path):
+    assert_fits(request.getfixturevalue(which), width, tmp_path)
+
+
+def test_the_command_writes_a_page_and_only_over_pages(flexspline, pushed, repair, tmp_path):
+    folder = save_run(pushed, tmp_path / "runs" / pushed.name)
+    page = tmp_path / "page.html"
+    for what in (folder, folder.parent):
+        code, _, err = flexspline("report", what, "--out", page)
+        assert code == 0, err
+        assert "closest to the true joint torque" in page.read_text(encoding="utf-8")
+    code, _, err = flexspline("report", *repair, "--out", page)
+    assert code == 0 and "Backlash is gone" in page.read_text(encoding="utf-8"), err
+    (tmp_path / "mine.html").write_text("mine")
+    for words in (
+        (folder, "--out", tmp_path / "mine.html"), (tmp_path,), (tmp_path / "nowhere",), (repair[0],), (folder,) * 3,
+        (folder, "--out", tmp_path / "no" / "page.html"),
+    ):  # fmt: skip
+        code, _, err = flexspline("report", *words)
+        assert code == 2 and err.count("\n") == 1, (words, err)

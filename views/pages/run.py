@@ -1,0 +1,192 @@
+"""The page of a run, or of several compared: which estimator is closest, how sure that is, what to do now; the signals."""
+
+from __future__ import annotations
+
+import math
+import platform
+import shlex
+from collections.abc import Sequence
+from datetime import datetime
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..style import FILTERS
+from ..tables import COLUMNS, RAW_MODEL
+from .chart import Chart, limits
+from .provenance import fingerprint
+from .rendering import number, render, squeezed
+
+if TYPE_CHECKING:
+    from ...scenarios.run import Run
+
+_WIDTH = 540
+_HONEST = (0.7, 1.4)
+"""Mean NIS between which an estimator's own variance is about right."""
+_NEAR = 1.25
+"""As much larger an error is no better or worse on a single run, whose noise is drawn once."""
+
+
+def runs_html(runs: Sequence[tuple[Run, Path]]) -> str:
+    """The page as text: one file that refers to nothing outside itself.
+
+    Args:
+      runs: with the folders that they were read from, each of another scenario.
+    """
+    return squeezed(render("run.html.j2", _context(runs)))
+
+
+def line_kinds(names: Sequence[str]) -> dict[str, str]:
+    """Class of each filter's lines in the style sheet; the paper's have the same on every page."""
+    own = {name: f"s{i}" for i, name in enumerate(FILTERS)}
+    spare = [name for name in names if name not in own]
+    return {name: own.get(name) or f"s{4 + spare.index(name) % 4}" for name in names}
+
+
+def _context(runs: Sequence[tuple[Run, Path]]) -> dict[str, Any]:
+    names = list(dict.fromkeys(name for run, _ in runs for name in run.estimates))
+    kinds = line_kinds(names)
+    scenarios = [_scenario(run, folder, kinds) for run, folder in runs]
+    return {
+        "title": " and ".join(run.name for run, _ in runs) if len(runs) < 3 else f"{len(runs)} scenarios",
+        "joints": list(dict.fromkeys(run.joint.name for run, _ in runs)),
+        "sentence": _verdict(runs, names),
+        "scenarios": scenarios,
+        "means": _means(runs, names) if len(runs) > 1 else [],
+        "seeds": sorted({run.scenario.seed for run, _ in runs}),
+        "told": _told(runs),
+        "honest": _honest(runs),
+        "notes": [(run.name, note) for run, _ in runs for note in run.notes],
+        "commands": _commands(runs, names),
+        "columns": COLUMNS,
+        "written": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "versions": {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy")}
+        | {"Python": platform.python_version()},
+        "data": [
+            (run.name, len(run.time), run.joint.name, run.scenario.seed, fingerprint(run.as_recording()), str(folder))
+            for run, folder in runs
+        ],
+    }
+
+
+def _error(run: Run, name: str) -> float:
+    value = run.metrics["filters"].get(name, {}).get("rms")
+    return float(value) if value is not None else math.nan
+
+
+def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, float]]:
+    """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first; of those that are in all."""
+    found = []
+    for name in names:
+        errors = np.array([_error(run, name) for run, _ in runs])
+        if np.all(np.isfinite(errors)) and np.all(errors > 0):
+            found.append((name, float(np.exp(np.mean(np.log(errors))))))
+    return sorted(found, key=lambda one: one[1])
+
+
+def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> str:
+    """Which estimator is closest, in a sentence."""
+    ranked = _means(runs, names)
+    if not ranked:
+        return "No estimator has an error in all of these scenarios."
+    (best, error), rest = ranked[0], ranked[1:]
+    over = f" (geometric mean over {len(runs)} scenarios)" if len(runs) > 1 else ""
+    text = f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS{over}"
+    near = [name for name, other in rest if other < _NEAR * error]
+    if near:
+        text += f", {', '.join(near)} as good on a single run"
+    far = rest[-1] if rest else None
+    if far is not None and far[0] not in near:
+        text += f"; {far[0]}, the farthest, has {number(far[1], 2)} N·m"
+    return f"{text}."
+
+
+def _told(runs: Sequence[tuple[Run, Path]]) -> str:
+    """What the estimators know of the joint."""
+    exact = [
+        run.known_joint.numbers == run.joint.numbers and run.known_joint.effects == run.joint.effects for run, _ in runs
+    ]
+    if all(exact):
+        return "The estimators are told the joint exactly as it is simulated: on a real joint, expect more error."
+    return "The estimators are told another joint than the one that is simulated."
+
+
+def _honest(runs: Sequence[tuple[Run, Path]]) -> dict[str, list[tuple[str, str, float]]]:
+    """Estimators whose own variance is not right: which way, then scenario, name, mean NIS."""
+    found: dict[str, list[tuple[str, str, float]]] = {}
+    for run, _ in runs:
+        for name, measures in run.metrics["filters"].items():
+            nis = measures.get("mean_nis")
+            if nis is not None and not _HONEST[0] <= nis <= _HONEST[1]:
+                found.setdefault("more" if nis > 1 else "less", []).append((run.name, name, float(nis)))
+    return found
+
+
+def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, str]]:
+    """Command lines to go on with, and what they do."""
+    folder = runs[0][1]
+    place = shlex.quote(folder.as_posix())
+    best = (_means(runs, names) or [(names[0], 0.0)])[0][0] if names else "RAREKF"
+    scenario = f"{place}/scenario.yaml"
+    return [
+        (f"flexspline view {place}", "looks at it: the joint in motion, estimates, innovations"),
+        (f"flexspline bound {scenario} --seeds 10", "says with intervals over ten seeds how far each is from what is possible"),
+        (f"flexspline tune {scenario} --filter {best} --out tuned", f"tunes {best} for this motion"),
+    ]  # fmt: skip
+
+
+def _scenario(run: Run, folder: Path, kinds: dict[str, str]) -> dict[str, Any]:
+    metrics = run.metrics
+    entries = {RAW_MODEL: metrics["model"]} if metrics.get("model") else {}
+    rows = []
+    for name, values in (entries | dict(metrics["filters"])).items():
+        rows.append((name, kinds.get(name, "measured"), [column.text(values) for column in COLUMNS]))
+    own = [row for row in rows if row[0] != RAW_MODEL]
+    best = {
+        k: min(own, key=lambda row: float(row[2][k]))[0]
+        for k, column in enumerate(COLUMNS)
+        if column.key in ("rms", "max", "noise_ratio") and all(row[2][k] != "–" for row in own) and len(own) > 1
+    }
+    return {
+        "name": run.name,
+        "description": run.scenario.description,
+        "joint": run.joint.name,
+        "duration": run.scenario.duration,
+        "seed": run.scenario.seed,
+        "folder": str(folder),
+        "rows": rows,
+        "best": best,
+        "legend": [("after", "true"), ("measured", "torque sensor"), *((kinds[n], n) for n in run.estimates)],
+        "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
+        "charts": _charts(run, kinds),
+    }
+
+
+def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:
+    """Torques above their errors; beside them the motion, and what pushes."""
+    time, truth = run.time, run.truth("joint_torque")
+    settled = time >= run.scenario.transient
+    x = (float(time[0]), float(time[-1]))
+    torque = Chart(x, limits(truth, 0.0), "joint torque", ylabel="N·m", width=_WIDTH, height=220)
+    torque.line(time, run.reading("joint_torque"), "measured thin")
+    for name in run.estimates:
+        torque.line(time, run.estimate(name), kinds[name])
+    torque.line(time, truth, "after")
+    errors = {name: run.estimate(name) - truth for name in run.estimates}
+    all_errors = np.concatenate([e[settled] for e in errors.values()]) if errors else truth * 0
+    error = Chart(x, limits(all_errors, 0.1, 0.1), "estimate − true", "time [s]", "N·m", width=_WIDTH, height=200)
+    for name, values in errors.items():
+        error.line(time, values, f"{kinds[name]} thin")
+    angle = np.degrees(run.truth("link_position"))
+    position = Chart(x, limits(angle, 0.0), "link angle", ylabel="°", width=_WIDTH, height=150)
+    position.line(time, np.degrees(run.position_command), "measured thin")
+    position.line(time, angle, "after")
+    current = run.reading("motor_current")
+    drive = Chart(x, limits(current, 0.1), "motor current", "", "A", width=_WIDTH, height=130)
+    drive.line(time, current, "measured thin")
+    external = run.external_torque
+    push = Chart(x, limits(external, 0.0, least=0.1), "external torque", "time [s]", "N·m", width=_WIDTH, height=140)
+    push.line(time, external, "backward")
+    return [[torque, error], [position, drive, push]]

@@ -1,0 +1,146 @@
+"""The page of a study: which filter is better where, with intervals; a chart per point of the other axes."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import shlex
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..sweep_figures import layout, place_of
+from ..sweep_tables import cell, metric_column, sign_of, sweep_rows, value_text
+from .chart import Chart, limits
+from .rendering import render, squeezed
+from .run import line_kinds
+
+if TYPE_CHECKING:
+    from ...scenarios.studies.statistics import Aggregate
+    from ...scenarios.studies.study import Study, Value
+
+_SPREAD = 0.3  # of the distance between two points, over which filters stand side by side
+_SHOWN = 12  # charts at most
+
+
+def sweep_html(study: Study, found: Sequence[Aggregate], versions: dict[str, str], digest: str, folder: Path) -> str:
+    """The page as text: one file that refers to nothing outside itself.
+
+    Args:
+      study: that was swept.
+      found: its aggregates.
+      versions, digest: of the packages that computed it, and of the study.
+      folder: of the dataset.
+    """
+    kinds = line_kinds(study.names)
+    metric = study.metrics[0]
+    place = shlex.quote(folder.as_posix())
+    titles = {axis.name: axis.title for axis in study.axes}
+    context = {
+        "name": study.name,
+        "description": study.description,
+        "sentence": _verdict(study, found),
+        "best": _best(study, found),
+        "against": _against(study, found),
+        "reference": study.compared_to,
+        "runs": sorted({s.runs for s in found}),
+        "rows": len(found),
+        "failed": [(s.filter, s.scenario, s.failed, s.runs) for s in found if s.failed],
+        "column": metric_column(metric),
+        "entries": [(kinds[name], name) for name in study.names],
+        "charts": _charts(study, found, metric, kinds),
+        "tables": [_table(study, found, m) for m in study.metrics],
+        "axes": [titles.get(name, name) for name in found[0].columns],
+        "filters": study.names,
+        "commands": [
+            f"flexspline sweep {shlex.quote(study.name)} --seeds {2 * max(s.runs for s in found)} --out {place}"
+        ],
+        "folder": str(folder),
+        "versions": versions,
+        "digest": digest,
+        "written": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+    }
+    return squeezed(render("sweep.html.j2", context))
+
+
+def _best(study: Study, found: Sequence[Aggregate]) -> list[tuple[str, int]]:
+    """Of how many scenarios and points each filter has the lowest mean of the first metric, the most first."""
+    counts = dict.fromkeys(study.names, 0)
+    for _, _, of in sweep_rows(found):
+        means = {
+            n: s.values[study.metrics[0]].mean for n, s in of.items() if math.isfinite(s.values[study.metrics[0]].mean)
+        }
+        if means:
+            counts[min(means, key=lambda n: means[n])] += 1
+    return sorted(((n, c) for n, c in counts.items() if c), key=lambda one: -one[1])
+
+
+def _against(study: Study, found: Sequence[Aggregate]) -> list[tuple[str, int, int, int]]:
+    """Of every filter but the reference: in how many rows its first metric is surely lower, surely higher, neither."""
+    signs: dict[str, list[int]] = {name: [] for name in study.names if name != study.compared_to}
+    for _, _, of in sweep_rows(found):
+        for name in signs.keys() & of.keys():
+            signs[name].append(sign_of(of[name], study.metrics[0]))
+    return [(name, own.count(-1), own.count(1), own.count(0)) for name, own in signs.items()]
+
+
+def _verdict(study: Study, found: Sequence[Aggregate]) -> str:
+    column, best = metric_column(study.metrics[0]), _best(study, found)
+    total = sum(count for _, count in best)
+    if not best:
+        return "No filter has any measure."
+    name, count = best[0]
+    what = f"the lowest {column.heading}"
+    return f"{name} has {what} in {'all' if count == total else f'{count} of'} {total} combinations of scenario and settings."
+
+
+def _table(study: Study, found: Sequence[Aggregate], metric: str) -> dict[str, Any]:
+    column = metric_column(metric)
+    rows = []
+    for scenario, columns, of in sweep_rows(found):
+        at = [value_text(columns[axis]) for axis in found[0].columns]
+        cells = [(cell(of.get(name), metric, column), sign_of(of.get(name), metric)) for name in study.names]
+        rows.append((scenario, at, cells))
+    return {"title": column.title, "meaning": column.meaning, "rows": rows}
+
+
+def _charts(study: Study, found: Sequence[Aggregate], metric: str, kinds: dict[str, str]) -> list[list[Chart]]:
+    """The metric over one axis, a chart for every scenario and point of the others, whiskers its 95 % intervals."""
+    column = metric_column(metric)
+    titles = {axis.name: axis.title for axis in study.axes}
+    charts = []
+    for scenario in dict.fromkeys(s.scenario for s in found):
+        here = [s for s in found if s.scenario == scenario]
+        across, panels = layout(here)
+        places: list[Value | None] = [
+            v for v in dict.fromkeys(s.columns.get(across) for s in here) if v is not None
+        ] or [None]
+        for panel in panels:
+            points: dict[str, list[tuple[float, float, float]]] = {}
+            for (i, name), (k, value) in itertools.product(enumerate(study.names), enumerate(places)):
+                s = place_of(here, name, across, value, panel)
+                one = s.values.get(metric) if s is not None else None
+                if one is not None and math.isfinite(one.mean):
+                    x = k + _SPREAD * (i - 0.5 * (len(study.names) - 1)) / max(len(study.names), 2)
+                    half = one.half if math.isfinite(one.half) else 0.0
+                    points.setdefault(name, []).append((x, column.scale * one.mean, column.scale * half))
+            if not points:
+                continue
+            ends = np.array([(y - h, y + h) for line in points.values() for _, y, h in line]).ravel()
+            title = ", ".join([scenario, *(f"{titles.get(a, a)} {value_text(v)}" for a, v in panel.items())])
+            labels = tuple((float(k), value_text(v)) for k, v in enumerate(places))
+            chart = Chart(
+                (-0.5, len(places) - 0.5), limits(np.append(ends, 0.0), 0.0), title, titles.get(across, ""), column.title,
+                labels=labels, width=540, height=260,
+            )  # fmt: skip
+            for name, line in points.items():
+                xs, ys, _ = (np.array(v) for v in zip(*line, strict=True))
+                chart.line(xs, ys, kinds[name])
+                chart.dots(xs, ys, f"{kinds[name]} small")
+                for a, b, h in line:
+                    chart.line(np.array([a, a]), np.array([b - h, b + h]), f"{kinds[name]} whisker spread")
+            charts.append([chart])
+    return charts[:_SHOWN]
