@@ -39,7 +39,7 @@ def recording(path: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.Re
         # The viewer keeps one layout per application: recordings of other content must not share it.
         stream = rr.RecordingStream(f"flexspline {name}")
         # Written here: Rerun's own writer waits for ever where the disk is full. Series are thin, all of it is some megabytes.
-        written = stream.binary_stream()
+        written = rr.binary_stream(stream)
         stream.send_blueprint(blueprint)
         stream.send_recording_name(name)
         yield stream
