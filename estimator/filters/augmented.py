@@ -84,8 +84,6 @@ OUT = np.dtype([(n, np.float64) for n in (
 )])  # fmt: skip
 _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
-_ROUNDING = 1e-6
-"""What a time that was added up of intervals may have lost [s]: it decides about no sample."""
 _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
@@ -194,7 +192,7 @@ def _step(memory, sample, record, settings, out):
     # Calm for a while, and not at every sample: what the laws leave is no white noise.
     calm = m.torsion_ratio < c.low and m.link_ratio < c.low
     m.calm = m.calm + h if calm else 0.0
-    learn = m.calm >= c.pause - _ROUNDING
+    learn = m.calm >= c.pause
     if learn:
         m.calm -= c.every
     if h == 0.0:
@@ -245,7 +243,7 @@ def _step(memory, sample, record, settings, out):
     direction = 1.0 if w > 0.0 else -1.0
     m.slid = m.slid + h if abs(w) > c.sliding and direction == m.direction else 0.0
     m.direction = direction
-    if m.slid > c.settled + _ROUNDING:
+    if m.slid > c.settled:
         state = dynamics.drive_state(
             found.motor_position, w, x[LINK], x[RATE], m.current.bristle, 0.0, s.time, temperature(s, p)
         )
@@ -257,7 +255,7 @@ def _step(memory, sample, record, settings, out):
     # Nobody touches it.
     m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
     sure = c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2)
-    if m.untouched > c.wait + _ROUNDING and abs(x[EXTERNAL]) < max(sure, c.least):
+    if m.untouched > c.wait and abs(x[EXTERNAL]) < max(sure, c.least):
         H[:] = 0.0
         H[EXTERNAL] = 1.0
         # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
