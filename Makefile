@@ -2,16 +2,21 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+UV := $(shell command -v uv 2>/dev/null)
 DONE := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow test-lowest lint bench clean
+.PHONY: setup demo test test-slow test-lowest lint docs bench clean
 
 setup: $(DONE)
 
 $(DONE): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
+ifneq ($(UV),)
+	$(UV) pip install --quiet --python $(BIN)/python --editable ".[dev]" --constraint constraints.txt
+else
 	$(BIN)/python -m pip install --quiet --upgrade pip
 	$(BIN)/python -m pip install --quiet --editable ".[dev]" --constraint constraints.txt
+endif
 	touch $@
 
 demo: $(DONE)
@@ -34,6 +39,9 @@ lint: $(DONE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+docs: $(DONE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 bench: $(DONE)
 	$(BIN)/python -m benchmarks

@@ -2,8 +2,7 @@
 opening table of README.md.
 
 A draw is a joint within its tolerances, alone or with one hidden effect of ordinary size, recorded for about 85 s on drawn
-motions
-(`diagnosis.trials.draw`), with `--real` with a real joint's small imperfections. `diagnose` gets the recordings and the
+motions (`diagnosis.trials.draw`), with `--real` with a real joint's small imperfections. `diagnose` gets the recordings and the
 description. Every estimator then runs over fresh motion of the same joint, the three experiments with drawn start, pace,
 pushes and noise (`scenarios.evaluation.draws`), and is told in turn
 
@@ -30,13 +29,13 @@ from pathlib import Path
 import numpy as np
 
 from flexspline.diagnosis.diagnose import diagnose
-from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
+from flexspline.diagnosis.trials.draw import Challenge, Draw, Hidden, draw
 from flexspline.estimator import registry
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.models.files import write_into_place
 from flexspline.models.joint import Joint
-from flexspline.scenarios.evaluation.draws import draw_of, geometric, rms, varied
+from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw_of, geometric, rms, varied
 from flexspline.scenarios.evaluation.intervals import Interval
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
@@ -89,9 +88,9 @@ def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray
     }
 
 
-def assessed(hidden: str, real: bool, index: int, names: Sequence[str] = NAMES) -> list[Row]:
+def assessed(hidden: Hidden, real: bool, index: int, names: Sequence[str] = NAMES) -> list[Row]:
     """One draw: recorded, diagnosed, and every estimator's errors on fresh motion with each knowledge."""
-    one = draw(Challenge(seed=SEED, hidden=hidden, real=real), index)  # type: ignore[arg-type]
+    one = draw(Challenge(seed=SEED, hidden=hidden, real=real), index)
     found = diagnose(one.measurement, one.nominal)
     named = found.causes[0].name if found.causes else found.verdict
     return errors(one, found.extended, names, (hidden, real, index, ", ".join(e.name for e in one.effects), named))
@@ -122,21 +121,19 @@ def errors(
         simulation = experiment.simulate(seed, record, experiment.build(record))
         fresh = draw_of(experiment, simulation, record, told["exact"], seed)
         for estimator in names:
-            values = [
-                value for knowledge in KNOWLEDGE for value in _errors(estimator, fresh.signals, told[knowledge], fresh)
-            ]
+            values = [value for knowledge in KNOWLEDGE for value in _errors(estimator, told[knowledge], fresh)]
             rows.append(Row(*said, name, estimator, *values))
     return rows
 
 
-def _errors(name: str, signals, joint: KnownJoint, fresh) -> tuple[float, float, float]:
+def _errors(name: str, joint: KnownJoint, fresh: DrawnExperiment) -> list[float]:
     """RMS error of all, moving, at rest."""
     try:
-        error = registry.get(name).estimate(signals, joint).mean - fresh.truth
+        error = registry.get(name).estimate(fresh.signals, joint).mean - fresh.truth
     except FilterDiverged:
-        return (np.inf,) * 3
+        return [np.inf] * len(PARTS)
     masks = (fresh.kept, fresh.kept & fresh.moving, fresh.kept & ~fresh.moving)
-    return tuple(float(f"{rms(error, mask):.4g}") for mask in masks)  # type: ignore[return-value]
+    return [float(f"{rms(error, mask):.4g}") for mask in masks]
 
 
 class Results:

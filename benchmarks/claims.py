@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from flexspline.estimator import recursion, registry
+from flexspline.estimator.compliance import measurement_variance
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.tuning_parameters import with_values
 from flexspline.models.files import write_into_place
@@ -75,17 +76,22 @@ def mistaken(known: KnownJoint, factors: Mapping[str, float]) -> KnownJoint:
     return known.told(**{name: factor * known.p[name] for name, factor in factors.items()})
 
 
-def examine(scenario: str, one: DrawnExperiment) -> Iterator[Found]:
-    """Every setting over a draw."""
+def examine(
+    scenario: str,
+    one: DrawnExperiment,
+    variances: Mapping[str, float] = V,
+    mismatches: Mapping[str, Mapping[str, float]] = MISMATCHES,
+) -> Iterator[Found]:
+    """Every setting over a draw; by name V [(N·m)²] and what the filters are told."""
     truth, kept = one.truth, one.kept
     steady = metrics.steady(truth, CONTROL_PERIOD, kept)
     events = [(a, b) for a, b in metrics.pushes(one.external_torque, CONTROL_PERIOD) if kept[a]]
     load = np.abs(truth)
-    for label, factors in MISMATCHES.items():
+    for label, factors in mismatches.items():
         y = registry.get("model").estimate(one.signals, mistaken(one.known, factors)).mean
         raw = metrics.noise(y, truth, CONTROL_PERIOD, steady)
         for reading in READINGS:
-            for v, variance in V.items():
+            for v, variance in variances.items():
                 for w, walk in W.items():
                     states = np.zeros(len(y), recursion.STATE)
                     _, status = recursion.run(np.ascontiguousarray(y), settings(reading, variance, walk), states)
@@ -104,6 +110,14 @@ def examine(scenario: str, one: DrawnExperiment) -> Iterator[Found]:
                         1e3 * float(np.nanmean(followed)) if np.isfinite(followed).any() else np.nan,
                         metrics.noise(states["torque"], truth, CONTROL_PERIOD, steady) / raw,
                     )  # fmt: skip
+
+
+def own_variance(known: KnownJoint) -> float:
+    """V [(N·m)²] that the encoders of a joint leave in Y, with counts as uniform noise."""
+    n, p = known.noise, known.p
+    return measurement_variance(
+        float(p["K2"]), n.motor_resolution, n.link_resolution, n.link_noise, n.motor_noise, ratio=float(p["N"])
+    )
 
 
 class Map:
@@ -215,17 +229,28 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--draws", type=Path, help="folder in which draws are kept, to be used again")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "paper.md")
+    parser.add_argument(
+        "--counts", type=int, help="of the motor encoder: writes that section and its own CSV, and leaves the others"
+    )
     asked = parser.parse_args(arguments)
     found, began = [], time.perf_counter()
+    changes = [] if asked.counts is None else [f"sensors.motor_encoder.counts={asked.counts}"]
     for scenario in SCENARIOS:
 
         def one(seed: int, scenario: str = scenario) -> list[Found]:
-            return list(examine(scenario, drawn(scenario, 0.0, seed, asked.draws)))
+            draw = drawn(scenario, 0.0, seed, asked.draws, changes)
+            if asked.counts is None:
+                return list(examine(scenario, draw))
+            return list(examine(scenario, draw, V | {"own": own_variance(draw.known)}, {"exact": {}}))
 
         with ThreadPoolExecutor(asked.threads) as pool:
             found += [x for several in pool.map(one, range(101, 101 + asked.seeds)) for x in several]
         print(f"{time.perf_counter() - began:7.0f} s  {scenario}", flush=True)
     whole = Map(found)
+    if asked.counts is not None:
+        fill(asked.page, {f"counts {asked.counts}": claim_table(whole)})
+        write_csv(whole, asked.page.with_name(f"paper_{asked.counts}.csv"))
+        return
     fill(asked.page, {"claims": claim_table(whole), "mode": mode_table(whole), "errors": error_table(whole)})
     write_csv(whole, asked.page.with_suffix(".csv"))
 

@@ -16,6 +16,7 @@ from flexspline.sim.callbacks import transmission_at
 from flexspline.sim.drive import control
 from flexspline.sim.loop import CONTROL_PERIOD
 
+from .convergence import callback
 from .timing import measure
 
 SECONDS = 10.0
@@ -59,13 +60,12 @@ def _python_callback(steps: int):
     model = mujoco.MjModel.from_xml_path(str(load_joint("test-joint").mjcf))
 
     def run() -> None:
-        ours = ctypes.c_void_p.in_dll(native.library(), "mjcb_passive").value
-        mujoco.set_mjcb_passive(lambda m, d: None)
-        try:
-            mujoco.mj_step(model, mujoco.MjData(model), nstep=steps)
-        finally:
-            mujoco.set_mjcb_passive(None)
-            native.install("mjcb_passive", ours)
+        with callback("mjcb_passive", None):
+            mujoco.set_mjcb_passive(lambda m, d: None)
+            try:
+                mujoco.mj_step(model, mujoco.MjData(model), nstep=steps)
+            finally:
+                mujoco.set_mjcb_passive(None)
 
     return run
 

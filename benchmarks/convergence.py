@@ -6,10 +6,14 @@ them, its own LuGre friction, and a callback that exerts the springs' forces and
 
 from __future__ import annotations
 
+import ctypes
 import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -26,12 +30,24 @@ STEPS = (1e-3, 5e-4, 2.5e-4, 2e-4, 1e-4, 5e-5)
 CHANNELS = ("torsion", "joint_torque", "motor_current")
 ROOT = Path(__file__).resolve().parents[1]
 INTEGRATORS = {"implicitfast": 3, "implicit": 2, "Euler": 0, "RK4": 1}
-_MAGIC = 1.2345678901e19
+MAGIC = 1.2345678901e19
+"""Before the record in a model's numbers: that of models whose springs are `springs`."""
+
+
+@contextmanager
+def callback(name: str, address: int | None) -> Iterator[None]:
+    """Another C function in the place of one of MuJoCo's global callbacks, or none; then what was there before."""
+    place = ctypes.c_void_p.in_dll(native.library(), name)
+    before, place.value = place.value, address
+    try:
+        yield
+    finally:
+        place.value = before
 
 
 @cache
-def _passive():
-    """The callback: the springs' forces and nothing else."""
+def springs() -> Any:
+    """The described springs' forces and nothing else, as MuJoCo's callback of passive forces."""
     at = native.offsets()
     NUMERIC, COUNT, QPOS, QVEL, PASSIVE = (
         at[name] for name in ("numeric_data", "nnumericdata", "qpos", "qvel", "qfrc_passive")
@@ -39,7 +55,7 @@ def _passive():
 
     @cfunc(types.void(types.intp, types.intp))
     def passive(m, d):
-        if word_at(m + 8 * COUNT) != SIZE + 1 or floats_at(word_at(m + 8 * NUMERIC))[0] != _MAGIC:
+        if word_at(m + 8 * COUNT) != SIZE + 1 or floats_at(word_at(m + 8 * NUMERIC))[0] != MAGIC:
             return
         p = carray(record_at(word_at(m + 8 * NUMERIC) + 8), 1)[0]
         theta, velocity = carray(floats_at(word_at(d + 8 * QPOS)), 3), carray(floats_at(word_at(d + 8 * QVEL)), 3)
@@ -55,23 +71,28 @@ def _passive():
     return passive
 
 
-def plain(joint: Joint, mounting: Mounting, reference, timestep: float, integrator: str) -> dict[str, np.ndarray]:
-    """As `verify.closed_loop`, without the plant's corrections: state and velocity both belong to the instant."""
-    record = joint.record(mounting)
-    p = record[0]
-    spec = mujoco.MjSpec.from_file(str(joint.mjcf))
-    plant._set_numbers(spec, p, timestep, ideal_current=True)
-    plant._set_friction(spec, p)
+def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float) -> None:
+    """Put a record's numbers into a joint's MJCF without the plant's corrections: dampings as they are."""
+    plant.set_numbers(spec, p, timestep, ideal_current=True)
+    plant.set_friction(spec, p)
     for name, symbol in (("rotor", "bm"), ("link", "bl")):
         spec.joint(name).damping = [p[symbol], 0, 0]
     for name, symbol in (("flexspline", "df"), ("wave_generator", "dw")):
         spec.tendon(name).damping = [p[symbol], 0, 0]
     spec.actuator("mesh_friction").damping = [p["bw"], 0, 0]
+
+
+def plain(joint: Joint, mounting: Mounting, reference, timestep: float, integrator: str) -> dict[str, np.ndarray]:
+    """As `verify.closed_loop`, without the plant's corrections: state and velocity both belong to the instant."""
+    record = joint.record(mounting)
+    p = record[0]
+    spec = mujoco.MjSpec.from_file(str(joint.mjcf))
+    set_numbers(spec, p, timestep)
     spec.option.integrator = INTEGRATORS[integrator]
     spec.add_numeric(name="joint", size=SIZE + 1, data=[0.0])
     model = spec.compile()
     model.tendon_stiffness[:] = 0.0
-    model.numeric_data[:] = np.concatenate([[_MAGIC], as_floats(record)])
+    model.numeric_data[:] = np.concatenate([[MAGIC], as_floats(record)])
     data = mujoco.MjData(model)
     substeps = round(1e-3 / timestep)
     position, velocity, external = (reference[k] for k in ("position_command", "velocity_command", "external_torque"))
@@ -162,17 +183,12 @@ def main() -> None:
         with native.quiet():
             ours[h] = errors(folder, verify.closed_loop, h)
         print(_row(f"plant, {1e3 * h:g} ms", ours[h]), f"{time.perf_counter() - begin:.1f} s", flush=True)
-    before = native.ctypes.c_void_p.in_dll(native.library(), "mjcb_passive").value
-    native.install("mjcb_passive", _passive().address)
-    try:
-        with native.quiet():
-            for integrator in INTEGRATORS:
-                for h in STEPS if integrator == "implicitfast" else (5e-4, 2.5e-4):
-                    found = errors(folder, lambda j, m, r, h, i=integrator: plain(j, m, r, h, i), h)
-                    if integrator == "implicitfast":
-                        others[h] = found
-                    print(_row(f"{integrator}, {1e3 * h:g} ms", found), flush=True)
-    finally:
-        native.install("mjcb_passive", before)
+    with callback("mjcb_passive", springs().address), native.quiet():
+        for integrator in INTEGRATORS:
+            for h in STEPS if integrator == "implicitfast" else (5e-4, 2.5e-4):
+                found = errors(folder, lambda j, m, r, h, i=integrator: plain(j, m, r, h, i), h)
+                if integrator == "implicitfast":
+                    others[h] = found
+                print(_row(f"{integrator}, {1e3 * h:g} ms", found), flush=True)
     figure(ROOT / "docs" / "figures" / "convergence.png", ours, others)
     print(f"figure: {ROOT / 'docs' / 'figures' / 'convergence.png'}")

@@ -19,7 +19,6 @@ unknowns over their tolerances. The package's own optimiser (`mujoco`), forward 
 from __future__ import annotations
 
 import argparse
-import ctypes
 import io
 import json
 import logging
@@ -53,11 +52,11 @@ from flexspline.models.joint import load_joint
 from flexspline.models.parameters import as_floats
 from flexspline.models.pointers import floats_at, word_at
 from flexspline.models.recording import Recording
-from flexspline.sim import callbacks, native, plant, structure
+from flexspline.sim import callbacks, native, structure
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
-from .convergence import _MAGIC, _passive
+from .convergence import MAGIC, callback, set_numbers, springs
 from .estimators import fill
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -195,17 +194,11 @@ class Rollouts:
         """The joint's MJCF with the numbers of a record, the commands, and the link's servo."""
         p = record[0]
         spec = structure.read(self.joint.mjcf)
-        plant._set_numbers(spec, p, TIMESTEP, True)
-        plant._set_friction(spec, p)
+        set_numbers(spec, p, TIMESTEP)
         spec.option.integrator = INTEGRATOR
         spec.modelname = recording.name
-        spec.joint("rotor").damping = [p["bm"], 0, 0]
-        spec.joint("link").damping = [p["bl"], 0, 0]
-        spec.actuator("mesh_friction").damping = [p["bw"], 0, 0]
-        springs = _polynomials(p)
-        for name, damping in (("flexspline", p["df"]), ("wave_generator", p["dw"])):
-            spec.tendon(name).damping = [damping, 0, 0]
-            spec.tendon(name).stiffness = [0.0] * 3 if self.exact else springs[name]
+        for name, stiffness in _polynomials(p).items():
+            spec.tendon(name).stiffness = [0.0] * 3 if self.exact else stiffness
         if self.exact:
             spec.add_numeric(name="joint", size=1 + as_floats(record).size, data=[0.0])
         motor = spec.actuator("motor")
@@ -244,7 +237,7 @@ class Rollouts:
         model = self._spec(recording, record).compile()
         model.wrap_prm[model.tendon_adr[model.tendon("flexspline").id]] = 1.0 / record[0]["N"]
         if self.exact:
-            model.numeric_data[:] = np.concatenate([[_MAGIC], as_floats(record)])
+            model.numeric_data[:] = np.concatenate([[MAGIC], as_floats(record)])
         return model
 
     def _build(self, parameters: Any, spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -358,7 +351,7 @@ def _drive():
         '<actuator><dcmotor joint="j" motorconst="1 1" resistance="1" inductance="1 0"/></actuator></mujoco>'
     )
     data = mujoco.MjData(model)
-    at, USER = native.offsets(), native._find(data._address, data.userdata.ctypes.data)
+    at, USER = native.offsets(), native.find(data._address, data.userdata.ctypes.data)
     TIME, QPOS, CTRL = (at[name] for name in ("time", "qpos", "ctrl"))
     c = CONTROLLER.record(load_joint("test-joint").record()[0], CONTROL_PERIOD, False)[0]
     kp, kd, ki, filtered, limit, gear = (float(c[n]) for n in ("kp", "kd", "ki", "filter", "limit", "gear"))
@@ -390,15 +383,12 @@ def _drive():
 def described_laws() -> Iterator[None]:
     """Within, models that carry a record get the described laws' torques from a callback, and nothing of the plant's."""
     callbacks.install()
-    before = ctypes.c_void_p.in_dll(native.library(), "mjcb_passive").value
-    native.install("mjcb_passive", _passive().address)
-    native.install("mjcb_control", _drive().address)
-    try:
-        with native.quiet():
-            yield
-    finally:
-        native.install("mjcb_passive", before)
-        ctypes.c_void_p.in_dll(native.library(), "mjcb_control").value = None
+    with (
+        callback("mjcb_passive", springs().address),
+        callback("mjcb_control", _drive().address),
+        native.quiet(),
+    ):
+        yield
 
 
 def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -> Found:

@@ -32,8 +32,10 @@ import numpy as np
 from ..models.errors import InputError
 from ..models.kernels import kernel
 from . import joint_model as model
+from .dynamics_filter import propagate
 from .estimator import KnownJoint, SensorNoise
 from .joint_model import DAHL, LINK, LINK_RATE, MESH, MOTOR, SIZE, ProcessNoise
+from .quantised import update as condition
 
 QUIET = ProcessNoise()
 """Prior of the joint's states; and, by its `external`, the lowest intensity of an external torque that is worth stating."""
@@ -152,6 +154,7 @@ def _along(time, states, current, command, temperature, record, others, random, 
     x, y, ahead, work = np.zeros(SIZE), np.zeros(SIZE), np.zeros(SIZE), np.zeros((3, SIZE))
     P, F, A = np.eye(n), np.zeros((m, n)), np.zeros((m, n))
     H, PH = np.zeros(n), np.zeros(n)
+    unmoved, every = np.zeros(n), np.arange(n)  # the bound is one of covariances alone
     for i in range(m):
         P[i, i] = noise.start[int(noise.active[i])]
     for k in range(len(time)):
@@ -159,21 +162,10 @@ def _along(time, states, current, command, temperature, record, others, random, 
         if k > 0:
             dt = time[k] - time[k - 1]
             _jacobian(
-                states[k - 1],
-                current[k - 1],
-                command[k - 1],
-                time[k - 1],
-                dt,
-                temperature[k - 1],
-                p,
-                others,
-                noise,
-                F,
-                y,
-                ahead,
-                work,
-            )
-            _propagate(F, P, A)
+                states[k - 1], current[k - 1], command[k - 1], time[k - 1], dt, temperature[k - 1], p, others, noise, F, y,
+                ahead, work,
+            )  # fmt: skip
+            propagate(F, P, A, m, n)
             for i in range(m):
                 P[i, i] += noise.walk[int(noise.active[i])] * dt
             H[:] = 0.0
@@ -181,7 +173,7 @@ def _along(time, states, current, command, temperature, record, others, random, 
             motor = model.read_motor(x, p)
             for j in range(len(others)):
                 H[m + j] = model.read_motor(x, others[j]) - motor
-            _condition(P, H, noise.motor_variance, PH)
+            condition(unmoved, P, every, H, 0.0, noise.motor_variance, 0.0, PH)
             reading = model.read_link(x, time[k], p)
             x[LINK] += 1e-5
             slope = (model.read_link(x, time[k], p) - reading) / 1e-5
@@ -189,7 +181,7 @@ def _along(time, states, current, command, temperature, record, others, random, 
             H[MOTOR], H[LINK], H[LINK_RATE] = 0.0, slope, -p.link_delay * slope
             for j in range(len(others)):
                 H[m + j] = model.read_link(x, time[k], others[j]) - reading
-            _condition(P, H, noise.link_variance, PH)
+            condition(unmoved, P, every, H, 0.0, noise.link_variance, 0.0, PH)
         torque = model.joint_torque(x, time[k], p)
         H[:] = 0.0
         for i in range(m):
@@ -205,45 +197,6 @@ def _along(time, states, current, command, temperature, record, others, random, 
             for j in range(n):
                 variance += H[i] * P[i, j] * H[j]
         out[k] = max(variance, 0.0)
-
-
-@kernel
-def _propagate(F, P, A):
-    """P ← G P Gᵀ with G = [F; 0 1], F: shape (m, n), of the states; the n − m constants stay. A: scratch, shape (m, n)."""
-    m, n = F.shape
-    for i in range(m):
-        for j in range(n):
-            total = 0.0
-            for l in range(n):
-                total += F[i, l] * P[l, j]
-            A[i, j] = total
-    for i in range(m):
-        for j in range(i + 1):
-            total = 0.0
-            for l in range(n):
-                total += A[i, l] * F[j, l]
-            P[i, j] = total
-            P[j, i] = total
-        for j in range(m, n):
-            P[i, j] = A[i, j]
-            P[j, i] = A[i, j]
-
-
-@kernel
-def _condition(P, H, variance, PH):
-    """P ← P − P Hᵀ H P/(H P Hᵀ + variance); PH: scratch, shape (n,)."""
-    n, S = len(H), variance
-    for i in range(n):
-        total = 0.0
-        for j in range(n):
-            total += P[i, j] * H[j]
-        PH[i] = total
-    for i in range(n):
-        S += H[i] * PH[i]
-    for i in range(n):
-        for j in range(i + 1):
-            P[i, j] -= PH[i] * PH[j] / S
-            P[j, i] = P[i, j]
 
 
 @kernel

@@ -169,7 +169,7 @@ def predict_extended(m, command, dt, heat, noise, p):
             b = int(noise.active[i])
             F[i, j] = (y[b] - base[b]) / STEPS[a]
     x[:] = base
-    propagate(F, m.P, m.A, n)
+    propagate(F, m.P, m.A, n, n)
 
 
 @kernel
@@ -223,21 +223,25 @@ def cholesky(P, C, n):
 
 
 @kernel
-def propagate(F, P, A, n):
-    """P ← F P Fᵀ in place, of the first n states, symmetric; A: scratch."""
-    for i in range(n):
+def propagate(F, P, A, m, n):
+    """P ← G P Gᵀ in place with G = [F; 0 1], symmetric: F of the first m states, shape (≥ m, ≥ n); the n − m behind them are
+    constants. A: scratch, as F."""
+    for i in range(m):
         for j in range(n):
             total = 0.0
             for l in range(n):
                 total += F[i, l] * P[l, j]
             A[i, j] = total
-    for i in range(n):
+    for i in range(m):
         for j in range(i + 1):
             total = 0.0
             for l in range(n):
                 total += A[i, l] * F[j, l]
             P[i, j] = total
             P[j, i] = total
+        for j in range(m, n):
+            P[i, j] = A[i, j]
+            P[j, i] = A[i, j]
 
 
 @kernel

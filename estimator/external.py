@@ -18,6 +18,7 @@ from ..models.errors import InputError
 from ..models.kernels import kernel
 from ..models.signals import Signals
 from .estimator import KnownJoint
+from .sensing import LOWPASS, lowpass
 
 BANDWIDTH, CUTOFF = 20.0, 40.0
 """Of the observer, and of the low-pass of the link's velocity [Hz]: those of the estimator `momentum`."""
@@ -45,6 +46,25 @@ def external_torque(
         np.ascontiguousarray(torque, dtype=np.float64), joint.record, 2 * math.pi * bandwidth, 2 * math.pi * cutoff, out,
     )  # fmt: skip
     return out
+
+
+def lowpassed(time: np.ndarray, values: np.ndarray, cutoff: float) -> np.ndarray:
+    """A signal, shape (n,), behind the Butterworth low-pass of `sensing.lowpass`: value, rate and acceleration, shape (n, 3).
+
+    Args:
+        time: Shape (n,) [s]. cutoff: [Hz].
+    """
+    out, memory = np.zeros((len(time), 3)), np.zeros(1, LOWPASS)
+    _lowpassed(time, np.ascontiguousarray(values, dtype=np.float64), 2 * math.pi * cutoff, memory, out)
+    return out
+
+
+@kernel
+def _lowpassed(time, values, cutoff, memory, out):
+    m = memory[0]
+    for k in range(len(time)):
+        lowpass(m, values[k], time[k] - time[k - 1] if k > 0 else 0.0, cutoff)
+        out[k, 0], out[k, 1], out[k, 2] = m.value, m.rate, m.acceleration
 
 
 @kernel

@@ -65,7 +65,7 @@ def update(f, y, c):
         OK, or why there is no next estimate: NOT_FINITE, GAMMA_TOO_SMALL, NOT_POSITIVE (P_Y), FACTOR_OVERFLOW (f_α).
     """
     P = f.variance + c.W  # (11)
-    P_Y = unadjusted = P + c.V  # (14), of the unadjusted prediction
+    unadjusted = P + c.V  # (14), of the unadjusted prediction
     innovation = y - f.torque  # (10), (13)
     past = f.innovation_variance if c.printed_memory != 0.0 else f.innovation_memory_variance
     memory = (c.rho * past + innovation * innovation) / (c.rho + 1.0)  # (20)

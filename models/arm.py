@@ -21,8 +21,11 @@ class ArmSpec(Strict):
     """
 
     model: str
+    """MJCF of the arm, beside the recording."""
     joint: str
+    """Which of its joints this is."""
     positions: dict[str, float] = {}
+    """Angles [rad] of other joints that hold still, by name."""
 
 
 @dataclass(frozen=True)

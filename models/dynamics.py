@@ -266,7 +266,8 @@ def read_motor_current(state, load, p):
 
 @kernel
 def read_motor_torque(state, load, p):
-    """What the drive reports as the motor's torque [N·m, motor side] before noise."""
+    """What the drive reports as the motor's torque [N·m, motor side] before noise: the current it reads times the torque constant
+    that it believes in."""
     return p.Kt_drive * read_motor_current(state, load, p)
 
 
@@ -319,12 +320,3 @@ def actual_motor_current(reading, motor_position, link_position, motor_velocity,
     if laws.has_discrepancy(p):
         current -= laws.discrepancy(_MOTOR_CURRENT, motor_position, link_position, motor_velocity, load, time, p)
     return current
-
-
-@kernel
-def actual_joint_torque(reading, motor_position, link_position, motor_velocity, load, time, p):
-    """Joint torque Ts [N·m] of a torque sensor's reading: gain, offset, drift and discrepancy taken off."""
-    torque = reading - p.torque_offset - p.torque_rate * time
-    if laws.has_discrepancy(p):
-        torque -= laws.discrepancy(_JOINT_TORQUE, motor_position, link_position, motor_velocity, load, time, p)
-    return torque / p.torque_gain

@@ -15,12 +15,13 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from .errors import InputError, is_there, nearest, read_text
 from .output import described, write_whole
+from .schema import documented
 
 
 class Strict(BaseModel):
     """Base of everything that a person writes: unknown keys are errors, values are frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=documented)
 
 
 M = TypeVar("M", bound=BaseModel)

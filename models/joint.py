@@ -62,21 +62,32 @@ class Number(Strict):
     """
 
     value: float
+    """In its unit."""
     unit: str
+    """`N·m` and `Nm`, `kg·m²` and `kgm2` are the same."""
     source: str
+    """Where it is from: a datasheet, a measurement, a rule."""
     tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    """Relative standard deviation that is left open."""
     deviation: Annotated[float, Field(ge=0)] = 0.0
+    """Absolute standard deviation that is left open, in the unit."""
     shared: str | None = None
+    """Name of a further deviation that several numbers have in common."""
     std: Annotated[float, Field(ge=0)] | None = None
+    """Standard deviation that a diagnosis found, in the unit."""
     nominal: float | None = None
+    """What the value was before a diagnosis."""
 
 
 class Order(Strict):
     """One order of the kinematic error: amplitude [rad, output side], phase [rad], both with tolerances."""
 
     order: Annotated[float, Field(gt=0)]
+    """Periods per turn of the wave generator."""
     amplitude: Number
+    """[rad, output side]."""
     phase: Number
+    """[rad]."""
 
 
 LOCKED = 1e6
@@ -104,12 +115,19 @@ class EncoderSpec(Strict):
     """
 
     counts: Annotated[int, Field(gt=1)] | None = None
+    """Per revolution; or else `bits`."""
     bits: Annotated[int, Field(gt=1, lt=40)] | None = None
+    """Of the angle; or else `counts`."""
     noise: Annotated[float, Field(ge=0)] = 0.0
+    """[rad rms]."""
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
+    """[s]."""
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+    """Of samples [Hz]."""
     zero: Number | None = None
+    """Reading [rad] where the angle is zero."""
     cyclic_error: Annotated[float, Field(ge=0, lt=2)] = 0.0
+    """Amplitude of the error that returns with every line of the disc, in counts."""
 
     @model_validator(mode="after")
     def _one_resolution(self) -> EncoderSpec:
@@ -128,15 +146,20 @@ class Ripple(Strict):
     """What returns with the motor's angle: amplitude · sin(order · θm + phase), in the sensor's unit."""
 
     order: Annotated[float, Field(gt=0)]
+    """Periods per turn of the motor."""
     amplitude: Annotated[float, Field(ge=0)]
+    """In the sensor's unit."""
     phase: float = 0.0
+    """[rad]."""
 
 
 class Vibration(Strict):
     """A vibration of the structure that the sensor sees: amplitude (rms, in its unit), frequency [Hz]."""
 
     frequency: Annotated[float, Field(gt=0, lt=500)]
+    """[Hz]."""
     amplitude: Annotated[float, Field(ge=0)]
+    """Rms, in the sensor's unit."""
 
 
 class AnalogSpec(Strict):
@@ -147,16 +170,27 @@ class AnalogSpec(Strict):
     """
 
     noise: Annotated[float, Field(ge=0)] = 0.0
+    """Rms, in the sensor's unit."""
     step: Annotated[float, Field(ge=0)] = 0.0
+    """Of its quantisation, in its unit."""
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
+    """[s]."""
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+    """Of samples [Hz]."""
     gain: Number | None = None
+    """Factor on what it reads."""
     offset: Number | None = None
+    """Added to what it reads, in its unit."""
     bandwidth: Annotated[float, Field(gt=0)] | None = None
+    """Of a first-order low-pass [Hz]."""
     flicker: Annotated[float, Field(ge=0)] = 0.0
+    """Rms of 1/f noise, in its unit."""
     ripple: Ripple | None = None
+    """What returns with the motor's angle."""
     vibration: Vibration | None = None
+    """Of the structure."""
     crosstalk: float = 0.0
+    """Amplitude over the cosine of the link's angle, in its unit."""
 
 
 class WrenchSpec(Strict):
@@ -166,12 +200,19 @@ class WrenchSpec(Strict):
     """
 
     force_noise: Annotated[float, Field(ge=0)] = 0.0
+    """Of each axis [N rms]."""
     torque_noise: Annotated[float, Field(ge=0)] = 0.0
+    """Of each axis [N·m rms]."""
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
+    """[s]."""
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
+    """Of samples [Hz]."""
     crosstalk: Annotated[float, Field(ge=0, lt=0.2)] = 0.0
+    """What of an axis' load, relative to its rated one, may show in each of the others."""
     rated_force: Annotated[float, Field(gt=0)] = 300.0
+    """[N]."""
     rated_torque: Annotated[float, Field(gt=0)] = 30.0
+    """[N·m]."""
 
 
 class Sensors(Strict):
@@ -181,12 +222,19 @@ class Sensors(Strict):
     __pydantic_extra__: dict[str, AnalogSpec]
 
     motor_encoder: EncoderSpec
+    """Angle of the motor."""
     link_encoder: EncoderSpec
+    """Angle of the output."""
     motor_current: AnalogSpec
+    """[A]."""
     motor_torque: AnalogSpec = AnalogSpec()
+    """[N·m, motor side], where the drive states one."""
     joint_torque: AnalogSpec = AnalogSpec()
+    """[N·m]."""
     temperature: AnalogSpec = AnalogSpec()
+    """Of the gear [°C]."""
     wrench: WrenchSpec = WrenchSpec()
+    """The six-axis force/torque sensor at the output."""
 
     @model_validator(mode="after")
     def _known(self) -> Sensors:
@@ -207,8 +255,11 @@ class Estimate(Strict):
     a diagnosis gave it one."""
 
     value: float
+    """In its unit."""
     unit: str = ""
+    """The cause's where it is left out."""
     std: Annotated[float, Field(ge=0)] | None = None
+    """Standard deviation that a diagnosis found."""
 
 
 _ROUNDING = 1e-9  # of a bound: what writing a number and reading it again may cost
@@ -218,7 +269,9 @@ class Effect(Strict):
     """An effect beyond the nominal equations, by the name of a known cause (`models.causes`)."""
 
     name: str
+    """Of a known cause (`flexspline causes`)."""
     parameters: dict[str, Estimate]
+    """The cause's parameters by name."""
 
     @model_validator(mode="after")
     def _known(self) -> Effect:
@@ -253,11 +306,17 @@ class Discrepancy(Strict):
     a uniform grid from `low` to `high`)."""
 
     place: Literal[PLACES[1:]]  # type: ignore[valid-type]
+    """Where it acts, or which reading it is added to."""
     variable: Literal[VARIABLES]  # type: ignore[valid-type]
+    """What it depends on."""
     low: float
+    """Lower end of the spline's grid, in the variable's unit."""
     high: float
+    """Upper end."""
     unit: str
+    """Of the coefficients."""
     coefficients: Annotated[list[float], Field(min_length=4, max_length=N_COEFFICIENTS)]
+    """Of a cubic B-spline on a uniform grid."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Discrepancy:
@@ -277,6 +336,7 @@ class ValidRange(Strict):
     link_velocity: Annotated[list[float], Field(min_length=2, max_length=2, description="rad/s")]
     joint_torque: Annotated[list[float], Field(min_length=2, max_length=2, description="N·m")]
     loads: list[Literal["driving", "driven"]] = []
+    """Combinations of motion and load that were seen."""
 
     def beyond(
         self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray
@@ -340,9 +400,13 @@ class Uncertainty(Strict):
     """
 
     names: list[str]
+    """Of what is known together."""
     factor: list[list[float]]
+    """Rows of the covariance's lower triangular factor."""
     discrepancy: dict[Literal["motor_current", "joint_torque", "link_balance"], Annotated[float, Field(ge=0)]] = {}
+    """Rms of what the description could not hold, by balance."""
     beyond: Annotated[float, Field(ge=1)] = 1.0
+    """How many times as large that is a whole range beyond the range of validity."""
 
     @model_validator(mode="after")
     def _triangular(self) -> Uncertainty:
@@ -364,23 +428,31 @@ class Joint(Strict):
 
     format: Literal[1]
     name: str
+    """How commands and reports call it."""
     description: str
+    """What it is, in a sentence."""
     model: str
     """MJCF file, beside the joint file or shipped with the package."""
     mounting: str
     """The mounting that is meant where none is named."""
     numbers: dict[str, Number]
+    """By symbol; `flexspline joint new` writes all of them."""
     shared_tolerances: dict[str, Annotated[float, Field(ge=0, lt=1)]] = {}
+    """Relative standard deviations that several numbers have in common, by name."""
     kinematic_error: Annotated[list[Order], Field(max_length=N_ORDERS)]
+    """Orders of the gear's kinematic error."""
     link_tolerances: dict[Literal["inertia", "gravity_moment"], Number] = {}
     """Relative uncertainty of every mounting's inertia and gravity moment: a scale of 1 with a tolerance."""
     gravity_angle: Number | None = None
     """Angle [rad] that the link stands away from hanging straight down at θl = 0, whatever is mounted; none is 0."""
     mountings: dict[str, Mounting]
+    """What may be bolted to the output, by name."""
     sensors: Sensors
+    """What there is, and how good it is."""
     effects: Annotated[list[Effect], Field(max_length=32)] = []
     """They act in the order in which they stand: a factor multiplies what the effects before it have made of a number."""
     discrepancies: Annotated[list[Discrepancy], Field(max_length=N_DISCREPANCIES)] = []
+    """What acts beyond the laws, found by a diagnosis."""
     valid: ValidRange | None = None
     """Where the data have been from which a diagnosis made this description; none for one that a person wrote."""
     uncertainty: Uncertainty | None = None
@@ -537,12 +609,13 @@ class Joint(Strict):
             + html_table(("number", "value", "unit", "tolerance", "source"), rows)
         )
 
-    def write(self, path: Path) -> None:
+    def write(self, path: str | Path) -> None:
         """Write the description as YAML, its MJCF beside it unless that is shipped; `load_joint` reads it back.
 
         Raises:
           InputError: it cannot be written, or another MJCF of that name is there.
         """
+        path = Path(path)
         self._copy_mjcf(path.parent)
         data = self.model_dump(exclude_none=True, exclude_defaults=False, mode="json")
         if self.uncertainty is not None:

@@ -370,12 +370,6 @@ def current_reading(current, p):
 
 
 @kernel
-def drive_torque_reading(current, p):
-    """Motor torque that a drive reports [N·m, motor side]: the current it reads times the torque constant it believes in."""
-    return p.Kt_drive * current_reading(current, p)
-
-
-@kernel
 def torque_reading(torque, time, p):
     """What the joint torque sensor reads [N·m]: gain, offset and drift."""
     return p.torque_gain * torque + p.torque_offset + p.torque_rate * time

@@ -50,10 +50,15 @@ class Sidecar(Strict):
 
     format: Literal[1]
     joint: str
+    """Name of a shipped joint, or path of its file."""
     description: str = ""
+    """What was done."""
     link: Mounting | None = None
+    """What hung on the output; or else `arm`."""
     arm: ArmSpec | None = None
+    """The arm that the joint is part of; or else `link`."""
     external_torque: External = "none"
+    """Whether the link was pushed, and whether that was measured."""
 
     @model_validator(mode="after")
     def _one_load(self) -> Sidecar:

@@ -118,7 +118,7 @@ class Experiment:
             self.external_torque,
             sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
             sensors.noise(self.joint, scenario.seed if seed is None else seed, len(self.position), CONTROL_PERIOD),
-            scenario.controller.record(p, CONTROL_PERIOD, scenario.feedback != "none"),
+            scenario.controller.record(self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none"),
             feedback,
             self.temperature,
             self.tip_force,
@@ -140,6 +140,13 @@ class Experiment:
                 scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
             )
         return simulation
+
+    def _known_to_the_drive(self, p: np.void) -> np.void:
+        """What the drive's controller goes by: ratio and limit of the plant, torque constant and weight as they are known."""
+        record = self.known.record.copy()
+        for name in ("N", "current_limit"):
+            record[0][name] = p[name]
+        return record[0]
 
 
 def signals_of(simulation: Simulation) -> Signals:

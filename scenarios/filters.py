@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 from pydantic import BaseModel, ConfigDict, Field, model_serializer, model_validator
 
@@ -19,10 +19,24 @@ from ..estimator import registry
 from ..estimator.estimator import Estimator
 from ..estimator.tuning_parameters import value_of, with_values
 from ..models.errors import InputError, nearest
+from ..models.schema import documented
 
 PAPER = ("EKF", "AREKF", "RAREKF", "REKF")
 """The paper's filters by their names in the registry; those of a scenario that lists none."""
 Parameter = float | str
+
+
+def _as_people_write(schema: dict[str, Any], model: type) -> None:
+    """An entry's JSON Schema: tuning parameters stand beside the name, and `rule` may name one of the paper's filters."""
+    properties = schema["properties"]
+    properties["rule"] = {
+        "type": "string",
+        "description": "Gain rule of one of the paper's filters, instead of `estimator`.",
+    }
+    del properties["parameters"]
+    schema["required"] = ["name"]
+    schema["additionalProperties"] = {"description": "A tuning parameter of the estimator, by its name."}
+    documented(schema, model)
 
 
 class FilterEntry(BaseModel):
@@ -34,11 +48,15 @@ class FilterEntry(BaseModel):
       parameters: values of its fields, by dotted name (`process.push`).
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    short: ClassVar[str] = "string"
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=_as_people_write)
 
     name: Annotated[str, Field(min_length=1, pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+    """Its own, in figures and tables."""
     estimator: str
+    """Which one (`flexspline estimators`)."""
     parameters: dict[str, Parameter] = {}
+    """Its tuning parameters; in a file they stand beside the name: `{name: slow, estimator: lowpass, cutoff: 5}`."""
 
     @model_validator(mode="before")
     @classmethod

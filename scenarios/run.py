@@ -18,7 +18,9 @@ from ..models.notebook import html_table, paragraph
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
+from ..sim.plant import link_mass
 from .evaluation.metrics import Reference
+from .evaluation.tip_force import TipForce, tip_force
 from .experiment import Experiment, estimate, signals_of
 from .scenario import Scenario
 
@@ -157,9 +159,26 @@ class Run:
             missing = int(np.sum(~np.isfinite(one.mean)))
             if missing:
                 found.append(f"{name} gives no estimate for {missing} of {len(one.mean)} samples and is not measured")
+        if self.tip_force is not None:
+            errors = self.tip_force.errors(self.reference.kept)
+            shown = ", ".join(f"{name} {value:.2f}" for name, value in sorted(errors.items(), key=lambda item: item[1]))
+            found.append(
+                f"force at the link, RMS error [N]: {shown}; it acts at {self.tip_force.lever:.3f} m, says the wrench"
+            )
         if self.beyond:
             found.append(beyond_sentence(self.beyond))
         return tuple(found)
+
+    @cached_property
+    def tip_force(self) -> TipForce | None:
+        """The force at the link by the wrench and by every filter (`evaluation.tip_force`); None where the scenario records no
+        wrench or its pushes have not one lever."""
+        levers = {d.lever for d in self.scenario.disturbances}
+        if "force_x" not in self.scenario.record or len(levers) != 1 or 0.0 in levers:
+            return None
+        mass, _ = link_mass(self.joint.record(self.joint.mount(self.scenario.mounting or None))[0])
+        force = self.scenario.tip_force()
+        return tip_force(self.simulation, self.signals, self.known, mass, force, levers.pop(), self.estimates)
 
     @cached_property
     def metrics(self) -> dict[str, Any]:
@@ -167,6 +186,7 @@ class Run:
         reference = self.reference
         truth, kept = reference.truth, reference.kept
         error = (self.position_command - self.truth("link_position"))[kept]
+        tip = self.tip_force
         return {
             "scenario": self.name,
             "seed": self.scenario.seed,
@@ -180,6 +200,7 @@ class Run:
                 "max": float(np.max(np.abs(self.position_command - self.truth("link_position")))),
                 "unit": "rad",
             },
+            "tip_force": None if tip is None else {"rms": tip.errors(kept), "lever": tip.lever, "unit": "N, m"},
         }
 
     def as_recording(self) -> Recording:

@@ -8,7 +8,7 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field, model_serializer, model_validator
@@ -42,6 +42,7 @@ class Disturbance(Strict):
     sine, or a random walk, another one for each seed."""
 
     kind: Literal["push", "step", "triangle", "sine", "walk"]
+    """Its course over time."""
     start: Annotated[float, Field(ge=0, description="s")]
     duration: Annotated[float, Field(gt=0, description="s")]
     torque: Annotated[
@@ -79,6 +80,8 @@ def _walk(inside: np.ndarray, seed: int, start: float) -> np.ndarray:
 class Temperature(Strict):
     """Temperature of the gear [°C]: one number, or `end + (start − end)·exp(−t/time_constant)`."""
 
+    short: ClassVar[str] = "number"
+
     start: Annotated[float, Field(ge=-273.15, le=1000, description="°C")]
     end: Annotated[float, Field(ge=-273.15, le=1000, description="°C")]
     time_constant: Annotated[float, Field(gt=0, description="s")] = math.inf
@@ -110,7 +113,9 @@ class Scenario(Strict):
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    """Of the run's folder."""
     description: str = ""
+    """What it is for."""
     figure: Annotated[str, Field(description="the paper's figure that this reproduces")] = ""
     joint: Annotated[str, Field(description="a shipped joint's name or a path")] = "test-joint"
     known_joint: Annotated[str, Field(description="what the estimators know; the joint itself by default")] = ""
@@ -121,9 +126,13 @@ class Scenario(Strict):
     duration: Annotated[float, Field(gt=0, le=3600, description="s")]
     timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
+    """Of every random stream."""
     locked_rotor: bool = False
+    """Hold the rotor still: the output is turned by the disturbances alone."""
     trajectory: Annotated[list[Waypoint], Field(min_length=1)]
+    """Where the link is commanded to be."""
     disturbances: list[Disturbance] = []
+    """Forces at the link."""
     sensors: Annotated[
         dict[str, Any] | Literal["realistic"],
         Field(description="changes to the joint's sensors, or `realistic`: sensors, clock and drive as they are"),
@@ -133,11 +142,13 @@ class Scenario(Strict):
     ] = "command"
     jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()
+    """Of the position."""
     feedback: Annotated[str, Field(description="filter whose estimate is fed back, `sensor`, or `none`")] = "none"
     temperature: Annotated[Temperature, Field(description="of the gear, °C")] = Temperature(
         start=REFERENCE_TEMPERATURE, end=REFERENCE_TEMPERATURE
     )
     filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
+    """Estimators by name, or with tuning parameters under names of their own."""
     record: Annotated[
         list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
     ] = []

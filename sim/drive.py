@@ -15,7 +15,10 @@ from ..models.files import Strict
 from ..models.kernels import kernel
 
 CONTROLLER = np.dtype(
-    [(name, np.float64) for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "delay")]
+    [
+        (name, np.float64)
+        for name in ("kp", "kd", "ki", "filter", "friction", "limit", "gear", "torque_gain", "gravity", "delay")
+    ]
 )
 """The controller as one record for compiled code."""
 
@@ -26,6 +29,14 @@ class Controller(Strict):
     `i = kp·e + kd·e' + ki·∫e dt + torque_feedback·T̂/(N·Kt)`, clipped at the motor's current limit, with
     e = N·q_d − θm. The measured velocity is the difference quotient of the encoder through a first-order low-pass.
     The integral stops while the current is clipped. `delay`: dead time of the drive, from the command to the winding.
+
+    With a gain kT = `torque_loop` the estimate closes a torque loop instead, inside an impedance (Albu-Schäffer, Ott & Hirzinger,
+    "A unified passivity-based control framework for position, torque and impedance control of flexible joint robots", IJRR 2007):
+
+        u = N·Kt·(kp·e + kd·e') + gravity·Mg·sin(θm/N)        i = (u + kT·(u − T̂))/(N·Kt)
+
+    so that the joint takes the torque u, with the rotor's inertia and the friction 1/(1 + kT) of what they are. N²·Kt·kp is its
+    stiffness [N·m/rad], N²·Kt·kd its damping [N·m·s/rad] (`impedance`).
     """
 
     kp: Annotated[float, Field(ge=0, description="A/rad, motor side")] = 8.0
@@ -36,6 +47,32 @@ class Controller(Strict):
         float, Field(ge=0, le=1, description="share of the estimated torque that is fed back")
     ] = 0.8
     delay: Annotated[float, Field(ge=0, le=0.02, description="from the command to the winding, s")] = 0.0
+
+    torque_loop: Annotated[float, Field(ge=0, le=1000, description="gain of the torque loop; 0: none")] = 0.0
+    gravity: Annotated[
+        float, Field(ge=0, le=1, description="share of the link's weight that the drive makes up for")
+    ] = 0.0
+
+    @classmethod
+    def impedance(cls, stiffness: float, damping: float, gain: float, p: np.void, gravity: float = 1.0) -> Controller:
+        """The controller that makes a joint of these parameters a spring and damper [N·m/rad], [N·m·s/rad] on the output side."""
+        unit = float(p["N"]) ** 2 * float(p["Kt"])
+        return cls(kp=stiffness / unit, kd=damping / unit, torque_loop=gain, gravity=gravity)
+
+    def wanted(
+        self, position: np.ndarray, velocity: np.ndarray, measured: np.ndarray, p: np.void, dt: float
+    ) -> np.ndarray:
+        """The torque u [N·m] that the impedance asks for, shape (n,).
+
+        Args:
+          position, velocity: commands [rad], [rad/s], output side, shape (n,).
+          measured: motor encoder [rad], shape (n,). p: parameters that the drive knows. dt: control period [s].
+        """
+        record = self.model_copy(update={"torque_loop": 0.0}).record(p, dt, feedback=False)
+        record["limit"] = np.inf
+        out = np.zeros(len(position))
+        _wanted(position, velocity, measured, dt, record, float(p["N"] * p["Kt"]), out)
+        return out
 
     def lagging(self, delay: float) -> Controller:
         """The same for a drive that lags by `delay` [s]: gains lowered so that its phase margin stays.
@@ -57,7 +94,13 @@ class Controller(Strict):
         c["filter"] = 1.0 - math.exp(-dt / self.velocity_filter) if self.velocity_filter > 0 else 1.0
         c["limit"], c["gear"] = p["current_limit"], p["N"]
         c["delay"] = self.delay
-        c["torque_gain"] = self.torque_feedback / (p["N"] * p["Kt"]) if feedback else 0.0
+        unit = p["N"] * p["Kt"]
+        c["torque_gain"] = self.torque_feedback / unit if feedback else 0.0
+        c["gravity"] = self.gravity * p["Mg"] / unit
+        if feedback and self.torque_loop > 0.0:
+            for name in ("kp", "kd", "ki", "gravity"):
+                c[name] *= 1.0 + self.torque_loop
+            c["torque_gain"] = -self.torque_loop / unit
         return record
 
 
@@ -77,7 +120,17 @@ def control(position, velocity, measured, torque, state, dt, c):
     error = c.gear * position - measured
     integral = state[2] + error * dt
     wanted = c.kp * error + c.kd * (c.gear * velocity - state[1]) + c.ki * integral + c.torque_gain * torque
+    if c.gravity != 0.0:
+        wanted += c.gravity * math.sin(measured / c.gear)
     if abs(wanted) <= c.limit:
         state[2] = integral
         return wanted
     return c.limit if wanted > 0.0 else -c.limit
+
+
+@kernel
+def _wanted(position, velocity, measured, dt, record, unit, out):
+    c, state = record[0], np.zeros(3)
+    state[0] = c.gear * position[0]
+    for k in range(len(position)):
+        out[k] = unit * control(position[k], velocity[k], measured[k], 0.0, state, dt, c)

@@ -37,14 +37,18 @@ def function_address(name: str) -> int:
     return int(ctypes.cast(getattr(library(), name), ctypes.c_void_p).value or 0)
 
 
-def install(name: str, address: int) -> None:
-    """Install a C function as a global callback, `mjcb_passive` and the like."""
-    ctypes.c_void_p.in_dll(library(), name).value = address
+def install(name: str, address: int | None) -> None:
+    """Install a C function as a global callback, `mjcb_passive` and the like; None: none."""
+    _place(name).value = address
 
 
 def installed(name: str) -> bool:
     """Whether a global callback is set."""
-    return bool(ctypes.c_void_p.in_dll(library(), name).value)
+    return bool(_place(name).value)
+
+
+def _place(name: str) -> ctypes.c_void_p:
+    return ctypes.c_void_p.in_dll(library(), name)
 
 
 class _Replacement:
@@ -68,7 +72,7 @@ class _Replacement:
             ours = self._inside > 0 or self._wanted()
             if ours:
                 if self._inside == 0:
-                    place = ctypes.c_void_p.in_dll(library(), self._name)
+                    place = _place(self._name)
                     self._before, place.value = place.value, self._function()
                 self._inside += 1
         try:
@@ -78,7 +82,7 @@ class _Replacement:
                 with self._lock:
                     self._inside -= 1
                     if self._inside == 0:
-                        ctypes.c_void_p.in_dll(library(), self._name).value = self._before
+                        install(self._name, self._before)
 
 
 _ignore = ctypes.CFUNCTYPE(None, ctypes.c_char_p)(lambda message: None)
@@ -133,8 +137,8 @@ def offsets() -> dict[str, int]:
     data = mujoco.MjData(model)
     model.opt.disableflags = 0x5C3A6E17
     found = {
-        "numeric_data": _find(model._address, model.numeric_data.ctypes.data),
-        "disableflags": _find(model._address, model.opt.disableflags, ctypes.c_uint32),
+        "numeric_data": find(model._address, model.numeric_data.ctypes.data),
+        "disableflags": find(model._address, model.opt.disableflags, ctypes.c_uint32),
     }
     model.opt.disableflags = 0
     names = [field.name for field in _model_fields()]
@@ -142,9 +146,9 @@ def offsets() -> dict[str, int]:
     if ctypes.c_int64.from_address(model._address + 8 * found["nnumericdata"]).value != 3:
         raise RuntimeError(f"MuJoCo {mujoco.__version__}: mjModel is laid out in an unknown way")
     for name in ("qpos", "qvel", "act", "ctrl", "qfrc_passive", "xfrc_applied", "sensordata"):
-        found[name] = _find(data._address, getattr(data, name).ctypes.data)
+        found[name] = find(data._address, getattr(data, name).ctypes.data)
     data.time = 1.2345678e-77
-    found["time"] = _find(data._address, int(np.float64(data.time).view(np.uint64)))
+    found["time"] = find(data._address, int(np.float64(data.time).view(np.uint64)))
     return found
 
 
@@ -154,7 +158,7 @@ def _model_fields() -> tuple[Any, ...]:
     return tuple(structs.STRUCTS["mjModel"].fields)
 
 
-def _find(address: int, value: int, word: type[ctypes.c_uint64] | type[ctypes.c_uint32] = ctypes.c_uint64) -> int:
+def find(address: int, value: int, word: type[ctypes.c_uint64] | type[ctypes.c_uint32] = ctypes.c_uint64) -> int:
     """The first word at an address, and behind it, that holds a value."""
     size = ctypes.sizeof(word)
     for begin in range(0, _FARTHEST // size, _AT_ONCE):

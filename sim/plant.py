@@ -52,8 +52,8 @@ def build(
     p = record[0]
     spec = structure.read(joint.mjcf)
     try:
-        _set_numbers(spec, p, timestep, ideal_current)
-        native_friction = _set_friction(spec, p)
+        set_numbers(spec, p, timestep, ideal_current)
+        native_friction = set_friction(spec, p)
         has_dahl = p["hysteresis_torque"] != 0
         joints: tuple[str, ...] = structure.JOINTS
         if p["flexible_share"] > 0:
@@ -136,7 +136,7 @@ def activation(model: mujoco.MjModel, actuator: str) -> int:
     return int(model.actuator_actadr[i] + model.actuator_actnum[i] - 1)
 
 
-def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
+def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
     spec.option.timestep = timestep
     # Nothing touches anything, and no joint has limits.
     spec.option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT | mujoco.mjtDisableBit.mjDSBL_CONTACT)
@@ -170,14 +170,21 @@ def _set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current
             raise ValueError(error)
 
 
+def link_mass(p: np.void) -> tuple[float, float]:
+    """Mass of the link [kg] and how far its centre is from the axis [m]: a description states neither, only Mg and Jl."""
+    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"] - laws.flexible_inertia(p))
+    if moment <= 0.0:
+        return 0.1, 0.0
+    # It sits close enough for its own m r² to leave 40 % of the inertia to its shape.
+    lever = min(_LEVER, 0.6 * inertia / moment)
+    return moment / lever, lever
+
+
 def _set_link(spec: mujoco.MjSpec, p: np.void) -> None:
     """A mass with the gravity moment, off the link's axis by the gravity angle, and the rest of the inertia as its shape."""
     body = spec.body("link")
-    moment, inertia = float(p["Mg"]) / GRAVITY, float(p["Jl"] - laws.flexible_inertia(p))
-    # The mass sits close enough for its own m r² to leave 40 % of the inertia to its shape.
-    lever = min(_LEVER, 0.6 * inertia / moment) if moment > 0 else _LEVER
-    mass = moment / lever if moment > 0 else 0.1
-    position = lever if moment > 0 else 0.0
+    inertia = float(p["Jl"] - laws.flexible_inertia(p))
+    mass, position = link_mass(p)
     about_mass = inertia - mass * position**2
     body.explicitinertial = True
     body.mass = mass
@@ -199,7 +206,7 @@ def _hang_flexibly(spec: mujoco.MjSpec, p: np.void) -> None:
     joint.damping = [0.5 * laws.flexible_torque(0.0, 1.0, p), 0, 0]
 
 
-def _set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
+def set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
     """MuJoCo's own LuGre where the sliding friction is a function of velocity alone; the callback's otherwise."""
     friction = spec.actuator("mesh_friction")
     plain = (

@@ -20,7 +20,7 @@ from .style import SENSOR
 from .tables import narrow_table
 
 if TYPE_CHECKING:
-    from ..scenarios.evaluation.contact import Point
+    from ..scenarios.evaluation.contact import OperatingPoint
     from ..scenarios.evaluation.intervals import Interval
 
 HEADS = ("estimator", "threshold [N·m]", "false alarms / h", "smallest push [N·m]", "found of 2 N·m [%]", "delay [ms]")
@@ -40,7 +40,7 @@ def told(value: Interval, digits: int, scale: float = 1.0) -> str:
     return f"{text} [{scale * value.low:.{digits}f}, {high}]"
 
 
-def contact_rows(points: Mapping[str, Point]) -> Iterator[tuple[str, ...]]:
+def contact_rows(points: Mapping[str, OperatingPoint]) -> Iterator[tuple[str, ...]]:
     """A row of text per estimator, `HEADS`; the smallest push first."""
     for name, point in sorted(points.items(), key=lambda item: item[1].smallest.mean):
         yield (
@@ -49,12 +49,12 @@ def contact_rows(points: Mapping[str, Point]) -> Iterator[tuple[str, ...]]:
         )  # fmt: skip
 
 
-def contact_markdown(points: Mapping[str, Point]) -> str:
+def contact_markdown(points: Mapping[str, OperatingPoint]) -> str:
     """Detectors at their thresholds, in Markdown."""
     return markdown(HEADS, list(contact_rows(points)))
 
 
-def contact_table(points: Mapping[str, Point], title: str) -> Table:
+def contact_table(points: Mapping[str, OperatingPoint], title: str) -> Table:
     """Detectors at their thresholds, for the terminal."""
     table = narrow_table(
         title,
@@ -71,7 +71,7 @@ def contact_table(points: Mapping[str, Point], title: str) -> Table:
     return table
 
 
-def as_data(points: Mapping[float, Mapping[str, Point]]) -> list[dict[str, Any]]:
+def as_data(points: Mapping[float, Mapping[str, OperatingPoint]]) -> list[dict[str, Any]]:
     """A row per tolerance and estimator: threshold [N·m], and every measure with the ends of its interval; none where there is
     none."""
     names = {

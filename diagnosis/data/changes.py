@@ -16,27 +16,53 @@ import numpy as np
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
-from .plausibility import EFFECTIVE, Plausibility, RelationFit, SmoothedChannels, motion_of
-
-PRICE = 9.0
-"""Of a mistake, in log likelihood; a number that is free costs `FREE` more."""
-FREE = 5.0
-_ONE_OF_SEVERAL = 4.0  # price of a mistake that not all recordings have
-_SURE = 7.0  # gain beyond its price from which on a change is believed
-_SUSPICIOUS = -0.15  # misfit below which a relation is looked into
-_WORSE = -3.0  # loss in a recording from which on a change is not one of the whole measurement
-_KEPT, _MOST = 3, 3  # states that are kept beside each other, changes on top of each other
-_DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
-_SLOPE = 0.004  # relative: by how much the encoders' ratio may be off at the least to be another gear ratio
-_OFFSETS = 24  # of the angle's zero, that are tried in a turn
-_SMALLEST_OFFSET = 0.015  # rad between the encoders
-GRAVITY = "gravity_angle"
-"""What stands for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
-_SLOW = 0.05  # s between samples, from which on time may be in other units than seconds
+from .plausibility import SETTINGS as AGREEMENT
+from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
 
 
 @dataclass(frozen=True)
-class Change:
+class ChangeSettings:
+    """What a change costs, and when one is believed; in log likelihood where nothing else is said.
+
+    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
+
+    Attributes:
+      price: of a mistake.
+      free: of a number that is free, more.
+      one_of_several: of a mistake that not all recordings have, more.
+      sure: gain beyond its price from which on a change is believed.
+      suspicious: misfit below which a relation is looked into.
+      worse: loss in a recording from which on a change is not one of the whole measurement.
+      kept: states that are kept beside each other.
+      most: changes on top of each other.
+      slope: by how much the encoders' ratio may be off at the least to be another gear ratio, relative.
+      offsets: of the angle's zero, that are tried in a turn.
+      smallest_offset: between the encoders [rad].
+      slow: between samples, from which on time may be in other units than seconds [s].
+    """
+
+    price: float = 9.0
+    free: float = 5.0
+    one_of_several: float = 4.0
+    sure: float = 7.0
+    suspicious: float = -0.15
+    worse: float = -3.0
+    kept: int = 3
+    most: int = 3
+    slope: float = 0.004
+    offsets: int = 24
+    smallest_offset: float = 0.015
+    slow: float = 0.05
+
+
+SETTINGS = ChangeSettings()
+_DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
+GRAVITY = "gravity_angle"
+"""What stands for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
+
+
+@dataclass(frozen=True)
+class ColumnChange:
     """A change of one column that would mend it.
 
     Attributes:
@@ -51,8 +77,8 @@ class Change:
     description: str
     factor: float | None = None
     offset: float | None = None
-    price: float = PRICE
-    also: tuple[Change, ...] = ()
+    price: float = SETTINGS.price
+    also: tuple[ColumnChange, ...] = ()
     ratio: float = 1.0
 
     def apply(self, motion: SmoothedChannels) -> SmoothedChannels:
@@ -70,7 +96,7 @@ class Change:
         """What it costs in each recording that smaller torques look like nothing, whatever they are."""
         if self.name != "unit" or self.column not in (*DRIVING, "external_torque") or self.factor is None:
             return 0.0
-        return 0.5 * EFFECTIVE * max(-math.log(self.factor), 0.0)
+        return 0.5 * AGREEMENT.effective * max(-math.log(self.factor), 0.0)
 
     def _own(self, motion: SmoothedChannels) -> SmoothedChannels:
         if self.name == "swapped":
@@ -122,7 +148,7 @@ class Found:
       confidence: of it.
     """
 
-    change: Change
+    change: ColumnChange
     recordings: tuple[int, ...]
     confidence: float
 
@@ -148,7 +174,7 @@ def _total(fits: dict[str, RelationFit]) -> float:
 def time_unit(recordings: Sequence[Recording], joint: Joint) -> float:
     """What one unit of time is [s]: where samples are too far apart for seconds, the unit that suits the channels."""
     interval = min(r.interval for r in recordings)
-    if interval < _SLOW:
+    if interval < SETTINGS.slow:
         return 1.0
     plausible = [Plausibility(joint, r) for r in recordings]
 
@@ -157,9 +183,9 @@ def time_unit(recordings: Sequence[Recording], joint: Joint) -> float:
         fits = [p.agreement(m) for p, m in zip(plausible, motions, strict=True) if m is not None]
         return sum(map(_total, fits)) if fits else -math.inf
 
-    best, found = max(score(1.0), -1e9) + PRICE + _SURE, 1.0
+    best, found = max(score(1.0), -1e9) + SETTINGS.price + SETTINGS.sure, 1.0
     for unit in (1e-3, 1e-6, 1e-9):
-        if 5e-5 < interval * unit < _SLOW and (now := score(unit)) > best:
+        if 5e-5 < interval * unit < SETTINGS.slow and (now := score(unit)) > best:
             best, found = now, unit
     return found
 
@@ -186,21 +212,21 @@ class Suspicions:
 
     def _search(self, start: _Progress) -> _Progress:
         beam, best = [start], start
-        for _ in range(_MOST):
+        for _ in range(SETTINGS.most):
             further: list[_Progress] = []
             for state in beam:
                 if self._suspicious(state):
                     further += self._steps(state)
             if not further:
                 break
-            beam = sorted(further, key=lambda s: -s.score)[:_KEPT]
-            if beam[0].score <= best.score + _SURE:
+            beam = sorted(further, key=lambda s: -s.score)[: SETTINGS.kept]
+            if beam[0].score <= best.score + SETTINGS.sure:
                 break
             best = beam[0]
         return best
 
     def _suspicious(self, state: _Progress) -> bool:
-        return any(fit.misfit < _SUSPICIOUS for fits in state.fits for fit in fits.values())
+        return any(fit.misfit < SETTINGS.suspicious for fits in state.fits for fit in fits.values())
 
     def _steps(self, state: _Progress) -> list[_Progress]:
         """All states one change further that are better than this one by more than that change's price."""
@@ -215,9 +241,9 @@ class Suspicions:
                 _total(new) - _total(old) - (0.0 if new is old else change.shrinkage)
                 for new, old in zip(fits, state.fits, strict=True)
             ]
-            everywhere = all(gain > _WORSE for gain in gains)
-            chosen = [i for i, g in enumerate(gains) if everywhere or g > change.price + _SURE]
-            price = change.price if everywhere else (change.price + _ONE_OF_SEVERAL) * max(len(chosen), 1)
+            everywhere = all(gain > SETTINGS.worse for gain in gains)
+            chosen = [i for i, g in enumerate(gains) if everywhere or g > change.price + SETTINGS.sure]
+            price = change.price if everywhere else (change.price + SETTINGS.one_of_several) * max(len(chosen), 1)
             gain = sum(gains[i] for i in chosen) - price
             if not chosen or gain <= 0:
                 continue
@@ -234,7 +260,7 @@ class Suspicions:
             )
         return steps
 
-    def _changes(self, state: _Progress) -> Iterator[Change]:
+    def _changes(self, state: _Progress) -> Iterator[ColumnChange]:
         """Changes that may mend what is left in a state, each column's once."""
         there = {name for m in state.motions if m is not None for name in m.channels}
         done = {(f.change.name, f.change.column) for f in state.found}
@@ -242,7 +268,7 @@ class Suspicions:
             if (change.name, change.column) not in done:
                 yield change
 
-    def _scales(self, there: set[str]) -> Iterator[Change]:
+    def _scales(self, there: set[str]) -> Iterator[ColumnChange]:
         """Units and signs."""
         N, Kt = self.joint.numbers["N"].value, self.joint.numbers["Kt"].value
         sensors = self.joint.sensors
@@ -273,7 +299,7 @@ class Suspicions:
             if column in there:
                 yield _unit(column, "mN·m", 1e-3)
 
-    def _counts(self, column: str, encoder: EncoderSpec) -> Iterator[Change]:
+    def _counts(self, column: str, encoder: EncoderSpec) -> Iterator[ColumnChange]:
         """Counts of the encoder as it is described, or, where every value is a whole number, of any other."""
         lines = 2 * math.pi / encoder.resolution
         for times in (1.0, 4.0, 0.25):
@@ -281,47 +307,47 @@ class Suspicions:
         if all(np.array_equal(r[column], np.round(r[column])) for r in self.recordings if column in r):
             for bits in range(8, 33):
                 if abs(bits - math.log2(lines)) > 0.1:
-                    yield _unit(column, f"counts ({2**bits} a turn)", 2 * math.pi / 2**bits, PRICE + 2)
+                    yield _unit(column, f"counts ({2**bits} a turn)", 2 * math.pi / 2**bits, SETTINGS.price + 2)
 
-    def _exchanges(self, there: set[str], state: _Progress) -> Iterator[Change]:
+    def _exchanges(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
         """Positions that are something else: the other side's, a velocity."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]
         if len(positions) == 2:
-            yield Change("swapped", "", "motor and link position stand under each other's name")
+            yield ColumnChange("swapped", "", "motor and link position stand under each other's name")
         else:
             other = POSITIONS[1 - POSITIONS.index(positions[0])].replace("_", " ")
-            yield Change("swapped", positions[0], f"what stands here is the {other}")
+            yield ColumnChange("swapped", positions[0], f"what stands here is the {other}")
         for column in positions:
             side = 1 / N if column == "link_position" else N
             for said, factor in (("rad/s", 1.0), ("deg/s", _DEGREE), ("rpm", _RPM), ("rad/s of the other side", side)):
-                yield Change(
+                yield ColumnChange(
                     "velocity", column, f"a velocity ({said}) where the position belongs", None if factor == 1.0 else factor,
-                    price=PRICE + (0.0 if factor == 1.0 else 3.0), ratio=N,
+                    price=SETTINGS.price + (0.0 if factor == 1.0 else 3.0), ratio=N,
                 )  # fmt: skip
 
-    def _fitted(self, there: set[str], state: _Progress) -> Iterator[Change]:
+    def _fitted(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
         """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
         if all(name in there for name in POSITIONS):
             slope = self._slope(state)
-            if slope is not None and abs(slope - 1) > _SLOPE and slope > 0:
+            if slope is not None and abs(slope - 1) > SETTINGS.slope and slope > 0:
                 yield self._gear_ratio("motor_position", slope)
                 yield self._gear_ratio("link_position", slope)
         yield from self._zeros(there, state)
 
-    def _gear_ratio(self, column: str, slope: float) -> Change:
+    def _gear_ratio(self, column: str, slope: float) -> ColumnChange:
         """Another ratio between the encoders; near N ± 1 the one of the other kind of strain wave gear."""
         N = round(self.joint.numbers["N"].value)
         for other in (N - 1, N + 1):
             if abs(slope * N / other - 1) < 1.5e-3:
                 text = f"the motor makes {other} turns for one of the link, not {N}"
                 if column == "motor_position":
-                    return Change("gear_ratio", column, text, other / N, price=PRICE)
+                    return ColumnChange("gear_ratio", column, text, other / N, price=SETTINGS.price)
         text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:g}"
         if column == "motor_position":
-            return Change("gear_ratio", column, text, slope, price=PRICE + FREE)
+            return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free)
         text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
-        return Change("gear_ratio", column, text, slope, price=PRICE + FREE + 3)
+        return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free + 3)
 
     def _slope(self, state: _Progress) -> float | None:
         """Turns of the motor over N times those of the link, of all recordings; None where the link hardly moves."""
@@ -337,12 +363,12 @@ class Suspicions:
                 weights.append(float(l @ l))
         return float(np.average(found, weights=weights)) if found else None
 
-    def _zeros(self, there: set[str], state: _Progress) -> Iterator[Change]:
+    def _zeros(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
         """Zeros of the angle, of one encoder or of all angles together."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]
         between = self._median(state, "motor_position", "link_position")
-        if between is not None and abs(between) > _SMALLEST_OFFSET:
+        if between is not None and abs(between) > SETTINGS.smallest_offset:
             yield _zero("link_position", between)
             yield _zero("motor_position", -N * between)
         command = self._median(state, "position_command", positions[-1])
@@ -357,12 +383,12 @@ class Suspicions:
             if "position_command" in there:
                 yield _zeros([*positions, "position_command"], angle, N)
 
-    def _gravity(self, there: set[str], angle: float) -> Change:
+    def _gravity(self, there: set[str], angle: float) -> ColumnChange:
         """Gravity's direction turned round, where the description says that it has one."""
         angles = [n for n in (*POSITIONS, "position_command") if n in there]
         turned = _zeros(angles, angle, self.joint.numbers["N"].value)
         text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
-        return Change("sign", GRAVITY, text, price=PRICE - 1, also=(turned,))
+        return ColumnChange("sign", GRAVITY, text, price=SETTINGS.price - 1, also=(turned,))
 
     def _median(self, state: _Progress, a: str, b: str) -> float | None:
         """Median of one position less another on the output side [rad], of all recordings that have both."""
@@ -379,7 +405,7 @@ class Suspicions:
         torques = [i for i, fits in enumerate(state.fits) if any(n in fits for n in DRIVING)]
         weights = [i for i in torques if self._plausible[i].p["Mg"] > 0]
         if not weights or not any(
-            fit.misfit < _SUSPICIOUS for i in weights for n, fit in state.fits[i].items() if n in DRIVING
+            fit.misfit < SETTINGS.suspicious for i in weights for n, fit in state.fits[i].items() if n in DRIVING
         ):
             return None
 
@@ -394,9 +420,9 @@ class Suspicions:
                 total += sum(fit.agreement for n, fit in self._plausible[i].torques(turned).items())
             return total
 
-        tried = 2 * math.pi / _OFFSETS * np.arange(-_OFFSETS // 2 + 1, _OFFSETS // 2 + 1)
+        tried = 2 * math.pi / SETTINGS.offsets * np.arange(-SETTINGS.offsets // 2 + 1, SETTINGS.offsets // 2 + 1)
         best = float(tried[int(np.argmax([agreement(x) for x in tried]))])
-        width = 2 * math.pi / _OFFSETS
+        width = 2 * math.pi / SETTINGS.offsets
         while width > 0.02:
             width /= 2
             best = max((best - width, best, best + width), key=agreement)
@@ -406,12 +432,12 @@ class Suspicions:
         return best if abs(best) > 0.1 else None
 
 
-def _sign(column: str) -> Change:
-    return Change("sign", column, "turned round", price=PRICE - 1)
+def _sign(column: str) -> ColumnChange:
+    return ColumnChange("sign", column, "turned round", price=SETTINGS.price - 1)
 
 
-def _unit(column: str, said: str, factor: float, price: float = PRICE) -> Change:
-    return Change("unit", column, f"{said} taken for {_SI[column]}", factor, price=price)
+def _unit(column: str, said: str, factor: float, price: float = SETTINGS.price) -> ColumnChange:
+    return ColumnChange("unit", column, f"{said} taken for {_SI[column]}", factor, price=price)
 
 
 _SI = {
@@ -420,23 +446,23 @@ _SI = {
 }  # fmt: skip
 
 
-def _angles(column: str) -> Iterator[Change]:
+def _angles(column: str) -> Iterator[ColumnChange]:
     yield _unit(column, "degrees", _DEGREE)
     yield _unit(column, "turns", 2 * math.pi)
     yield _unit(column, "mrad", 1e-3)
 
 
-def _zero(column: str, offset: float) -> Change:
-    return Change("angle_zero", column, "zero is elsewhere", offset=offset, price=PRICE + FREE)
+def _zero(column: str, offset: float) -> ColumnChange:
+    return ColumnChange("angle_zero", column, "zero is elsewhere", offset=offset, price=SETTINGS.price + SETTINGS.free)
 
 
-def _zeros(columns: Sequence[str], offset: float, N: float) -> Change:
+def _zeros(columns: Sequence[str], offset: float, N: float) -> ColumnChange:
     """The same turn of several angles, the link's first."""
     changes = [
         _zero(column, offset * (N if column == "motor_position" else 1.0))
         for column in sorted(columns, key=lambda name: name != "link_position")
     ]
-    price = PRICE + (
+    price = SETTINGS.price + (
         0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else 1.0
     )  # of one angle, it shows in its counterpart
     return replace(changes[0], price=price, also=tuple(changes[1:]))

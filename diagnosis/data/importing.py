@@ -45,19 +45,28 @@ class Zero(Strict):
     """
 
     column: str
+    """The foreign column that it is compared with."""
     unit: str
+    """Of that column."""
     scale: float = 1.0
+    """Factor on that column."""
     at: Literal["mean", "first"] = "mean"
+    """All of the log, or its first sample."""
     beyond: Annotated[float, Field(ge=0)] = 0.0
+    """Only where the difference is larger, SI."""
 
 
 class SourceColumn(Strict):
     """One foreign column, made SI: sign · scale · unit · column. `scale` may carry a unit (a lever, A per N·m)."""
 
     column: str
+    """Name in the log; of a message, topic and field."""
     unit: str
+    """As the log has it: `deg`, `rpm`, `counts`, …"""
     scale: float = 1.0
+    """Factor; may carry a unit."""
     sign: Literal[1, -1] = 1
+    """−1 where the log counts the other way."""
     counts: Annotated[int, Field(gt=1)] | None = None
     """Per revolution, for unit `counts`."""
     wraps: bool = False
@@ -88,20 +97,31 @@ class ChannelSource(Strict):
     """
 
     column: str | None = None
+    """Name in the log; of a message, topic and field."""
     unit: str | None = None
+    """As the log has it: `deg`, `rpm`, `counts`, …"""
     scale: float = 1.0
+    """Factor; may carry a unit."""
     sign: Literal[1, -1] = 1
+    """−1 where the log counts the other way."""
     counts: Annotated[int, Field(gt=1)] | None = None
+    """Per revolution, where the unit is `counts`."""
     wraps: bool = False
+    """Whether the angle starts anew every turn."""
     sum: list[SourceColumn] | None = None
+    """Several columns that make one channel."""
     integrate: bool = False
+    """A velocity whose integral is the angle."""
     optional: bool = False
+    """Left out where the log does not have it."""
     offset: float = 0.0
+    """Added at the end, SI."""
     zero: Literal["first"] | Zero | None = None
+    """Where the zero is: `first` sample, or another column."""
 
     @model_validator(mode="after")
     def _one_or_several(self) -> ChannelSource:
-        own = self.model_fields_set & {"column", "unit", "scale", "sign", "counts", "wraps"}
+        own = self.model_fields_set & set(SourceColumn.model_fields)
         if self.sum is not None:
             if own:
                 raise ValueError(f"expected either column or sum, got sum and {', '.join(sorted(own))}")
@@ -120,16 +140,7 @@ class ChannelSource(Strict):
         """The columns that are summed."""
         if self.sum is not None:
             return self.sum
-        return [
-            SourceColumn(
-                column=self.column,
-                unit=self.unit,
-                scale=self.scale,
-                sign=self.sign,
-                counts=self.counts,
-                wraps=self.wraps,
-            )
-        ]
+        return [SourceColumn.model_validate({name: getattr(self, name) for name in SourceColumn.model_fields})]
 
     @property
     def sources(self) -> list[str]:
@@ -157,9 +168,13 @@ class PayloadSpec(Strict):
     centre of mass [rad], `inertia` about its own centre [kg·m²]."""
 
     mass: Annotated[float, Field(ge=0)]
+    """[kg]."""
     distance: Annotated[float, Field(ge=0)]
+    """Of its centre from the axis [m]."""
     angle: float = 0.0
+    """Of it against the link's own centre of mass [rad]."""
     inertia: Annotated[float, Field(ge=0)] = 0.0
+    """About its own centre [kg·m²]."""
 
     def on(self, link: Mounting) -> Mounting:
         """The link with it: m g d at its angle adds to the gravity moment as a vector, m d² and its own to the inertia."""
@@ -178,9 +193,13 @@ class LogLoad(Strict):
     it was pushed."""
 
     link: Mounting | None = None
+    """What hung on the output, instead of the mapping's."""
     payload: PayloadSpec | None = None
+    """A mass beside it."""
     arm: ArmSpec | None = None
+    """Another arm."""
     external_torque: External | None = None
+    """Whether it was pushed."""
 
 
 class Layout(Strict):
@@ -191,15 +210,25 @@ class Layout(Strict):
 
     format: Literal[1]
     name: str
+    """Of the layout."""
     description: str = ""
+    """Which program writes such logs."""
     joint: str
+    """Name of a shipped joint, or path of its file."""
     link: Mounting | None = None
+    """What hung on the output; or else `arm`."""
     arm: ArmSpec | None = None
+    """The arm that the joint is part of; or else `link`."""
     external_torque: External = "none"
+    """Whether the link was pushed, and whether that was measured."""
     separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
+    """Of a CSV file's columns; found where it is not stated."""
     decimal: Literal[".", ","] | None = None
+    """Point or comma; found where it is not stated."""
     columns: dict[str, ChannelSource]
+    """Channels of the recording by name, each from the log's."""
     logs: dict[str, LogLoad] = {}
+    """What differs, by patterns of file names."""
 
     @model_validator(mode="after")
     def _complete(self) -> Layout:

@@ -21,26 +21,58 @@ from ...models.joint import Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
 
-_STEP = 5e-3  # s: of shifts that are tried, and of samples
-_FARTHEST = 0.3  # s
-_CUTOFF = 12.0  # Hz: of the smoother
-_BIN = 4e-3  # s: over which samples are averaged before
-_EFFECTIVE = (6.0, 60.0)  # samples that a second of a relation counts as, and a recording at the most
-_SURE = 7.0  # gain in log likelihood from which on a column is late
-_WORSE = -3.0  # loss in a recording from which on not all have it
-_ONE_OF_SEVERAL = 12.0  # more gain that it takes where not all have it
-_FAR_OFF, _NEAR = (
-    300.0,
-    0.03,
-)  # more per second beyond so many: what is so late fits nothing, and suits no shape a little
-_SLIDING = 2.5  # Stribeck velocities above which friction is known by its direction
-_HATS = 24  # of the angle, whose functions gravity, cables, stops and the like are
-_FEWEST, _MOST = 200, 2500  # samples
-_FLOOR = 1e-9  # of a relation's variance that is never explained
-_PEAK, _PEAKED = 0.03, 4.0  # s beside the best shift at which it is worse by that much, in log likelihood
-_ORDINARY = {"link_position": (-2e-3, 14e-3)}  # s: by how much a column is late in sound data, by causes and filters
-_OTHERS = (-2e-3, 5e-3)
-_TRAVEL = 0.05  # rad of the link below which motion says nothing
+
+@dataclass(frozen=True)
+class LatenessSettings:
+    """When a column is late.
+
+    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
+
+    Attributes:
+      step: of shifts that are tried, and between samples [s].
+      farthest: largest shift [s].
+      cutoff: of the smoother [Hz].
+      bin: over which samples are averaged before [s].
+      effective: samples that a second of a relation counts as, and a recording at the most.
+      sure: gain in log likelihood from which on a column is late.
+      worse: loss in a recording from which on not all have it.
+      one_of_several: more gain that it takes where not all have it.
+      far_off: more gain that it takes per second beyond `near` [s]: what is so late fits nothing, and suits no shape a little.
+      sliding: Stribeck velocities above which friction is known by its direction.
+      hats: pieces of the angle, whose functions gravity, cables, stops and the like are.
+      fewest: samples that a relation takes.
+      most: samples that are looked at.
+      floor: share of a relation's variance that is never explained.
+      beside: distance from the best shift [s] at which it must be worse by `peaked`.
+      peaked: in log likelihood.
+      ordinary_link: by how much the link encoder is late in sound data, by `encoder_delay`, sensors and filters [s].
+      ordinary: the same of all other columns [s].
+      travel: of the link, below which motion says nothing [rad].
+    """
+
+    step: float = 5e-3
+    farthest: float = 0.3
+    cutoff: float = 12.0
+    bin: float = 4e-3
+    effective: tuple[float, float] = (6.0, 60.0)
+    sure: float = 7.0
+    worse: float = -3.0
+    one_of_several: float = 12.0
+    far_off: float = 300.0
+    near: float = 0.03
+    sliding: float = 2.5
+    hats: int = 24
+    fewest: int = 200
+    most: int = 2500
+    floor: float = 1e-9
+    beside: float = 0.03
+    peaked: float = 4.0
+    ordinary_link: tuple[float, float] = (-2e-3, 14e-3)
+    ordinary: tuple[float, float] = (-2e-3, 5e-3)
+    travel: float = 0.05
+
+
+SETTINGS = LatenessSettings()
 
 
 @dataclass(frozen=True)
@@ -63,8 +95,8 @@ class _Relation:
 
 
 def _shifts() -> np.ndarray:
-    n = round(_FARTHEST / _STEP)
-    return _STEP * np.arange(-n, n + 1)
+    n = round(SETTINGS.farthest / SETTINGS.step)
+    return SETTINGS.step * np.arange(-n, n + 1)
 
 
 def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[LateColumn, ...]:
@@ -73,7 +105,7 @@ def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[LateCol
     best = _latest([r for found in relations for r in found])
     if best is not None:
         name, seconds, gain = best
-        lost = [_gain(found, name, seconds) < _WORSE for found in relations]
+        lost = [_gain(found, name, seconds) < SETTINGS.worse for found in relations]
         if not any(lost):
             return (LateColumn(name, seconds, tuple(range(len(recordings))), _probability(gain)),)
     if len(recordings) == 1:
@@ -81,8 +113,10 @@ def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[LateCol
     found = []
     for i, one in enumerate(relations):
         best = _latest(one)
-        if best is not None and best[2] > _SURE + _ONE_OF_SEVERAL + _FAR_OFF * max(abs(best[1]) - _NEAR, 0.0):
-            found.append((i, *best))
+        if best is not None:
+            beyond = max(abs(best[1]) - SETTINGS.near, 0.0)
+            if best[2] > SETTINGS.sure + SETTINGS.one_of_several + SETTINGS.far_off * beyond:
+                found.append((i, *best))
     out = []
     for name in dict.fromkeys(f[1] for f in found):
         mine = [f for f in found if f[1] == name]
@@ -92,7 +126,7 @@ def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[LateCol
 
 
 def _probability(gain: float) -> float:
-    return float(1 / (1 + np.exp(-min(gain - _SURE, 50.0) / 3)))
+    return float(1 / (1 + np.exp(-min(gain - SETTINGS.sure, 50.0) / 3)))
 
 
 def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
@@ -104,7 +138,7 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
             gain = _gain(relations, name, d)
             if best is None or gain > best[2]:
                 best = (name, d, gain)
-    if best is None or best[2] < _SURE:
+    if best is None or best[2] < SETTINGS.sure:
         return None
     # The best shift of all, small ones of the other columns left aside.
     name = best[0]
@@ -112,16 +146,16 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
     near = np.where(np.abs(shifts - best[1]) < 0.02, left, np.inf)
     i = int(np.argmin(near))
-    side = round(_PEAK / _STEP)
+    side = round(SETTINGS.beside / SETTINGS.step)
     if not side <= i < len(shifts) - side:
         return None
     rise = min(left[i - side], left[i + side]) - left[i]
-    if rise < _PEAKED:  # no shift is better than another, or they get better and better
+    if rise < SETTINGS.peaked:  # no shift is better than another, or they get better and better
         return None
     before, at, after = left[i - 1 : i + 2]
     bend = before - 2 * at + after
     off = 0.5 * (before - after) / bend if bend > 0 else 0.0
-    return name, float(shifts[i] + _STEP * np.clip(off, -0.5, 0.5)), best[2]
+    return name, float(shifts[i] + SETTINGS.step * np.clip(off, -0.5, 0.5)), best[2]
 
 
 def _gain(relations: list[_Relation], late: str, d: float) -> float:
@@ -134,7 +168,7 @@ def _gain(relations: list[_Relation], late: str, d: float) -> float:
 
 
 def _ordinary_of(name: str) -> tuple[float, float]:
-    return _ORDINARY.get(name, _OTHERS)
+    return SETTINGS.ordinary_link if name == "link_position" else SETTINGS.ordinary
 
 
 def _least(relation: _Relation, d: float, late: str) -> float:
@@ -157,7 +191,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
     positions = [n for n in POSITIONS if n in names]
     p = joint.record(recording.link)[0]
     N = float(p["N"])
-    limit = _TRAVEL * (1.0 if "link_position" in names else N)
+    limit = SETTINGS.travel * (1.0 if "link_position" in names else N)
     if np.ptp(recording[positions[-1]]) < limit or len(recording.time) < 50:
         return []
     parts = _evenly(recording, names)
@@ -167,7 +201,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
     if len(positions) == 2:
         pairs.append((positions[0], positions[1]))
     k = len(_shifts()) // 2
-    stride = max(sum(len(values) for _, values in parts) // _MOST, 1)
+    stride = max(sum(len(values) for _, values in parts) // SETTINGS.most, 1)
     found = []
     for first, second in pairs:
         A, B = [], []
@@ -179,13 +213,13 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
             if second in POSITIONS:
                 shifted = shifted - motion[i, :1]
             sliding = N * motion[i, 1] / float(p["vs"])
-            use = np.abs(sliding) > _SLIDING if second != "joint_torque" else np.ones(len(i), bool)
+            use = np.abs(sliding) > SETTINGS.sliding if second != "joint_torque" else np.ones(len(i), bool)
             A.append(_shapes(time[i], motion[i], sliding, second)[use])
             B.append(shifted[use])
-        if not A or sum(map(len, A)) < _FEWEST:
+        if not A or sum(map(len, A)) < SETTINGS.fewest:
             continue
         shapes, y = np.concatenate(A), np.concatenate(B)
-        count = min(_EFFECTIVE[0] * _STEP * stride * len(y), _EFFECTIVE[1])
+        count = min(SETTINGS.effective[0] * SETTINGS.step * stride * len(y), SETTINGS.effective[1])
         found.append(_Relation(first, second, 0.5 * count * np.log(_unexplained(shapes, y))))
     return found
 
@@ -199,22 +233,22 @@ def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
     along = (A @ vectors[:, kept] / np.sqrt(values[kept])).T @ y
     total = np.einsum("ij,ij->j", y, y)
     left = np.maximum(total - np.einsum("ij,ij->j", along, along), 0.0) / len(y)
-    return left + _FLOOR * float(np.mean(total)) / len(y) + 1e-300
+    return left + SETTINGS.floor * float(np.mean(total)) / len(y) + 1e-300
 
 
 def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Times and channels with two derivatives, shape (n, channels, 3), of parts without gaps, `_STEP` apart."""
+    """Times and channels with two derivatives, shape (n, channels, 3), of parts without gaps, `SETTINGS.step` apart."""
     found = []
-    margin = round(_FARTHEST / _STEP)
+    margin = round(SETTINGS.farthest / SETTINGS.step)
     for part in recording.segments:
         time = recording.time[part]
-        if len(time) < 20 or time[-1] - time[0] < 3 * _FARTHEST:
+        if len(time) < 20 or time[-1] - time[0] < 3 * SETTINGS.farthest:
             continue
-        every = max(int(_BIN / recording.interval), 1)
+        every = max(int(SETTINGS.bin / recording.interval), 1)
         begins = np.arange(0, len(time), every)
         count = np.diff(begins, append=len(time))
         mean = [np.add.reduceat(x, begins) / count for x in (time, *(recording[n][part] for n in names))]
-        s = smooth(mean[0], np.column_stack(mean[1:]), _STEP, _CUTOFF)
+        s = smooth(mean[0], np.column_stack(mean[1:]), SETTINGS.step, SETTINGS.cutoff)
         if len(s.time) > 2 * margin + 50:
             found.append((s.time - recording.time[0], np.stack([s.value, s.rate, s.acceleration], axis=-1)))
     return found
@@ -234,5 +268,5 @@ def _shapes(time: np.ndarray, motion: np.ndarray, sliding: np.ndarray, second: s
 
 def _hats(theta: np.ndarray) -> list[np.ndarray]:
     """Piecewise linear functions of the angle, that sum up to one."""
-    at = (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (_HATS - 1)
-    return [np.maximum(1 - np.abs(at - i), 0.0) for i in range(_HATS)]
+    at = (theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)
+    return [np.maximum(1 - np.abs(at - i), 0.0) for i in range(SETTINGS.hats)]

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from ...models.errors import InputError
@@ -87,7 +88,7 @@ class _Parquet:
             unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
             ticks = column.cast(pa.int64())
             first = next((t.as_py() for t in ticks if t.is_valid), 0)
-            return np.array([(t - first) * unit if t is not None else np.nan for t in ticks.to_pylist()])
+            return unit * pc.subtract(ticks, first).cast(pa.float64()).to_numpy()
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind)):
             raise InputError(f"{self.path}: column {name!r}: expected numbers, got {kind}")
         return column.cast(pa.float64()).to_numpy()

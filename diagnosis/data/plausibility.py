@@ -10,7 +10,7 @@ Four relations hold between the channels of a joint, however they were recorded:
 Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and
 all causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as
 pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few
-milliseconds apart say the same thing, so a recording counts as `EFFECTIVE` samples.
+milliseconds apart say the same thing, so a recording counts as `AgreementSettings.effective` samples.
 """
 
 from __future__ import annotations
@@ -26,16 +26,35 @@ from ...models.kernels import kernel
 from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
 
-EFFECTIVE = 90.0
-"""Samples that a recording counts as in a relation between its channels."""
-_SAMPLES = 320  # of a recording that are looked at
-_CUTOFF = 6.0  # Hz: of the smoother
-_BIN = 0.01  # s: over which samples are averaged before
+
+@dataclass(frozen=True)
+class AgreementSettings:
+    """How channels are smoothed and held against each other.
+
+    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
+
+    Attributes:
+      effective: samples that a recording counts as in a relation between its channels.
+      samples: of a recording that are looked at.
+      cutoff: of the smoother [Hz].
+      bin: over which samples are averaged before [s].
+      shortest: samples and seconds of a part without gaps.
+      edge: at both ends of a part, where the smoother settles [s].
+      rated_torque: of the joint for which ordinary sizes in N·m are stated: a payload, a cable, a stop [N·m].
+    """
+
+    effective: float = 90.0
+    samples: int = 320
+    cutoff: float = 6.0
+    bin: float = 0.01
+    shortest: tuple[int, float] = (20, 0.3)
+    edge: float = 0.05
+    rated_torque: float = 16.0
+
+
+SETTINGS = AgreementSettings()
 _FREEDOM = 3.0  # of the Student-t distribution
-_SHORTEST = (20, 0.3)  # samples, seconds of a part without gaps
-_EDGE = 0.05  # s at both ends of a part, where the smoother settles
 _CHANNELS = (*POSITIONS, "motor_current", "motor_torque", "joint_torque", "position_command", "external_torque")
-_TEST = 16.0  # N·m: rated torque of the joint for which ordinary sizes in N·m are stated (a payload, a cable, a stop)
 
 
 @dataclass(frozen=True)
@@ -80,7 +99,7 @@ def motion_of(recording: Recording, second: float = 1.0) -> SmoothedChannels | N
     time = second * (recording.time - recording.time[0])
     interval = float(np.median(np.diff(time)))
     cuts = np.flatnonzero(np.diff(time) > max(GAP, 5 * interval)) + 1
-    step = max(0.02, interval, float(time[-1]) / _SAMPLES)
+    step = max(0.02, interval, float(time[-1]) / SETTINGS.samples)
     names = [name for name in _CHANNELS if name in recording]
     columns = [recording[name] for name in names]
     if recording.load is not None:
@@ -88,17 +107,17 @@ def motion_of(recording: Recording, second: float = 1.0) -> SmoothedChannels | N
     times, found = [], []
     for part in np.split(np.arange(len(time)), cuts):
         t = time[part]
-        if len(t) < _SHORTEST[0] or t[-1] - t[0] < _SHORTEST[1]:
+        if len(t) < SETTINGS.shortest[0] or t[-1] - t[0] < SETTINGS.shortest[1]:
             continue
         begins = np.arange(len(t))
-        if interval < 0.5 * _BIN:
-            begins = np.flatnonzero(np.diff(np.floor((t - t[0]) / _BIN), prepend=-1.0))
+        if interval < 0.5 * SETTINGS.bin:
+            begins = np.flatnonzero(np.diff(np.floor((t - t[0]) / SETTINGS.bin), prepend=-1.0))
         count = np.diff(begins, append=len(t))
         mean = [np.add.reduceat(x[part], begins) / count for x in (time, *columns)]
-        if len(mean[0]) < _SHORTEST[0]:
+        if len(mean[0]) < SETTINGS.shortest[0]:
             continue
-        s = smooth(mean[0], np.column_stack(mean[1:]), step, _CUTOFF)
-        inside = (s.time >= t[0] + _EDGE) & (s.time <= t[-1] - _EDGE)
+        s = smooth(mean[0], np.column_stack(mean[1:]), step, SETTINGS.cutoff)
+        inside = (s.time >= t[0] + SETTINGS.edge) & (s.time <= t[-1] - SETTINGS.edge)
         times.append(s.time[inside])
         found.append(np.stack([s.value, s.rate, s.acceleration], axis=-1)[inside])
     if not times:
@@ -228,7 +247,7 @@ class Plausibility:
         self.joint = joint
         self.p = joint.record(recording.link)[0]
         self.pushed = recording.external == "unmeasured"
-        self._size = joint.numbers["rated_torque"].value / _TEST
+        self._size = joint.numbers["rated_torque"].value / SETTINGS.rated_torque
         self._turned = joint.gravity_angle is not None
 
     def agreement(
@@ -301,7 +320,7 @@ class Plausibility:
         shapes.add(np.tanh(p["N"] * v / p["vs"]), -4 * friction, 4 * friction)
         y = motion.channels["motor_position"][:, 0] / p["N"] - theta
         sigma = 2e-4 + 0.15 * wound + (self.joint.sensors.motor_encoder.resolution / p["N"])
-        return shapes.fit(y, np.full(len(theta), sigma), sigma, EFFECTIVE)
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, SETTINGS.effective)
 
     def _command(self, motion: SmoothedChannels) -> RelationFit:
         x = self.link(motion)
@@ -311,7 +330,7 @@ class Plausibility:
         shapes.add(x[:, 1], -0.02, 0.5, 0.0, 0.2)
         sigma = 0.03 + 0.02 * float(np.ptp(x[:, 0]))
         y = motion.channels["position_command"][:, 0] - x[:, 0]
-        return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * EFFECTIVE)
+        return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * SETTINGS.effective)
 
     def _gravity(self, shapes: _Shapes, theta: np.ndarray, scale: tuple[float, float]) -> None:
         """Shapes of what the link's own weight, a payload, a cable and a stop ask for [N·m]; `scale`: of the reading."""
@@ -371,7 +390,7 @@ class Plausibility:
         # At rest friction may be anything up to its level.
         resting = np.exp(-((N * v / (2 * p["vs"])) ** 2))
         sigma = 0.025 * self.joint.numbers["rated_torque"].value * (1.5 if self.pushed else 1.0)
-        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, EFFECTIVE)
+        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, SETTINGS.effective)
 
     def _joint_torque(self, motion: SmoothedChannels) -> RelationFit:
         size, rated = self._size, self.joint.numbers["rated_torque"].value
@@ -387,4 +406,4 @@ class Plausibility:
         known = self._known(shapes, motion)
         sigma = 0.02 * rated * (1.5 if self.pushed else 1.0)
         y = motion.channels["joint_torque"][:, 0] - known
-        return shapes.fit(y, np.full(len(theta), sigma), sigma, EFFECTIVE)
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, SETTINGS.effective)

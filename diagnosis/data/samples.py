@@ -17,17 +17,41 @@ from ...models.joint import EncoderSpec, Joint
 from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
 
-_NEIGHBOURS = 9  # steps whose median is the local speed
-_FAR = 8.0  # times what 99 % of the steps keep below, from which on a step is far
-_ALONE = 5.0  # times the largest ordinary step nearby
-_NEARBY = 25  # samples
-_LONGEST = 3  # samples of a glitch
-_QUANTA = 20.0  # smallest steps of a column that a glitch is larger than
-_STILL = (0.2, 20)  # seconds, samples that a column does not move at the least to be stuck
-_MOVED = (0.03, 0.02)  # share of its range, radians on the output side by which others move meanwhile
-_FLAT = 8  # samples at a sensor's end at the least
-_PEAKED = 4.0  # times more often than the values beside it
-_DRIVE_MOVED = 0.01  # share of its range by which a position moves while a torque is stuck
+
+@dataclass(frozen=True)
+class SampleSettings:
+    """When a sample is wrong.
+
+    Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
+
+    Attributes:
+      neighbours: steps whose median is the local speed.
+      far: times what 99 % of the steps keep below, from which on a step is far.
+      alone: times the largest ordinary step within `nearby`, from which on it stands alone.
+      nearby: samples.
+      longest: samples of a glitch at the most.
+      quanta: smallest steps of a column that a glitch is larger than.
+      still: seconds and samples that a column does not move at the least to be stuck.
+      moved: share of its range and radians on the output side by which others move meanwhile.
+      flat: samples at a sensor's end at the least.
+      peaked: times more often that the value at the end is there than those beside it.
+      drive_moved: share of its range by which a position moves while a torque is stuck.
+    """
+
+    neighbours: int = 9
+    far: float = 8.0
+    alone: float = 5.0
+    nearby: int = 25
+    longest: int = 3
+    quanta: float = 20.0
+    still: tuple[float, int] = (0.2, 20)
+    moved: tuple[float, float] = (0.03, 0.02)
+    flat: int = 8
+    peaked: float = 4.0
+    drive_moved: float = 0.01
+
+
+SETTINGS = SampleSettings()
 
 
 @dataclass(frozen=True)
@@ -132,7 +156,8 @@ class _Steps:
         intervals, self.step = np.diff(time), np.diff(x)
         self.inside = intervals <= max(GAP, 5 * float(np.median(intervals)))
         speed = np.where(self.inside, self.step / intervals, 0.0)
-        self.off = np.where(self.inside, self.step - median_filter(speed, _NEIGHBOURS, mode="nearest") * intervals, 0.0)
+        local = median_filter(speed, SETTINGS.neighbours, mode="nearest")
+        self.off = np.where(self.inside, self.step - local * intervals, 0.0)
         self.size = np.abs(self.off)
         moving = np.abs(self.step[self.step != 0])
         self.quantum = float(moving.min()) if len(moving) else 0.0
@@ -141,24 +166,23 @@ class _Steps:
         """Samples that are far off their neighbours, which agree with each other."""
         size, n = self.size, len(self.x)
         ordinary = size[self.inside]
-        if not len(ordinary) or not ordinary.any() or n < 2 * _NEIGHBOURS:
+        if not len(ordinary) or not ordinary.any() or n < 2 * SETTINGS.neighbours:
             return np.empty(0, int)
-        limit = max(
-            _FAR * float(np.quantile(ordinary, 0.99)), _QUANTA * self.quantum, 1e-6 * float(np.ptp(self.x)), 1e-12
-        )
+        usually = SETTINGS.far * float(np.quantile(ordinary, 0.99))
+        limit = max(usually, SETTINGS.quanta * self.quantum, 1e-6 * float(np.ptp(self.x)), 1e-12)
         far = size > limit
         usual = np.where(far, 0.0, size)
         rows: list[int] = []
         for k in np.flatnonzero(far).tolist():
             if rows and k < rows[-1] + 1:
                 continue
-            near = usual[max(k - _NEARBY, 0) : k + _NEARBY]
-            if size[k] < _ALONE * float(near.max()):
+            near = usual[max(k - SETTINGS.nearby, 0) : k + SETTINGS.nearby]
+            if size[k] < SETTINGS.alone * float(near.max()):
                 continue
             if (k == 0 and not far[1]) or (k == n - 2 and not far[n - 3]):
                 rows.append(0 if k == 0 else n - 1)
                 continue
-            for width in range(1, _LONGEST + 1):
+            for width in range(1, SETTINGS.longest + 1):
                 if k + width < n - 1 and abs(self.off[k : k + width + 1].sum()) < 0.3 * size[k] and far[k + width]:
                     rows += range(k + 1, k + width + 1)
                     break
@@ -167,11 +191,12 @@ class _Steps:
     def wraps(self, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
         """Samples after jumps by exactly a whole turn, of an angle that makes several; none where there is no such jump."""
         ordinary = self.size[self.inside]
-        if len(ordinary) >= 2 * _NEIGHBOURS:
+        if len(ordinary) >= 2 * SETTINGS.neighbours:
             usual = max(float(np.quantile(ordinary, 0.99)), self.quantum, 1e-9)
-            far = np.flatnonzero(self.size > max(_FAR * usual, _QUANTA * self.quantum))
+            far = np.flatnonzero(self.size > max(SETTINGS.far * usual, SETTINGS.quanta * self.quantum))
             jumps = np.abs(self.off[far])
-            moved = [bool(np.any(self.step[max(k - _STILL[1], 0) : k])) for k in far]  # else it was stuck before
+            # Else it was stuck before.
+            moved = [bool(np.any(self.step[max(k - SETTINGS.still[1], 0) : k])) for k in far]
             for turn in turns:
                 exact = np.abs(jumps - turn) < 2e-3 * turn + usual
                 if len(far) and turn > 12 * usual and np.all(exact) and all(moved):
@@ -214,7 +239,7 @@ def _still(time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: fl
     if len(begins) == 1:
         moves = any(np.ptp(columns[n]) > 0 for n in columns if n != name and n != "temperature")
         wanted = name in DRIVING or _moves_meanwhile(columns, name, 0, len(x), N)
-        nothing = not moves and len(x) > _STILL[1]
+        nothing = not moves and len(x) > SETTINGS.still[1]
         return [SampleMistake("stuck", name, tuple(range(len(x))))] if wanted or nothing else []
     found: list[SampleMistake] = []
     clipped = _clipped(x, begins, lengths) if name in DRIVING else np.empty(0, int)
@@ -224,10 +249,10 @@ def _still(time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: fl
     ordinary = 1 if name in POSITIONS else float(np.quantile(lengths, 0.95))
     stuck: list[int] = []
     flat: list[int] = []
-    long = lengths >= max(_STILL[1], 12 * ordinary)
+    long = lengths >= max(SETTINGS.still[1], 12 * ordinary)
     for begin, length in zip(begins[long].tolist(), lengths[long].tolist(), strict=True):
         end = begin + length
-        if time[end - 1] - time[begin] < _STILL[0]:
+        if time[end - 1] - time[begin] < SETTINGS.still[0]:
             continue
         if len(clipped) and float(x[begin]) in ends:
             continue
@@ -247,10 +272,10 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, begin: int, e
     part = slice(begin, end)
     others = [n for n in POSITIONS if n in columns and n != name and np.ptp(columns[n]) > 0]
     if name in DRIVING:
-        return any(np.ptp(columns[n][part]) > _DRIVE_MOVED * np.ptp(columns[n]) for n in others)
+        return any(np.ptp(columns[n][part]) > SETTINGS.drive_moved * np.ptp(columns[n]) for n in others)
     for other in others:
         moved, whole = float(np.ptp(columns[other][part])), float(np.ptp(columns[other]))
-        if moved > _MOVED[0] * whole and moved > _MOVED[1] * (N if other == "motor_position" else 1.0):
+        if moved > SETTINGS.moved[0] * whole and moved > SETTINGS.moved[1] * (N if other == "motor_position" else 1.0):
             return True
     if others:
         return False
@@ -292,6 +317,6 @@ def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarr
         longest = int(lengths[mine].max())
         if mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]), int(begins[mine][0]) + longest):
             continue
-        if counts[end] >= _FLAT and longest >= 3 and counts[end] > _PEAKED * counts[beside].max():
+        if counts[end] >= SETTINGS.flat and longest >= 3 and counts[end] > SETTINGS.peaked * counts[beside].max():
             found.append(np.flatnonzero(x == values[end]))
     return np.sort(np.concatenate(found)) if found else np.empty(0, int)

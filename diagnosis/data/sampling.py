@@ -7,11 +7,32 @@ thinned to the encoders', and slower channels are interpolated between theirs.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-_SLOWER = 0.75
-"""A sensor is slower than the log where its rate is below so much of the log's."""
+
+@dataclass(frozen=True)
+class SamplingSettings:
+    """When a log's times are not those of the readings.
+
+    Attributes:
+      slower: a sensor is slower than the log where its rate is below so much of the log's.
+      fewest: samples in motion below which nothing is said about the time stamps.
+      together: correlation of what both encoders are off their own smooth motion, from which on it is the time that is wrong.
+      periods: parts of the median interval that are tried as the period of the clock behind a log.
+      steadier: a log's samples are even and its stamps are not where the clock's own times make the motion so much smoother.
+    """
+
+    slower: float = 0.75
+    fewest: int = 50
+    together: float = 0.5
+    periods: int = 8
+    steadier: float = 0.7
+
+
+SETTINGS = SamplingSettings()
 
 
 def fresh(time: np.ndarray, reading: np.ndarray, rate: float) -> np.ndarray:
@@ -23,7 +44,7 @@ def fresh(time: np.ndarray, reading: np.ndarray, rate: float) -> np.ndarray:
       rate: of the sensor [Hz]; everything is fresh where the log is not faster.
     """
     found = np.ones(len(time), bool)
-    if len(time) < 3 or rate * float(np.median(np.diff(time))) > _SLOWER:
+    if len(time) < 3 or rate * float(np.median(np.diff(time))) > SETTINGS.slower:
         return found
     changed = np.diff(reading) != 0
     period, last = 0.999 / rate, time[0]
@@ -41,12 +62,7 @@ def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
     return CubicSpline(at, values)(np.clip(time, at[0], at[-1]))
 
 
-_FEWEST = 50
-"""Samples in motion below which nothing is said about the time stamps."""
-_TOGETHER = 0.5
-"""Correlation of what both encoders are off their own smooth motion, from which on it is the time that is wrong."""
-
-
+@np.errstate(over="ignore", invalid="ignore")  # of readings that no encoder gives
 def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float:
     """Standard deviation [s] of the error of a recording's time stamps; zero where the encoders do not show any.
 
@@ -57,15 +73,15 @@ def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float
       time: of the samples of one segment [s], shape (n,).
       motor, link: readings of both encoders [rad], shape (n,).
     """
-    if len(time) < _FEWEST:
+    if len(time) < SETTINGS.fewest:
         return 0.0
     (a, v), (b, u) = (_off(time, x) for x in (motor, link))
     moving = np.abs(v) > 0.2 * np.sqrt(np.mean(v * v))
-    if moving.sum() < _FEWEST:
+    if moving.sum() < SETTINGS.fewest:
         return 0.0
     a, b, speeds = a[moving], b[moving], np.mean((v * u)[moving])
     common = np.mean(a * b)
-    if speeds <= 0 or common <= _TOGETHER * np.sqrt(np.mean(a * a) * np.mean(b * b)):
+    if speeds <= 0 or common <= SETTINGS.together * np.sqrt(np.mean(a * a) * np.mean(b * b)):
         return 0.0
     return float(np.sqrt(common / speeds))
 
@@ -78,12 +94,6 @@ def _off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     off = x[i] - sum(w * x[a] for w, a in zip(weights, others, strict=True))
     speed = (x[i + 1] - x[i - 1]) / (t[i + 1] - t[i - 1])
     return off / np.sqrt(1 + sum(w * w for w in weights)), speed
-
-
-_PERIODS = 8
-"""Parts of the median interval that are tried as the period of the clock behind a log."""
-_STEADIER = 0.7
-"""A log's samples are even and its stamps are not where the clock's own times make the motion so much smoother."""
 
 
 def clock_times(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> np.ndarray | None:
@@ -101,12 +111,12 @@ def clock_times(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> np.nda
     rough = _roughness(time, motor, link)
     best: np.ndarray | None = None
     interval = float(np.median(np.diff(time)))
-    for part in range(1, _PERIODS + 1):
+    for part in range(1, SETTINGS.periods + 1):
         even = _on_clock(time, interval / part)
         if even is None:
             continue
         now = _roughness(even, motor, link)
-        if np.all(now < _STEADIER * rough):
+        if np.all(now < SETTINGS.steadier * rough):
             best, rough = even, now
     return best
 

@@ -111,7 +111,7 @@ class Detector:
 
 
 @dataclass(frozen=True)
-class Point:
+class OperatingPoint:
     """A detector at a threshold.
 
     Attributes:
@@ -128,7 +128,7 @@ class Point:
     delay: Interval
 
 
-def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> Point:
+def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> OperatingPoint:
     """A detector at a threshold, with 95 % bootstrap intervals over runs; none with `resamples` 0."""
     alarms, found, delays = detector.alarms(threshold), detector.found(threshold), detector.delays(threshold)
     large = detector.size >= LARGE
@@ -152,11 +152,11 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
     if resamples:
         ends = [tuple(_quantiles(column)) for column in drawn.T]
     counts = (n, m, m, m)
-    return Point(threshold, *(Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)))
+    return OperatingPoint(threshold, *(Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)))
 
 
 def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
-    """A detector over its thresholds, a row each: what `Point` has, without intervals; none where a measure is not defined."""
+    """A detector over its thresholds, a row each: `OperatingPoint` without intervals; none where a measure is not defined."""
     for threshold in detector.thresholds():
         p = at(detector, float(threshold), resamples=0)
         measures = {

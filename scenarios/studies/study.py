@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
@@ -31,7 +31,9 @@ class Axis(Strict):
     """A parameter that varies. `name`: its column in the dataset; `label`: how pictures call it, with unit."""
 
     name: Annotated[str, Field(pattern=_NAME)]
+    """Of its column in the dataset."""
     label: str = ""
+    """How pictures call it, with unit."""
 
     @property
     def title(self) -> str:
@@ -48,7 +50,9 @@ class SettingAxis(Axis):
 
     kind: Literal["set"]
     key: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*(\.[A-Za-z0-9_*-]+)*$")]
+    """Dotted key of the scenario, or `filters.NAME.FIELD`."""
     values: Annotated[list[Value], Field(min_length=1)]
+    """That it takes."""
 
     @property
     def of_filters(self) -> bool:
@@ -71,7 +75,9 @@ class ScaleAxis(Axis):
 
     kind: Literal["scale"]
     keys: Annotated[dict[str, float], Field(min_length=1)]
+    """Dotted keys with the number that each is at 1."""
     values: Annotated[list[float], Field(min_length=1)]
+    """Factors on all of them."""
 
 
 class LoadAxis(Axis):
@@ -80,6 +86,7 @@ class LoadAxis(Axis):
     kind: Literal["load"]
     name: Annotated[str, Field(pattern=_NAME)] = "load"
     values: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=1)]
+    """Gravity moments [N·m]."""
 
 
 class CauseAxis(Axis):
@@ -91,7 +98,9 @@ class CauseAxis(Axis):
     kind: Literal["cause"]
     name: Annotated[str, Field(pattern=_NAME)] = "size"
     causes: Annotated[list[str], Field(min_length=1)]
+    """Names (`flexspline causes`)."""
     sizes: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)]
+    """In ordinary sizes; 0 is the joint without any."""
 
     @model_validator(mode="after")
     def _known(self) -> CauseAxis:
@@ -114,7 +123,9 @@ class ToleranceAxis(Axis):
     kind: Literal["tolerance"]
     name: Annotated[str, Field(pattern=_NAME)] = "tolerance"
     values: Annotated[list[Annotated[float, Field(ge=0)]], Field(min_length=1)]
+    """In the joint's own tolerances."""
     tared: bool = True
+    """Whether the link encoder's zero is known."""
 
 
 AnyAxis = Annotated[SettingAxis | ScaleAxis | LoadAxis | CauseAxis | ToleranceAxis, Field(discriminator="kind")]
@@ -124,15 +135,22 @@ class Seeds(Strict):
     """Which seeds: `count` of them from `first` on."""
 
     first: Annotated[int, Field(ge=0, lt=2**31)] = 1
+    """The first."""
     count: Annotated[int, Field(ge=1, le=MOST_SEEDS)]
+    """How many."""
 
 
 class ScenarioChoice(Strict):
     """A scenario, by a shipped one's name or a path, with changes to dotted keys; `name`: its own, where used twice."""
 
+    short: ClassVar[str] = "string"
+
     scenario: str
+    """A shipped one's name, or a path."""
     name: Annotated[str, Field(pattern=r"^([A-Za-z0-9][A-Za-z0-9_.-]*)?$")] = ""
+    """Its own, where a scenario is used twice."""
     set: dict[str, Value | bool] = {}
+    """Changes to its dotted keys."""
 
     @model_validator(mode="before")
     @classmethod
@@ -145,17 +163,24 @@ class Study(Strict):
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    """In figures and tables."""
     description: str = ""
+    """What it asks."""
     seed: Annotated[int, Field(ge=0, lt=2**31, description="of the study; every run's streams derive from it")] = 1
     seeds: Seeds | Annotated[list[Annotated[int, Field(ge=0, lt=2**31)]], Field(min_length=1)]
+    """A list, or `first` and `count`."""
     scenarios: Annotated[list[ScenarioChoice], Field(min_length=1)]
+    """Names or paths, or such with changes."""
     set: Annotated[dict[str, Value | bool], Field(description="changes to dotted keys of every scenario")] = {}
     vary: Annotated[bool, Field(description="draw start, pace and pushes per seed, so that runs are independent")] = (
         False
     )
     axes: Annotated[list[AnyAxis], Field(max_length=6)] = []
+    """What varies; all combinations are run."""
     filters: list[FilterEntry] = Field(min_length=1, default_factory=paper_entries)
+    """Estimators, as in a scenario."""
     metrics: Annotated[list[Literal[METRICS]], Field(min_length=1)] = list(METRICS)  # type: ignore[valid-type]
+    """Which measures are kept."""
     reference: Annotated[str, Field(description="filter that the others are compared to")] = ""
 
     @model_validator(mode="after")

@@ -133,6 +133,7 @@ def odd(r: Recording) -> dict[str, Recording]:
     }  # fmt: skip
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")  # nothing but lines of ours is printed
 @pytest.mark.parametrize("name", odd(recording()))
 def test_odd_recordings_are_no_reason_to_break(name, tmp_path):
     r = odd(recording())[name]

@@ -44,7 +44,7 @@ class Diagnosed:
 
 
 @dataclass(frozen=True)
-class Change:
+class NumberChange:
     """A number in both diagnoses: as text, the difference in its own standard deviations, and what that means."""
 
     name: str
@@ -123,7 +123,11 @@ def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
 
 
 def _sentence(
-    gone: list[str], new: list[str], both: list[str], moved: list[Change], parameters: dict[str, list[Change]]
+    gone: list[str],
+    new: list[str],
+    both: list[str],
+    moved: list[NumberChange],
+    parameters: dict[str, list[NumberChange]],
 ) -> str:
     """What changed, in one sentence."""
     parts = []
@@ -141,16 +145,16 @@ def _sentence(
     return f"{text[:1].upper()}{text[1:]}."
 
 
-def _change(name: str, unit: str, told: str, a: tuple[float, float], b: tuple[float, float]) -> Change:
+def _change(name: str, unit: str, told: str, a: tuple[float, float], b: tuple[float, float]) -> NumberChange:
     spread = math.hypot(a[1], b[1])
     difference = b[0] - a[0]
     deviations = (
         difference / spread if spread > 0 else (0.0 if difference == 0 else math.copysign(math.inf, difference))
     )
-    return Change(name, unit, told, with_std(*a, unit), with_std(*b, unit), deviations)
+    return NumberChange(name, unit, told, with_std(*a, unit), with_std(*b, unit), deviations)
 
 
-def _numbers(before: Joint, after: Joint) -> list[Change]:
+def _numbers(before: Joint, after: Joint) -> list[NumberChange]:
     """Numbers of the description that either diagnosis moved, with the standard deviations that their files state."""
     found = []
     for name, a in before.numbers.items():
@@ -163,7 +167,7 @@ def _numbers(before: Joint, after: Joint) -> list[Change]:
     return found
 
 
-def _parameters(a: dict[str, Any], b: dict[str, Any]) -> list[Change]:
+def _parameters(a: dict[str, Any], b: dict[str, Any]) -> list[NumberChange]:
     found = []
     for name, p in a["parameters"].items():
         q = b["parameters"].get(name)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import csv
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy import stats
 from small import column, run, study
 
-from flexspline.scenarios.studies.statistics import aggregate, interval, paired, write_csv
+from flexspline.scenarios.studies.statistics import aggregate, interval, paired, reference_of, write_csv
 
 
 def test_an_interval_is_the_one_of_the_t_test(rng):
@@ -68,10 +69,24 @@ def test_a_summary_is_of_its_rows(tmp_path):
     assert found[0].values["rms"] == interval(ekf)
     first = np.array([r["rms"] for r in dataset.read(0).to_pylist() if r["k"] == 0.0])
     assert found[0].differences["rms"] == paired(ekf, first)
-    assert not found[1].differences
+    assert not found[1].differences and not found[2].differences
     write_csv(found, dataset.design, tmp_path / "summary.csv")
     with (tmp_path / "summary.csv").open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == len(found)
     assert float(lines[0]["rms_mean"]) == found[0].values["rms"].mean
     assert float(lines[0]["rms_difference_high"]) == found[0].differences["rms"].high
+
+
+def test_a_variant_is_compared_with_its_own_counterpart():
+    """With two axes of filters, the reference's variant with the same settings; the reference itself with nothing."""
+
+    def variant(name, **columns):
+        return SimpleNamespace(name=name, columns=columns)
+
+    variants = (
+        variant("EKF", W=1.0), variant("EKF", W=2.0), variant("current"),
+        variant("RAREKF", W=1.0, k=0.0), variant("RAREKF", W=2.0, k=0.0), variant("RAREKF", W=2.0, k=0.5),
+    )  # fmt: skip
+    design = SimpleNamespace(study=SimpleNamespace(compared_to="RAREKF"), variants=variants)
+    assert [reference_of(design, i) for i in range(6)] == [3, 4, 3, 3, 4, 5]

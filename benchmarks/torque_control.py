@@ -1,0 +1,134 @@
+"""Torque control with each estimate in the loop: `python -m benchmarks torque_control` writes the section *In the loop* of
+docs/estimators.md and every number of it, docs/torque_control.csv.
+
+Per draw a joint within a share of its tolerances (`scenarios.evaluation.torque_control`): gain and delay margin and bandwidth
+with the output bolted to a bench, and the error of the torque in the experiment external_push. Medians with distribution-free
+intervals, as margins may be infinite. Draws that are kept are not computed again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+
+from flexspline.estimator import registry
+from flexspline.models.files import write_into_place
+from flexspline.scenarios.evaluation.intervals import Interval, median
+from flexspline.scenarios.evaluation.torque_control import DEFAULT, Loop, assess
+from flexspline.scenarios.scenario import load_scenario
+from flexspline.views.limit_tables import markdown
+
+from .estimators import fill
+
+ROOT = Path(__file__).resolve().parents[1]
+SENSOR, NONE = "torque sensor", "no torque loop"
+NAMES = (NONE, SENSOR, "momentum_torsion", "augmented", "momentum", "EKF", "RAREKF", "current")
+TOLERANCE = 0.2
+FIRST = 101
+
+
+@dataclass(frozen=True)
+class Row:
+    """An estimate in the loop in a draw: factor, ms, Hz, N·m; infinite margins are beyond what is tried."""
+
+    estimator: str
+    draw: int
+    gain_margin: float
+    delay_margin_ms: float
+    bandwidth: float
+    error: float
+
+
+def measured(name: str, draw: int) -> Row:
+    """One draw of one estimate."""
+    scenario, folder = load_scenario("external_push")
+    estimator = None if name in (NONE, SENSOR) else registry.get(name)
+    loop = Loop(gain=0.0) if name == NONE else DEFAULT
+    found = assess(scenario, folder, estimator, draw, TOLERANCE, loop)
+    values = (found.gain_margin, 1e3 * found.delay_margin, found.bandwidth, found.error)
+    return Row(name, draw, *(float(f"{v:.4g}") for v in values))
+
+
+def text(found: Interval, digits: int) -> str:
+    """A median with its interval; beyond what is tried: ∞."""
+    if np.isnan(found.mean):
+        return "–"
+    shown = ["∞" if np.isinf(v) else f"{v:.{digits}f}" for v in (found.mean, found.low, found.high)]
+    return shown[0] if np.isnan(found.low) else f"{shown[0]} [{shown[1]}, {shown[2]}]"
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Medians over draws; the smallest error first."""
+    cells = []
+    for name in NAMES:
+        own = [r for r in rows if r.estimator == name]
+        if not own:
+            continue
+        stable = [r for r in own if r.gain_margin >= 1.0]
+        error = median([r.error for r in stable])
+        margins = (
+            ("–", "–", "–")
+            if name == NONE
+            else (
+                f"{len(stable)} of {len(own)}",
+                text(median([r.gain_margin for r in own]), 1),
+                text(median([r.delay_margin_ms for r in own]), 1),
+            )
+        )
+        row = (name, *margins, text(median([r.bandwidth for r in stable]), 0), text(error, 2))
+        cells.append((error.mean if np.isfinite(error.mean) else np.inf, row))
+    heads = ("fed back", "stable", "gain margin", "delay margin [ms]", "bandwidth [Hz]", "error [N·m]")
+    return markdown(heads, [row for _, row in sorted(cells, key=lambda cell: cell[0])])
+
+
+def read(path: Path) -> list[Row]:
+    """Rows that are kept."""
+    if not path.exists():
+        return []
+    with path.open(newline="", encoding="utf-8") as file:
+        return [
+            Row(line["estimator"], int(line["draw"]), *(float(line[f.name]) for f in fields(Row)[2:]))
+            for line in csv.DictReader(file)
+        ]
+
+
+def write(path: Path, rows: Sequence[Row]) -> None:
+    """Keep rows, in order."""
+    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, [f.name for f in fields(Row)])
+        writer.writeheader()
+        writer.writerows(asdict(r) for r in sorted(rows, key=lambda r: (NAMES.index(r.estimator), r.draw)))
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """Compute the draws that are not kept yet, and write the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.torque_control", description=__doc__)
+    parser.add_argument("--draws", type=int, default=30, help="joints; 0 writes the table of what is kept")
+    parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "torque_control.csv")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
+    asked = parser.parse_args(arguments)
+    rows, began = read(asked.kept), time.perf_counter()
+    have = {(r.estimator, r.draw) for r in rows}
+    for draw in range(FIRST, FIRST + asked.draws):
+        rows += [measured(name, draw) for name in NAMES if (name, draw) not in have]
+        write(asked.kept, rows)
+        print(f"{time.perf_counter() - began:7.0f} s  draw {draw}", flush=True)
+    draws = len({r.draw for r in rows})
+    about = (
+        f"{draws} joints within tolerance ×{TOLERANCE:g}; torque loop gain {DEFAULT.gain:g}, impedance {DEFAULT.stiffness:g} "
+        f"N·m/rad, {DEFAULT.damping:g} N·m·s/rad. Medians over draws with distribution-free 95 % intervals. Every draw: "
+        "[torque_control.csv](torque_control.csv)."
+    )
+    fill(asked.page, {"control about": about, "control": table(rows)})
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])

@@ -1,0 +1,59 @@
+"""`flexspline schema`: what the files that people write may hold, for editors."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..models.errors import InputError, nearest
+from ._options import with_plugins
+
+EXAMPLES = ("flexspline schema scenario", "flexspline schema --out schemas")
+KINDS = {
+    "joint": ("models.joint", "Joint", "A joint's description"),
+    "scenario": ("scenarios.scenario", "Scenario", "A scenario"),
+    "study": ("scenarios.studies.study", "Study", "A study"),
+    "recording": ("models.recording", "Sidecar", "The YAML beside a recording's table"),
+    "mapping": ("diagnosis.data.importing", "Layout", "A mapping from another program's log"),
+}
+"""Kind of file: module and class of what reads it, and its title."""
+
+
+@with_plugins
+def command(
+    kind: Annotated[str, typer.Argument(help=f"of file: {', '.join(KINDS)}", autocompletion=lambda: list(KINDS))] = "",
+    out: Annotated[Path | None, typer.Option(help="folder to write a file of each kind to")] = None,
+) -> None:
+    """Print the JSON Schema of a kind of YAML file, with which editors complete and check it.
+
+    A first line `# yaml-language-server: $schema=scenario.schema.json` tells an editor which one a file has.
+    """
+    from ..models.files import json_text
+
+    if kind not in ("", *KINDS):
+        raise InputError(f"kind {kind!r}: expected one of {', '.join(KINDS)}{nearest(kind, KINDS)}")
+    if out is None:
+        if not kind:
+            raise InputError(f"kind: expected one of {', '.join(KINDS)}, or --out for all, got none")
+        print(json_text(schema_of(kind)))
+        return
+    from ..models.output import output_folder
+
+    names = {f"{one}.schema.json": one for one in ([kind] if kind else KINDS)}
+    with output_folder(out, "schema", writes=list(names)) as folder:
+        for name, one in names.items():
+            (folder / name).write_text(json_text(schema_of(one)) + "\n", encoding="utf-8")
+    for name in names:
+        print(out / name)
+
+
+def schema_of(kind: str) -> dict[str, Any]:
+    """JSON Schema of a kind of file, of `KINDS`."""
+    from ..models.schema import json_schema
+
+    module, name, title = KINDS[kind]
+    package = __name__.partition(".")[0]
+    return json_schema(getattr(importlib.import_module(f"{package}.{module}"), name)) | {"title": title}
