@@ -15,6 +15,7 @@ EXAMPLES = (
     "flexspline report runs --out comparison.html",
     "flexspline report before after --out repair.html",
     "flexspline report sweep --out study.html",
+    "flexspline report contact --out contact.html",
 )
 _MARK = '<meta name="generator" content="flexspline">'
 
@@ -24,7 +25,7 @@ def command(
     folders: Annotated[
         list[Path],
         typer.Argument(
-            help="of a run, a comparison, a diagnosis or a sweep; or two diagnoses of a joint, before and after",
+            help="of a run, a comparison, a diagnosis, a sweep or contact; or two diagnoses of a joint, before and after",
             metavar="FOLDER [FOLDER]",
         ),
     ],
@@ -32,7 +33,7 @@ def command(
         "report.html"
     ),
 ) -> None:
-    """Write one self-contained page of a run, a comparison, a diagnosis or a sweep; or of two diagnoses side by side.
+    """Write one self-contained page of a run, a comparison, a diagnosis, a sweep or contact; or of two diagnoses side by side.
 
     It starts with what was found, how sure that is and what to do now, and ends with where it comes from. Charts zoom, tell
     their values and hide their lines; it is made for light and dark, a phone and paper.
@@ -64,7 +65,9 @@ def _check(out: Path) -> None:
 def _page(folders: list[Path]) -> str:
     for folder in folders:
         if not folder.is_dir():
-            raise InputError(f"{folder}: expected a folder of a run, a comparison, a diagnosis or a sweep, found none")
+            raise InputError(
+                f"{folder}: expected a folder of a run, a comparison, a diagnosis, a sweep or contact, found none"
+            )
     if len(folders) == 2:
         from ..views.pages.two_diagnoses import read_diagnosis, two_html
 
@@ -76,12 +79,18 @@ def _page(folders: list[Path]) -> str:
         return _diagnosis(folder)
     if (folder / "study.json").is_file():
         return _sweep(folder)
+    if (folder / "contact.csv").is_file():
+        from ..views.pages.contact import contact_html, read_curves
+
+        return contact_html(read_curves(folder / "contact.csv"), folder)
     if (folder / "scenario.yaml").is_file():
         return _runs([folder])
     found = sorted(path.parent for path in folder.glob("*/scenario.yaml"))
     if found:
         return _runs(found)
-    raise InputError(f"{folder}: expected a folder of a run, a comparison, a diagnosis or a sweep, got something else")
+    raise InputError(
+        f"{folder}: expected a folder of a run, a comparison, a diagnosis, a sweep or contact, got something else"
+    )
 
 
 def _diagnosis(folder: Path) -> str:

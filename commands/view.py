@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
@@ -21,25 +22,57 @@ _MAGIC = b"RRF"
 EXAMPLES = (
     "flexspline view runs/external_push",
     "flexspline view diagnosis --web",
+    "flexspline view runs/external_push again/external_push",
 )
 
 
 def command(
-    run: Annotated[
-        Path, typer.Argument(help="Folder of a run or a diagnosis, or an .rrd recording.", metavar="FOLDER")
+    folders: Annotated[
+        list[Path],
+        typer.Argument(
+            help="Folder of a run or a diagnosis, or an .rrd recording; or several runs, laid over each other.",
+            metavar="FOLDER…",
+        ),
     ],
     web: Annotated[bool, typer.Option("--web", help="In the browser, instead of a window.")] = False,
 ) -> None:
-    """Open a run or a diagnosis in the Rerun viewer, which listens on 127.0.0.1 only and sends no usage data; Ctrl-C ends it."""
-    recording = find_recording(run)
+    """Open a run, several, or a diagnosis in the Rerun viewer, which listens on 127.0.0.1 only and sends no usage data."""
+    recording = find_recording(folders[0]) if len(folders) == 1 else None
     if not web and sys.platform.startswith("linux") and not (_set("DISPLAY") or _set("WAYLAND_DISPLAY")):
         raise InputError("view: expected a display for the viewer's window, found none; use --web")
+    if recording is None:
+        raise typer.Exit(_overlaid(folders, web))
     words = viewer_command(recording, web)
     if os.name == "posix":
         os.execve(
             words[0], words, viewer_environment()
         )  # the viewer takes this process's place, so that what ends one ends the other
     raise typer.Exit(subprocess.call(words, env=viewer_environment()))
+
+
+def _overlaid(folders: list[Path], web: bool) -> int:
+    """Show several runs on one timeline, from a recording that is there as long as the viewer; its exit code."""
+    with tempfile.TemporaryDirectory(prefix="flexspline-") as folder:
+        path = overlay(folders, Path(folder) / "runs.rrd")
+        return subprocess.call(viewer_command(path, web), env=viewer_environment())
+
+
+def overlay(folders: list[Path], path: Path) -> Path:
+    """Write a recording of several runs' folders; each run is called by what its path has of its own.
+
+    Raises:
+      InputError: a folder that is none of a run, or named twice.
+    """
+    from ..scenarios.run_folder import load_run
+    from ..views.rerun import write_rerun_overlay
+
+    if len({folder.resolve() for folder in folders}) < len(folders):
+        raise InputError("view: expected each run once, got one twice")
+    names = [folder.name for folder in folders]
+    if len(set(names)) < len(names):
+        names = [folder.as_posix() for folder in folders]
+    runs = [load_run(folder) for folder in folders]
+    return write_rerun_overlay(list(zip(names, runs, strict=True)), path)
 
 
 def viewer_command(recording: Path, web: bool = False) -> list[str]:

@@ -11,7 +11,7 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
     Args:
       values: shape (n,); samples that are not finite are gaps, and a column that has one keeps one.
       columns: of pixels that the line is drawn on, at least 32; at most about two samples of each stay.
-      keep: samples that stay whatever they are (the interesting stretches) and count among them, shape (n,), bool.
+      keep: samples that stay whatever they are (the interesting parts) and count among them, shape (n,), bool.
 
     Returns:
       Increasing indices, shape (k,), first and last sample included; all where there are no more than 2 · columns.

@@ -151,8 +151,10 @@ class ChannelSource(Strict):
         """Values in SI, shape (n,); of an integral at the times [s] of the samples, shape (n,)."""
         values = np.sum([part.read(table) for part in self.parts], axis=0)
         if self.integrate:
+            from scipy.integrate import cumulative_trapezoid
+
             assert time is not None
-            values = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (values[1:] + values[:-1]))])
+            values = cumulative_trapezoid(values, time, initial=0.0)
         values = values + self.offset
         if self.zero == "first":
             return values - values[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from html import unescape
@@ -15,6 +16,8 @@ from flexspline.models.joint import load_joint
 from flexspline.scenarios.run_folder import save_run
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
+from flexspline.views.contact_views import write_curves
+from flexspline.views.pages.contact import contact_html, read_curves
 from flexspline.views.pages.rendering import TEMPLATES
 from flexspline.views.pages.run import line_kinds, runs_html
 from flexspline.views.pages.sweep import sweep_html
@@ -114,8 +117,46 @@ def repair_page(repair) -> str:
     return two_html(*(read_diagnosis(folder) for folder in repair))
 
 
-def test_pages_are_self_contained_and_begin_with_the_answer(run_page, sweep_page, repair_page):
-    for page in (run_page, sweep_page, repair_page):
+@pytest.fixture(scope="module")
+def contact_folder(tmp_path_factory) -> Path:
+    """Curves of two detectors, of which the second finds less; without a value where nothing is found."""
+    folder = tmp_path_factory.mktemp("contact")
+    grid = itertools.product((0.0, 1.0), (("augmented", 1.5), ("RAREKF", 4.0)), (0.1, 0.4, 0.8, 1.2))
+    rows = [
+        {
+            "tolerance": tolerance, "estimator": name, "threshold": threshold,
+            "false_alarms_per_hour": 900 * 0.1 ** (threshold / 0.2),
+            "smallest_push": None if threshold > 0.9 else worse * threshold, "found_of_large": 0.9,
+            "delay_ms": 20 * threshold, "hours": 0.2, "runs": 12,
+        }
+        for tolerance, (name, worse), threshold in grid
+    ]  # fmt: skip
+    write_curves(rows, folder / "contact.csv")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def contact_page(contact_folder) -> str:
+    return contact_html(read_curves(contact_folder / "contact.csv"), contact_folder)
+
+
+def test_contact_names_the_most_sensitive_at_few_false_alarms(contact_page, contact_folder, flexspline, tmp_path):
+    text = text_of(contact_page)
+    assert (
+        "augmented finds the smallest push, 0.6 N·m, at 10 false alarms per hour or fewer, on joints within 1 times"
+        in text
+    )
+    assert "a joint known exactly: augmented 0.6, RAREKF 1.6 N·m" in text
+    assert contact_page.count('<svg class="chart"') == 4
+    code, _, err = flexspline("report", contact_folder, "--out", tmp_path / "page.html")
+    assert code == 0, err
+    (tmp_path / "contact.csv").write_text("a,b\n1,2\n")
+    code, _, err = flexspline("report", tmp_path, "--out", tmp_path / "page.html")
+    assert code == 2 and "expected the curves of flexspline contact" in err
+
+
+def test_pages_are_self_contained_and_begin_with_the_answer(run_page, sweep_page, repair_page, contact_page):
+    for page in (run_page, sweep_page, repair_page, contact_page):
         assert not re.search(r"\b(?:src|href)=|@import|url\(", page)
         assert '<meta name="generator" content="flexspline">' in page
         text = text_of(page)
@@ -242,7 +283,7 @@ def test_charts_tell_zoom_and_hide(run_page, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [360, 800, 1400])
-@pytest.mark.parametrize("which", ["run_page", "sweep_page", "repair_page"])
+@pytest.mark.parametrize("which", ["run_page", "sweep_page", "repair_page", "contact_page"])
 def test_nothing_is_wider_than_the_window(which, width, request, tmp_path):
     assert_fits(request.getfixturevalue(which), width, tmp_path)
 
@@ -263,3 +304,18 @@ def test_the_command_writes_a_page_and_only_over_pages(flexspline, pushed, repai
     ):  # fmt: skip
         code, _, err = flexspline("report", *words)
         assert code == 2 and err.count("\n") == 1, (words, err)
+
+
+NEAR = """
+const svg = document.querySelector("svg.chart"), box = svg.getBoundingClientRect(), plot = svg.querySelector(".plot");
+const left = +plot.getAttribute("x"), wide = +plot.getAttribute("width"), scale = box.width / svg.viewBox.baseVal.width;
+const at = (share, kind) => svg.dispatchEvent(new PointerEvent(kind, {
+  clientX: box.left + (left + share * wide) * scale, clientY: box.top + 50, pointerType: "mouse", button: 0, bubbles: true}));
+at(0.6, "pointerdown"); at(0.95, "pointerup");
+return [...svg.querySelectorAll(".tick.made.middle")].map(t => t.textContent);
+"""
+
+
+@pytest.mark.slow
+def test_places_with_names_keep_them_when_zoomed(sweep_page, tmp_path):
+    assert look(sweep_page, NEAR, 1400, tmp_path) == ["8"]

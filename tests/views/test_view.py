@@ -11,9 +11,11 @@ import time
 from pathlib import Path
 
 import pytest
+from rerun.chunk import RrdReader
 
 from flexspline.commands import view
 from flexspline.models.errors import InputError
+from flexspline.scenarios.run_folder import save_run
 from flexspline.views.rerun import write_rerun
 
 
@@ -49,7 +51,7 @@ def test_without_a_display_it_says_what_to_do(tmp_path, monkeypatch):
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     with pytest.raises(InputError, match="--web"):
-        view.command(tmp_path)
+        view.command([tmp_path])
 
 
 @pytest.mark.parametrize("web", [False, True], ids=["window", "web"])
@@ -60,7 +62,7 @@ def test_it_listens_on_this_computer_only(web, pushed, tmp_path):
         pytest.skip("no xvfb-run")
     path = write_rerun(pushed, tmp_path / "run.rrd")
     program = "import sys, pathlib; from flexspline.commands.view import command as view; "
-    program += f"view(pathlib.Path(sys.argv[1]), {web})"
+    program += f"view([pathlib.Path(sys.argv[1])], {web})"
     command = [sys.executable, "-c", program, str(path)]
     if not web:
         command = ["xvfb-run", "-a", *command]
@@ -119,3 +121,17 @@ def readable(address: str) -> str:
     if len(address) == 8:
         return ".".join(str(int(address[i : i + 2], 16)) for i in (6, 4, 2, 0))
     return address
+
+
+def test_several_runs_are_laid_over_each_other(pushed, bare, tmp_path):
+    """Signals of both on one timeline under their names, errors by filter, a joint each."""
+    folders = [save_run(run, tmp_path / where / run.name) for run, where in ((pushed, "a"), (bare, "b"))]
+    path = view.overlay(folders, tmp_path / "runs.rrd")
+    paths = {str(chunk.entity_path) for chunk in RrdReader(path).stream().to_chunks()}
+    for i in (1, 2):
+        assert {f"/torque/run_{i}", f"/error/RAREKF/run_{i}", f"/position_error/run_{i}", f"/current/run_{i}"} <= paths
+        assert any(one.startswith(f"/scene/run_{i}/") for one in paths)
+    with pytest.raises(InputError, match="expected each run once"):
+        view.overlay([folders[0], folders[0]], tmp_path / "runs.rrd")
+    with pytest.raises(InputError, match="expected a run folder"):
+        view.overlay([folders[0], tmp_path], tmp_path / "runs.rrd")
