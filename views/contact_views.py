@@ -120,7 +120,7 @@ def contact_figure(rows: Sequence[Mapping[str, Any]], scenario: str) -> Figure:
         "alarm is on already, none is. Delay: median, from the onset of half-sine pushes of 2 N·m or more. Below and to the left "
         "is better."
     )
-    above, height = 0.55 + 0.2 * -(-len(names) // 5), 2.5
+    above, height = 0.55 + 0.2 * -(-len(names) // 4), 2.5
     figure = blank("Contact: false alarms, delay, smallest push", caption, above + len(tolerances) * (height + 0.85))
     width = 0.5 * (WIDTH - LEFT - RIGHT - BETWEEN)
     for row, tolerance in enumerate(tolerances):
@@ -141,5 +141,5 @@ def contact_figure(rows: Sequence[Mapping[str, Any]], scenario: str) -> Figure:
             if key == "smallest_push":
                 axes.set_yscale("log")
             if row == 0 and column == 0:
-                axes.legend(ncols=5, loc="lower left", bbox_to_anchor=(0, 1.08), borderaxespad=0.2, fontsize=8)
+                axes.legend(ncols=4, loc="lower left", bbox_to_anchor=(0, 1.08), borderaxespad=0.2, fontsize=8)
     return figure
