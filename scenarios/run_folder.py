@@ -127,6 +127,7 @@ def provenance(run: Run) -> dict[str, Any]:
     """What a run depends on: seed, timestep, versions."""
     packages = ("flexspline", "mujoco", "numpy", "scipy", "numba")
     return {
+        "format": 1,
         "scenario": run.name,
         "seed": run.scenario.seed,
         "timestep": run.scenario.timestep,

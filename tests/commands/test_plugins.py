@@ -80,7 +80,7 @@ def forget() -> None:
 
 def one_line(found: tuple[int, str, str]) -> str:
     code, _, err = found
-    lines = [line for line in err.splitlines() if line.strip()]
+    lines = err.splitlines()
     assert code == 2 and len(lines) == 1, err
     return lines[0]
 
