@@ -23,11 +23,12 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from flexspline.models.errors import InputError
 from flexspline.models.output import MANIFEST, output_folder, recover
-from flexspline.models.recording import Recording, write_recording
+from flexspline.models.recording import write_recording
+
+from .full_disk import full_disk
+from .jobs import Job, content, jobs, recording
 
 HANG = 60.0
 """Seconds of a processor after which an input counts as one that hangs, compiling included."""
@@ -118,60 +119,6 @@ main()
 """The command line, killed before the n-th time that it moves something into place."""
 
 
-@dataclass(frozen=True)
-class Job:
-    """A command that writes to a folder: words before and after it, with an earlier output (`old`) and a new one (`new`)."""
-
-    name: str
-    old: list[str]
-    new: list[str]
-
-    def words(self, which: str, out: Path) -> list[str]:
-        """The command line that writes one of the two to `out`."""
-        return [*(self.old if which == "old" else self.new), "--out", str(out)]
-
-
-def jobs(folder: Path) -> list[Job]:
-    """Commands with two outputs each, of different content under the same names, and their inputs."""
-    for name, amplitude in (("a", 0.4), ("b", 0.3)):
-        write_recording(recording(6.0, amplitude), folder / name)
-    log = folder / "log.csv"
-    log.write_text("t,qm,ql,i\n" + "\n".join(f"{k / 250},{k / 10},{k / 1000},{k % 7}" for k in range(400)) + "\n")
-    columns = "columns: {time: {column: t, unit: s}, motor_position: {column: qm, unit: rad}, "
-    columns += "link_position: {column: ql, unit: rad}, motor_current: {column: i, unit: A, scale: SCALE}}\n"
-    for name, scale in (("one", "1.0"), ("two", "2.0")):
-        head = f"format: 1\nname: {name}\njoint: test-joint\nlink: {{inertia: 0.1, gravity_moment: 1.0}}\n"
-        (folder / f"{name}.yaml").write_text(head + columns.replace("SCALE", scale))
-    study = (
-        "name: small\nseeds: {count: 2}\nscenarios: [no_load]\nset: {duration: 2.0}\nfilters: [EKF]\nmetrics: [rms]\n"
-    )
-    (folder / "study.yaml").write_text(study)
-    run = ["run", "no_load", "--no-figures", "--no-recording", "--set"]
-    sweep = ["sweep", str(folder / "study.yaml"), "--no-figures", "--chunk", "1"]
-    shutil.copytree(folder / "a", folder / "m")
-    return [
-        Job("import", *(["import", str(folder / f"{name}.yaml"), str(log), "--force"] for name in ("one", "two"))),
-        Job("run", [*run, "duration=2"], [*run, "duration=3"]),
-        Job("estimate", *(["estimate", str(folder / "m"), "--filter", name] for name in ("EKF", "model"))),
-        Job("sweep", [*sweep, "--seeds", "2"], [*sweep, "--seeds", "4"]),
-    ]
-
-
-def recording(seconds: float, amplitude: float = 0.4) -> Recording:
-    """A smooth motion of the test joint, sampled at 1 kHz."""
-    t = np.arange(round(seconds * 1000)) * 1e-3
-    q = amplitude * np.sin(t)
-    torque = 9.0 * np.sin(q)
-    noise = np.random.default_rng(1).normal
-    columns = {
-        "motor_position": 100 * (q + torque / 8000) + noise(0, 1e-4, len(t)),
-        "link_position": q + noise(0, 1e-6, len(t)),
-        "motor_current": torque / 11 + 0.3 * np.sign(np.cos(t)) + noise(0, 4e-3, len(t)),
-        "joint_torque": torque + noise(0, 0.05, len(t)),
-    }
-    return Recording("slow", t, columns)
-
-
 def kills(random_moments: int, chosen: int, seed: int) -> tuple[Counter[str], list[str]]:
     """Kill commands while they replace earlier output; what was done, and what was torn, refused or left.
 
@@ -182,7 +129,7 @@ def kills(random_moments: int, chosen: int, seed: int) -> tuple[Counter[str], li
     """
     rng, done, wrong = random.Random(seed), Counter[str](), []
     with _folder() as folder:
-        every = jobs(folder)
+        every = [job for job in jobs(folder) if job.repeats]
         complete = {job.name: _outputs(job, folder) for job in every}
         for number in range(random_moments):
             job = every[number % len(every)]
@@ -209,10 +156,10 @@ def _outputs(job: Job, folder: Path) -> tuple[dict[str, bytes], dict[str, bytes]
     """Complete outputs of a job, the earlier and the new one over it, and how long the latter takes [s]."""
     out = folder / "complete" / job.name
     _call(job.words("old", out))
-    old = _content(out)
+    old = content(out)
     began = time.monotonic()
     _call(job.words("new", out))
-    return old, _content(out), time.monotonic() - began
+    return old, content(out), time.monotonic() - began
 
 
 def _killed(
@@ -245,7 +192,7 @@ def _killed(
         wrong.append(f"{job.name}: a traceback: {err.decode()[-200:]}")
     for place in (out, *(p for p in out.iterdir() if p.is_dir())):
         recover(place)
-    found = _content(out)
+    found = content(out)
     if job.name == "sweep":  # grows file by file
         whole = all(found[name] in (old.get(name), new.get(name)) for name in found)
     else:
@@ -255,7 +202,7 @@ def _killed(
     code, err_text = _call(job.words("new", out))
     if code != 0:
         wrong.append(f"{job.name}: refused to start again: {err_text}")
-    elif _content(out) != new:
+    elif content(out) != new:
         wrong.append(f"{job.name}: another result after it was killed")
     if (out / "mine.txt").read_text() != "a person's own":
         wrong.append(f"{job.name}: a person's own file is gone")
@@ -263,14 +210,6 @@ def _killed(
     if left:
         wrong.append(f"{job.name}: left {left}")
     return wrong
-
-
-def _content(out: Path) -> dict[str, bytes]:
-    return {
-        p.relative_to(out).as_posix(): p.read_bytes()
-        for p in out.rglob("*")
-        if p.is_file() and not any(part.startswith(".") for part in p.relative_to(out).parts) and p.name != "mine.txt"
-    }
 
 
 def _call(words: list[str]) -> tuple[int, str]:
@@ -302,7 +241,7 @@ def exchanges(count: int, seed: int) -> tuple[Counter[str], list[str]]:
             done[name] += 1
             done["of these in the middle"] += any(out.glob(f"{MANIFEST}-done-*"))
             recover(out)
-            found = _content(out)
+            found = content(out)
             generations = {content.split(b"\n")[0] for content in found.values()}
             if len(generations) != 1 or len(found) != 6:
                 wrong.append(f"kill {number}: torn: {sorted(found)}, generations {generations}")
@@ -322,48 +261,6 @@ def _generation(out: Path, number: int) -> None:
         (new / "sub").mkdir()
         for name in ("a", "b", "c", "sub/d", f"odd{number % 3}", f"sub/odd{number % 2}"):
             (new / name).write_text(f"{number}\n" + "x" * 20_000)
-
-
-# --- a full disk ------------------------------------------------------------------------------------------------------
-
-
-def full_disk(steps: int) -> tuple[Counter[str], list[str]] | None:
-    """Let every command write to a disk that has less and less room; None where none can be made (needs root, Linux)."""
-    done, wrong = Counter[str](), []
-    with _folder() as folder:
-        every = jobs(folder)
-        disk = folder / "disk"
-        disk.mkdir()
-        if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "none", str(disk)], capture_output=True).returncode:
-            return None
-        try:
-            for job in every:
-                _call(job.words("old", disk / job.name))
-                old = _content(disk / job.name)
-                for step in range(steps):
-                    kept = disk / "filler"
-                    room = 0 if step == 0 else 4096 * 4**step
-                    status = os.statvfs(disk)
-                    size = max(0, status.f_bavail * status.f_frsize - room)
-                    kept.write_bytes(bytes(size))
-                    code, err = _call(job.words("new", disk / job.name))
-                    kept.unlink()
-                    done[f"{job.name}, {'done' if code == 0 else 'refused'}"] += 1
-                    print(f"{job.name} {room} {code} {err}", file=sys.stderr, flush=True)
-                    if code not in (0, 2) or "Traceback" in err or (code == 2 and err.count("\n") > 0):
-                        wrong.append(f"{job.name}, {room} bytes: exit code {code}: {err[-300:]}")
-                    found = _content(disk / job.name)
-                    if code == 2 and job.name != "sweep" and found != old:
-                        wrong.append(f"{job.name}, {room} bytes: torn")
-                    left = [p.name for p in (disk / job.name).rglob(".*") if p.name != MANIFEST]
-                    if left:
-                        wrong.append(f"{job.name}, {room} bytes: left {left}")
-                    if code == 0:
-                        break
-                shutil.rmtree(disk / job.name)
-        finally:
-            subprocess.run(["umount", str(disk)], capture_output=True)
-    return done, wrong
 
 
 # --- memory -----------------------------------------------------------------------------------------------------------
@@ -427,12 +324,12 @@ def main() -> None:
     for part, result in (
         ("exchanges", lambda: exchanges(20 * asked.kills, asked.seed)),
         ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed)),
-        ("disk", lambda: full_disk(8)),
+        ("disk", full_disk),
     ):
         if part in parts:
             answer = result()
             if answer is None:
-                print(f"{part}: not run, no disk could be made")
+                print(f"{part}: not run, expected Linux with a C compiler")
                 continue
             done, wrong = answer
             total = sum(n for what, n in done.items() if not what.startswith("of these"))

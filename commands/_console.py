@@ -23,7 +23,7 @@ def console() -> Console:
 
 
 def progress(counting: bool = False, remaining: bool = False) -> Progress:
-    """A progress bar that vanishes; `counting`: done of how many; `remaining`: the time that is left."""
+    """A progress bar that vanishes, on a terminal only; `counting`: done of how many; `remaining`: the time that is left."""
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -39,7 +39,8 @@ def progress(counting: bool = False, remaining: bool = False) -> Progress:
     columns += [MofNCompleteColumn()] if counting else []
     columns += [TimeElapsedColumn()]
     columns += [TimeRemainingColumn()] if remaining else []
-    return Progress(*columns, console=Console(stderr=True), transient=True)
+    terminal = Console(stderr=True)
+    return Progress(*columns, console=terminal, transient=True, disable=not terminal.is_terminal)
 
 
 @contextmanager

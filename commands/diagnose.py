@@ -93,7 +93,9 @@ def command(
                 found = replace(found, plan=plan(data, described, found))
             stage("writing", 0.95)
             with output_folder(out, "diagnose", whole=True) as folder:
-                answer = json.dumps(finite(found.to_json()), indent=1, ensure_ascii=False, allow_nan=False)
+                answer = json.dumps(
+                    finite({"format": 1, **found.to_json()}), indent=1, ensure_ascii=False, allow_nan=False
+                )
                 (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
                 found.extended.write(folder / "joint.yaml")
                 if report:

@@ -48,11 +48,16 @@ def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:
     Raises:
       InputError: a file that is none of a diagnosis.
     """
+    from ..models.files import check_format
+
     path = folder / "diagnosis.json"
     try:
-        return [{**one, "sentence": str(one["sentence"])} for one in json.loads(read_text(path, "a diagnosis"))["next"]]
+        answer = json.loads(read_text(path, "a diagnosis"))
+        proposals = [{**one, "sentence": str(one["sentence"])} for one in answer["next"]]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: next: expected proposals, found none; plan from the measurement instead") from error
+    check_format(answer, path)
+    return proposals
 
 
 def _of_measurement(source: Path, option: str | None) -> list[dict[str, Any]]:

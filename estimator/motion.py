@@ -36,15 +36,19 @@ def _transition(d, F, Q, q):
 
 @kernel
 def _inverse(A, B):
-    """Inverse of a symmetric 3×3 matrix into B."""
+    """Inverse of a positive 3×3 matrix into B, by its factors L D Lᵀ: where a recording begins nothing is known of the velocity,
+    and its minors would be differences of numbers that are 10¹² times as large."""
     a, b, c, d, e, f = A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]
-    B[0, 0] = d * f - e * e
-    B[0, 1] = B[1, 0] = c * e - b * f
-    B[0, 2] = B[2, 0] = b * e - c * d
-    B[1, 1] = a * f - c * c
-    B[1, 2] = B[2, 1] = b * c - a * e
-    B[2, 2] = a * d - b * b
-    B /= a * B[0, 0] + b * B[0, 1] + c * B[0, 2]
+    l10, l20 = b / a, c / a
+    d1, rest = d - l10 * b, e - l20 * b
+    l21 = rest / d1
+    d2, m = f - l20 * c - l21 * rest, l10 * l21 - l20
+    B[2, 2] = 1.0 / d2
+    B[1, 2] = B[2, 1] = -l21 / d2
+    B[0, 2] = B[2, 0] = m / d2
+    B[1, 1] = 1.0 / d1 + l21 * l21 / d2
+    B[0, 1] = B[1, 0] = -l10 / d1 - m * l21 / d2
+    B[0, 0] = 1.0 / a + l10 * l10 / d1 + m * m / d2
 
 
 @kernel
@@ -159,7 +163,9 @@ def smooth(time: np.ndarray, channels: np.ndarray, step: float, cutoff: float = 
     cutoff = passband(time, cutoff)
     scale = 2 * np.pi * cutoff  # time in units of 1/ωc keeps the covariances near one
     offset = channels[0]
-    state = _smooth(scale * time, np.ascontiguousarray(channels - offset, dtype=np.float64), scale * interval)
-    grid = time[0] + step * np.arange(int((time[-1] - time[0]) / step) + 1)
-    out = _interpolate(scale * time, state, scale * grid)
-    return Smooth(grid, out[:, 0] + offset, out[:, 1] * scale, out[:, 2] * scale**2)
+    since = time - time[0]
+    state = _smooth(scale * since, np.ascontiguousarray(channels - offset, dtype=np.float64), scale * interval)
+    # A last sample on the grid counts as such, whatever its time has lost by rounding.
+    grid = step * np.arange(int(since[-1] / step + 1e-3) + 1)
+    out = _interpolate(scale * since, state, scale * grid)
+    return Smooth(time[0] + grid, out[:, 0] + offset, out[:, 1] * scale, out[:, 2] * scale**2)

@@ -164,6 +164,17 @@ def _finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def check_format(data: Any, path: Path, known: int = 1) -> None:
+    """Refuse a file that a later version wrote, whose keys may mean something else.
+
+    Raises:
+      InputError: its `format` is another than `known`; a file without one is of the first.
+    """
+    found = data.get("format", 1) if isinstance(data, dict) else known
+    if found != known:
+        raise InputError(f"{path}: format: expected {known}, got {shown(found)}: written by another version")
+
+
 def parse(data: Any, model: type[M], where: str) -> M:
     """Check `data` against a pydantic model; the first thing wrong raises `InputError` in one line."""
     if not isinstance(data, dict):

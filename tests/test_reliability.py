@@ -8,6 +8,7 @@ from collections import Counter
 import pytest
 
 from benchmarks import fuzzing
+from benchmarks.full_disk import full_disk
 
 
 def test_inputs_made_at_random_are_used_or_refused_in_one_line():
@@ -29,3 +30,21 @@ def test_tables_made_at_random_are_used_or_refused_in_one_line():
     for number in range(400):
         _, _, failure = fuzzing.one(seed, number)
         assert failure is None, (seed, failure)
+
+
+def held_by(found):
+    if found is None:
+        pytest.skip("no C compiler, or not Linux")
+    done, wrong = found
+    assert wrong == []
+    return done
+
+
+def test_a_full_disk_at_every_fifth_write_of_import_is_one_line_and_nothing_half_written():
+    assert held_by(full_disk(["import"], 5))["import, refused"] > 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "step"), [("import", 1), ("estimate", 1), ("run", 2), ("sweep", 1), ("diagnose", 9)])
+def test_a_full_disk_at_any_write_is_one_line_and_nothing_half_written(name, step):
+    assert held_by(full_disk([name], step))[f"{name}, refused"] > 4

@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...models.errors import InputError
-from ...models.files import write_into_place
+from ...models.files import check_format, write_into_place
 from .design import Design
 
 try:
@@ -189,11 +189,13 @@ def read_note(note: Path) -> dict[str, Any]:
     """
     try:
         before = json.loads(note.read_text(encoding="utf-8"))
-        if all(key in before for key in ("digest", "versions", "seeds", "study")):
-            return before
+        known = all(key in before for key in ("digest", "versions", "seeds", "study"))
     except (OSError, ValueError, TypeError):
-        pass
-    raise InputError(f"{note}: expected the note of a sweep, got something else")
+        known = False
+    if not known:
+        raise InputError(f"{note}: expected the note of a sweep, got something else")
+    check_format(before, note)
+    return before
 
 
 def _difference(before: dict, now: dict) -> str:

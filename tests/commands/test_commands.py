@@ -26,7 +26,7 @@ def files(folder: Path) -> list[str]:
 
 def one_line(err: str) -> str:
     """The message: exactly one line, no traceback, no colour codes in the way."""
-    lines = [line for line in err.splitlines() if line.strip()]
+    lines = err.splitlines()
     assert len(lines) == 1, err
     assert "Traceback" not in err
     return lines[0]

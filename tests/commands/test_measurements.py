@@ -42,7 +42,7 @@ def sound(sweep, tmp_path):
 
 
 def one_line(err: str) -> str:
-    lines = [line for line in err.splitlines() if line.strip()]
+    lines = err.splitlines()
     assert len(lines) == 1, err
     return lines[0]
 

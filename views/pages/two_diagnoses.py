@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ...models.errors import InputError
-from ...models.files import read_text
+from ...models.files import check_format, read_text
 from ...models.joint import Joint, load_joint
 from ..glossary import meaning
 from ..report import listed, plain
@@ -73,6 +73,7 @@ def read_diagnosis(folder: Path) -> Diagnosed:
         answer["verdict"], answer["residual"], answer["undetermined"]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: expected what flexspline diagnose writes, got something else") from error
+    check_format(answer, path)
     return Diagnosed(folder, answer, load_joint(str(folder / "joint.yaml")))
 
 

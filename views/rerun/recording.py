@@ -38,13 +38,13 @@ def recording(path: Path, name: str, blueprint: rrb.Blueprint) -> Iterator[rr.Re
     with write_into_place(Path(path)) as temporary:
         # The viewer keeps one layout per application: recordings of other content must not share it.
         stream = rr.RecordingStream(f"flexspline {name}")
-        stream.save(temporary, default_blueprint=blueprint)
+        # Written here: Rerun's own writer waits for ever where the disk is full. Series are thin, all of it is some megabytes.
+        written = rr.binary_stream(stream)
+        stream.send_blueprint(blueprint)
         stream.send_recording_name(name)
-        try:
-            yield stream
-        finally:
-            stream.flush()
-            stream.disconnect()
+        yield stream
+        temporary.write_bytes(written.read() or b"")
+        stream.disconnect()
 
 
 def send_series(
