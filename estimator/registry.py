@@ -12,7 +12,7 @@ from dataclasses import is_dataclass
 from functools import cache
 from typing import Any
 
-from ..models import causes, plugins
+from ..models import causes, own_sensors, plugins
 from ..models.errors import InputError, nearest
 from ..models.plugins import Offer, Origin
 from . import filters
@@ -39,7 +39,7 @@ def get(name: str) -> Estimator:
 
 
 def check(offered: Iterable[str]) -> None:
-    """Look at estimators and causes that a plugin offers.
+    """Look at estimators, causes and sensors that a plugin offers.
 
     Raises:
       InputError: one that is none, or does not keep what one promises.
@@ -49,6 +49,8 @@ def check(offered: Iterable[str]) -> None:
             get(name)
         if name in causes.offered():
             causes.get(name)
+        if name in own_sensors.names():
+            own_sensors.get(name)
 
 
 def origin(name: str) -> Origin:

@@ -1,9 +1,10 @@
-"""Estimators and causes from outside this package: of installed packages, by their entry points, and of single files.
+"""Estimators, causes and sensors from outside this package: of installed packages, by their entry points, and of single files.
 
-A package declares entry points of the groups `flexspline.estimators` and `flexspline.causes`; the name of each is the estimator's
-or cause's, its object an `estimator.estimator.Estimator` or a `causes.Cause`. A file has the same in tuples `ESTIMATORS`
-and `CAUSES` and is known from `load` on. The registries (`estimator.registry`, `causes`) take both from here and look at
-what they are given. `docs/plugins.md` has examples.
+A package declares entry points of the groups `flexspline.estimators`, `flexspline.causes` and `flexspline.sensors`; the
+name of each is the estimator's, cause's or sensor's, its object an `estimator.estimator.Estimator`, a `causes.Cause` or
+an `own_sensors.Sensor`. A file has the same in tuples `ESTIMATORS`, `CAUSES` and `SENSORS` and is known from `load` on.
+The registries (`estimator.registry`, `causes`, `own_sensors`) take all from here and look at what they are given.
+`docs/plugins.md` has examples.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from typing import Any, Literal
 
 from .errors import InputError, one_line
 
-Kind = Literal["estimators", "causes"]
-_KINDS: tuple[Kind, ...] = ("estimators", "causes")
+Kind = Literal["estimators", "causes", "sensors"]
+_KINDS: tuple[Kind, ...] = ("estimators", "causes", "sensors")
 _PACKAGE = __name__.split(".")[0]
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where an estimator or a cause comes from.
+    """Where an estimator, a cause or a sensor comes from.
 
     Attributes:
       name: for people: a package with its version, or a file.
@@ -48,7 +49,7 @@ OWN = Origin(_PACKAGE)
 
 @dataclass(frozen=True)
 class Offer:
-    """An estimator or a cause that is offered from outside: its name, where it comes from, and what gives it."""
+    """An estimator, a cause or a sensor that is offered from outside: its name, where it comes from, and what gives it."""
 
     name: str
     origin: Origin
@@ -69,16 +70,16 @@ _packages: set[Path] = set()
 
 
 def load(path: str | Path) -> tuple[str, ...]:
-    """Import a plugin file, so that its estimators and causes are known in this process.
+    """Import a plugin file, so that its estimators, causes and sensors are known in this process.
 
     Args:
       path: of the file; once is enough.
 
     Returns:
-      Names of its estimators and causes.
+      Names of its estimators, causes and sensors.
 
     Raises:
-      InputError: no such file, one that cannot be imported, or one that has neither.
+      InputError: no such file, one that cannot be imported, or one that has none.
     """
     file = Path(path).expanduser().resolve()
     if file not in _files:
@@ -177,8 +178,8 @@ def _imported(file: Path, given: str) -> _File:
     sys.modules[name] = module  # dataclasses and compiled code look there while it is imported
     try:
         spec.loader.exec_module(module)
-        if not _tuple(module, "estimators") and not _tuple(module, "causes"):
-            raise InputError(f"plugin {given}: expected a tuple ESTIMATORS or CAUSES, found neither")
+        if not any(_tuple(module, kind) for kind in _KINDS):
+            raise InputError(f"plugin {given}: expected a tuple ESTIMATORS, CAUSES or SENSORS, found none")
     except BaseException as error:
         del sys.modules[name]
         if not isinstance(error, Exception):

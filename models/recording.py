@@ -28,6 +28,7 @@ from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
 from .notebook import html_table, paragraph
 from .output import recover
+from .own_sensors import channel
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .tables import reading_parquet, write_table
 
@@ -104,7 +105,7 @@ class Recording:
         object.__setattr__(self, "time", np.ascontiguousarray(self.time, dtype=np.float64))
         found = {}
         for name, given in {"time": self.time, **self.columns}.items():
-            if name not in CHANNELS:
+            if channel(name) is None:
                 raise InputError(f"{where}: column {name!r}: unknown column{nearest(name, CHANNELS)}")
             values = np.ascontiguousarray(given, dtype=np.float64)
             if values.ndim != 1 or len(values) != len(self.time):
@@ -143,7 +144,7 @@ class Recording:
         return channel in self.columns
 
     def _repr_html_(self) -> str:
-        rows = [(name, CHANNELS[name].unit, float(x.min()), float(x.max())) for name, x in self.columns.items()]
+        rows = [(name, _unit(name), float(x.min()), float(x.max())) for name, x in self.columns.items()]
         seconds = float(self.time[-1] - self.time[0])
         text = f"{self.joint}, {seconds:.1f} s at {1 / self.interval:.4g} Hz, {len(self.segments)} segment(s)"
         return paragraph(self.name, text) + html_table(("channel", "unit", "smallest", "largest"), rows)
@@ -291,7 +292,7 @@ def read_recording(path: str | Path) -> Recording:
     if "time" not in columns:
         raise InputError(f"{path}: column 'time': missing{nearest('time', columns)}")
     time = columns.pop("time")
-    angles = {name: columns.pop(name) for name in list(columns) if name not in CHANNELS}
+    angles = {name: columns.pop(name) for name in list(columns) if channel(name) is None}
     recording = Recording(
         name=path.stem,
         time=time,
@@ -352,7 +353,8 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     """
     folder = Path(folder)
     check_name(recording.name, "recording: name")
-    ordered = {"time": recording.time, **{n: recording.columns[n] for n in CHANNELS if n in recording.columns}}
+    known = [*CHANNELS, *(name for name in recording.columns if name not in CHANNELS)]
+    ordered = {"time": recording.time, **{n: recording.columns[n] for n in known if n in recording.columns}}
     arm = recording.arm
     if arm is not None:
         ordered |= {arm_column(joint): angle for joint, angle in arm.positions.items()}
@@ -400,7 +402,8 @@ def edited(path: Path) -> bool:
 
 
 def _unit(name: str) -> str:
-    return CHANNELS[name].unit if name in CHANNELS else "rad"  # of another joint of an arm
+    found = channel(name)
+    return found.unit if found is not None else "rad"  # of another joint of an arm
 
 
 def _row(source: str, index: int) -> str:
@@ -422,7 +425,7 @@ def check_channels(where: str, columns: Iterable[str]) -> None:
 
 def _check_header(path: Path, names: list[str]) -> None:
     for i, name in enumerate(names):
-        if name not in CHANNELS and joint_of(name) is None:
+        if channel(name) is None and joint_of(name) is None:
             raise InputError(
                 f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)}"
             )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from ..estimator.errors import FilterDiverged
 from ..estimator.estimator import Estimator, KnownJoint, Posterior
+from ..models import own_sensors
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
@@ -139,7 +141,15 @@ class Experiment:
             raise FilterDiverged(
                 scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
             )
-        return simulation
+        if not own_sensors.names():
+            return simulation
+        truth = {name: np.ascontiguousarray(simulation.truth[name]) for name in simulation.truth.dtype.names or ()}
+        own = own_sensors.readings(
+            simulation.time,
+            truth | {"external_torque": self.external_torque},
+            partial(sensors.stream, scenario.seed if seed is None else seed),
+        )
+        return replace(simulation, further=own)
 
     def _known_to_the_drive(self, p: np.void) -> np.void:
         """What the drive's controller goes by: ratio and limit of the plant, torque constant and weight as they are known."""
@@ -153,7 +163,7 @@ def signals_of(simulation: Simulation) -> Signals:
     """What an estimator may read of a simulation: sensors that are read before the drive acts, and the current command where it
     is told that; at their time stamps."""
     readings = simulation.readings
-    columns = {name: readings[name] for name in _SEEN}
+    columns = {name: readings[name] for name in _SEEN} | dict(simulation.further)
     if simulation.commanded:
         columns["current_command"] = simulation.command
     return Signals(simulation.time if simulation.stamps is None else simulation.stamps, columns)

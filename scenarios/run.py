@@ -215,6 +215,7 @@ class Run:
             stated = [n for n in _WHERE_STATED if getattr(self.joint.sensors, n).noise > 0.0]
             names = [*_RECORDED, *stated]
         columns = {name: self.reading(name) for name in names} | {"position_command": self.position_command}
+        columns |= self.simulation.further
         pushed = bool(np.any(self.external_torque))
         if pushed:
             columns["external_torque"] = self.external_torque

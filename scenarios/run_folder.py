@@ -12,11 +12,12 @@ from typing import Any
 import numpy as np
 
 from ..estimator.estimator import KnownJoint, Posterior
+from ..models import own_sensors
 from ..models.errors import InputError
 from ..models.files import json_text, load, yaml_text
 from ..models.output import check_output, output_folder, recover
 from ..models.recording import write_recording
-from ..models.signals import CHANNELS, READINGS, SENSED
+from ..models.signals import READINGS, SENSED
 from ..models.tables import read_table, write_table
 from ..sim.loop import CONTROL_PERIOD, TRUTH, Simulation
 from ..sim.sensors import time_stamps
@@ -102,6 +103,7 @@ def load_run(folder: Path) -> Run:
     simulation = Simulation(
         time, truth, readings, _column(columns, "current_command", folder), (len(time), 0),
         time_stamps(time, scenario.jitter, scenario.seed), scenario.current == "command",
+        {name: columns[name] for name in own_sensors.names() if name in columns},
     )  # fmt: skip
     return Run(scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario))
 
@@ -117,6 +119,7 @@ def signal_columns(run: Run) -> dict[str, np.ndarray]:
         **{name: readings[name] for name in SENSED},
         **{f"true_{name}": truth[name] for name in truth.dtype.names or ()},
         "model_torque": run.model_torque,
+        **run.simulation.further,
     }
 
 
@@ -135,8 +138,9 @@ def provenance(run: Run) -> dict[str, Any]:
 
 def _unit_of(column: str) -> str:
     """SI unit of a column, by its name."""
-    if column in CHANNELS:
-        return CHANNELS[column].unit
+    known = own_sensors.channel(column)
+    if known is not None:
+        return known.unit
     words = [word for word in _UNITS if word in column]
     return _UNITS[max(words, key=len)] if words else "1"
 

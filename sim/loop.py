@@ -9,7 +9,8 @@ it would have said in the loop.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
@@ -67,6 +68,7 @@ class Simulation:
       failed: tick at which the estimator in the loop failed, and its status; (n, 0) where it did not.
       stamps: shape (n,), time stamps of the readings [s]; `time` where the clock is exact.
       commanded: whether estimators are told the current command; otherwise they have the current sensor alone.
+      further: what sensors of plugins read (`models.own_sensors`), shape (n,) each.
     """
 
     time: np.ndarray
@@ -76,6 +78,7 @@ class Simulation:
     failed: tuple[int, int]
     stamps: np.ndarray | None = None
     commanded: bool = True
+    further: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 SENSOR_FEEDBACK = "sensor"

@@ -35,7 +35,7 @@ ROOMS = (
 MADE = {
     "joint.yaml", "diagnosis/joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv",
     "diagnosis.json", "DIR/NAME.yaml", "study.yaml", "cause.py", "models/causes/NAME.py", "my_filter.py",
-    "my_cause.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml",
+    "my_cause.py", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml",
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 BUILT = re.compile(r"(?:reference/\w+|examples)\.md")

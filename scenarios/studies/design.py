@@ -21,7 +21,7 @@ import numpy as np
 from ...estimator import registry
 from ...estimator.estimator import Estimator
 from ...estimator.tuning_parameters import with_values
-from ...models import causes
+from ...models import causes, own_sensors
 from ...models.errors import InputError
 from ...models.files import parse
 from ...sim import sensors
@@ -114,6 +114,7 @@ class Design:
                         raise InputError(f"{where}: cause {cause}: joint {experiment.joint.name} leaves no room for it")
                     seen.add(causes.origin(cause).state)
             seen.update(registry.origin(entry.estimator).state for entry in experiment.scenario.filters)
+            seen.update(own_sensors.origin(name).state for name in own_sensors.names())
             experiment.build()
             for joint in (experiment.joint, experiment.known_joint):
                 seen.add(hashlib.sha256(joint.mjcf.read_bytes()).hexdigest())

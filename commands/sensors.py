@@ -1,0 +1,22 @@
+"""`flexspline sensors`: what plugins' sensors read."""
+
+from __future__ import annotations
+
+from ._listing import AsJson
+from ._options import with_plugins
+
+EXAMPLES = ("flexspline sensors", "flexspline sensors --plugin my_sensor.py --json")
+
+
+@with_plugins
+def command(as_json: AsJson = False) -> None:
+    """List the channels that sensors read: those of every joint, and those of plugins (`--plugin`)."""
+    from ..models import own_sensors
+    from ..models.signals import CHANNELS
+    from ._listing import Entry, show
+
+    entries = {c.name: Entry(c.unit, c.description, "flexspline") for c in CHANNELS.values() if c.sensor}
+    for name in own_sensors.names():
+        sensor = own_sensors.get(name)
+        entries[name] = Entry(sensor.unit, sensor.description, own_sensors.origin(name).name)
+    show("channel", entries, as_json)
