@@ -52,8 +52,7 @@ class AnswerSettings:
       temper: by how much log evidence is divided before it becomes a probability: the laws are not exact and neither is the noise
         model; `inexact` of what other hypotheses still gain is added.
       significant: standard deviations that an effect must be away from absent where the fit ends; by those that are inflated, it
-        is no surer than `beside` below, and than `unsure` below `barely`; plainly: unless it is worth so many times what nothing
-        explains.
+        is no surer than `beside` below, and minor below `barely`; plainly: unless it is worth so many times what nothing explains.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
@@ -388,7 +387,8 @@ def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | No
             q.name: ParameterEstimate(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
             for q in h.cause.parameters
         }
-        small = real and size_of(problem, final, i) < ANSWER.minor
+        hardly = significance(problem, final, i) < ANSWER.barely and w.rms < ANSWER.plainly * left
+        small = real and (size_of(problem, final, i) < ANSWER.minor or hardly)
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
         (minor if small else findings).append(
@@ -453,7 +453,7 @@ def _confidences(
             confidence = min(confidence, ANSWER.unsure)
         away = significance(problem, final, i)
         if away < ANSWER.significant and worths[i].rms < ANSWER.plainly * left:
-            confidence = min(confidence, ANSWER.beside if away > ANSWER.barely else ANSWER.unsure)
+            confidence = min(confidence, ANSWER.beside)
         alone.append(confidence)
         sizes.append(problem.place(final.model, i).start + np.asarray(h.magnitudes))
     spread = np.sqrt(np.diag(final.covariance))
