@@ -52,7 +52,7 @@ class AnswerSettings:
       temper: by how much log evidence is divided before it becomes a probability: the laws are not exact and neither is the noise
         model; `inexact` of what other hypotheses still gain is added.
       significant: standard deviations that an effect must be away from absent where the fit ends; by those that are inflated, it
-        is no surer than `beside` below, and minor below `barely`; plainly: unless it is worth so many times what nothing explains.
+        is no surer than `beside` below, and minor below `barely`; plainly: but for one worth so many times what nothing explains.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
