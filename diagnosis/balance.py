@@ -21,6 +21,7 @@ from ..estimator import smoothed
 from ..estimator.estimator import KnownJoint
 from ..estimator.smoothed import Motion
 from ..models import causes
+from ..models.causes.base import CauseParameter
 from ..models.errors import InputError
 from ..models.joint import Effect, Estimate, Joint
 from ..models.recording import Recording
@@ -34,7 +35,7 @@ SENSOR_MEMORY = 0.1
 
 
 @dataclass(frozen=True)
-class Fit:
+class EffectsFit:
     """Effects fitted to a recording.
 
     Attributes:
@@ -49,7 +50,9 @@ class Fit:
     samples: int
 
 
-def fit_current(recording: Recording, joint: Joint, names: tuple[str, ...], use: np.ndarray | None = None) -> Fit:
+def fit_current(
+    recording: Recording, joint: Joint, names: tuple[str, ...], use: np.ndarray | None = None
+) -> EffectsFit:
     """Fit causes to the balance of motor current and measured external torque.
 
     Args:
@@ -109,7 +112,7 @@ def fit_current(recording: Recording, joint: Joint, names: tuple[str, ...], use:
         )
         for name in names
     )
-    return Fit(effects, _rms(start), _rms(r), int(chosen.sum()))
+    return EffectsFit(effects, _rms(start), _rms(r), int(chosen.sum()))
 
 
 def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None = None) -> Effect:
@@ -161,7 +164,7 @@ def extended(joint: Joint, effects: tuple[Effect, ...], name: str, description: 
     return changed
 
 
-def _spread(q, record) -> float:
+def _spread(q: CauseParameter, record: np.ndarray) -> float:
     size = max(abs(x - q.neutral) for interval in q.ordinary for x in interval)
     return size * (float(record[0][q.relative]) if q.relative else 1.0)
 

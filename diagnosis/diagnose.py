@@ -132,7 +132,7 @@ def diagnose(
     unknown = discrepancy.find(problem, fitter, found.base, found.chosen) if time.monotonic() < deadline else None
     progress("numbers and their uncertainty", 0.94)
     final, found = (
-        _settled(problem, fitter, found, settings.accept)
+        _polished(problem, fitter, found, settings.accept)
         if unknown is None
         else (with_dispersion(problem, unknown.fit), found)
     )
@@ -282,7 +282,7 @@ def _holds_back(outcome: _Outcome) -> str:
     return "; ".join(part for part in told if part)
 
 
-def _settled(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Fit, Search]:
+def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Fit, Search]:
     """The chosen model at its end, without effects that the data do not tell from nothing there; the noise's share taken out."""
     chosen = found.chosen
     kept: set[int] = set()

@@ -53,11 +53,6 @@ _SOFT = 4.0  # turns of a soft drive's command per turn of the rotor that it mak
 _THIN = 8e-3  # s between samples that tell where a motion has been
 _NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
 """Numbers of a joint that are worth an experiment."""
-_OF_SENSOR = {
-    "link_position": ("link_encoder_eccentricity", "link_encoder_error", "encoder_delay"),
-    "joint_torque": ("torque_sensor_gain", "torque_sensor_offset", "torque_sensor_drift"),
-}
-"""Causes that are errors of a sensor: where it is not there, nothing about it is open."""
 
 
 @dataclass(frozen=True)
@@ -254,7 +249,7 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
     if not questions:
         return Plan()
 
-    def judged(e: Experiment) -> Proposal | None:
+    def judged(e: PlannedExperiment) -> Proposal | None:
         try:
             recording = perform(e, diagnosis.extended, joint)
         except InputError:
@@ -306,7 +301,8 @@ def _read(column: str, measurement: Measurement) -> bool:
 def _asked(measurement: Measurement, diagnosis: Diagnosis, joint: Joint, settings: PlanSettings) -> Iterator[Question]:
     """What is open, before it is known how open."""
     known = set(causes.of(joint))
-    absent = {n for column, names in _OF_SENSOR.items() if not _read(column, measurement) for n in names}
+    # Where a sensor is not there, nothing about its errors is open.
+    absent = {n for n in known if (sensor := causes.get(n).sensor) and not _read(sensor, measurement)}
     open_ = [n for n in diagnosis.undetermined if n in known - absent]
     yield from (Question((n,), 0.0, settings.shows) for n in open_)
     yield from (Question(pair, 0.0, settings.apart) for pair in diagnosis.confusable if set(pair) <= known)
@@ -508,7 +504,7 @@ def _expected_noise(new: Problem, at: Fit, old: Problem) -> Noise:
 
 
 @dataclass(frozen=True)
-class Experiment:
+class PlannedExperiment:
     """Something that can be measured next.
 
     Attributes:
@@ -539,7 +535,7 @@ class Experiment:
         return self.motion[-1].time + 0.3
 
 
-def perform(e: Experiment, joint: Joint, described: Joint, seed: int = 1) -> Recording:
+def perform(e: PlannedExperiment, joint: Joint, described: Joint, seed: int = 1) -> Recording:
     """The recording that an experiment on a joint would give.
 
     Args:
@@ -572,7 +568,7 @@ def perform(e: Experiment, joint: Joint, described: Joint, seed: int = 1) -> Rec
 
 def experiments(
     measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS
-) -> list[Experiment]:
+) -> list[PlannedExperiment]:
     """What could be measured next with the sensors there are or one more: motions, loads, a locked output, sensors."""
     p = diagnosis.extended.record()[0]
     recordings = measurement.recordings
@@ -588,13 +584,13 @@ def experiments(
     reach = float(np.clip(max(high - centre, centre - low), 0.4, settings.range))
     steepest = float(np.max(np.abs(np.sin(np.linspace(centre - reach, centre + reach, 50) + link.gravity_angle))))
     effort = settings.effort
-    found: list[Experiment] = []
+    found: list[PlannedExperiment] = []
 
     def add(name: str, text: str, points: Sequence[Waypoint], mounting: Mounting = link, **options: Any) -> None:
         options.setdefault("channels", seen)
         if not mounting.locked:
             points = [w.model_copy(update={"position": w.position + centre}) for w in points]
-        found.append(Experiment(name, text, mounting, tuple(points), interval=interval, **options))
+        found.append(PlannedExperiment(name, text, mounting, tuple(points), interval=interval, **options))
 
     def span(amplitude: float) -> str:
         if centre == 0.0:

@@ -322,7 +322,7 @@ def _parts(recording: Recording, joint: Joint, names: Sequence[str]) -> list[_Pa
             return _channels(*task, kept)
 
         base, noisy = parallel(channels, [(one, record), (replicate, record)])
-        variance = {name: (_stretch(one, joint) * _discrepancy(joint, name)) ** 2 for name in kept}
+        variance = {name: (_inflation(one, joint) * _discrepancy(joint, name)) ** 2 for name in kept}
         for first in range(0, len(moved), _BATCH):
             for changed in parallel(channels, [(one, other) for other in moved[first : first + _BATCH]]):
                 for name in kept:
@@ -398,7 +398,7 @@ def _friction_at_rest(joint: Joint, name: str) -> float:
     return float(level if name == "motor_torque" else level / joint.numbers["Kt"].value)
 
 
-def _stretch(segment: Segment, joint: Joint) -> np.ndarray:
+def _inflation(segment: Segment, joint: Joint) -> np.ndarray:
     """By how much what the description cannot hold grows beyond the range of validity, shape (n,)."""
     valid, stated = joint.valid, joint.uncertainty
     if valid is None or stated is None:

@@ -59,7 +59,7 @@ _ROBUST = 1.4826  # standard deviation of a normal distribution per median absol
 
 
 @dataclass(frozen=True)
-class SensorNoise:
+class AutoregressiveNoise:
     """Sensor noise of one balance in one segment: autoregressive coefficients, shape (order,), and the standard deviation
     of its innovation."""
 
@@ -79,7 +79,7 @@ class Noise:
       settings: of the model.
     """
 
-    sensors: tuple[tuple[SensorNoise, ...], ...]
+    sensors: tuple[tuple[AutoregressiveNoise, ...], ...]
     discrepancy: np.ndarray
     rest: np.ndarray
     settings: NoiseSettings = field(default=SETTINGS, repr=False)
@@ -305,14 +305,14 @@ def sensor_noise(segments: Sequence[Segment], replicates: Sequence[np.ndarray], 
             if use.sum() < 50:
                 use = segment.usable[:, b] | segment.held_out[:, b]
             if use.sum() < 20:
-                balances.append(SensorNoise(np.zeros(settings.order), 1.0))
+                balances.append(AutoregressiveNoise(np.zeros(settings.order), 1.0))
                 continue
             balances.append(_autoregression(n[:, b], use, settings))
         found.append(tuple(balances))
     return tuple(found)
 
 
-def _autoregression(x: np.ndarray, use: np.ndarray, settings: NoiseSettings) -> SensorNoise:
+def _autoregression(x: np.ndarray, use: np.ndarray, settings: NoiseSettings) -> AutoregressiveNoise:
     """Yule–Walker from the samples that count; clipped, so that no outlier decides."""
     from scipy.linalg import solve_toeplitz
 
@@ -335,7 +335,7 @@ def _autoregression(x: np.ndarray, use: np.ndarray, settings: NoiseSettings) -> 
         if np.max(np.abs(np.linalg.eigvals(companion))) < _STATIONARY:
             break
     variance = gamma[0] - ar @ gamma[1:]
-    return SensorNoise(ar, float(np.sqrt(max(variance, 1e-3 * gamma[0]))))
+    return AutoregressiveNoise(ar, float(np.sqrt(max(variance, 1e-3 * gamma[0]))))
 
 
 def learn(

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..data.segments import BALANCES
 from ..fit.coordinates import Hypothesis
-from ..fit.noise import Noise, SensorNoise, learn, whiten
+from ..fit.noise import AutoregressiveNoise, Noise, learn, whiten
 from ..fit.residual import Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import (
@@ -219,7 +219,7 @@ def plain_noise(problem: Problem, at: Fit) -> Noise:
         total += np.sum(np.where(use, r, 0.0) ** 2, axis=0)
         count += np.sum(use, axis=0)
     rms = np.sqrt(np.divide(total, count, out=np.ones(len(BALANCES)), where=count > 0)) + 1e-12
-    one = tuple(SensorNoise(np.zeros(1), float(x)) for x in rms)
+    one = tuple(AutoregressiveNoise(np.zeros(1), float(x)) for x in rms)
     return Noise((one,) * len(problem.segments), np.zeros_like(at.noise.discrepancy), at.noise.rest, at.noise.settings)
 
 
@@ -257,11 +257,14 @@ def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: 
     return replace(best, removed=float(removed))
 
 
-def _evidence(problem: Problem, at: Fit, noise: Noise, columns, s: Screened | None, origin) -> float:
+def _evidence(
+    problem: Problem, at: Fit, noise: Noise, columns: Columns | None, s: Screened | None, origin: np.ndarray | None
+) -> float:
     """Log evidence of the linear model at a fit, of a hypothesis in it; comparable between noises."""
     residual, theta, spread = at.point.residual, at.theta, problem.spread(at.model)
     parts = [at.jacobian]
     if s is not None:
+        assert columns is not None and origin is not None
         here = s.hypothesis.magnitudes
         change = s.start[here] - origin[here]
         theta = theta + s.shift

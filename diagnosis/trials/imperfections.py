@@ -117,9 +117,3 @@ def imperfections(nominal: Joint, rng: np.random.Generator) -> Imperfections:
     real = nominal.model_copy(update={"sensors": with_errors})
     real._path = nominal._path
     return Imperfections(v, real, v["warming"], v["jitter"])
-
-
-NAMEABLE = (
-    "kinematic_error", "link_encoder_eccentricity", "link_encoder_error", "motor_encoder_eccentricity", "link_flexibility",
-)  # fmt: skip
-"""Causes that are imperfections themselves: naming one of them is right where nothing else is hidden."""

@@ -1,7 +1,7 @@
 """What diagnosis makes of draws, and how often it is right.
 
 A cause that is named is *there* where it was hidden, or where it is one of the imperfections of a real draw
-(`imperfections.NAMEABLE`). Shares carry Wilson's 95 % intervals. Core time is what a diagnosis took of one process's cores.
+(`Cause.imperfection`). Shares carry Wilson's 95 % intervals. Core time is what a diagnosis took of one process's cores.
 """
 
 from __future__ import annotations
@@ -32,7 +32,6 @@ from ..fit.coordinates import Hypothesis, hypotheses
 from ..fit.noise import whiten
 from ..fit.solver import stacked
 from .draw import Challenge, Draw, Hidden, HiddenEffect, draw
-from .imperfections import NAMEABLE
 
 DETECTED = 3.33
 """Standard deviations at which an effect is found 9 times in 10 while 2 % of the alarms are false (Gaussian)."""
@@ -91,7 +90,7 @@ class Outcome:
         """Whether a cause as in `diagnosis.json` is really there: hidden, or an imperfection of this joint."""
         if cause["name"] in self.hidden:
             return True
-        if not self.real or cause["name"] not in NAMEABLE:
+        if not self.real or cause["name"] == "unknown" or not causes.get(cause["name"]).imperfection:
             return False
         return cause["name"] != "kinematic_error" or cause["parameters"]["order"]["value"] == _SIXTH
 

@@ -176,6 +176,8 @@ class Cause(ABC):
     """Fields of the parameter record that its one parameter multiplies."""
     adds: ClassVar[bool] = False
     """Whether a second one adds to the first (another order, a further factor), instead of replacing it."""
+    imperfection: ClassVar[bool] = False
+    """Whether every real joint has a little of it."""
     sensor: ClassVar[str | None] = None
     """The channel whose reading it changes; none where it acts on the joint itself."""
     needs: ClassVar[tuple[str, ...]] = ()

@@ -13,6 +13,7 @@ class KinematicError(Cause):
 
     name = "kinematic_error"
     component = "transmission"
+    imperfection = True
     description = "an order of the kinematic error differs from calibration"
     adds = True
     requires = Requirements(sliding=0.5, motor_turn=1.0)

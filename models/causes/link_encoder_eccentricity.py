@@ -12,6 +12,7 @@ class LinkEncoderEccentricity(Cause):
 
     name = "link_encoder_eccentricity"
     component = "sensor"
+    imperfection = True
     sensor = "link_position"
     description = "the link encoder is mounted off centre: reading + A (sin(θl + φ) − sin φ)"
     adds = True

@@ -15,6 +15,7 @@ class LinkEncoderError(Cause):
 
     name = "link_encoder_error"
     component = "sensor"
+    imperfection = True
     sensor = "link_position"
     description = "the link encoder's error has an order of 2 to 4 per turn: reading + A (sin(n θl + φ) − sin φ)"
     adds = True

@@ -15,6 +15,7 @@ class LinkFlexibility(Cause):
 
     name = "link_flexibility"
     component = "link"
+    imperfection = True
     description = "part of the link's inertia hangs on it by a spring: a second resonance"
     parameters = (
         CauseParameter("share", "1", (0.0, 0.9), ((0.15, 0.4),), magnitude=True),

@@ -16,6 +16,7 @@ class MotorEncoderEccentricity(Cause):
 
     name = "motor_encoder_eccentricity"
     component = "sensor"
+    imperfection = True
     sensor = "motor_position"
     description = "the motor encoder is mounted off centre: reading + A (sin(θm + φ) − sin φ)"
     adds = True

@@ -17,8 +17,8 @@ from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter
 from flexspline.diagnosis.planning import (
     SETTINGS,
-    Experiment,
     Plan,
+    PlannedExperiment,
     Proposal,
     Question,
     _State,
@@ -46,7 +46,7 @@ def joint() -> Joint:
 def measured(joint: Joint, true: Joint, mounting: str, channels: tuple[str, ...], way: float = 6.0) -> Measurement:
     """There and back, once slower than the other time."""
     points = waypoints([1.3, -1.3, 1.3, 0.0], [0.6 * way, way, 0.7 * way, 0.4 * way], [0.4] * 4, 0.4)
-    e = Experiment("first", "", joint.mount(mounting), tuple(points), frozenset(channels), 1e-3)
+    e = PlannedExperiment("first", "", joint.mount(mounting), tuple(points), frozenset(channels), 1e-3)
     return Measurement("bench", Path(), (perform(e, true, joint, seed=5),))
 
 
@@ -62,7 +62,7 @@ def swing(joint) -> Measurement:
     return measured(joint, joint, "link", BOTH, way=1.6)
 
 
-def proposed(measurement: Measurement, joint: Joint) -> dict[str, Experiment]:
+def proposed(measurement: Measurement, joint: Joint) -> dict[str, PlannedExperiment]:
     return {e.name: e for e in experiments(measurement, joint, SimpleNamespace(extended=joint))}  # type: ignore[arg-type]
 
 
