@@ -83,7 +83,7 @@ class AnswerSettings:
     quiet: float = 1.6
     little: float = 0.01
     inflation: float = 5.0
-    lookalike: float = 0.015
+    lookalike: float = 0.05
     slight: float = 0.25
     far: float = 5.0
     worth: float = 0.02
