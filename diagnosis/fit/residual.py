@@ -107,18 +107,10 @@ class Problem:
         return found
 
     def residuals(
-        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False, coarse: bool = False
+        self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False
     ) -> list[list[np.ndarray]]:
-        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel.
-
-        Args:
-          replicate: of the noise replicates in place of the measurement.
-          coarse: replayed in steps twice as long, of use in differences alone, where both ends are driven: the resonance of a
-            link that is simulated depends on the step.
-        """
+        """Residuals, shape (k, len(BALANCES)) a segment, at each of several points (of several models), in parallel."""
         chosen = self.replicates if replicate else self.segments
-        if coarse:
-            chosen = [segment.coarse if segment.link_measured else segment for segment in chosen]
         tasks = [
             (segment, record, theta)
             for theta, model in zip(thetas, models, strict=True)
@@ -142,7 +134,6 @@ class Problem:
         model: Model,
         columns: np.ndarray | None = None,
         replicate: bool = False,
-        coarse: bool = False,
     ) -> list[np.ndarray]:
         """Derivatives of the residuals, shape (k, len(BALANCES), len(columns)) a segment, by differences."""
         n = len(theta)
@@ -150,7 +141,7 @@ class Problem:
         step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
         replayed = [j for j in columns if not self.calibration.size <= j < self.size]
         points = [theta, *(theta + step[j] * np.eye(n)[j] for j in replayed)]
-        base, *moved = self.residuals(points, [model] * len(points), replicate, coarse)
+        base, *moved = self.residuals(points, [model] * len(points), replicate)
         done = dict(zip(replayed, moved, strict=True))
         found = []
         for s, segment in enumerate(self.replicates if replicate else self.segments):

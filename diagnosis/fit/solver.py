@@ -339,7 +339,7 @@ class Fitter:
                 columns = (
                     np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
                 )
-                found = problem.jacobian(theta, model, columns, coarse=True)
+                found = problem.jacobian(theta, model, columns)
                 common = _put(common, found, columns, problem.size)
             assert common is not None
             jacobian = self._with_effects(model, theta, common, jacobian or None)
