@@ -17,10 +17,9 @@ from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
-from .fit.noise import whiten
 from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
-from .fit.solver import Fit, Fitter, tamed, with_dispersion
+from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
 from .search import discrepancy
 from .search.described import as_described
 from .search.discrepancy import Unknown
@@ -63,7 +62,7 @@ class AnswerSettings:
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
-      diluted: part of the energy of an effect's derivatives that may be the encoders' noise, for it to be sure.
+      diluted: part of the information about an inertia that may be the encoders' noise, for it to be sure.
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
@@ -405,15 +404,18 @@ def _explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:
 
 
 def _diluted(problem: Problem, f: Fit, index: int) -> bool:
-    """Whether what an effect does is in good part the encoders' noise: its size is then biased to less (regression dilution)."""
-    if f.noise_jacobian is None:
+    """Whether the acceleration on which an inertia acts is in good part the encoders' noise: it is then found too small.
+
+    That is regression dilution, which taking out the noise's share mends to first order only.
+    """
+    cause = f.model[index].cause
+    if f.noise_jacobian is None or not {"Jm", "Jl"} & {*cause.sets.values(), *cause.scales}:
         return False
+    normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian)
     block = problem.place(f.model, index)
-    energy = [
-        float(np.sum(whiten(problem.segments, f.noise, [j[..., block] for j in columns]).rows ** 2))
-        for columns in (f.jacobian, f.noise_jacobian)
-    ]
-    return energy[1] > ANSWER.diluted * energy[0]
+    noise, prior = np.diag(normal.share)[block], 1 / problem.spread(f.model)[block] ** 2
+    whole = noise + np.diag(normal.hessian)[block] - prior
+    return bool(np.any(noise > ANSWER.diluted * whole))
 
 
 def _at_bound(h: Hypothesis, u: np.ndarray) -> bool:
