@@ -309,7 +309,7 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
         final = with_dispersion(problem, fitter.polish(other))
 
 
-def _meaningless(measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
+def _meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
     """The answer while mistakes in the data make physics meaningless."""
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
     reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
@@ -348,7 +348,9 @@ def _limits(
     return {n: r for n, r in sorted(undetermined.items()) if n not in named}, tuple(alike)
 
 
-def _findings(problem: Problem, found: Search, final: Fit, unknown: Unknown | None):
+def _findings(
+    problem: Problem, found: Search, final: Fit, unknown: Unknown | None
+) -> tuple[list[Finding], list[Finding]]:
     """The effects of the final model, each with what it is worth: causes, and minor ones."""
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, final))
     explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
@@ -499,7 +501,9 @@ def _close(found: Search) -> list[tuple[str, str]]:
     return pairs
 
 
-def _verdict(problem: Problem, findings: list[Finding], residual: dict[str, BalanceResidual], nearly_all: bool):
+def _verdict(
+    problem: Problem, findings: list[Finding], residual: dict[str, BalanceResidual], nearly_all: bool
+) -> tuple[str, str]:
     """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent."""
     rated = problem.joint.numbers["rated_torque"].value
     scale = dict(zip(BALANCES, problem.output_scale, strict=True))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..models import causes
+from ..models.calibration import Calibration, Slot
 from ..models.joint import Effect, Estimate, Joint
 from .answer import ParameterShift
 from .fit.residual import Problem
@@ -31,7 +32,7 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
     return moved
 
 
-def _value(c, slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
+def _value(c: Calibration, slot: Slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
     """Value of a number and its standard deviation."""
     value = c.value(slot, x)
     step = 1e-3

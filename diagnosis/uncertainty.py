@@ -7,7 +7,7 @@ grows beyond the data, the ends of their ranges say, each kept from a fit of its
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -98,7 +98,9 @@ def _rounded(x: float) -> float:
     return float(f"{x:.{_DIGITS}g}")
 
 
-def _quantities(problem: Problem, fit: Fit, joint: Joint):
+def _quantities(
+    problem: Problem, fit: Fit, joint: Joint
+) -> tuple[list[str], np.ndarray, Callable[[np.ndarray], np.ndarray]]:
     """Names of the joint's quantities that a fit has moved, shape (n,) the period of those that have one, and their values, shape
     (n,), as a function of its unknowns."""
     c = problem.calibration

@@ -220,7 +220,9 @@ class Finalist:
         return self.fit.model[-1].cause.name
 
 
-def finalists_of(problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[Screened], settings: AcceptSettings):
+def finalists_of(
+    problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[Screened], settings: AcceptSettings
+) -> list[Finalist]:
     """The best hypotheses, fitted through the replay; a close race is decided by fits at their ends."""
     good = [s for s in screened if s.noise and s.gain > 0.5 * settings.threshold and s.size > 0.5 * settings.smallest]
     chosen: list[Screened] = []
@@ -392,7 +394,9 @@ def others_than(hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothes
     return [h for h in hypotheses if not repeats(h)]
 
 
-def _first(problem, base, screened, fitted, settings) -> tuple[list[Decision], Finalist | None]:
+def _first(
+    problem: Problem, base: Fit, screened: Sequence[Screened], fitted: Sequence[Finalist], settings: AcceptSettings
+) -> tuple[list[Decision], Finalist | None]:
     """The first cause: of the finalists that the data speak for, the one that is worth most."""
     reasons = {id(f): _objection(problem, base, f, settings) for f in fitted}
     good = [f for f in fitted if not reasons[id(f)]]
@@ -511,7 +515,7 @@ def _select(
     settings: AcceptSettings,
     screening: ScreenSettings,
     before: tuple[Finalist | Screened, dict[str, float]] | None,
-):
+) -> tuple[list[Screened], list[Decision], list[Rivals]]:
     """Further causes one after the other in the linear model about a fit: the one first that is worth most.
 
     `before`: the cause that was accepted last, with the gains of all when it was.
@@ -676,7 +680,9 @@ def _simplified(
     return f, rivals, decisions
 
 
-def _prune(problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings):
+def _prune(
+    problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings
+) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
     dropped: list[Decision] = []
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them

@@ -213,7 +213,9 @@ def exactly(joint: Joint) -> Joint:
     return known
 
 
-def _effects(challenge: Challenge, index: int, size: float, nominal: Joint, rng) -> tuple[HiddenEffect, ...]:
+def _effects(
+    challenge: Challenge, index: int, size: float, nominal: Joint, rng: np.random.Generator
+) -> tuple[HiddenEffect, ...]:
     """The hidden effects: every name of the pool once before any comes twice."""
     pool = challenge.pool()
     if not pool:
