@@ -124,7 +124,7 @@ def diagnose(
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     available = [n for n in causes.of(joint) if coverage.can_show(n, measurement, problem.link_measured)]
     present = {effect.name: effect.values for effect in joint.effects}
-    tried = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n))]
+    tried = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n)) if problem.has_room((), h)]
     found = search(problem, tried, settings, progress, deadline)
     fitter = Fitter(problem)
     progress("looking for unknown effects", 0.88)
@@ -479,7 +479,7 @@ def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -
     weights = [np.exp((g - best) / temper) for g in others]
     own = float(np.exp((rivals.gain - best) / temper))
     none = float(np.exp(-(best - 3.5) / temper))
-    p = own / (own + sum(weights) + none)
+    p = rivals.share * own / (own + sum(weights) + none)
     return float(min(p, ANSWER.surest if unknown is None else ANSWER.beside))
 
 

@@ -53,11 +53,14 @@ _PLACES = {
 
 
 def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
-    """The joint with the numbers of a fit, their nominal values and standard deviations kept beside them."""
+    """The joint with the numbers of a fit, their nominal values and standard deviations kept beside them; of those that it held
+    as they were described."""
     c = problem.calibration
     x, covariance = at.theta[: c.size], at.covariance[: c.size, : c.size]
     data = joint.model_dump()
-    for slot in c.slots:
+    for i, slot in enumerate(c.slots):
+        if problem.held[i]:
+            continue  # as it was described
         value, std = _value(c, slot, x, covariance)
         if slot.field in ("amplitude", "phase"):
             target = data["kinematic_error"][slot.index][slot.field]

@@ -6,7 +6,8 @@ infinity, which whoever calls sees and names; an exception inside MuJoCo's callb
 Numba's own cache looks at a function's own file alone: it keeps code that was compiled against an older version of an
 imported law. Here the folder of the cache carries a digest of the function's module and of every module of this package
 that it imports, directly or not, and of the versions of Numba, NumPy and MuJoCo. A changed law is compiled anew wherever it is
-used, and nothing else is.
+used, and nothing else is. A file that was edited after this process began may not be what this process holds in memory: its code
+is then compiled for this process alone.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import re
 import shutil
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
@@ -28,6 +30,7 @@ import numba
 from numba.core import config as numba_config
 
 _PACKAGE = __name__.split(".")[0]
+_BEGAN = time.time()
 _IMPORT = re.compile(r"^\s*from\s+(\.*[\w.]*)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
 _KEPT = 4
 """Caches of a folder's earlier states that are kept beside the present one: whoever goes back and forth compiles once."""
@@ -103,7 +106,11 @@ def digest(module: str) -> str:
     """Sixteen hexadecimal digits of a module's source, of all sources that it imports from here, and of the compiler."""
     whole = hashlib.blake2b(" ".join([*_versions(), sys.version]).encode(), digest_size=8)
     for name in sorted(_imported(module)):
-        whole.update(_source(name))
+        path = _file(name)
+        assert path is not None
+        whole.update(path.read_bytes())
+        if path.stat().st_mtime > _BEGAN:
+            whole.update(os.urandom(8))
     return whole.hexdigest()
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from .kernels import kernel
-from .parameters import N_DISCREPANCIES, N_ENCODER_ORDERS, N_ORDERS, N_PERIODIC
+from .parameters import N_DISCREPANCIES, N_ORDERS
 
 _SMALLEST_FRICTION = 1e-5  # N·m: g(w) stays positive whatever an effect subtracts
 # The logarithm of Eqs. (3)-(5) goes on as its tangent from here: 0.29 N·m on the motor side of the test joint, beyond what
@@ -168,7 +168,7 @@ def stribeck_friction(w, theta_l, load, time, temperature, p):
     if p.friction_load != 0.0:
         more = p.friction_load * abs(load) / p.N
         g += more if load * w >= 0.0 else p.back_driven_friction * more
-    for k in range(N_PERIODIC):
+    for k in range(N_ORDERS):
         if p.friction_amplitude[k] != 0.0:
             g += p.friction_amplitude[k] * math.sin(p.friction_order[k] * theta_l + p.friction_phase[k])
     if p.friction_temperature != 0.0:
@@ -234,7 +234,7 @@ def hysteresis_torque(z, p):
 def cogging_torque(theta_m, p, speed=0.0):
     """Cogging torque on the rotor: Σ A sin(n θm + φ) [N·m, motor side]; through a smoother, `magnitude_response`."""
     torque = 0.0
-    for k in range(N_PERIODIC):
+    for k in range(N_ORDERS):
         if p.cogging_amplitude[k] != 0.0:
             amplitude = p.cogging_amplitude[k] * magnitude_response(p.cogging_order[k], speed)
             torque += amplitude * math.sin(p.cogging_order[k] * theta_m + p.cogging_phase[k])
@@ -355,7 +355,7 @@ def motor_reading(theta_m, p):
 def link_reading(theta_l, p):
     """What the link encoder reads [rad] before delay, noise and bits: zero, and its orders Σ A (sin(n θl + φ) − sin φ)."""
     reading = theta_l + p.link_zero
-    for k in range(N_ENCODER_ORDERS):
+    for k in range(N_ORDERS):
         if p.link_error_amplitude[k] != 0.0:
             phase = p.link_error_phase[k]
             angle = p.link_error_order[k] * theta_l + phase

@@ -11,11 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 N_ORDERS = 8
-"""Orders of kinematic error that a joint may have."""
-N_PERIODIC = 3
-"""Orders of cogging, and of position-dependent friction, that a joint may have."""
-N_ENCODER_ORDERS = 3
-"""Orders of the link encoder's error that a joint may have, once per turn (eccentricity) among them."""
+"""Orders that a joint may have of each: kinematic error, cogging, position-dependent friction, the link encoder's error (once
+per turn, eccentricity, among them)."""
 N_DISCREPANCIES = 4
 """Nonparametric model discrepancies that a joint may have."""
 N_COEFFICIENTS = 32
@@ -50,10 +47,10 @@ PARAMETERS = np.dtype(
         # output and link
         ("bl", _F), ("Jl", _F), ("Mg", _F), ("gravity_angle", _F),
         # effects in the motor and transmission
-        ("cogging_order", _F, N_PERIODIC), ("cogging_amplitude", _F, N_PERIODIC), ("cogging_phase", _F, N_PERIODIC),
+        ("cogging_order", _F, N_ORDERS), ("cogging_amplitude", _F, N_ORDERS), ("cogging_phase", _F, N_ORDERS),
         ("hysteresis_torque", _F), ("hysteresis_extent", _F), ("backlash", _F),
         ("friction_asymmetry", _F), ("friction_load", _F), ("back_driven_friction", _F),
-        ("friction_order", _F, N_PERIODIC), ("friction_amplitude", _F, N_PERIODIC), ("friction_phase", _F, N_PERIODIC),
+        ("friction_order", _F, N_ORDERS), ("friction_amplitude", _F, N_ORDERS), ("friction_phase", _F, N_ORDERS),
         ("drift_amplitude", _F), ("drift_time", _F),
         ("friction_temperature", _F), ("reference_temperature", _F), ("viscous_exponent", _F),
         # effects at the link
@@ -61,8 +58,8 @@ PARAMETERS = np.dtype(
         ("flexible_share", _F), ("flexible_frequency", _F), ("flexible_damping", _F),
         # what the sensors make of it
         ("motor_eccentricity", _F), ("motor_eccentricity_phase", _F),
-        ("link_zero", _F), ("link_delay", _F), ("link_error_order", _F, N_ENCODER_ORDERS),
-        ("link_error_amplitude", _F, N_ENCODER_ORDERS), ("link_error_phase", _F, N_ENCODER_ORDERS),
+        ("link_zero", _F), ("link_delay", _F), ("link_error_order", _F, N_ORDERS),
+        ("link_error_amplitude", _F, N_ORDERS), ("link_error_phase", _F, N_ORDERS),
         ("current_offset", _F), ("torque_gain", _F), ("torque_offset", _F), ("torque_rate", _F),
         # nonparametric model discrepancies: cubic B-splines on a uniform grid
         ("discrepancy_place", _F, N_DISCREPANCIES), ("discrepancy_variable", _F, N_DISCREPANCIES),

@@ -37,7 +37,8 @@ class ChangeSettings:
       most: changes on top of each other.
       slope: by how much the encoders' ratio may be off at the least to be another gear ratio, relative.
       offsets: of the angle's zero, that are tried in a turn.
-      smallest_offset: between the encoders [rad].
+      smallest_offset: between the encoders [rad]; smallest_turn: of all angles together, by which way gravity pulls [rad]: less
+        is what a joint's gravity direction, a payload or a stop may make of it, and no mistake.
       slow: between samples, from which on time may be in other units than seconds [s].
     """
 
@@ -52,6 +53,7 @@ class ChangeSettings:
     slope: float = 0.004
     offsets: int = 24
     smallest_offset: float = 0.015
+    smallest_turn: float = 0.3
     slow: float = 0.05
 
 
@@ -429,7 +431,7 @@ class Suspicions:
         for simple in (0.5 * math.pi, -0.5 * math.pi, math.pi, -math.pi):
             if abs(best - simple) < 0.2:
                 best = simple
-        return best if abs(best) > 0.1 else None
+        return best if abs(best) > SETTINGS.smallest_turn else None
 
 
 def _sign(column: str) -> ColumnChange:

@@ -12,6 +12,7 @@ from copy import copy
 import numpy as np
 
 from ...models.calibration import Calibration
+from ...models.errors import InputError
 from ...models.joint import Joint, Mounting
 from ..data.segments import BALANCES, CURRENT, TORQUE, Segment
 from .coordinates import Hypothesis
@@ -24,6 +25,7 @@ REACH = 2.6
 move the same number (its own tolerance and a shared one) reach little further together than the number's own limit
 (`models.calibration.WITHIN`)."""
 _STEP_X, _STEP_U = 0.05, 0.03  # of the differences that stand for derivatives
+_HELD = 1e-4  # prior standard deviation of what stays as described
 _LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
 _ZEROS = ("link_encoder_zero", "torque_sensor_offset")
 _TIMED = (CURRENT, TORQUE)
@@ -106,6 +108,16 @@ class Problem:
             found.append(made[mounting])
         return found
 
+    def has_room(self, model: Model, h: Hypothesis) -> bool:
+        """Whether the joint has room for one effect more beside those of a model: orders of one kind are limited in number."""
+        record = self.calibration.record(np.zeros(self.calibration.size))
+        try:
+            for o in (*model, h):
+                o.cause.apply(record[0], o.values(np.ones(o.size)))
+        except InputError:
+            return False
+        return True
+
     def residuals(
         self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False
     ) -> list[list[np.ndarray]]:
@@ -135,11 +147,15 @@ class Problem:
         columns: np.ndarray | None = None,
         replicate: bool = False,
     ) -> list[np.ndarray]:
-        """Derivatives of the residuals, shape (k, len(BALANCES), len(columns)) a segment, by differences."""
+        """Derivatives of the residuals, shape (k, len(BALANCES), len(columns)) a segment, by differences.
+
+        They are zero of what is held.
+        """
         n = len(theta)
         columns = np.arange(n) if columns is None else columns
         step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
-        replayed = [j for j in columns if not self.calibration.size <= j < self.size]
+        still = np.concatenate([self.held, np.zeros(n - self.size, bool)])
+        replayed = [j for j in columns if not self.calibration.size <= j < self.size and not still[j]]
         points = [theta, *(theta + step[j] * np.eye(n)[j] for j in replayed)]
         base, *moved = self.residuals(points, [model] * len(points), replicate)
         done = dict(zip(replayed, moved, strict=True))
@@ -149,7 +165,7 @@ class Problem:
             for i, j in enumerate(columns):
                 if j in done:
                     J[..., i] = (done[j][s] - base[s]) / step[j]
-                else:  # a sample time: the reading's own rate
+                elif not still[j]:  # a sample time: the reading's own rate
                     which = j - self.calibration.size
                     J[:, _TIMED[which], i] = -segment.measured_rate[:, _TIMED[which]] * TIMING[which]
             found.append(J)
@@ -162,8 +178,8 @@ class Problem:
         return all(self.calibration.expresses(*trio) for trio in zip(records, before, self.mountings, strict=True))
 
     def spread(self, model: Model) -> np.ndarray:
-        """Prior standard deviation of every unknown."""
-        return np.concatenate([np.ones(self.size), *(h.spread for h in model)])
+        """Prior standard deviation of every unknown; of those that are held next to nothing."""
+        return np.concatenate([np.where(self.held, _HELD, 1.0), *(h.spread for h in model)])
 
     def start(self, x: np.ndarray | None, model: Model) -> np.ndarray:
         """A vector of unknowns: the common ones at x, the effects absent."""

@@ -468,7 +468,7 @@ class Fitter:
         prior = np.diag(1 / spread**2)
         S = normal.hessian - prior
         V = S + 2 * _positive(normal.share, spread)
-        covariance = _inverse(_godambe(S, V, prior, 1e-12) + prior)
+        covariance = _as_described(problem, _inverse(_godambe(S, V, prior, 1e-12) + prior))
         return Fit(
             model, theta, point, jacobian, extra, noise, covariance, float(evidence), normal.loss, tuple(history)
         )
@@ -481,6 +481,15 @@ def _put(before: Columns | None, part: Columns, columns: np.ndarray, size: int) 
         whole = np.zeros((*new.shape[:2], size)) if before is None else before[s][..., :size].copy()
         whole[..., columns] = new
         found.append(whole)
+    return found
+
+
+def _as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
+    """A covariance in which what is held is known as well as it was described, and no better."""
+    held = np.flatnonzero(problem.held)
+    found = covariance.copy()
+    found[held], found[:, held] = 0.0, 0.0
+    found[held, held] = 1.0
     return found
 
 
@@ -527,7 +536,8 @@ def covariances(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -
     prior = np.diag(1 / problem.spread(f.model) ** 2)
     S, V = normal.hessian - prior, total.T @ total
     unbiased = max(len(total) - len(V) - 1, 0.25 * len(total)) / len(total)  # of an inverse Wishart matrix
-    return _inverse(normal.hessian), _inverse(unbiased * _godambe(S, V, prior, 1e-9) + prior)
+    scattered = _inverse(unbiased * _godambe(S, V, prior, 1e-9) + prior)
+    return _as_described(problem, _inverse(normal.hessian)), _as_described(problem, scattered)
 
 
 def _scores(rows: np.ndarray, limit: float, weight: np.ndarray) -> np.ndarray:

@@ -4,15 +4,20 @@ A short measurement knows little, and what is not known of stiffness, inertia an
 the way, and for nothing beyond it. Here all numbers but the zeros of encoder and torque sensor stay as described, nothing slow is
 taken for model discrepancy, and a cause is accepted where it explains most of what is left, makes no balance worse, holds on
 regions that its fit has not seen, and no other cause does so as well.
+
+Beside the first, causes are tried alone and in pairs: gravity that pulls from elsewhere and friction that grows with the load
+explain little one without the other. Of explanations between which the evidence does not decide, the one with the fewest numbers
+is taken, if most of them have one of its causes; how many have a cause is how sure it is.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...models.causes import Cause
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
 from ..fit.regions import Region, held_out_regions, mean_ratio
@@ -47,7 +52,9 @@ class DescribedSettings:
       mean, worst: geometric mean over regions, and largest, of the ratio of errors (`regions.Region.ratio`) up to which it holds
         where its fit has not been.
       alike: ratio of these means up to which another cause that holds is as good: then neither is accepted.
-      most: causes.
+      beside: part of the mean square that causes beside the first must take away; mean_beside: as `mean`, of errors with them
+        over errors with the first alone.
+      finalists: causes that are fitted at each step, which costs little where nothing else moves.
     """
 
     removes: float = 0.5
@@ -55,7 +62,9 @@ class DescribedSettings:
     mean: float = 0.75
     worst: float = 1.5
     alike: float = 1.5
-    most: int = 3
+    beside: float = 0.3
+    mean_beside: float = 1.0
+    finalists: int = 8
 
 
 DESCRIBED = DescribedSettings()
@@ -74,48 +83,237 @@ def as_described(
     """
     fitter = Fitter(problem, noise=EVEN)
     start = tared(problem, problem.start(None, ()), ())
-    before = described(problem)
-    at = first = fitter.fit((), start, iterations=settings.calibrate.iterations)
-    library = Library(problem, at, hypotheses, settings.screen.coarse_probe)
-    rivals: list[Rivals] = []
-    decisions: list[Decision] = []
-    confusable: tuple[tuple[str, str], ...] = ()
-    while len(at.model) < accept.most:
-        screened = screen(problem, at, library, settings.screen)
-        fitted = finalists_of(problem, fitter, at, screened, settings.accept)
-        good: list[tuple[float, Finalist, Fit]] = []
-        for f in fitted:
-            found = fitter.fit(f.fit.model, f.fit.theta, None, settings.calibrate.iterations)
-            regions = held_out_regions(problem, found, described=before)
-            reason = _objection(problem, at, found, f.gain, regions, settings, accept)
-            if not reason:
-                good.append((mean_ratio(regions), f, found))
-            decisions.append(_decision(problem, f, found, reason or "holds also where its fit has not been"))
-        if not good:
-            break
-        mean, chosen, found = min(good, key=lambda one: one[0])
-        alike = [f for other, f, _ in good if f.name != chosen.name and other < accept.alike * mean]
-        if alike:
-            # Each would say something else of motion that nobody has seen.
-            names = ", ".join(f.name.replace("_", " ") for f in alike)
-            decisions.append(_decision(problem, chosen, found, f"cannot be told from {names}"))
-            confusable = tuple((chosen.name, f.name) for f in alike)
-            break
-        away = significance(problem, with_dispersion(problem, found))
-        if away < settings.accept.significant:
-            told = f"{away:.1f} standard deviations from absent, must be {settings.accept.significant:g}"
-            decisions.append(_decision(problem, chosen, found, told))
-            break
-        rivals.append(rivals_of(chosen, {f.name: f.gain for _, f, _ in good}, {}, settings.accept))
-        rms = float(np.sqrt(max(chosen.removed, 0.0)))
-        told = f"takes {rms:.2g} N·m RMS from the simulation's error, also where its fit has not been"
-        decisions.append(_decision(problem, chosen, found, told, True))
-        at = found
-        library = Library(problem, at, others_than(hypotheses, at.model), settings.screen.coarse_probe)
-    if not at.model:
+    first = fitter.fit((), start, iterations=settings.calibrate.iterations)
+    library = Library(problem, first, hypotheses, settings.screen.coarse_probe)
+    one = _first(problem, fitter, first, library, settings, accept)
+    if one.chosen is None:
         return None
-    quiet = (quiet_rms(problem, first), quiet_rms(problem, at))
-    return Search(first, at, library, tuple(rivals), tuple(decisions), quiet, confusable=confusable)
+    library = Library(
+        problem, one.chosen, others_than(problem, hypotheses, one.chosen.model), settings.screen.coarse_probe
+    )
+    more = _beside(problem, fitter, one.chosen, library, hypotheses, settings, accept)
+    at = more.chosen or one.chosen
+    if more.chosen is not None:
+        library = Library(problem, at, others_than(problem, hypotheses, at.model), settings.screen.coarse_probe)
+    return Search(
+        first,
+        at,
+        library,
+        (*one.rivals, *more.rivals),
+        (*one.decisions, *more.decisions),
+        (quiet_rms(problem, first), quiet_rms(problem, at)),
+        confusable=(*one.confusable, *more.confusable),
+    )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """What a step came to: the fit with what was accepted, if anything was; its rivals; pairs that cannot be told apart."""
+
+    chosen: Fit | None
+    rivals: tuple[Rivals, ...]
+    decisions: tuple[Decision, ...]
+    confusable: tuple[tuple[str, str], ...] = ()
+
+
+def _first(
+    problem: Problem, fitter: Fitter, base: Fit, library: Library, settings: SearchSettings, accept: DescribedSettings
+) -> _Step:
+    """The first cause: it alone must explain most, and no other may hold as well."""
+    before = described(problem)
+    decisions: list[Decision] = []
+    good: list[tuple[float, Finalist, Fit]] = []
+    for f in finalists_of(problem, fitter, base, screen(problem, base, library, settings.screen), settings.accept):
+        found = fitter.fit(f.fit.model, f.fit.theta, None, settings.calibrate.iterations)
+        regions = held_out_regions(problem, found, described=before)
+        reason = _objection(problem, base, found, f.gain, regions, settings, accept)
+        if not reason:
+            good.append((mean_ratio(regions), f, found))
+        decisions.append(_decision(problem, f, found, reason or "holds also where its fit has not been"))
+    if not good:
+        return _Step(None, (), tuple(decisions))
+    mean, chosen, found = min(good, key=lambda one: one[0])
+    alike = [f for other, f, _ in good if f.name != chosen.name and other < accept.alike * mean]
+    if alike:
+        # Each would say something else of motion that nobody has seen.
+        names = ", ".join(f.name.replace("_", " ") for f in alike)
+        decisions.append(_decision(problem, chosen, found, f"cannot be told from {names}"))
+        return _Step(None, (), tuple(decisions), tuple((chosen.name, f.name) for f in alike))
+    away = significance(problem, with_dispersion(problem, found))
+    if away < settings.accept.significant:
+        told = f"{away:.1f} standard deviations from absent, must be {settings.accept.significant:g}"
+        decisions.append(_decision(problem, chosen, found, told))
+        return _Step(None, (), tuple(decisions))
+    rms = float(np.sqrt(max(chosen.removed, 0.0)))
+    told = f"takes {rms:.2g} N·m RMS from the simulation's error, also where its fit has not been"
+    decisions.append(_decision(problem, chosen, found, told, True))
+    rivals = rivals_of(chosen, {f.name: f.gain for _, f, _ in good}, {}, settings.accept)
+    return _Step(found, (rivals,), tuple(decisions))
+
+
+@dataclass(frozen=True)
+class _Explanation:
+    """One or two causes beside the first.
+
+    Attributes:
+      fit: with them; effects: they themselves.
+      gain: log evidence that they add; alone: that the best of two adds alone.
+      numbers: that they set free; numbers of the description that a cause changes count as one more, since here those hold.
+    """
+
+    fit: Fit
+    effects: tuple[Hypothesis, ...]
+    gain: float
+    alone: float
+    numbers: int
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The causes' names."""
+        return tuple(h.cause.name for h in self.effects)
+
+    def has(self, cause: Cause) -> bool:
+        """Whether a cause is among them, itself, as a special case of one or more general than one."""
+        return any(
+            h.cause.name == cause.name or cause.name in h.cause.generalises or h.cause.name in cause.generalises
+            for h in self.effects
+        )
+
+
+def _beside(
+    problem: Problem,
+    fitter: Fitter,
+    base: Fit,
+    library: Library,
+    hypotheses: Sequence[Hypothesis],
+    settings: SearchSettings,
+    accept: DescribedSettings,
+) -> _Step:
+    """Causes beside the first: of explanations between which the evidence does not decide, the one with the fewest numbers."""
+    wide = replace(settings.accept, finalists=accept.finalists, far_finalists=accept.finalists)
+    found = _explanations(problem, fitter, base, library, hypotheses, replace(settings, accept=wide))
+    decisions: list[Decision] = []
+    near: list[_Explanation] = []
+    for e in sorted(found, key=lambda e: -e.gain):
+        if near and e.gain < near[0].gain - _margin(near[0].gain, settings):
+            reason = f"adds {near[0].gain - e.gain:.0f} less to the log evidence than {_told(near[0].names)}"
+        else:
+            reason = _objection_beside(problem, base, e, settings, accept)
+            near += [] if reason else [e]
+        decisions += _decisions(problem, base, e, reason or "holds also where its fit has not been")
+    if not near:
+        return _Step(None, (), tuple(decisions))
+    chosen = min(near, key=lambda e: (e.numbers, -e.gain))
+    others = sorted({n for e in near for n in e.names} - set(chosen.names))
+    share = [float(np.mean([e.has(h.cause) for e in near])) for h in chosen.effects]
+    if max(share) <= 0.5:
+        told = f"cannot be told from {_told(others)}"
+        alike = tuple((name, other) for name in chosen.names for other in others)
+        return _Step(None, (), (*decisions, *_decisions(problem, base, chosen, told)), alike)
+    rivals: list[Rivals] = []
+    pairs: list[tuple[str, str]] = []
+    for h, part in zip(chosen.effects, share, strict=True):
+        rivals.append(Rivals(h.cause.name, max(e.gain for e in near if e.has(h.cause)), (), part))
+        instead = [n for e in near if h.cause.name not in e.names for n in e.names if n not in chosen.names]
+        pairs += [(h.cause.name, n) for n in dict.fromkeys(instead)]
+    rms = float(np.sqrt(max(_removed(problem, base, chosen.fit), 0.0)))
+    told = f"{_told(chosen.names)}: {rms:.2g} N·m RMS of the simulation's error, also where their fit has not been"
+    return _Step(chosen.fit, tuple(rivals), (*decisions, *_decisions(problem, base, chosen, told, True)), tuple(pairs))
+
+
+def _explanations(
+    problem: Problem,
+    fitter: Fitter,
+    base: Fit,
+    library: Library,
+    hypotheses: Sequence[Hypothesis],
+    settings: SearchSettings,
+) -> list[_Explanation]:
+    """Causes beside those of a fit, alone and in pairs, with derivatives of their own."""
+    screened = screen(problem, base, library, settings.screen)
+    alone = {_key(s.hypothesis): s.gain for s in screened}
+    singles: list[_Explanation] = []
+    for f in finalists_of(problem, fitter, base, screened, settings.accept):
+        fit = fitter.fit(f.fit.model, f.fit.theta, None, settings.calibrate.iterations)
+        alone[_key(fit.model[-1])] = gain = fit.log_evidence - base.log_evidence
+        singles.append(_Explanation(fit, fit.model[-1:], gain, 0.0, _numbers(problem, fit.model[-1:])))
+    pairs: dict[frozenset[tuple], _Explanation] = {}
+    for one in singles:
+        rest = Library(problem, one.fit, others_than(problem, hypotheses, one.fit.model), settings.screen.coarse_probe)
+        for g in finalists_of(
+            problem, fitter, one.fit, screen(problem, one.fit, rest, settings.screen), settings.accept
+        ):
+            effects = g.fit.model[-2:]
+            key = frozenset(map(_key, effects))
+            if key not in pairs:
+                fit = fitter.fit(g.fit.model, g.fit.theta, None, settings.calibrate.iterations)
+                best = max(alone.get(_key(h), 0.0) for h in effects)
+                gain = fit.log_evidence - base.log_evidence
+                pairs[key] = _Explanation(fit, effects, gain, best, _numbers(problem, effects))
+    return [*singles, *pairs.values()]
+
+
+def _numbers(problem: Problem, effects: Sequence[Hypothesis]) -> int:
+    """Numbers that effects set free, and one more for each that changes a number of the description."""
+    free = 0
+    for h in effects:
+        before = problem.calibration.record(np.zeros(problem.calibration.size), problem.mountings[0])[0]
+        after = before.copy()
+        h.cause.apply(after, h.values(np.full(h.size, 0.5)))
+        free += h.size + any(np.any((before[n] != 0) & (before[n] != after[n])) for n in before.dtype.names or ())
+    return free
+
+
+def _key(h: Hypothesis) -> tuple:
+    return (h.cause.name, *sorted(h.fixed.items()))
+
+
+def _margin(gain: float, settings: SearchSettings) -> float:
+    """Log evidence by which explanations must differ to be told apart."""
+    return max(settings.accept.threshold, settings.accept.general * gain)
+
+
+def _objection_beside(
+    problem: Problem, base: Fit, e: _Explanation, settings: SearchSettings, accept: DescribedSettings
+) -> str:
+    """Why an explanation beside the first cause is not accepted; empty where it is."""
+    if e.gain < e.alone + _margin(e.gain, settings):
+        return f"adds {e.gain - e.alone:.1f} to the log evidence of one of them alone, needs {_margin(e.gain, settings):.1f}"
+    before, after = unexplained(problem, base.point), unexplained(problem, e.fit.point)
+    if after.sum() > (1 - accept.beside) * before.sum():
+        return f"takes {100 * (1 - after.sum() / before.sum()):.0f} % of the mean square, must take {100 * accept.beside:.0f} %"
+    if np.any(after > accept.worse * before + 0.01 * before.sum()):
+        return "makes another balance worse"
+    regions = held_out_regions(problem, e.fit, described=base.point.residual)
+    if not regions:
+        return "too little motion to keep a region of it from the fit"
+    worst, mean = max(r.ratio for r in regions), mean_ratio(regions)
+    if worst > accept.worst or mean > accept.mean_beside:
+        return (
+            f"has up to {worst:.1f} times the error without it where its fit has not been, {mean:.2f} times in the mean"
+        )
+    return ""
+
+
+def _told(names: Sequence[str]) -> str:
+    return " and ".join(name.replace("_", " ") for name in names)
+
+
+def _removed(problem: Problem, base: Fit, f: Fit) -> float:
+    return float(np.sum(unexplained(problem, base.point)) - np.sum(unexplained(problem, f.point)))
+
+
+def _decisions(problem: Problem, base: Fit, e: _Explanation, reason: str, taken: bool = False) -> list[Decision]:
+    """One decision for each cause of an explanation."""
+    rms, n = float(np.sqrt(max(_removed(problem, base, e.fit), 0.0))), len(e.fit.model)
+    beside = f"with {_told(e.names)}: " if len(e.effects) > 1 and not taken else ""
+    return [
+        Decision(
+            "described", h.cause.name, h.fixed, e.gain, rms, size_of(problem, e.fit, n - len(e.effects) + i), True, taken,
+            beside + reason,
+        )
+        for i, h in enumerate(e.effects)
+    ]  # fmt: skip
 
 
 def _decision(problem: Problem, f: Finalist, found: Fit, reason: str, taken: bool = False) -> Decision:

@@ -133,11 +133,13 @@ class Rivals:
       cause: its name.
       gain: log evidence that it added.
       others: name and gain, at the same place, of causes that are not needed any more with it.
+      share: of the explanations between which the evidence does not decide, those that have it.
     """
 
     cause: str
     gain: float
     others: tuple[tuple[str, float], ...]
+    share: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -309,7 +311,7 @@ def search(
         coarse = not at.model and quiet >= settings.screen.quiet
         probe = settings.screen.coarse_probe if coarse else settings.screen.probe
         progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
-        library = Library(problem, at, others_than(hypotheses, at.model), probe)
+        library = Library(problem, at, others_than(problem, hypotheses, at.model), probe)
         if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
             break  # what is left is small, or no cause of the library explains it: the linear model serves
         screened = screen(problem, at, library, settings.screen)
@@ -385,15 +387,15 @@ def _gains(screened: Sequence[Screened]) -> dict[str, float]:
     return gains
 
 
-def others_than(hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothesis]:
-    """Hypotheses that a model does not have already: of causes that add, those with other whole numbers."""
+def others_than(problem: Problem, hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothesis]:
+    """Hypotheses that a model has room for and not already: of causes that add, those with other whole numbers."""
 
     def repeats(h: Hypothesis) -> bool:
         return any(
             o.cause.name == h.cause.name and (not h.cause.adds or o.fixed == h.fixed or not h.fixed) for o in model
         )
 
-    return [h for h in hypotheses if not repeats(h)]
+    return [h for h in hypotheses if not repeats(h) and problem.has_room(model, h)]
 
 
 def _first(
@@ -565,7 +567,7 @@ def _select(
         before = (best, _gains([s for s in screened if s.removed > settings.alike * best.removed]))
         chosen.append(best)
         here = _with(problem, here, rest, best)
-        rest = rest.keeping(others_than(rest.hypotheses, (best.hypothesis,)))
+        rest = rest.keeping(others_than(problem, rest.hypotheses, here.model))
     return chosen, [*decisions, *seen.values()], rivals
 
 

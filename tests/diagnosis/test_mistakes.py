@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from benchmarks.mistakes import Hidden, hidden_mistakes, hide
 from flexspline import commands
 from flexspline.diagnosis.data.mistakes import find_mistakes, mended
+from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, Recording, read_measurement, write_recording
@@ -75,6 +76,13 @@ def test_a_link_encoder_late_by_an_ordinary_delay_is_a_cause_and_no_mistake():
         late = np.interp(r.time - seconds, r.time, r["link_position"])
         one = measurement(replace(r, columns={**r.columns, "link_position": late}))
         assert find_mistakes(one, JOINT) == ()
+
+
+def test_a_stop_that_the_link_leans_on_is_no_zero_of_the_angle_elsewhere():
+    """It pulls the best direction of gravity aside, by less than any mistake would."""
+    hidden = draw(Challenge(seed=203, hidden="two", real=True), 5)
+    assert "hard_stop" in [e.name for e in hidden.effects]
+    assert find_mistakes(hidden.measurement, hidden.nominal) == ()
 
 
 def test_a_mistake_in_one_recording_is_named_there():

@@ -197,18 +197,17 @@ def test_two_of_a_kind_stand_beside_each_other():
     record = JOINT.record()
     for order in (3.0, 5.0):
         causes.get("cogging").apply(record[0], {"order": order, "amplitude": 5e-3, "phase": 0.1})
-    assert record[0]["cogging_order"].tolist() == [3.0, 5.0, 0.0]
+    assert record[0]["cogging_order"].tolist()[:3] == [3.0, 5.0, 0.0]
     causes.get("cogging").apply(record[0], {"order": 3.0, "amplitude": 5e-3, "phase": 0.1 + np.pi / 2})
-    assert record[0]["cogging_order"].tolist() == [3.0, 5.0, 0.0]  # the same order, as a vector
+    assert record[0]["cogging_order"].tolist()[:3] == [3.0, 5.0, 0.0]  # the same order, as a vector
     assert record[0]["cogging_amplitude"][0] == pytest.approx(5e-3 * np.sqrt(2))
     assert record[0]["cogging_phase"][0] == pytest.approx(0.1 + np.pi / 4)
 
 
-@pytest.mark.parametrize("name, places", [("cogging", 3), ("position_dependent_friction", 3), ("kinematic_error", 8),
-                                          ("link_encoder_error", 3)])  # fmt: skip
-def test_more_orders_than_a_joint_may_have_are_one_line(name, places):
+@pytest.mark.parametrize("name", ["cogging", "position_dependent_friction", "kinematic_error", "link_encoder_error"])
+def test_more_orders_than_a_joint_may_have_are_one_line(name):
     record = JOINT.record()
-    with pytest.raises(InputError, match=f"expected at most {places} orders of .*, got one more"):
+    with pytest.raises(InputError, match="expected at most 8 orders of .*, got one more"):
         for order in range(5, 20):
             causes.get(name).apply(record[0], {"order": float(order), "amplitude": 1e-4, "phase": 0.1})
 

@@ -38,9 +38,9 @@ def with_everything(rng) -> np.ndarray:
     p["friction_temperature"], p["reference_temperature"] = rng.uniform(-0.02, 0.02), 22.0
     p["cable_stiffness"], p["cable_rest"], p["stop_angle"], p["stop_stiffness"] = 1.2, 0.3, 0.1, 30.0
     for group, orders, size in (("cogging", [2, 7, 13], 5e-3), ("friction", [1, 2, 3], 1e-3)):
-        p[f"{group}_order"] = orders
-        p[f"{group}_amplitude"] = rng.uniform(0.1 * size, size, 3)
-        p[f"{group}_phase"] = rng.uniform(-3, 3, 3)
+        p[f"{group}_order"][:3] = orders
+        p[f"{group}_amplitude"][:3] = rng.uniform(0.1 * size, size, 3)
+        p[f"{group}_phase"][:3] = rng.uniform(-3, 3, 3)
     put_discrepancies(p, rng, ("rotor", "mesh", "flexspline", "link"), 0.02)
     return record
 
@@ -175,8 +175,8 @@ def test_actual_values_invert_readings(rng):
         p = record[0]
         p["motor_eccentricity"], p["motor_eccentricity_phase"] = 1e-3, rng.uniform(-3, 3)
         p["link_zero"] = 1e-3 * rng.standard_normal()
-        p["link_error_order"], p["link_error_amplitude"] = [1, 2, 3], [4e-4, 2e-4, 1e-4]
-        p["link_error_phase"] = rng.uniform(-3, 3, 3)
+        p["link_error_order"][:3], p["link_error_amplitude"][:3] = [1, 2, 3], [4e-4, 2e-4, 1e-4]
+        p["link_error_phase"][:3] = rng.uniform(-3, 3, 3)
         p["current_offset"], p["Kt_drive"] = 0.1, 0.055
         p["torque_gain"], p["torque_offset"], p["torque_rate"] = 1.15, 0.3, -0.03
         put_discrepancies(p, rng, ("joint_torque", "link_position", "motor_current"), 1e-4)

@@ -218,8 +218,8 @@ def effect(name, **values):
     [
         ([effect("backlash", width=3e-4), effect("stiffness", scale=0.8), effect("backlash", width=2e-4)],
          "effects.2: backlash stands twice"),
-        ([effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in (2, 3, 4, 5)],
-         "expected at most 3 orders of cogging, got one more"),
+        ([effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in range(2, 11)],
+         "expected at most 8 orders of cogging, got one more"),
         ([effect("stiffness", scale=1.1)] * 1000, "effects: expected List should have at most 32 items"),
         ([effect("link_inertia", scale=20.0)] * 32, None),
     ],
@@ -240,7 +240,7 @@ def test_effects_that_add_may_stand_beside_each_other():
     data["effects"] += [effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in (2, 3, 4)]
     p = as_joint(data, Path("a.yaml")).record()[0]
     assert p["Mg"] == pytest.approx(9.0 * 1.1 * 1.2)
-    assert p["cogging_order"].tolist() == [2, 3, 4]
+    assert p["cogging_order"].tolist()[:4] == [2, 3, 4, 0]
 
 
 @pytest.mark.parametrize(

@@ -92,6 +92,24 @@ def test_a_changed_law_is_compiled_anew_wherever_it_is_used(house):
     assert (values, digests, misses) == ("7.0 1.5", [user, other], [0, 0])
 
 
+EDITED = """
+from pathlib import Path
+from house import law
+Path(law.__file__).write_text(Path(law.__file__).read_text().replace("2.0", "5.0"), encoding="utf-8")
+from house import user
+print(user.plus_one(3.0))
+"""
+
+
+def test_a_law_edited_while_a_process_runs_is_compiled_for_that_process_alone(house):
+    """What it holds in memory is not what its file says, and must not be kept under the file's name."""
+    done = subprocess.run(
+        [sys.executable, "-c", EDITED], cwd=house.package.parent, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["7.0"]
+    assert house()[0] == "16.0 1.5"
+
+
 def test_old_caches_are_forgotten(tmp_path):
     """The latest four of a module's earlier states stay, and what is another module's."""
     for i in range(9):
