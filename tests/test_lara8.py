@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -132,7 +133,10 @@ def test_diagnosis_extends_a_joint_with_a_gravity_angle(recording, tmp_path):
     assert answer.verdict in ("consistent", "discrepancy", "inconclusive")
     assert json.loads(json.dumps(answer.to_json()))["verdict"] == answer.verdict
     # What does worse than the description where no fit has been is not written: the numbers of the fit all the same.
-    for i, found in enumerate((answer.extended, calibrated(answer.problem, answer.final, joint))):
+    assert answer.extended.gravity_angle == joint.gravity_angle  # as described
+    free = copy(answer.problem)
+    free.held = np.zeros_like(free.held)
+    for i, found in enumerate((answer.extended, calibrated(free, answer.final, joint))):
         found.write(tmp_path / f"{i}.yaml")
         assert load_joint(tmp_path / f"{i}.yaml").gravity_angle == found.gravity_angle is not None
     assert found.gravity_angle.nominal == joint.gravity_angle.value

@@ -20,7 +20,7 @@ def test_no_order_is_tried_that_the_joint_has_no_room_for():
     def order(n: int) -> dict:
         return {"order": {"value": n}, "amplitude": {"value": 1e-5}, "phase": {"value": 0.3}}
 
-    effects = [{"name": "cogging", "parameters": order(10 + n)} for n in range(N_ORDERS - 1)]
+    effects = [{"name": "cogging", "parameters": order(40 + n)} for n in range(N_ORDERS - 1)]
     joint = as_joint(load_joint("test-joint").model_dump() | {"effects": effects}, Path("full.yaml"))
     problem = Problem(*segments([recording(seconds=3.0)], joint), joint)
     record = problem.calibration.record(np.zeros(problem.calibration.size))

@@ -207,7 +207,7 @@ def test_two_of_a_kind_stand_beside_each_other():
 @pytest.mark.parametrize("name", ["cogging", "position_dependent_friction", "kinematic_error", "link_encoder_error"])
 def test_more_orders_than_a_joint_may_have_are_one_line(name):
     record = JOINT.record()
-    with pytest.raises(InputError, match="expected at most 8 orders of .*, got one more"):
+    with pytest.raises(InputError, match=r"expected at most 8 orders of .*, got one more"):
         for order in range(5, 20):
             causes.get(name).apply(record[0], {"order": float(order), "amplitude": 1e-4, "phase": 0.1})
 
