@@ -28,6 +28,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..models.errors import InputError
 from ..models.kernels import kernel
@@ -44,7 +45,7 @@ BANDWIDTH = 20.0
 _FINE = 1e-2  # of the estimators' difference steps
 
 
-def posterior_information(F, Q, H, R, J0) -> np.ndarray:
+def posterior_information(F: ArrayLike, Q: ArrayLike, H: ArrayLike, R: ArrayLike, J0: ArrayLike) -> np.ndarray:
     """Return the information J, shape (T, n, n), of the recursion in the module; J⁻¹ bounds the error covariance.
 
     Args:

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..models import dynamics, laws
 from ..models.dynamics import State
@@ -218,7 +219,9 @@ class Compliance:
     torque: np.ndarray
 
 
-def compliance(motor_position, link_position, motor_torque, calibration: np.ndarray) -> Compliance:
+def compliance(
+    motor_position: ArrayLike, link_position: ArrayLike, motor_torque: ArrayLike, calibration: np.ndarray
+) -> Compliance:
     """Evaluate the compliance model over arrays of readings.
 
     Args:

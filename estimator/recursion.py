@@ -11,6 +11,7 @@ and RAREKF let P grow without bound and end in `FilterDiverged`.
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -153,7 +154,19 @@ def run(y, settings, history):
     return len(y), OK
 
 
-def vector_update(f, x, y_predicted, y, F, H, W, V, L, load_index, c):
+def vector_update(
+    f: dict[str, Any],
+    x: np.ndarray,
+    y_predicted: np.ndarray,
+    y: np.ndarray,
+    F: np.ndarray,
+    H: np.ndarray,
+    W: np.ndarray,
+    V: np.ndarray,
+    L: np.ndarray,
+    load_index: int,
+    c: np.void,
+) -> dict[str, Any] | int:
     """One step of the recursion for n states and m measurements, from a predicted state and measurement.
 
     Args:

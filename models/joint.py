@@ -13,6 +13,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_valid
 
 from . import causes, units
 from .errors import InputError, InputWarning, is_there, nearest
+from .faults import contradictions
 from .files import Line, Strict, load, write_into_place, yaml_text
 from .mjcf import mjcf_files
 from .notebook import html_table, paragraph
@@ -703,7 +704,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
       InputError: no such joint, or a description that is wrong; one line.
 
     Warns:
-      InputWarning: numbers that contradict each other (`joint_check`), a line each.
+      InputWarning: numbers that contradict each other (`faults`), a line each.
     """
     known = known_joints()
     name = str(source).replace("_", "-")
@@ -720,10 +721,11 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     if not joint.mjcf.is_file():
         raise InputError(f"{path}: model: expected an MJCF file, no such file {joint.model!r}")
     if name not in known:
-        from .joint_check import contradictions
-
-        for problem in contradictions(joint):
-            warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
+        value = {symbol: number.value for symbol, number in joint.numbers.items()}
+        fitted = {symbol for symbol, number in joint.numbers.items() if number.nominal is not None}
+        for problem in contradictions(value, fitted):
+            if problem.severity == "error":
+                warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
     return joint
 
 

@@ -10,12 +10,13 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from . import causes
 from .errors import InputError
+from .faults import Fault, Severity, contradictions
 from .files import descriptions, read_yaml, shown
 from .joint import SYMBOLS, Effect, Joint, Mounting, Number, known_joints, load_joint, number_faults
 from .mjcf import check_mjcf
@@ -28,17 +29,6 @@ MADE: dict[str, tuple[float, float]] = {
 }  # fmt: skip
 """Smallest and largest value of what makers make, in the numbers' units: catalogues of gears of sizes 8 to 65 and ratios 30 to
 320, of motors from 20 W to 2 kW; of friction, starting torques."""
-
-Severity = Literal["error", "warning"]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """One thing that is wrong: how badly, where in the file, what was expected and what came."""
-
-    severity: Severity
-    field: str
-    message: str
 
 
 @dataclass(frozen=True)
@@ -88,13 +78,6 @@ def check(source: str | Path) -> Checked:
     if joint is not None and not faults:
         found += list(_odd(joint))
     return Checked(path, joint if not faults else None, tuple(sorted(found, key=lambda p: p.severity != "error")))
-
-
-def contradictions(joint: Joint) -> list[Fault]:
-    """The numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static friction."""
-    value = {symbol: number.value for symbol, number in joint.numbers.items()}
-    fitted = {symbol for symbol, number in joint.numbers.items() if number.nominal is not None}
-    return [problem for problem in _contradictions(value, fitted) if problem.severity == "error"]
 
 
 def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
@@ -156,7 +139,7 @@ def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting
     """What numbers and mountings say that no joint does, or few do; as far as they can be read."""
     value = {symbol: number.value for symbol, number in numbers.items() if number.value > 0}
     fitted = {symbol for symbol, number in numbers.items() if number.nominal is not None}
-    yield from _contradictions(value, fitted)
+    yield from contradictions(value, fitted)
     for symbol, (low, high) in MADE.items():
         if symbol in value and not low <= value[symbol] <= high:
             made = f"{low:g} to {high:g} {SYMBOLS[symbol][0]}".removesuffix(" 1")
@@ -164,22 +147,6 @@ def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting
     yield from _proportions(value)
     for name, mounting in mountings.items():
         yield from _mounting(name, mounting, value)
-
-
-def _contradictions(value: Mapping[str, float], fitted: set[str]) -> Iterator[Fault]:
-    """Numbers that contradict each other. Fitted ones may cross: each is as the data have it."""
-
-    def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Fault]:
-        if small in value and large in value and value[small] > value[large]:
-            unit = SYMBOLS[large][0]
-            worst: Severity = "warning" if {small, large} & fitted else severity
-            text = f"expected {large} ≥ {small} = {value[small]:g} {unit}, {why}, got {value[large]:g}"
-            yield Fault(worst, f"numbers.{large}", text)
-
-    yield from ordered("K1", "K3", "a strain wave gear stiffens with torque")
-    yield from ordered("K1", "K2", "a strain wave gear stiffens with torque", "warning")
-    yield from ordered("K2", "K3", "a strain wave gear stiffens with torque", "warning")
-    yield from ordered("Fc", "Fs", "static friction is no less than Coulomb friction")
 
 
 def _odd_value(field: str, expected: str, got: float) -> Fault:

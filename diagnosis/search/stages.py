@@ -104,7 +104,7 @@ class Decision:
     """What became of one hypothesis at one stage.
 
     Attributes:
-      stage: `fit`, `select` or `settle`, with the number of causes that were in the model.
+      stage: `fit`, `select` (with the number of causes that were in the model), `settle` or `described`.
       cause, fixed: its name and its whole-number parameters.
       gain: log evidence that it adds.
       worth: root mean square of the simulation's error that it removes [N·m at the output].

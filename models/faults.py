@@ -1,0 +1,41 @@
+"""What can be wrong with a joint's numbers, whoever reads them: a fault, and numbers that contradict each other."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+Severity = Literal["error", "warning"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One thing that is wrong: how badly, where in the file, what was expected and what came."""
+
+    severity: Severity
+    field: str
+    message: str
+
+
+_UNITS = {"K2": "N·m/rad", "K3": "N·m/rad", "Fs": "N·m"}
+
+
+def contradictions(value: Mapping[str, float], fitted: Collection[str]) -> Iterator[Fault]:
+    """Numbers of a joint that contradict each other: a gear that softens with torque, Coulomb above static friction.
+
+    Args:
+      value: by symbol, in the units of the specification.
+      fitted: symbols of those that come from a fit. They may cross: each is as the data have it.
+    """
+
+    def ordered(small: str, large: str, why: str, severity: Severity = "error") -> Iterator[Fault]:
+        if small in value and large in value and value[small] > value[large]:
+            worst: Severity = "warning" if {small, large} & set(fitted) else severity
+            text = f"expected {large} ≥ {small} = {value[small]:g} {_UNITS[large]}, {why}, got {value[large]:g}"
+            yield Fault(worst, f"numbers.{large}", text)
+
+    yield from ordered("K1", "K3", "a strain wave gear stiffens with torque")
+    yield from ordered("K1", "K2", "a strain wave gear stiffens with torque", "warning")
+    yield from ordered("K2", "K3", "a strain wave gear stiffens with torque", "warning")
+    yield from ordered("Fc", "Fs", "static friction is no less than Coulomb friction")
