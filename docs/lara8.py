@@ -192,11 +192,15 @@ def mirrored(recording: Recording, joint: Joint, share: float, payload: float = 
     return replace(recording, time=np.r_[t, time], columns=columns), np.r_[np.zeros(len(t), bool), v > 0.05]
 
 
+SHARES = (("as much", 1.0), ("half as much", 0.5), ("none", 0.0), ("a wrong gain instead", -1.0))
+"""Of the load-dependent friction that may act when the load drives the motor (`mirrored`)."""
+
+
 def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
     """RMS [N·m] at q > 0 under assumed truths: the whole sweep estimated, and the second half alone."""
     joint = extend(recording, load_joint(recording.joint))
     rows = []
-    for name, share in (("as much", 1.0), ("half as much", 0.5), ("none", 0.0), ("a wrong gain instead", -1.0)):
+    for name, share in SHARES:
         whole, test = mirrored(recording, joint, share)
         n = len(recording.time)
         second = taken(whole, np.arange(len(whole.time)) >= n)
@@ -207,6 +211,24 @@ def assumed(recording: Recording) -> list[tuple[str, list[float]]]:
             values += [float(np.sqrt(np.mean(e**2))) for e in errors]
         rows.append((name, values))
     return rows
+
+
+def diagnosed_whole(recording: Recording) -> Iterator[tuple[str, Diagnosis, list[list[float]]]]:
+    """What `flexspline diagnose` makes of the whole sweep under assumed truths.
+
+    RMS [N·m] at q > 0 with the nominal joint, with the one that it wrote from the outbound half alone, and with this one.
+    """
+    nominal = load_joint(recording.joint)
+    by_hand = extend(recording, nominal)
+    outbound = diagnose(Measurement("outbound", Path(), (recording,)), nominal).extended
+    for name, share in SHARES:
+        whole, where = mirrored(recording, by_hand, share)
+        answer = diagnose(Measurement("whole", Path(), (whole,)), nominal)
+        rows = []
+        for joint in (nominal, outbound, answer.extended):
+            found = estimate_recording(whole, joint, DIAGNOSED).external_torque
+            rows.append([float(np.sqrt(np.mean((found[e] - whole["external_torque"])[where] ** 2))) for e in DIAGNOSED])
+        yield name, answer, rows
 
 
 def figures(recording: Recording, path: Path, folder: Path) -> None:
@@ -293,6 +315,15 @@ def main() -> None:
         causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
         print(f"| {name} | {causes} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
         print("| … the nominal joint | | " + " | ".join(f"{v:.2f}" for v in nominal) + " |")
+    print()
+    print("| friction when the load drives | joint | found | " + " | ".join(DIAGNOSED) + " |")
+    print("|---" * (len(DIAGNOSED) + 3) + "|")
+    for name, answer, rows in diagnosed_whole(recording):
+        causes = ", ".join(f"{c.name} ({c.confidence:.2f})" for c in answer.causes) or answer.verdict
+        for what, said, values in zip(
+            ("nominal", "from the outbound half", "from the whole sweep"), ("", "", causes), rows, strict=True
+        ):
+            print(f"| {name} | {what} | {said} | " + " | ".join(f"{v:.2f}" for v in values) + " |")
     print()
     folder = HERE / "figures"
     folder.mkdir(exist_ok=True)
