@@ -141,13 +141,22 @@ def _load(name: str, folder: str = "") -> Any:
 
 
 def _home(value: Any) -> Any:
-    """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; anything else as it is."""
+    """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; anything else as it is.
+
+    Raises:
+      InputError: no home folder, or a link that leads to itself.
+    """
     if not isinstance(value, Path):
         return value
     try:
-        return value.expanduser()
+        found = value.expanduser()
     except RuntimeError as error:
         raise InputError(f"{value}: expected a home folder for ~, found none") from error
+    try:
+        found.resolve()
+    except (RuntimeError, OSError) as error:  # of links that lead to each other; Python 3.13 says nothing
+        raise InputError(f"{value}: expected a file or folder, got a link that leads to itself") from error
+    return found
 
 
 def main() -> None:
@@ -219,7 +228,9 @@ def _notice(
         return
     from rich.console import Console
 
-    Console(stderr=True, soft_wrap=True).print(f"flexspline: {message}", style="yellow", markup=False, highlight=False)
+    Console(stderr=True, soft_wrap=True, emoji=False).print(
+        f"flexspline: {message}", style="yellow", markup=False, highlight=False
+    )
 
 
 def _end(number: int, frame: Any) -> None:
@@ -239,5 +250,7 @@ def _leave(code: Any) -> NoReturn:
 def _refuse(error: Exception) -> NoReturn:
     from rich.console import Console
 
-    Console(stderr=True, soft_wrap=True).print(f"flexspline: {error}", style="red", markup=False, highlight=False)
+    Console(stderr=True, soft_wrap=True, emoji=False).print(
+        f"flexspline: {error}", style="red", markup=False, highlight=False
+    )
     sys.exit(2)

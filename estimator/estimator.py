@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
@@ -27,6 +27,11 @@ from ..models.signals import SENSED, Signals
 from ..models.step import SAMPLE, CompiledStep, Step
 from .errors import FilterDiverged
 from .tuning_parameters import TuningParameter
+
+BLOCK = 1 << 16
+"""Samples of a long recording that an estimator reads at a time."""
+_TORQUES = frozenset({"torque", "variance", "external_torque"})
+"""Outputs that are estimates of torques, or say how good these are."""
 
 
 @dataclass(frozen=True)
@@ -266,6 +271,10 @@ class Estimator(ABC):
           InputError: a channel that is missing. FilterDiverged: the next estimate would not be finite.
         """
 
+    def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        """As `estimate`, to the bit, but for what is needed of long recordings alone: mean, variance and external torque."""
+        return self.estimate(signals, joint)
+
     def scaled(self, joint: KnownJoint, interval: float) -> Estimator:
         """The same estimator for a joint whose samples are `interval` [s] apart.
 
@@ -314,17 +323,31 @@ class CausalEstimator(Estimator):
         )
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        samples = as_samples(signals, self.needs, joint)
-        out, failed, status = run_step(self.step(joint, sample_interval(signals)), samples)
-        if failed < len(samples):
-            last = out[max(failed - 1, 0)]
-            raise FilterDiverged(self.name, failed, float(signals.time[failed]), self.reason(status, last))
-        return self.posterior(signals.time, out)
+        return self.posterior(signals.time, self._columns(signals, joint, self.outputs))
 
-    def posterior(self, time: np.ndarray, out: np.ndarray) -> Posterior:
-        """Outputs, shape (n, len(outputs)), as a posterior."""
-        column = {name: out[:, i].copy() for i, name in enumerate(self.outputs)}
-        variances = [n for n in self.outputs if n.startswith("innovation_variance")]
+    def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        return self.posterior(signals.time, self._columns(signals, joint, _TORQUES.intersection(self.outputs)))
+
+    def _columns(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> dict[str, np.ndarray]:
+        """Some of the outputs over signals by name, shape (n,) each, computed block by block."""
+        arrays = self.step(joint, sample_interval(signals)).arrays()
+        column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
+        before = None
+        for part, samples in sample_blocks(signals, self.needs, joint):
+            out, failed, status = _over(arrays, samples)
+            if failed < len(samples):
+                last = out[failed - 1] if failed or before is None else before
+                k = part.start + failed
+                raise FilterDiverged(self.name, k, float(signals.time[k]), self.reason(status, last))
+            for i, name in enumerate(self.outputs):
+                if name in column:
+                    column[name][part] = out[:, i]
+            before = out[-1]
+        return column
+
+    def posterior(self, time: np.ndarray, column: Mapping[str, np.ndarray]) -> Posterior:
+        """Outputs by name, shape (n,) each, as a posterior."""
+        variances = [n for n in column if n.startswith("innovation_variance")]
         innovations = [n.replace("innovation_variance", "innovation") for n in variances]
         e = np.column_stack([column[n] for n in innovations]) if innovations else None
         S = None
@@ -360,20 +383,40 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> n
     # Signals do not change, and every estimator reads the same of them.
     made: dict[float | None, np.ndarray] = signals.__dict__.setdefault("_samples", {})
     if joint.start not in made:
-        made[joint.start] = _samples(signals, joint)
+        made[joint.start] = _samples(signals, joint, slice(0, len(signals.time)))
     return made[joint.start]
 
 
-def _samples(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    time = signals.time
-    found = np.full(len(time), np.nan, SAMPLE)
-    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
+def sample_blocks(
+    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, block: int | None = None
+) -> Iterator[tuple[slice, np.ndarray]]:
+    """Parts of signals with their records, as `as_samples` makes them: all at once, or of long ones block after block.
+
+    Raises:
+      InputError: a channel of `needs` that is missing.
+    """
+    n, block = len(signals.time), BLOCK if block is None else block
+    if n <= block:
+        yield slice(0, n), as_samples(signals, needs, joint)
+        return
+    for name in needs:
+        signals[name]
+    for begin in range(0, n, block):
+        part = slice(begin, min(begin + block, n))
+        yield part, _samples(signals, joint, part)
+
+
+def _samples(signals: Signals, joint: KnownJoint, part: slice) -> np.ndarray:
+    time, before = signals.time, max(part.start - 1, 0)
+    start = time[0] if joint.start is None else joint.start
+    found = np.full(part.stop - part.start, np.nan, SAMPLE)
+    found["time"], found["interval"] = time[part] - start, np.diff(time[part], prepend=time[before])
     for name in SENSED:
         if name in signals and name != "joint_torque":
-            found[name] = signals[name]
+            found[name] = signals[name][part]
     if "current_command" in signals:
         command = signals["current_command"]
-        found["current_command"] = np.r_[0.0, command[:-1]]
+        found["current_command"] = np.r_[command[before] if part.start else 0.0, command[part][:-1]]
     found.flags.writeable = False
     return found
 
@@ -384,7 +427,12 @@ def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, 
     Returns:
       Its outputs, shape (n, outputs); the sample at which it failed and its status, (n, 0) where it did not.
     """
-    address, memory, record, settings, out = step.arrays()
+    return _over(step.arrays(), samples)
+
+
+def _over(arrays: Sequence[Any], samples: np.ndarray) -> tuple[np.ndarray, int, int]:
+    """As `run_step`, from where the memory of `CompiledStep.arrays` stands; it is moved on."""
+    address, memory, record, settings, out = arrays
     history = np.zeros((len(samples), len(out)))
     failed, status = _run(address, memory, samples, record, settings, history)
     return history, int(failed), int(status)

@@ -13,7 +13,7 @@ import pytest
 from known_effects import JOINT, MOUNTING
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
-from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, run_step
+from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, run_step, sample_blocks
 from flexspline.estimator.tuning_parameters import value_of, with_values
 from flexspline.models import plugins
 from flexspline.models.errors import InputError
@@ -142,6 +142,26 @@ def test_samples(known, signals):
     assert np.array_equal(found["current_command"], np.r_[0.0, signals["current_command"][:-1]])
     assert np.isnan(found["joint_torque"]).all() and np.isnan(found["temperature"]).all()
     assert np.isnan(as_samples(signals.without("current_command"), (), known)["current_command"]).all()
+
+
+def test_a_long_recording_is_read_in_blocks_without_a_difference(known, signals, monkeypatch):
+    """Records as of the whole, a command that counts from the next sample on at every seam, and all outputs of the filters."""
+    whole = as_samples(signals, (), known)
+    parts = list(sample_blocks(signals, (), known, 333))
+    assert [p.start for p, _ in parts] == list(range(0, 2000, 333)) and parts[-1][0].stop == 2000
+    assert np.concatenate([samples for _, samples in parts]).tobytes() == whole.tobytes()
+    monkeypatch.setattr("flexspline.estimator.estimator.BLOCK", 333)
+    for name in ("EKF", "current", "momentum_torsion"):
+        one = registry.get(name)
+        out, failed, _ = run_step(one.step(known, 1e-3), whole)
+        assert failed == 2000
+        found, torques = one.estimate(signals, known), one.torques(signals, known)
+        assert np.array_equal(found.mean, out[:, 0]) and np.array_equal(torques.mean, out[:, 0])
+        assert not torques.columns and torques.innovation is None
+        if found.variance is not None:
+            assert np.array_equal(torques.variance, found.variance)
+    with pytest.raises(FilterDiverged, match=r"'plain' diverged at step 700, t = 0\.7 s"):
+        Plain(fails_at=700).torques(signals, known)
 
 
 def test_known_joint_says_how_well(known):
