@@ -144,7 +144,7 @@ def _home(value: Any) -> Any:
     """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; anything else as it is.
 
     Raises:
-      InputError: no home folder, or a link that leads to itself.
+      InputError: no home folder, a name that is not UTF-8, a link that leads to itself.
     """
     if not isinstance(value, Path):
         return value
@@ -152,6 +152,12 @@ def _home(value: Any) -> Any:
         found = value.expanduser()
     except RuntimeError as error:
         raise InputError(f"{value}: expected a home folder for ~, found none") from error
+    try:
+        str(found).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{str(found).encode(errors='replace').decode()}: expected a name in UTF-8, got one that LC_ALL=C.UTF-8 would show"
+        ) from error
     try:
         found.resolve()
     except (RuntimeError, OSError) as error:  # of links that lead to each other; Python 3.13 says nothing

@@ -174,3 +174,12 @@ def test_a_link_that_leads_to_itself_is_one_line(flexspline, tmp_path):
 def test_words_between_colons_are_no_pictures(flexspline, tmp_path):
     code, _, err = flexspline("check", tmp_path / "a:x:b")
     assert code == 2 and "a:x:b: expected a recording" in err
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_change_nothing_but_what_is_said(tmp_path, closed):
+    for words, code in ((["causes"], 0), (["check", "nowhere"], 2)):
+        done = subprocess.run(
+            ["sh", "-c", f'exec "$@" {closed}', "sh", *PROGRAM, *words], capture_output=True, timeout=60
+        )
+        assert done.returncode == code and b"Traceback" not in done.stderr, done
