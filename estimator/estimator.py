@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
@@ -334,7 +334,8 @@ class CausalEstimator(Estimator):
         column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
         before = None
         for part, samples in sample_blocks(signals, self.needs, joint):
-            out, failed, status = _over(arrays, samples)
+            out = np.zeros((len(samples), len(self.outputs)))
+            failed, status = go_on(arrays, samples, out)
             if failed < len(samples):
                 last = out[failed - 1] if failed or before is None else before
                 k = part.start + failed
@@ -407,18 +408,32 @@ def sample_blocks(
 
 
 def _samples(signals: Signals, joint: KnownJoint, part: slice) -> np.ndarray:
-    time, before = signals.time, max(part.start - 1, 0)
-    start = time[0] if joint.start is None else joint.start
-    found = np.full(part.stop - part.start, np.nan, SAMPLE)
-    found["time"], found["interval"] = time[part] - start, np.diff(time[part], prepend=time[before])
-    for name in SENSED:
-        if name in signals and name != "joint_torque":
-            found[name] = signals[name][part]
-    if "current_command" in signals:
-        command = signals["current_command"]
-        found["current_command"] = np.r_[command[before] if part.start else 0.0, command[part][:-1]]
+    time = signals.time
+    before = slice(
+        max(part.start - 1, 0), part.stop
+    )  # the command in force, and the interval, begin at the sample before
+    found = blank_samples(time[before], joint if joint.start is not None else replace(joint, start=float(time[0])))
+    fill_samples(found, {name: values[before] for name, values in signals.columns.items()}, slice(0, len(found)))
+    found = found[part.start - before.start :]
     found.flags.writeable = False
     return found
+
+
+def blank_samples(time: np.ndarray, joint: KnownJoint) -> np.ndarray:
+    """Records of `SAMPLE` at times [s], shape (n,), without readings."""
+    found = np.full(len(time), np.nan, SAMPLE)
+    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
+    return found
+
+
+def fill_samples(samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice) -> None:
+    """Put a stretch of channels, shape (n,) each, into records of `SAMPLE`, as `as_samples` says."""
+    for name in SENSED:
+        if name in columns and name != "joint_torque":
+            samples[name][part] = columns[name][part]
+    if "current_command" in columns and part.stop > part.start:
+        command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
+        samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
 
 
 def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -427,15 +442,26 @@ def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, 
     Returns:
       Its outputs, shape (n, outputs); the sample at which it failed and its status, (n, 0) where it did not.
     """
-    return _over(step.arrays(), samples)
+    arrays = step.arrays()
+    history = np.zeros((len(samples), len(arrays[-1])))
+    failed, status = go_on(arrays, samples, history)
+    return history, failed, status
 
 
-def _over(arrays: Sequence[Any], samples: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """As `run_step`, from where the memory of `CompiledStep.arrays` stands; it is moved on."""
-    address, memory, record, settings, out = arrays
-    history = np.zeros((len(samples), len(out)))
+def go_on(
+    arrays: tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray], samples: np.ndarray, history: np.ndarray
+) -> tuple[int, int]:
+    """Run a step on over further samples; `arrays` of `CompiledStep.arrays`, whose memory moves on with them.
+
+    Args:
+      arrays: of the step. samples: records of `SAMPLE`, shape (n,). history: for its outputs, shape (n, outputs).
+
+    Returns:
+      The sample at which it failed and its status, (n, 0) where it did not.
+    """
+    address, memory, record, settings, _ = arrays
     failed, status = _run(address, memory, samples, record, settings, history)
-    return history, int(failed), int(status)
+    return int(failed), int(status)
 
 
 @kernel
