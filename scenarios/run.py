@@ -139,14 +139,19 @@ class Run:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What whoever reads the measures should know: disturbances that do not act, a drive at its limit, no measures."""
-        found, end = [], self.scenario.duration
+        end, late = self.scenario.duration, []
+        found = []
         for i, d in enumerate(self.scenario.disturbances):
             if d.start >= end:
-                found.append(f"disturbances.{i} starts at {d.start:g} s, after the end at {end:g} s: it never acts")
+                late.append((f"disturbances.{i}", f"{d.start:g}"))
             elif d.start + d.duration > end:
                 found.append(
                     f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
                 )
+        if late:
+            names, starts = (", ".join(words) for words in zip(*late, strict=True))
+            start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
+            found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
         limit = self.joint.numbers["current_limit"].value
         limited = float(np.mean(np.abs(self.simulation.command) >= (1 - 1e-9) * limit))
         if limited > _LIMITED:
