@@ -1,6 +1,6 @@
 """The closed loop, compiled: plant, sensors, one estimator and the drive at control rate, with no Python inside.
 
-One call runs a whole scenario and releases the interpreter's lock, so that threads run scenarios side by side. Only an
+Joints in series share the plant alone: each has its own sensors, estimator and drive. One call runs a whole scenario and releases the interpreter's lock, so that threads run scenarios side by side. Only an
 estimator whose torque is fed back changes what happens, so only that one is in here; it is called by its address, as all
 estimators share one signature (`models.step`). Every other one runs over the signals afterwards, and says to the bit what
 it would have said in the loop.
@@ -9,7 +9,7 @@ it would have said in the loop.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import mujoco
@@ -50,10 +50,15 @@ _JOINT_AXIS = SENSED.index("torque_y")
 
 _FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
 _ADDRESSES = np.dtype(
-    [(name, np.int64) for name in (*_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body")]
-)
-"""Where things lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata` (−1: there is
-none), the number of the link's body."""
+    [
+        (name, np.int64)
+        for name in (
+            *_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body", "coordinate", "motor", "numeric",
+        )
+    ]
+)  # fmt: skip
+"""Where things of a joint lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata`
+(−1: there is none), the numbers of the link's body, of the joint's first coordinate and of its motor, its numeric field."""
 
 
 @dataclass(frozen=True)
@@ -85,6 +90,41 @@ SENSOR_FEEDBACK = "sensor"
 """Stands for an estimator where the torque sensor's own reading is fed back."""
 
 
+@dataclass(frozen=True)
+class Driven:
+    """A joint in the closed loop: how it is driven and read; n control ticks.
+
+    Attributes:
+      record: the plant's parameter record, shape (1,).
+      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
+      sensors, noise: of `sim.sensors`.
+      controller: `drive.CONTROLLER` record, shape (1,).
+      feedback: the estimator that closes the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: none.
+      temperature: of the gear [°C], shape (n,); constant by default.
+      tip_force: tangential force on the link [N] that the external torque comes from, shape (n,): the wrench shows it. By default
+        the external torque is a torque alone.
+      crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
+      stamps: time stamps of the readings [s], shape (n,); exact by default.
+      commanded: whether the estimator in the loop is told the current command.
+      prefix: of its names in the model, where there are several joints.
+    """
+
+    record: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    external_torque: np.ndarray
+    sensors: np.ndarray
+    noise: np.ndarray
+    controller: np.ndarray
+    feedback: CompiledStep | str | None = None
+    temperature: np.ndarray | None = None
+    tip_force: np.ndarray | None = None
+    crosstalk: np.ndarray | None = None
+    stamps: np.ndarray | None = None
+    commanded: bool = True
+    prefix: str = ""
+
+
 def simulate(
     model: mujoco.MjModel,
     record: np.ndarray,
@@ -101,78 +141,96 @@ def simulate(
     stamps: np.ndarray | None = None,
     commanded: bool = True,
 ) -> Simulation:
-    """Run the closed loop from rest at the first commanded position.
+    """Run the closed loop of one joint from rest at the first commanded position.
 
     Args:
       model: of `plant.build`; left as it is.
-      record: the plant's parameter record, shape (1,).
-      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
-      sensors, noise: of `sim.sensors`.
-      controller: `drive.CONTROLLER` record, shape (1,).
-      feedback: the estimator that closes the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: none.
-      temperature: of the gear [°C], shape (n,); constant by default.
-      tip_force: tangential force on the link [N] that the external torque comes from, shape (n,): the wrench shows it. By default
-        the external torque is a torque alone.
-      crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
-      stamps: time stamps of the readings [s], shape (n,); exact by default.
-      commanded: whether the estimator in the loop is told the current command.
+      record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk, stamps,
+        commanded: as in `Driven`.
     """
-    n = len(position)
-    if temperature is None:
-        temperature = np.full(n, REFERENCE_TEMPERATURE)
-    model = copy.copy(model)
-    plant.set_temperature(model, float(temperature[0]))
-    data = mujoco.MjData(model)
-    begin = position[0]
-    p = record[0]
-    plant.start(model, data, np.array([begin * p["N"], begin * p["N"], begin]))
-    tip_force = np.zeros(n) if tip_force is None else tip_force
-    crosstalk = np.zeros((6, 6)) if crosstalk is None else crosstalk
+    driven = Driven(
+        record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk,
+        stamps, commanded,
+    )  # fmt: skip
+    return simulate_together(model, (driven,))[0]
+
+
+def simulate_together(model: mujoco.MjModel, joints: Sequence[Driven]) -> list[Simulation]:
+    """Run the closed loops of a model's joints, each its own, from rest at the first commanded positions.
+
+    Args:
+      model: of `plant.build` or `arm.build`; left as it is.
+      joints: in the model's order, with as many ticks each.
+
+    Returns:
+      What each of them gives.
+    """
+    n = len(joints[0].position)
+    many = (len(joints), n)
+    warmth, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
+    crosstalk = np.zeros((len(joints), 6, 6))
     time = np.arange(n) * (round(CONTROL_PERIOD / model.opt.timestep) * float(model.opt.timestep))
-    told = np.ascontiguousarray(time if stamps is None else stamps, dtype=np.float64)
-    truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
-    failed = np.array([n, 0], dtype=np.int64)
-    substeps = round(CONTROL_PERIOD / model.opt.timestep)
-    if isinstance(feedback, CompiledStep):
-        address, memory, known, settings, out = feedback.arrays()
-    else:
-        address, memory, known, settings, out = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record).arrays()
+    stamps = np.tile(time, (len(joints), 1))
+    for i, one in enumerate(joints):
+        external[i] = one.external_torque
+        for array, given in ((warmth, one.temperature), (tip_force, one.tip_force), (crosstalk, one.crosstalk),
+                             (stamps, one.stamps)):  # fmt: skip
+            if given is not None:
+                array[i] = given
+    model = copy.copy(model)
+    plant.set_temperature(model, warmth[:, 0])
+    data = mujoco.MjData(model)
+    begin = np.array([[one.position[0] * one.record[0]["N"]] * 2 + [one.position[0]] for one in joints])
+    plant.start(model, data, begin)
+    truth, readings, command = np.zeros(many, TRUTH), np.zeros(many, READINGS), np.zeros(many)
+    failed = np.array([[n, 0]] * len(joints), dtype=np.int64)
+    steps = [
+        one.feedback if isinstance(one.feedback, CompiledStep)
+        else CompiledStep(int(one.feedback == SENSOR_FEEDBACK), 1, one.record)
+        for one in joints
+    ]  # fmt: skip
+    kept = [step.arrays() for step in steps]  # alive until the loop has ended
+    estimators = np.array([[address, *(x.ctypes.data for x in rest)] for address, *rest in kept], dtype=np.int64)
+    noise = np.stack([np.ascontiguousarray(one.noise) for one in joints])
     with native.quiet(), native.untimed():
         _loop(
-            native.function_address("mj_step"), model._address, data._address, _addresses(model),
-            model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,
-            temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
-            readings, _as_floats(readings), command, failed, tip_force, crosstalk, told, commanded,
+            native.function_address("mj_step"), model._address, data._address,
+            np.concatenate([_addresses(model, one.prefix) for one in joints]), model.numeric_data,
+            round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep),
+            np.concatenate([one.record for one in joints]), np.stack([one.position for one in joints]),
+            np.stack([one.velocity for one in joints]), external, warmth, np.stack([one.sensors for one in joints]), noise,
+            _as_floats(noise), np.concatenate([one.controller for one in joints]), estimators, truth, readings,
+            _as_floats(readings), command, failed, tip_force, crosstalk, stamps, np.array([one.commanded for one in joints]),
         )  # fmt: skip
-    return Simulation(
-        time,
-        truth,
-        readings,
-        command,
-        (int(failed[0]), int(failed[1])),
-        stamps,
-        commanded,
-    )
+    return [
+        Simulation(
+            time, truth[i], readings[i], command[i], (int(failed[i, 0]), int(failed[i, 1])), one.stamps, one.commanded
+        )
+        for i, one in enumerate(joints)
+    ]
 
 
-def _addresses(model: mujoco.MjModel) -> np.ndarray:
-    """A record of `_ADDRESSES`, shape (1,)."""
+def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
+    """A record of `_ADDRESSES` of the joint whose names begin so, shape (1,)."""
     at = np.zeros(1, _ADDRESSES)
     for name in _FIELDS:
         at[name] = native.offsets()[name]
-    has_current = model.actuator_actnum[model.actuator("motor").id]
-    has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
-    at["current"] = plant.activation(model, "motor") if has_current else -1
-    at["bristle"] = plant.activation(model, "mesh_friction")
-    at["dahl"] = plant.activation(model, "hysteresis") if has_dahl else -1
-    at["force"], at["torque"] = (model.sensor(name).adr[0] for name in ("force", "torque"))
-    at["link_body"] = model.body("link").id
+    motor = model.actuator(prefix + "motor").id
+    has_dahl = any(model.actuator(i).name == prefix + "hysteresis" for i in range(model.nactuator))
+    at["current"] = plant.activation(model, prefix + "motor") if model.actuator_actnum[motor] else -1
+    at["bristle"] = plant.activation(model, prefix + "mesh_friction")
+    at["dahl"] = plant.activation(model, prefix + "hysteresis") if has_dahl else -1
+    at["force"], at["torque"] = (model.sensor(prefix + name).adr[0] for name in ("force", "torque"))
+    at["link_body"] = model.body(prefix + "link").id
+    at["coordinate"] = model.joint(prefix + "rotor").dofadr[0]
+    at["motor"] = model.actuator_ctrladr[motor]
+    at["numeric"] = model.numeric_adr[model.numeric(prefix + "joint").id]
     return at
 
 
 def _as_floats(records: np.ndarray) -> np.ndarray:
-    """Records of float64 fields as a matrix, shape (n, fields); a view."""
-    return records.view(np.float64).reshape(len(records), -1)
+    """Records of float64 fields, shape (joints, n), as shape (joints, n, fields); a view."""
+    return records.view(np.float64).reshape(*records.shape, -1)
 
 
 @kernel
@@ -185,128 +243,163 @@ def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
 
 
 @kernel
-def _in_force(command, step, delay, substeps):
-    """The current command [A] in force in a plant step, counted from the start; `delay`: of the drive, in plant steps."""
+def _in_force(command, j, step, delay, substeps):
+    """The current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the drive, in plant steps."""
     k = (step - delay) // substeps
-    return command[k] if k >= 0 else 0.0
+    return command[j, k] if k >= 0 else 0.0
+
+
+@kernel
+def _input(command, j, step, delay, substeps, Kt):
+    """Motor torque [N·m, motor side] that joint j is asked for in a plant step: of the mean command in it and in the one before."""
+    in_force = _in_force(command, j, step, delay, substeps)
+    return Kt * 0.5 * (in_force + _in_force(command, j, step - 1, delay, substeps))
 
 
 @kernel
 def _loop(
     step, model, data, addresses, numeric, substeps, h, record, position, velocity, external, temperature,
-    sensors, noise, noise_of, controller, estimator, memory, known, settings, out, truth, readings, reading_of,
-    command, failed, tip_force, crosstalk, stamps, commanded,
+    sensors, noise, noise_of, controller, estimators, truth, readings, reading_of, command, failed, tip_force, crosstalk,
+    stamps, commanded,
 ):  # fmt: skip
-    p, c, at = record[0], controller[0], addresses[0]
-    delay = round(c.delay / h)
-    q = carray(floats_at(word_at(data + 8 * at.qpos)), 3)
-    v = carray(floats_at(word_at(data + 8 * at.qvel)), 3)
+    at = addresses[0]
     act = floats_at(word_at(data + 8 * at.act))
     ctrl = floats_at(word_at(data + 8 * at.ctrl))
-    link_force = carray(floats_at(word_at(data + 8 * at.xfrc_applied) + 48 * at.link_body), 6)
     sensordata = floats_at(word_at(data + 8 * at.sensordata))
+    qpos, qvel = floats_at(word_at(data + 8 * at.qpos)), floats_at(word_at(data + 8 * at.qvel))
+    applied = floats_at(word_at(data + 8 * at.xfrc_applied))
     disabled = ints_at(model + 4 * at.disableflags)
 
-    n, channels = position.size, len(sensors)
+    joints, n = position.shape
+    channels = sensors.shape[1]
     dt = substeps * h
     # What the sensors see before delay, noise and quantisation, as histories; before their low-pass, a tick ago.
-    seen, raw = np.zeros((channels, n)), np.zeros(channels)
+    seen, raw = np.zeros((joints, channels, n)), np.zeros((joints, channels))
     ideal = np.zeros(1, READINGS)
     ideal_of = ideal.view(np.float64)
     given = np.zeros(1, SAMPLE)
     given_of = given.view(np.float64)
     given_of[:] = np.nan
-    drive = np.zeros(3)
-    drive[0] = c.gear * position[0]
-    theta, before, omega = np.zeros(3), np.zeros(3), np.zeros(3)
-    last_command, last_external, last_force, estimate = 0.0, 0.0, 0.0, 0.0
+    drive = np.zeros((joints, 3))
+    # Numbers and places that the steps within a tick need.
+    delay, motor, Kt = np.zeros(joints, np.int64), np.zeros(joints, np.int64), np.zeros(joints)
+    for j in range(joints):
+        drive[j, 0] = controller[j].gear * position[j, 0]
+        delay[j], motor[j], Kt[j] = round(controller[j].delay / h), addresses[j].motor, record[j].Kt
+    theta, before, omega, current = np.zeros((joints, 3)), np.zeros((joints, 3)), np.zeros(3), np.zeros(joints)
     wrench = np.zeros(6)
 
     for k in range(n):
         time = k * dt
-        theta[:] = q
-        before[:] = v
-        numeric[TEMPERATURE] = temperature[k]
-        current = act[at.current] if at.current >= 0 else _in_force(command, k * substeps - 1, delay, substeps)
-        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
-
-        # The sensors that read the state itself, at this instant.
-        state = state_of(theta, before, act[at.bristle], dahl, current, time, temperature[k])
-        dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
-        for s in range(channels):
-            if sensors[s].at_step == 0.0:
-                reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
-
-        # The estimator and the drive.
-        if estimator == 1:
-            estimate = readings[k - 1].joint_torque if k > 0 else 0.0
-        elif estimator != 0:
-            # As differences of the time stamps, which is what whoever reads the signals afterwards has.
-            given[0].time = stamps[k] - stamps[0]
-            given[0].interval = stamps[k] - stamps[k - 1] if k > 0 else 0.0
-            given[0].current_command = last_command if commanded else np.nan
-            for s in range(channels):
-                if sensors[s].at_step == 0.0:
-                    given_of[_READINGS_AT + s] = reading_of[k, s]
-            status = call_estimator(
-                estimator,
-                memory.ctypes.data,
-                given.ctypes.data,
-                known.ctypes.data,
-                settings.ctypes.data,
-                out.ctypes.data,
-            )
-            if status != 0:
-                failed[0], failed[1] = k, status
-                return
-            estimate = out[0]
-        command[k] = control(position[k], velocity[k], readings[k].motor_position, estimate, drive, dt, c)
-
-        # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
         first = k * substeps
-        in_force = _in_force(command, first, delay, substeps)
-        ctrl[0] = p.Kt * 0.5 * (in_force + _in_force(command, first - 1, delay, substeps))
-        link_force[4] = -0.5 * (external[k] + last_external)
-        call_step(step, model, data)
-        for s in range(3):
-            omega[s] = 0.5 * (before[s] + v[s])
-        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
-        state = state_of(theta, omega, act[at.bristle], dahl, current, time, temperature[k])
-        b = dynamics.balance(state, p)
-        t = truth[k]
-        t.motor_position, t.wave_generator_position, t.link_position = theta[ROTOR], theta[WAVE_GENERATOR], theta[LINK]
-        t.motor_velocity, t.wave_generator_velocity, t.link_velocity = omega[ROTOR], omega[WAVE_GENERATOR], omega[LINK]
-        t.motor_current, t.bristle, t.dahl = current, state.bristle, dahl
-        t.wave_generator_torque, t.flexspline_torque, t.joint_torque = (
-            b.wave_generator_torque,
-            b.flexspline_torque,
-            b.joint_torque,
-        )
+        for j in range(joints):
+            p, at = record[j], addresses[j]
+            # Parts of arrays are taken once: each time costs more than the arithmetic.
+            angle, speed, raw_of, seen_of, sensor, its_noise = (
+                theta[j],
+                before[j],
+                raw[j],
+                seen[j],
+                sensors[j],
+                noise_of[j],
+            )
+            for s in range(3):
+                angle[s], speed[s] = qpos[at.coordinate + s], qvel[at.coordinate + s]
+            numeric[at.numeric + TEMPERATURE] = temperature[j, k]
+            if at.current >= 0:
+                current[j] = act[at.current]
+            else:
+                current[j] = _in_force(command, j, first - 1, delay[j], substeps)
+            dahl = act[at.dahl] if at.dahl >= 0 else 0.0
 
-        # The torque sensor and its wrench, which MuJoCo evaluates within the step.
-        dynamics.readings(state, b, p, ideal[0])
-        for axis in range(3):
-            ideal_of[_WRENCH_AT + axis] = sensordata[at.force + axis]
-            ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at.torque + axis]
-        # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
-        ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
-        # Its torque acts already; a force at a point in the sensor's plane is what the joint must hold against, along x.
-        ideal_of[_WRENCH_AT] -= 0.5 * (tip_force[k] + last_force)
-        wrench[:] = ideal_of[_WRENCH_AT : _WRENCH_AT + 6]
-        for axis in range(6):
-            for other in range(6):
-                ideal_of[_WRENCH_AT + axis] += crosstalk[axis, other] * wrench[other]
-        for s in range(channels):
-            if sensors[s].at_step != 0.0:
-                reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
+            # The sensors that read the state itself, at this instant.
+            state = state_of(angle, speed, act[at.bristle], dahl, current[j], time, temperature[j, k])
+            dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
+            for s in range(channels):
+                if sensor[s].at_step == 0.0:
+                    reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
+
+            # The estimator and the drive.
+            estimate = 0.0
+            if estimators[j, 0] == 1:
+                estimate = readings[j, k - 1].joint_torque if k > 0 else 0.0
+            elif estimators[j, 0] != 0:
+                # As differences of the time stamps, which is what whoever reads the signals afterwards has.
+                given[0].time = stamps[j, k] - stamps[j, 0]
+                given[0].interval = stamps[j, k] - stamps[j, k - 1] if k > 0 else 0.0
+                given[0].current_command = np.nan
+                if commanded[j]:
+                    given[0].current_command = command[j, k - 1] if k > 0 else 0.0
+                for s in range(channels):
+                    if sensor[s].at_step == 0.0:
+                        given_of[_READINGS_AT + s] = reading_of[j, k, s]
+                status = call_estimator(
+                    estimators[j, 0],
+                    estimators[j, 1],
+                    given.ctypes.data,
+                    estimators[j, 2],
+                    estimators[j, 3],
+                    estimators[j, 4],
+                )
+                if status != 0:
+                    failed[j, 0], failed[j, 1] = k, status
+                    return
+                estimate = floats_at(estimators[j, 4])[0]
+            command[j, k] = control(
+                position[j, k], velocity[j, k], readings[j, k].motor_position, estimate, drive[j], dt,
+                controller[j],
+            )  # fmt: skip
+
+            # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
+            ctrl[motor[j]] = _input(command, j, first, delay[j], substeps, Kt[j])
+            applied[6 * at.link_body + 4] = -0.5 * (external[j, k] + (external[j, k - 1] if k > 0 else 0.0))
+        call_step(step, model, data)
+        for j in range(joints):
+            p, at = record[j], addresses[j]
+            angle, raw_of, seen_of, sensor, its_noise = theta[j], raw[j], seen[j], sensors[j], noise_of[j]
+            for s in range(3):
+                omega[s] = 0.5 * (before[j, s] + qvel[at.coordinate + s])
+            dahl = act[at.dahl] if at.dahl >= 0 else 0.0
+            state = state_of(angle, omega, act[at.bristle], dahl, current[j], time, temperature[j, k])
+            b = dynamics.balance(state, p)
+            t = truth[j, k]
+            t.motor_position, t.wave_generator_position, t.link_position = (
+                angle[ROTOR],
+                angle[WAVE_GENERATOR],
+                angle[LINK],
+            )
+            t.motor_velocity, t.wave_generator_velocity = omega[ROTOR], omega[WAVE_GENERATOR]
+            t.link_velocity = omega[LINK]
+            t.motor_current, t.bristle, t.dahl = current[j], state.bristle, dahl
+            t.wave_generator_torque, t.flexspline_torque, t.joint_torque = (
+                b.wave_generator_torque,
+                b.flexspline_torque,
+                b.joint_torque,
+            )
+
+            # The torque sensor and its wrench, which MuJoCo evaluates within the step.
+            dynamics.readings(state, b, p, ideal[0])
+            for axis in range(3):
+                ideal_of[_WRENCH_AT + axis] = sensordata[at.force + axis]
+                ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at.torque + axis]
+            # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
+            ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
+            # Its torque acts already; a force at a point in the sensor's plane is what the joint must hold against, along x.
+            ideal_of[_WRENCH_AT] -= 0.5 * (tip_force[j, k] + (tip_force[j, k - 1] if k > 0 else 0.0))
+            wrench[:] = ideal_of[_WRENCH_AT : _WRENCH_AT + 6]
+            for axis in range(6):
+                for other in range(6):
+                    ideal_of[_WRENCH_AT + axis] += crosstalk[j, axis, other] * wrench[other]
+            for s in range(channels):
+                if sensor[s].at_step != 0.0:
+                    reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
+            applied[6 * at.link_body + 4] = -external[j, k]
 
         # The other steps of the tick, whose sensors nobody reads: they are a tenth of a step.
-        link_force[4] = -external[k]
         flags = disabled[0]
         disabled[0] = flags | _NO_SENSORS
         for s in range(1, substeps):
-            before_it, in_force = in_force, _in_force(command, first + s, delay, substeps)
-            ctrl[0] = p.Kt * 0.5 * (in_force + before_it)
+            for j in range(joints):
+                ctrl[motor[j]] = _input(command, j, first + s, delay[j], substeps, Kt[j])
             call_step(step, model, data)
         disabled[0] = flags
-        last_command, last_external, last_force = command[k], external[k], tip_force[k]
