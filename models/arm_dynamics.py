@@ -113,12 +113,13 @@ class Arm:
             i = self._joint if name == self.spec.joint else self._at(name, "column")
             q[:, i], v[:, i], a[:, i] = _smooth(time, angle)
         q[:, self._joint] = position
+        own = a[:, self._joint].copy()
         a[:, self._joint] = 0.0  # the rest of τ: inertia times the joint's own acceleration is the equations' of motion
         inertia, torque = np.zeros(n), np.zeros(n)
         for k in range(n):
             inertia[k], torque[k] = self._dynamics(q[k], v[k], a[k])
         weight = mounting.gravity_moment * np.sin(position + mounting.gravity_angle)
-        return Load(inertia, weight - torque)
+        return Load(inertia, weight - torque, own)
 
     def of(
         self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], parts: tuple[slice, ...]
@@ -138,7 +139,10 @@ class Arm:
             self.load(time[part], position[part], {name: angle[part] for name, angle in positions.items()}, mounting)
             for part in parts
         ]
-        return mounting, Load(np.concatenate([x.inertia for x in loads]), np.concatenate([x.torque for x in loads]))
+        inertia, torque, own = (
+            np.concatenate([getattr(x, name) for x in loads]) for name in ("inertia", "torque", "acceleration")
+        )
+        return mounting, Load(inertia, torque, own)
 
     def mjcf(self) -> str:
         """Its masses and joints alone, as the text of an MJCF without looks and files."""

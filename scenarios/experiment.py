@@ -19,7 +19,7 @@ from ..models.joint import Joint, Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors
-from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, Simulation, simulate
+from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, Driven, Simulation, simulate_together
 from .scenario import Scenario
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Experiment:
           InputError: a joint or mounting that does not exist, or one without a gravity moment to change.
         """
         joint, known_joint = scenario.load_joint(folder)
-        mounting, known_mounting = (j.mount(scenario.mounting or None) for j in (joint, known_joint))
+        mounting, known_mounting = (scenario.mount(j) for j in (joint, known_joint))
         if load is not None:
             mounting, known_mounting = _loaded(mounting, load), _loaded(known_mounting, load)
         position, velocity = scenario.commands()
@@ -106,28 +106,41 @@ class Experiment:
           InputError: torques under which the motion is no longer finite.
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
-        scenario, record = self.scenario, self.record if record is None else record
+        record = self.record if record is None else record
         model = self.build(record) if model is None else model
-        p = record[0]
+        return self.finished(simulate_together(model, (self.driven(seed, record),))[0], seed)
+
+    def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
+        """How its joint is driven and read in the closed loop; `prefix`: of the joint's names in a model of several."""
+        scenario, record = self.scenario, self.record if record is None else record
+        p, seed = record[0], scenario.seed if seed is None else seed
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:
             feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
-        simulation = simulate(
-            model,
+        return Driven(
             record,
             self.position,
             self.velocity,
             self.external_torque,
             sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
-            sensors.noise(self.joint, scenario.seed if seed is None else seed, len(self.position), CONTROL_PERIOD),
+            sensors.noise(self.joint, seed, len(self.position), CONTROL_PERIOD),
             scenario.controller.record(self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none"),
             feedback,
             self.temperature,
             self.tip_force,
-            sensors.wrench_crosstalk(self.joint, scenario.seed if seed is None else seed),
-            sensors.time_stamps(scenario.time, scenario.jitter, scenario.seed if seed is None else seed),
+            sensors.wrench_crosstalk(self.joint, seed),
+            sensors.time_stamps(scenario.time, scenario.jitter, seed),
             scenario.current == "command",
+            prefix,
         )
+
+    def finished(self, simulation: Simulation, seed: int | None = None) -> Simulation:
+        """What the closed loop gave, with what sensors of plugins read of it.
+
+        Raises:
+          InputError, FilterDiverged: as `simulate`.
+        """
+        scenario = self.scenario
         tick = simulation.failed[0]
         overloaded = _overload(simulation)
         if overloaded is not None:

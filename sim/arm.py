@@ -22,7 +22,7 @@ import numpy as np
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.parameters import GRAVITY, REFERENCE_TEMPERATURE
-from . import callbacks, native, plant
+from . import native, plant
 
 _MASSLESS = 1e-9  # kg: MuJoCo wants every body to have some
 

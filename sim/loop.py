@@ -1,6 +1,7 @@
 """The closed loop, compiled: plant, sensors, one estimator and the drive at control rate, with no Python inside.
 
-Joints in series share the plant alone: each has its own sensors, estimator and drive. One call runs a whole scenario and releases the interpreter's lock, so that threads run scenarios side by side. Only an
+Joints in series share the plant alone: each has its own sensors, estimator and drive. One call runs a whole scenario and
+releases the interpreter's lock, so that threads run scenarios side by side. Only an
 estimator whose torque is fed back changes what happens, so only that one is in here; it is called by its address, as all
 estimators share one signature (`models.step`). Every other one runs over the signals afterwards, and says to the bit what
 it would have said in the loop.
@@ -14,7 +15,6 @@ from dataclasses import dataclass, field
 
 import mujoco
 import numpy as np
-from numba import carray
 
 from ..models import dynamics
 from ..models.kernels import kernel
@@ -145,8 +145,8 @@ def simulate(
 
     Args:
       model: of `plant.build`; left as it is.
-      record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk, stamps,
-        commanded: as in `Driven`.
+      record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk,
+        stamps, commanded: as in `Driven`.
     """
     driven = Driven(
         record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk,
@@ -244,14 +244,14 @@ def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
 
 @kernel
 def _in_force(command, j, step, delay, substeps):
-    """The current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the drive, in plant steps."""
+    """The current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the drive, in steps."""
     k = (step - delay) // substeps
     return command[j, k] if k >= 0 else 0.0
 
 
 @kernel
 def _input(command, j, step, delay, substeps, Kt):
-    """Motor torque [N·m, motor side] that joint j is asked for in a plant step: of the mean command in it and in the one before."""
+    """Motor torque [N·m, motor side] that joint j is asked for in a plant step: of the mean command in it and the one before."""
     in_force = _in_force(command, j, step, delay, substeps)
     return Kt * 0.5 * (in_force + _in_force(command, j, step - 1, delay, substeps))
 

@@ -21,7 +21,16 @@ from ..models.mjcf import check_mjcf
 from ..models.parameters import GRAVITY
 from . import native
 from .callbacks import (
-    BRISTLE, DAHL, FLEXIBLE, HEADER, LINK, MEMORY, TEMPERATURE, WAVE_GENERATOR, at_positions, reduced_inertia,
+    BRISTLE,
+    DAHL,
+    FLEXIBLE,
+    HEADER,
+    LINK,
+    MEMORY,
+    TEMPERATURE,
+    WAVE_GENERATOR,
+    at_positions,
+    reduced_inertia,
 )  # fmt: skip
 
 JOINTS = ("rotor", "wave_generator", "link")

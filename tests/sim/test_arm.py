@@ -36,7 +36,7 @@ def two(shoulder=None, elbow=None, **changes):
 
 
 def masses(record):
-    """Mass [kg], distance of its centre from the axis [m] and inertia about the axis [kg·m²] of a link, as docs/arm.md states it."""
+    """Mass [kg], distance of its centre from the axis [m] and inertia about the axis [kg·m²] of a link: the stated rule."""
     p = record[0]
     lever = min(0.25, 0.6 * p["Jl"] / (p["Mg"] / G))
     return p["Mg"] / G / lever, lever, p["Jl"]
@@ -86,12 +86,13 @@ def run(joints, model=None, **of):
 
 
 def test_accelerations_in_any_state(rng):
-    """All six, from a mass matrix and torques put together here: rotors and wave generators turn with the link that carries them."""
+    """All six, from a mass matrix and torques put together here: rotors and wave generators turn with their carrier."""
     joints = two()
     model = arm.build(joints, timestep=1e-6, ideal_current=True)  # the scheme's corrections vanish with the step
     data = mujoco.MjData(model)
     for _ in range(3):
-        data.qpos[:] = np.concatenate([[100 * q + rng.normal(0, 0.02), 100 * q, q + rng.normal(0, 2e-4)] for q in rng.uniform(-2, 2, 2)])  # fmt: skip
+        angles = rng.uniform(-2, 2, 2)
+        data.qpos[:] = np.outer(angles, [100, 100, 1]).ravel() + rng.normal(0, 1, 6) * [0.02, 0, 2e-4] * 2
         data.qvel[:] = rng.normal(0, 1, 6) * [50, 50, 1, 50, 50, 1]
         data.act[:], data.ctrl[:] = 0.0, 0.0
         force = np.zeros(6)
@@ -181,11 +182,13 @@ def test_with_the_elbow_locked_the_shoulder_is_a_joint_alone():
         assert error < 1e-6, name
 
 
-EFFECTS = {
+_FLEXIBLE = {"flexible_share": 0.2, "flexible_damping": 0.05}
+_HYSTERESIS = {"hysteresis_torque": 1.0, "hysteresis_extent": 8e-5}
+EFFECTS: dict[str, tuple[dict, dict]] = {
     "none": ({}, {}),
-    "states of its own": ({"flexible_share": 0.2, "flexible_damping": 0.05}, {"hysteresis_torque": 1.0, "hysteresis_extent": 8e-5, "friction_load": 0.2}),
-    "states of the other": ({"hysteresis_torque": 1.0, "friction_asymmetry": 0.3}, {"flexible_share": 0.2, "flexible_damping": 0.05}),
-}  # fmt: skip
+    "states of its own": (_FLEXIBLE, _HYSTERESIS | {"friction_load": 0.2}),
+    "states of the other": (_HYSTERESIS | {"friction_asymmetry": 0.3}, _FLEXIBLE),
+}
 
 
 @pytest.mark.parametrize("effects", EFFECTS)

@@ -49,7 +49,7 @@ def send_scene(stream: rr.RecordingStream, run: Run, model: mujoco.MjModel) -> N
     frames = thin_frames(run.time)
     time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
     angles = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
-    bare = run.joint.mount(run.scenario.mounting or None).gravity_moment == 0
+    bare = run.scenario.mount(run.joint).gravity_moment == 0
     tips = send_bodies(stream, "scene", time, angles, model, bare)
     names = list(run.estimates)
     main = main_filter(names)
