@@ -173,8 +173,8 @@ def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **
     Args:
       scenario: name of a shipped one (`two_joints`), path of a YAML file, or an `ArmScenario`.
       seed: of every random stream, instead of the scenario's.
-      changes: keys of the scenario with other values, SI: `duration=20` [s]; with two underscores for a dot where they lie inside,
-        joints counted from the base: `arm__0__length=0.5` [m].
+      changes: keys of the scenario with other values, SI: `duration=20` [s]; with two underscores for a dot where they lie
+        inside, joints counted from the base: `arm__0__length=0.5` [m].
 
     Returns:
       A run of every joint, by its name, from the base to the tip, as of `simulate`. Its recording says of the arm what its motion

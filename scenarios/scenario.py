@@ -323,7 +323,9 @@ def load_scenario(
     Raises:
       InputError: no such scenario, or one that is wrong; one line.
     """
-    data, path = read_scenario(source, changes, seed)
+    from .arms.arm_scenario import shipped_arms
+
+    data, path = read_scenario(source, changes, seed, shipped_arms())
     if "arm" in data:
         raise InputError(
             f"{path}: arm: expected the scenario of a joint, got that of an arm: `flexspline run` takes one"

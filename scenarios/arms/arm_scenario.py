@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, GetJsonSchemaHandler, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from ...models.errors import InputError
 from ...models.files import Strict, parse
@@ -18,6 +20,8 @@ from ...sim.plant import TIMESTEP
 from ..scenario import Scenario, put, read_scenario
 
 _SHARED = ("duration", "timestep")
+_BESIDE = (*_SHARED, "seed", "format")
+"""Keys that stand beside `arm`, once for all joints."""
 
 
 class JointInArm(Scenario):
@@ -26,6 +30,16 @@ class JointInArm(Scenario):
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*$")]
     """In the arm; of its folder and, in the others' recordings, of the column of its angle."""
     length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next one's, m")] = 0.4
+
+    @classmethod
+    def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
+        """Without what stands beside `arm`."""
+        schema = handler(core_schema)
+        own = handler.resolve_ref_schema(schema)
+        for key in _BESIDE:
+            own["properties"].pop(key, None)
+        own["required"] = [key for key in own["required"] if key not in _BESIDE]
+        return schema
 
     @model_validator(mode="after")
     def _in_an_arm(self) -> JointInArm:
@@ -65,7 +79,7 @@ class ArmScenario(Strict):
         for i, one in enumerate(given["arm"]):
             if not isinstance(one, dict):
                 return given
-            for key in (*_SHARED, "seed", "format"):
+            for key in _BESIDE:
                 if key in one:
                     raise ValueError(f"arm.{i}.{key}: expected it beside `arm`, for all joints, got it in one of them")
             shared = {key: given[key] for key in _SHARED if key in given}
@@ -90,7 +104,7 @@ class ArmScenario(Strict):
         """As plain data, as a person would write it: what all joints share stands once."""
         data = self.model_dump(mode="json", exclude_none=True)
         for joint in data["arm"]:
-            for key in (*_SHARED, "seed", "format"):
+            for key in _BESIDE:
                 del joint[key]
         return data
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 import yaml
@@ -48,7 +50,7 @@ def test_the_load_of_one_comes_from_the_others_motion(runs):
         without = r.link.inertia * a + weight
         error, blind = (np.std((x - Ts)[inside]) for x in (with_arm, without))
         print(f"{name}: {error:.3f} N·m, without the other's motion {blind:.3f} N·m of {np.std(Ts[inside]):.2f}")
-        assert error < 0.05 * np.std(Ts[inside]) and blind > 5 * error
+        assert error < 0.06 and blind > 10 * error  # the torque sensor's noise is 0.03 N·m
 
 
 def test_a_recording_of_a_joint_says_what_arm_it_is_in(runs, tmp_path):
@@ -148,7 +150,8 @@ ARM = {
 def test_what_is_wrong_with_an_arm_is_one_line(tmp_path, flexspline, key, value, words):
     path = tmp_path / "mine.yaml"
     path.write_text(yaml.safe_dump(ARM), encoding="utf-8")
-    code, _, error = flexspline("run", path, "--set", f"{key}={yaml.safe_dump(value, default_flow_style=True).strip().removesuffix('...')}".strip(), "--out", tmp_path / "out")  # fmt: skip
+    change = f"{key}={json.dumps(value)}"
+    code, _, error = flexspline("run", path, "--set", change, "--out", tmp_path / "out")
     assert code == 2 and len(error.strip().splitlines()) == 1, error
     for word in words:
         assert word in error
