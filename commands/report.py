@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..models.errors import InputError
+from ._listing import AsJson
 from ._options import with_plugins
 
 EXAMPLES = (
@@ -17,6 +18,7 @@ EXAMPLES = (
     "flexspline report sweep --out study.html",
     "flexspline report contact --out contact.html",
 )
+_HOLDS = "a run, a comparison, a diagnosis, a sweep or contact"
 _MARK = '<meta name="generator" content="flexspline">'
 
 
@@ -25,13 +27,14 @@ def command(
     folders: Annotated[
         list[Path],
         typer.Argument(
-            help="of a run, a comparison, a diagnosis, a sweep or contact; or two diagnoses of a joint, before and after",
+            help=f"of {_HOLDS}; or two diagnoses of a joint, before and after",
             metavar="FOLDER [FOLDER]",
         ),
     ],
     out: Annotated[Path, typer.Option(help="the page, an HTML file that needs nothing beside it")] = Path(
         "report.html"
     ),
+    as_json: AsJson = False,
 ) -> None:
     """Write one self-contained page of a run, a comparison, a diagnosis, a sweep or contact; or of two diagnoses side by side.
 
@@ -45,6 +48,11 @@ def command(
     page = _page(folders)
     with write_into_place(out) as temporary:
         temporary.write_text(page, encoding="utf-8")
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text({"page": str(out), "of": [str(folder) for folder in folders]}))
+        return
     console().print(f"{out}")
 
 
@@ -65,9 +73,7 @@ def _check(out: Path) -> None:
 def _page(folders: list[Path]) -> str:
     for folder in folders:
         if not folder.is_dir():
-            raise InputError(
-                f"{folder}: expected a folder of a run, a comparison, a diagnosis, a sweep or contact, found none"
-            )
+            raise InputError(f"{folder}: expected a folder of {_HOLDS}, found none")
     if len(folders) == 2:
         from ..views.pages.two_diagnoses import read_diagnosis, two_html
 
@@ -88,9 +94,7 @@ def _page(folders: list[Path]) -> str:
     found = sorted(path.parent for path in folder.glob("*/scenario.yaml"))
     if found:
         return _runs(found)
-    raise InputError(
-        f"{folder}: expected a folder of a run, a comparison, a diagnosis, a sweep or contact, got something else"
-    )
+    raise InputError(f"{folder}: expected a folder of {_HOLDS}, got something else")
 
 
 def _diagnosis(folder: Path) -> str:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -155,7 +155,7 @@ def simulate(
     return simulate_together(model, (driven,))[0]
 
 
-def simulate_together(model: mujoco.MjModel, joints: Sequence[Driven]) -> list[Simulation]:
+def simulate_together(model: mujoco.MjModel, joints: Sequence[Driven]) -> tuple[Simulation, ...]:
     """Run the closed loops of a model's joints, each its own, from rest at the first commanded positions.
 
     Args:
@@ -165,49 +165,98 @@ def simulate_together(model: mujoco.MjModel, joints: Sequence[Driven]) -> list[S
     Returns:
       What each of them gives.
     """
-    n = len(joints[0].position)
-    many = (len(joints), n)
-    warmth, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
-    crosstalk = np.zeros((len(joints), 6, 6))
-    time = np.arange(n) * (round(CONTROL_PERIOD / model.opt.timestep) * float(model.opt.timestep))
-    stamps = np.tile(time, (len(joints), 1))
-    for i, one in enumerate(joints):
-        external[i] = one.external_torque
-        for array, given in ((warmth, one.temperature), (tip_force, one.tip_force), (crosstalk, one.crosstalk),
-                             (stamps, one.stamps)):  # fmt: skip
-            if given is not None:
-                array[i] = given
-    model = copy.copy(model)
-    plant.set_temperature(model, warmth[:, 0])
-    data = mujoco.MjData(model)
-    begin = np.array([[one.position[0] * one.record[0]["N"]] * 2 + [one.position[0]] for one in joints])
-    plant.start(model, data, begin)
-    truth, readings, command = np.zeros(many, TRUTH), np.zeros(many, READINGS), np.zeros(many)
-    failed = np.array([[n, 0]] * len(joints), dtype=np.int64)
-    steps = [
-        one.feedback if isinstance(one.feedback, CompiledStep)
-        else CompiledStep(int(one.feedback == SENSOR_FEEDBACK), 1, one.record)
-        for one in joints
-    ]  # fmt: skip
-    kept = [step.arrays() for step in steps]  # alive until the loop has ended
-    estimators = np.array([[address, *(x.ctypes.data for x in rest)] for address, *rest in kept], dtype=np.int64)
-    noise = np.stack([np.ascontiguousarray(one.noise) for one in joints])
-    with native.quiet(), native.untimed():
-        _loop(
+    loop = ClosedLoop(model, joints)
+    loop.advance(len(joints[0].position))
+    return loop.simulations
+
+
+class ClosedLoop:
+    """Closed loops of a model's joints under way: as many ticks at a time as one likes, to the bit the same in any pieces.
+
+    Attributes:
+      simulations: of each joint; their arrays fill up as the loop goes on. `simulation`: of the first.
+      done: ticks that have been simulated.
+    """
+
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven]):
+        """Stand at rest at the first commanded positions; arguments as of `simulate_together`."""
+        n = len(joints[0].position)
+        many = (len(joints), n)
+        warmth, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
+        crosstalk = np.zeros((len(joints), 6, 6))
+        substeps, timestep = round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep)
+        time = np.arange(n) * (substeps * timestep)
+        stamps = np.tile(time, (len(joints), 1))
+        for i, one in enumerate(joints):
+            external[i] = one.external_torque
+            for array, given in (
+                (warmth, one.temperature), (tip_force, one.tip_force), (crosstalk, one.crosstalk), (stamps, one.stamps),
+            ):  # fmt: skip
+                if given is not None:
+                    array[i] = given
+        model = copy.copy(model)
+        plant.set_temperature(model, warmth[:, 0])
+        data = mujoco.MjData(model)
+        start = np.array([one.position[0] for one in joints])
+        gear = np.array([one.record[0]["N"] for one in joints])
+        plant.start(model, data, np.stack([start * gear, start * gear, start], axis=1))
+        truth, readings, command = np.zeros(many, TRUTH), np.zeros(many, READINGS), np.zeros(many)
+        self._failed = np.array([[n, 0]] * len(joints), dtype=np.int64)
+        steps = [
+            one.feedback
+            if isinstance(one.feedback, CompiledStep)
+            else CompiledStep(int(one.feedback == SENSOR_FEEDBACK), 1, one.record)
+            for one in joints
+        ]
+        kept = [step.arrays() for step in steps]
+        estimators = np.array([[address, *(x.ctypes.data for x in rest)] for address, *rest in kept], dtype=np.int64)
+        noise = np.stack([np.ascontiguousarray(one.noise) for one in joints])
+        sensors = np.stack([one.sensors for one in joints])
+        controller = np.concatenate([one.controller for one in joints])
+        drive = np.zeros((len(joints), 3))
+        drive[:, 0] = controller["gear"] * start
+        # What the sensors see before delay, noise and quantisation, as histories; before their low-pass, a tick ago.
+        seen, raw = np.zeros((*sensors.shape, n)), np.zeros(sensors.shape)
+        self._alive = model, data, steps, kept  # whose memory compiled code reads by address
+        self._arguments = (
             native.function_address("mj_step"), model._address, data._address,
-            np.concatenate([_addresses(model, one.prefix) for one in joints]), model.numeric_data,
-            round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep),
+            np.concatenate([_addresses(model, one.prefix) for one in joints]), model.numeric_data, substeps, timestep,
             np.concatenate([one.record for one in joints]), np.stack([one.position for one in joints]),
-            np.stack([one.velocity for one in joints]), external, warmth, np.stack([one.sensors for one in joints]), noise,
-            _as_floats(noise), np.concatenate([one.controller for one in joints]), estimators, truth, readings,
-            _as_floats(readings), command, failed, tip_force, crosstalk, stamps, np.array([one.commanded for one in joints]),
+            np.stack([one.velocity for one in joints]), external, warmth, sensors, noise, _as_floats(noise), controller,
+            estimators, truth, readings, _as_floats(readings), command, self._failed, tip_force, crosstalk, stamps,
+            np.array([one.commanded for one in joints]), seen, raw, drive,
         )  # fmt: skip
-    return [
-        Simulation(
-            time, truth[i], readings[i], command[i], (int(failed[i, 0]), int(failed[i, 1])), one.stamps, one.commanded
+        self.done = 0
+        self._simulations = tuple(
+            Simulation(time, truth[i], readings[i], command[i], (n, 0), one.stamps, one.commanded)
+            for i, one in enumerate(joints)
         )
-        for i, one in enumerate(joints)
-    ]
+
+    @property
+    def simulations(self) -> tuple[Simulation, ...]:
+        return tuple(
+            replace(one, failed=(int(tick), int(status)))
+            for one, (tick, status) in zip(self._simulations, self._failed, strict=True)
+        )
+
+    @property
+    def simulation(self) -> Simulation:
+        return self.simulations[0]
+
+    def advance(self, ticks: int) -> slice:
+        """Simulate so many more ticks, or those that are left; nothing more once an estimator in the loop has failed.
+
+        Returns:
+          The ticks that are new.
+        """
+        begin, n = self.done, len(self._simulations[0].time)
+        if self._failed[:, 0].min() < n:
+            return slice(begin, begin)
+        end = min(begin + ticks, n)
+        with native.quiet(), native.untimed():
+            _loop(*self._arguments, begin, end)
+        self.done = min(end, int(self._failed[:, 0].min()))
+        return slice(begin, self.done)
 
 
 def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
@@ -260,7 +309,7 @@ def _input(command, j, step, delay, substeps, Kt):
 def _loop(
     step, model, data, addresses, numeric, substeps, h, record, position, velocity, external, temperature,
     sensors, noise, noise_of, controller, estimators, truth, readings, reading_of, command, failed, tip_force, crosstalk,
-    stamps, commanded,
+    stamps, commanded, seen, raw, drive, begin, end,
 ):  # fmt: skip
     at = addresses[0]
     act = floats_at(word_at(data + 8 * at.act))
@@ -270,26 +319,22 @@ def _loop(
     applied = floats_at(word_at(data + 8 * at.xfrc_applied))
     disabled = ints_at(model + 4 * at.disableflags)
 
-    joints, n = position.shape
+    joints = len(position)
     channels = sensors.shape[1]
     dt = substeps * h
-    # What the sensors see before delay, noise and quantisation, as histories; before their low-pass, a tick ago.
-    seen, raw = np.zeros((joints, channels, n)), np.zeros((joints, channels))
     ideal = np.zeros(1, READINGS)
     ideal_of = ideal.view(np.float64)
     given = np.zeros(1, SAMPLE)
     given_of = given.view(np.float64)
     given_of[:] = np.nan
-    drive = np.zeros((joints, 3))
     # Numbers and places that the steps within a tick need.
     delay, motor, Kt = np.zeros(joints, np.int64), np.zeros(joints, np.int64), np.zeros(joints)
     for j in range(joints):
-        drive[j, 0] = controller[j].gear * position[j, 0]
         delay[j], motor[j], Kt[j] = round(controller[j].delay / h), addresses[j].motor, record[j].Kt
     theta, before, omega, current = np.zeros((joints, 3)), np.zeros((joints, 3)), np.zeros(3), np.zeros(joints)
     wrench = np.zeros(6)
 
-    for k in range(n):
+    for k in range(begin, end):
         time = k * dt
         first = k * substeps
         for j in range(joints):

@@ -17,7 +17,7 @@ from ...models.output import output_folder
 from ...models.parameters import neutral
 from ...sim import arm as plant
 from ...sim.arm import ArmJoint
-from ...sim.loop import simulate_together
+from ...sim.loop import ClosedLoop
 from ..experiment import Experiment, estimate, signals_of
 from ..run import Place, Run
 from ..run_folder import View, save_run
@@ -70,8 +70,11 @@ def run_arm(
         described = KnownJoint.of(e.known_joint, link)
         experiments.append(replace(e, scenario=own, known=described))
     model = plant.build(joints, scenario.timestep)
-    driven = [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)]
-    done = [e.finished(found) for e, found in zip(experiments, simulate_together(model, driven), strict=True)]
+    loop = ClosedLoop(model, [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)])
+    loop.advance(len(alone[0].position))
+    for i, e in enumerate(experiments):
+        e.check(loop, place=i)
+    done = [e.with_own_sensors(found) for e, found in zip(experiments, loop.simulations, strict=True)]
     angles = {name: np.ascontiguousarray(s.readings["link_position"]) for name, s in zip(names, done, strict=True)}
     runs = {}
     for i, (name, e, s) in enumerate(zip(names, experiments, done, strict=True)):
