@@ -17,7 +17,7 @@ from ...models.errors import InputError
 from ...models.files import Strict, parse
 from ...sim.loop import CONTROL_PERIOD
 from ...sim.plant import TIMESTEP
-from ..scenario import Scenario, put, read_scenario
+from ..scenario import Scenario, from_here, put, read_scenario
 
 _SHARED = ("duration", "timestep")
 _BESIDE = (*_SHARED, "seed", "format")
@@ -150,7 +150,7 @@ def load_arm(
     """
     data, path = read_scenario(source, None, seed, shipped_arms())
     for key, value in (changes or {}).items():
-        put(data, key, value, f"{path}: {key}")
+        put(data, key, from_here(key, value), f"{path}: {key}")
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a joint alone")
     return parse(data, ArmScenario, str(path)), path.parent
