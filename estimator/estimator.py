@@ -250,6 +250,7 @@ class Estimator(ABC):
     costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
     innovation_unit: ClassVar[str] = "N·m"  # of its innovations, where it has any
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "link_position", "motor_current")  # channels it reads
+    reads_command: ClassVar[bool] = False  # whether it reads the drive's current command, where that is known
     tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # what tuning may change; first what trades noise for delay
     description: ClassVar[str] = ""  # a line for people, with its source
 
@@ -258,8 +259,8 @@ class Estimator(ABC):
         """Estimate the joint torque over signals.
 
         Args:
-          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known. A torque
-            sensor's reading is not looked at.
+          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known, for who
+            `reads_command`. A torque sensor's reading is not looked at.
           joint: what is known of the joint.
 
         Raises:
@@ -310,11 +311,12 @@ class CausalEstimator(Estimator):
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
         settings = self.settings(joint, interval).view(np.float64).reshape(-1)
         return CompiledStep(
-            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs)
-        )
+            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs),
+            self.reads_command,
+        )  # fmt: skip
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        samples = as_samples(signals, self.needs, joint)
+        samples = as_samples(signals, self.needs, joint, self.reads_command)
         out, failed, status = run_step(self.step(joint, sample_interval(signals)), samples)
         if failed < len(samples):
             last = out[max(failed - 1, 0)]
@@ -348,9 +350,11 @@ def sample_interval(signals: Signals) -> float:
     return round(float(np.median(np.diff(signals.time))), 9)
 
 
-def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> np.ndarray:
-    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command counts from the next
-    sample on; before the first there was none, 0 A.
+def as_samples(
+    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False
+) -> np.ndarray:
+    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command, which is there for who
+    `reads_command`, counts from the next sample on; before the first there was none, 0 A.
 
     Raises:
       InputError: a channel of `needs` that is missing.
@@ -358,20 +362,21 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> n
     for name in needs:
         signals[name]
     # Signals do not change, and every estimator reads the same of them.
-    made: dict[float | None, np.ndarray] = signals.__dict__.setdefault("_samples", {})
-    if joint.start not in made:
-        made[joint.start] = _samples(signals, joint)
-    return made[joint.start]
+    made: dict[tuple[float | None, bool], np.ndarray] = signals.__dict__.setdefault("_samples", {})
+    key = (joint.start, reads_command)
+    if key not in made:
+        made[key] = _samples(signals, joint, reads_command)
+    return made[key]
 
 
-def _samples(signals: Signals, joint: KnownJoint) -> np.ndarray:
+def _samples(signals: Signals, joint: KnownJoint, reads_command: bool) -> np.ndarray:
     time = signals.time
     found = np.full(len(time), np.nan, SAMPLE)
     found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
     for name in SENSED:
         if name in signals and name != "joint_torque":
             found[name] = signals[name]
-    if "current_command" in signals:
+    if reads_command and "current_command" in signals:
         command = signals["current_command"]
         found["current_command"] = np.r_[0.0, command[:-1]]
     found.flags.writeable = False

@@ -67,7 +67,7 @@ class Simulation:
       command: shape (n,), current command [A].
       failed: tick at which the estimator in the loop failed, and its status; (n, 0) where it did not.
       stamps: shape (n,), time stamps of the readings [s]; `time` where the clock is exact.
-      commanded: whether estimators are told the current command; otherwise they have the current sensor alone.
+      commanded: whether estimators that read the current command are told it; otherwise they, too, have the current sensor alone.
       further: what sensors of plugins read (`models.own_sensors`), shape (n,) each.
     """
 
@@ -115,7 +115,7 @@ def simulate(
         the external torque is a torque alone.
       crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
       stamps: time stamps of the readings [s], shape (n,); exact by default.
-      commanded: whether the estimator in the loop is told the current command.
+      commanded: whether the current command is told to estimators that read it (`models.step.CompiledStep.reads_command`).
     """
     n = len(position)
     if temperature is None:
@@ -133,6 +133,7 @@ def simulate(
     truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
     failed = np.array([n, 0], dtype=np.int64)
     substeps = round(CONTROL_PERIOD / model.opt.timestep)
+    asked = isinstance(feedback, CompiledStep) and feedback.reads_command
     if isinstance(feedback, CompiledStep):
         address, memory, known, settings, out = feedback.arrays()
     else:
@@ -142,7 +143,7 @@ def simulate(
             native.function_address("mj_step"), model._address, data._address, _addresses(model),
             model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,
             temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
-            readings, _as_floats(readings), command, failed, tip_force, crosstalk, told, commanded,
+            readings, _as_floats(readings), command, failed, tip_force, crosstalk, told, commanded and asked,
         )  # fmt: skip
     return Simulation(
         time,
