@@ -17,13 +17,12 @@ are not computed again: a run can be cut at any time and continued.
 from __future__ import annotations
 
 import argparse
-import csv
 import multiprocessing
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +32,6 @@ from flexspline.diagnosis.trials.draw import Challenge, Draw, Hidden, draw
 from flexspline.estimator import registry
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import KnownJoint
-from flexspline.models.files import write_into_place
 from flexspline.models.joint import Joint
 from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw_of, geometric, rms, varied
 from flexspline.scenarios.evaluation.intervals import Interval
@@ -41,6 +39,7 @@ from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
 
+from . import kept
 from .estimators import SCENARIOS, fill, text
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -261,27 +260,15 @@ def _counts(results: Results, real: bool) -> str:
 
 def read(path: Path) -> list[Row]:
     """Rows that are kept."""
-    if not path.exists():
-        return []
-    kinds = {f.name: f.type for f in fields(Row)}
-    convert: Mapping[str, type] = {"str": str, "int": int, "float": float}
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            Row(**{k: v == "True" if kinds[k] == "bool" else convert[str(kinds[k])](v) for k, v in line.items()})
-            for line in csv.DictReader(file)
-        ]
+    return kept.read(path, Row)
 
 
 def write(path: Path, rows: Sequence[Row]) -> None:
     """Keep rows, in order of draws."""
-    names = [f.name for f in fields(Row)]
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        ordered = sorted(
-            rows, key=lambda r: (r.real, r.hidden, r.draw, SCENARIOS.index(r.scenario), NAMES.index(r.estimator))
-        )
-        writer.writerows([getattr(r, name) for name in names] for r in ordered)
+    ordered = sorted(
+        rows, key=lambda r: (r.real, r.hidden, r.draw, SCENARIOS.index(r.scenario), NAMES.index(r.estimator))
+    )
+    kept.write(path, ordered, Row)
 
 
 def main(arguments: Sequence[str] = ()) -> None:

@@ -9,21 +9,20 @@ intervals, as margins may be infinite. Draws that are kept are not computed agai
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from flexspline.estimator import registry
-from flexspline.models.files import write_into_place
 from flexspline.scenarios.evaluation.intervals import Interval, median
 from flexspline.scenarios.evaluation.torque_control import DEFAULT, Loop, assess
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
 
+from . import kept
 from .estimators import fill
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -87,23 +86,9 @@ def table(rows: Sequence[Row]) -> str:
     return markdown(heads, [row for _, row in sorted(cells, key=lambda cell: cell[0])])
 
 
-def read(path: Path) -> list[Row]:
-    """Rows that are kept."""
-    if not path.exists():
-        return []
-    with path.open(newline="", encoding="utf-8") as file:
-        return [
-            Row(line["estimator"], int(line["draw"]), *(float(line[f.name]) for f in fields(Row)[2:]))
-            for line in csv.DictReader(file)
-        ]
-
-
 def write(path: Path, rows: Sequence[Row]) -> None:
     """Keep rows, in order."""
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Row)])
-        writer.writeheader()
-        writer.writerows(asdict(r) for r in sorted(rows, key=lambda r: (NAMES.index(r.estimator), r.draw)))
+    kept.write(path, sorted(rows, key=lambda r: (NAMES.index(r.estimator), r.draw)), Row)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -113,7 +98,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "torque_control.csv")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
     asked = parser.parse_args(arguments)
-    rows, began = read(asked.kept), time.perf_counter()
+    rows, began = kept.read(asked.kept, Row), time.perf_counter()
     have = {(r.estimator, r.draw) for r in rows}
     for draw in range(FIRST, FIRST + asked.draws):
         rows += [measured(name, draw) for name in NAMES if (name, draw) not in have]

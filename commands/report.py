@@ -17,6 +17,7 @@ EXAMPLES = (
     "flexspline report sweep --out study.html",
     "flexspline report contact --out contact.html",
 )
+_HOLDS = "a run, a comparison, a diagnosis, a sweep or contact"
 _MARK = '<meta name="generator" content="flexspline">'
 
 
@@ -25,7 +26,7 @@ def command(
     folders: Annotated[
         list[Path],
         typer.Argument(
-            help="of a run, a comparison, a diagnosis, a sweep or contact; or two diagnoses of a joint, before and after",
+            help=f"of {_HOLDS}; or two diagnoses of a joint, before and after",
             metavar="FOLDER [FOLDER]",
         ),
     ],
@@ -65,9 +66,7 @@ def _check(out: Path) -> None:
 def _page(folders: list[Path]) -> str:
     for folder in folders:
         if not folder.is_dir():
-            raise InputError(
-                f"{folder}: expected a folder of a run, a comparison, a diagnosis, a sweep or contact, found none"
-            )
+            raise InputError(f"{folder}: expected a folder of {_HOLDS}, found none")
     if len(folders) == 2:
         from ..views.pages.two_diagnoses import read_diagnosis, two_html
 
@@ -88,9 +87,7 @@ def _page(folders: list[Path]) -> str:
     found = sorted(path.parent for path in folder.glob("*/scenario.yaml"))
     if found:
         return _runs(found)
-    raise InputError(
-        f"{folder}: expected a folder of a run, a comparison, a diagnosis, a sweep or contact, got something else"
-    )
+    raise InputError(f"{folder}: expected a folder of {_HOLDS}, got something else")
 
 
 def _diagnosis(folder: Path) -> str:

@@ -31,15 +31,15 @@ from .search.stages import (
     Progress,
     Search,
     SearchSettings,
-    amount_of,
     quiet_rms,
     search,
     significance,
     size_of,
     why_needed,
     without_effect,
+    worth_of,
 )
-from .search.worth import Worth, mean_squares, unexplained, worth
+from .search.worth import mean_squares, unexplained
 from .uncertainty import stated
 
 
@@ -283,9 +283,8 @@ def _holds_back(outcome: _Outcome) -> str:
 
 def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Fit, Search]:
     """The chosen model at its end, without effects that the data do not tell from nothing there; the noise's share taken out."""
-    chosen = found.chosen
     kept: set[int] = set()
-    final = with_dispersion(problem, fitter.polish(chosen))
+    final = with_dispersion(problem, fitter.polish(found.chosen))
     while True:
         away = {i: significance(problem, final, i) for i, h in enumerate(final.model) if id(h) not in kept}
         weak = [i for i, x in away.items() if x < ANSWER.significant]
@@ -293,7 +292,7 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
             return final, found
         i = min(weak, key=lambda i: away[i])
         h = final.model[i]
-        other = without_effect(problem, fitter, final, i)
+        other = without_effect(problem, fitter, final, i, settings)
         needed = why_needed(problem, final, other, settings)
         reason = needed or f"{away[i]:.1f} standard deviations from absent where the fit ends"
         nan = float("nan")
@@ -358,20 +357,17 @@ def _findings(
     left = float(np.sqrt(np.sum(unexplained(problem, final.point))))
     findings: list[Finding] = []
     minor: list[Finding] = []
-    worths: list[Worth] = []
     linear = tamed(problem, final)
-    for i, h in enumerate(final.model):
-        block = problem.place(final.model, i)
-        effect = block.start + np.asarray(h.magnitudes)
-        others = np.setdiff1d(np.arange(len(final.theta)), np.arange(block.start, block.stop))
-        amount = amount_of(problem, final, i)[h.magnitudes]
-        worths.append(worth(problem, final, linear.jacobian, effect, others, amount))
+    worths = [worth_of(problem, final, linear, i) for i in range(len(final.model))]
     total = max(sum(w.rms**2 for w in worths), 1e-30)
-    confidences = _confidences(problem, found, final, unknown, worths, left)
+    named = len(final.model) - (unknown is not None)
+    plain = [w.rms >= ANSWER.plainly * left for w in worths]
+    away = [np.inf if plain[i] else significance(problem, final, i) for i in range(named)]
+    confidences = _confidences(problem, found, final, unknown, away)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
         share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
-        if unknown is not None and i == len(final.model) - 1:
+        if unknown is not None and i == named:
             confidence = float(np.clip(1 - np.exp(-unknown.gain / (8 * ANSWER.temper)), 0.3, 0.95))
             # Knees that are smooth, friction that is not quite viscous: many small things are in no library.
             little = real and w.rms < ANSWER.little * problem.joint.numbers["rated_torque"].value
@@ -388,8 +384,7 @@ def _findings(
             q.name: ParameterEstimate(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
             for q in h.cause.parameters
         }
-        hardly = significance(problem, final, i) < ANSWER.barely and w.rms < ANSWER.plainly * left
-        small = real and (size_of(problem, final, i) < ANSWER.minor or hardly)
+        small = real and (size_of(problem, final, i) < ANSWER.minor or away[i] < ANSWER.barely)
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
         (minor if small else findings).append(
@@ -441,11 +436,14 @@ def _held_out_squares(problem: Problem, f: Fit) -> float:
 
 
 def _confidences(
-    problem: Problem, found: Search, final: Fit, unknown: Unknown | None, worths: list[Worth], left: float
+    problem: Problem, found: Search, final: Fit, unknown: Unknown | None, away: list[float]
 ) -> list[float]:
     """Probability of each of the final model's causes: among its rivals, and as far as those on which it rests are there.
 
     Where the sizes of two causes are correlated by ρ, the part ρ² of the one is what it is because the other is there too.
+
+    Args:
+      away: of each its standard deviations from absent; infinite where it is plainly there.
     """
     model = final.model if unknown is None else final.model[:-1]
     alone, sizes = [], []
@@ -455,8 +453,7 @@ def _confidences(
             confidence = min(confidence, ANSWER.beside)
         if _at_bound(h, u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
             confidence = min(confidence, ANSWER.unsure)
-        away = significance(problem, final, i)
-        if away < ANSWER.significant and worths[i].rms < ANSWER.plainly * left:
+        if away[i] < ANSWER.significant:
             confidence = min(confidence, ANSWER.beside)
         alone.append(confidence)
         sizes.append(problem.place(final.model, i).start + np.asarray(h.magnitudes))

@@ -111,11 +111,13 @@ def wrench_crosstalk(joint: Joint, seed: int) -> np.ndarray:
 
 def time_stamps(time: np.ndarray, jitter: float, seed: int) -> np.ndarray:
     """Times [s], shape (n,), as a clock writes them that is off by `jitter` [s rms]; they still increase."""
-    if jitter == 0.0:
-        return time
-    step = float(time[1] - time[0])
-    error = np.clip(jitter * stream(seed, "jitter").standard_normal(len(time)), -0.45 * step, 0.45 * step)
-    return time + error
+    return time if jitter == 0.0 else jittered(time, jitter, stream(seed, "jitter"))
+
+
+def jittered(time: np.ndarray, jitter: float, rng: np.random.Generator) -> np.ndarray:
+    """Evenly spaced times [s], shape (n,), each off by `jitter` [s rms], but by less than half a step."""
+    step = float(np.median(np.diff(time)))
+    return time + np.clip(jitter * rng.standard_normal(len(time)), -0.45 * step, 0.45 * step)
 
 
 def realistic(joint: Joint) -> dict[str, Any]:

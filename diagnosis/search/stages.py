@@ -55,6 +55,8 @@ class AcceptSettings:
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
         noise and the linear model no good judge; per_cause: at most of one cause.
       general: part of a cause's gain that a more general one must add to it.
+      lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps have not
+        reached the fit without it: it takes so many `iterations` more.
       most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
@@ -77,6 +79,8 @@ class AcceptSettings:
     far: float = 10.0
     per_cause: int = 2
     general: float = 0.05
+    lost: float = 2.25
+    iterations: int = 9
     most: int = 5
     rounds: int = 3
     gross: float = 60.0
@@ -93,8 +97,6 @@ class SearchSettings:
 
 
 SETTINGS = SearchSettings()
-LOST = 2.25
-"""Ratio of mean squares of what is not explained, without an effect and with it, from which on the fit goes to its end."""
 
 
 @dataclass(frozen=True)
@@ -595,6 +597,14 @@ def _worth_of(problem: Problem, f: Fit, library: Library, s: Screened) -> Worth:
     return worth(problem, after, after.jacobian, effect, np.arange(n), (s.start - origin)[h.magnitudes])
 
 
+def worth_of(problem: Problem, f: Fit, linear: Fit, index: int) -> Worth:
+    """What one of a fit's effects is worth; `linear`: the fit with `solver.tamed` derivatives."""
+    h, block = f.model[index], problem.place(f.model, index)
+    effect = block.start + np.asarray(h.magnitudes)
+    others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
+    return worth(problem, f, linear.jacobian, effect, others, amount_of(problem, f, index)[h.magnitudes])
+
+
 def _together(problem: Problem, fitter: Fitter, at: Fit, library: Library, chosen: Sequence[Screened]) -> Fit:
     """All causes fitted together through the replay, from where the linear model puts them."""
     here, rest = tamed(problem, at), library
@@ -618,15 +628,15 @@ def _is_calibration(problem: Problem, f: Fit, index: int) -> bool:
     return problem.is_calibration(theta, tuple(f.model[j] for j in order))
 
 
-def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
+def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
     """A fit without one of its effects."""
     block = problem.place(f.model, index)
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
     other = fitter.fit(model, f.theta[kept], f, 4)
-    if np.sum(unexplained(problem, other.point)) < LOST * np.sum(unexplained(problem, f.point)):
+    if np.sum(unexplained(problem, other.point)) < settings.lost * np.sum(unexplained(problem, f.point)):
         return other
-    return fitter.fit(model, other.theta, None, SETTINGS.calibrate.iterations)  # further away than a few steps reach
+    return fitter.fit(model, other.theta, None, settings.iterations)
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
@@ -691,10 +701,7 @@ def _prune(
         left, near = float(np.sum(unexplained(problem, f.point))), quiet_rms(problem, f) < settings.far
         verdicts = []
         for i, h in enumerate(f.model):
-            block = problem.place(f.model, i)
-            effect = block.start + np.asarray(h.magnitudes)
-            others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
-            w = worth(problem, f, linear.jacobian, effect, others, amount_of(problem, f, i)[h.magnitudes])
+            w = worth_of(problem, f, linear, i)
             size, away = size_of(problem, f, i), significance(problem, honest, i)
             reason = ""
             if _is_calibration(problem, f, i):
@@ -718,7 +725,8 @@ def _prune(
             break
         # Of those, the one without which the rest is most probable.
         trials = [
-            (i, without_effect(problem, fitter, f, i)) for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
+            (i, without_effect(problem, fitter, f, i, settings))
+            for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
         ]
         i, other = max(trials, key=lambda trial: trial[1].log_evidence)
         w, size, reason = verdicts[i]

@@ -127,6 +127,4 @@ def bare(recording: Recording, rng: np.random.Generator) -> Recording:
 
 def jittered(recording: Recording, rms: float, rng: np.random.Generator) -> Recording:
     """The same with time stamps that are wrong by `rms` [s]; they still increase."""
-    step = float(np.median(np.diff(recording.time)))
-    error = np.clip(rms * rng.standard_normal(len(recording.time)), -0.45 * step, 0.45 * step)
-    return recording.at(slice(None), recording.time + error)
+    return recording.at(slice(None), sensors.jittered(recording.time, rms, rng))

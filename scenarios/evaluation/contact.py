@@ -47,8 +47,6 @@ LARGE = 2.0
 """Pushes of this size [N·m] or more count for the delay."""
 SHARE = 0.9
 """Share of pushes found that makes a size the smallest."""
-RATES = (60.0, 10.0, 1.0)
-"""False alarms per hour at which detectors are told of; below what a run's hours can show none is."""
 _PERIOD = 5.0  # s: a push in each
 _SECOND = 1.0  # s, in which alarms are one
 _AFTER = 0.1  # s after a push in which it may still be found

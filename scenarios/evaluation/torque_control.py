@@ -108,12 +108,13 @@ def assess(
     known = told(free.known, tolerance, tared=True)
     free = replace(free, known=known, fed_back=estimator)
     bench, fixed = bolted(free, record, known)
-    base = Controller.impedance(loop.stiffness, loop.damping, loop.gain, known.p)
+
+    def controlled(gain: float, delay: float = 0.0) -> Controller:
+        controller = Controller.impedance(loop.stiffness, loop.damping, gain, known.p)
+        return controller.model_copy(update={"delay": chosen.controller.delay + delay})
 
     def stable(gain: float, delay: float) -> bool:
-        controller = Controller.impedance(loop.stiffness, loop.damping, gain, known.p)
-        controller = controller.model_copy(update={"delay": chosen.controller.delay + delay})
-        found = _stepped(bench, fixed, controller, loop, seed)
+        found = _stepped(bench, fixed, controlled(gain, delay), loop, seed)
         return (
             found is not None
             and float(np.std(found.truth["joint_torque"][-round(_LAST / CONTROL_PERIOD) :])) < _OSCILLATES
@@ -125,7 +126,7 @@ def assess(
         if gain < 1.0:
             return Control(gain, 0.0, math.nan, math.nan)
         delay = largest(lambda d: stable(loop.gain, d), *DELAYS)
-    controller = base.model_copy(update={"delay": chosen.controller.delay})
+    controller = controlled(loop.gain)
     return Control(
         gain, delay, _bandwidth(bench, fixed, controller, loop, seed), _error(free, record, controller, seed)
     )

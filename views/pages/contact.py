@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import csv
-import hashlib
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -16,6 +14,7 @@ import numpy as np
 
 from ...models.errors import InputError
 from .chart import Chart, limits
+from .provenance import file_digest, now
 from .rendering import number, render, squeezed
 from .run import line_kinds
 
@@ -77,8 +76,8 @@ def contact_html(rows: Sequence[Row], folder: Path) -> str:
         "charts": [_charts(rows, tolerance, names, kinds) for tolerance, _ in tables],
         "place": shlex.quote(folder.as_posix()),
         "folder": str(folder),
-        "digest": hashlib.sha256((folder / "contact.csv").read_bytes()).hexdigest()[:12],
-        "written": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "digest": file_digest(folder / "contact.csv"),
+        "written": now(),
         "version": metadata.version("flexspline"),
     }
     return squeezed(render("contact.html.j2", context))

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 import math
-import platform
 import shlex
 from collections.abc import Sequence
-from datetime import datetime
-from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +13,7 @@ import numpy as np
 from ..style import FILTERS
 from ..tables import COLUMNS, RAW_MODEL
 from .chart import Chart, limits
-from .provenance import fingerprint
+from .provenance import fingerprint, now, versions
 from .rendering import number, render, squeezed
 
 if TYPE_CHECKING:
@@ -61,9 +58,8 @@ def _context(runs: Sequence[tuple[Run, Path]]) -> dict[str, Any]:
         "notes": [(run.name, note) for run, _ in runs for note in run.notes],
         "commands": _commands(runs, names),
         "columns": COLUMNS,
-        "written": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
-        "versions": {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy")}
-        | {"Python": platform.python_version()},
+        "written": now(),
+        "versions": versions(),
         "data": [
             (run.name, len(run.time), run.joint.name, run.scenario.seed, fingerprint(run.as_recording()), str(folder))
             for run, folder in runs

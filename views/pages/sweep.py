@@ -6,7 +6,6 @@ import itertools
 import math
 import shlex
 from collections.abc import Sequence
-from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +14,7 @@ import numpy as np
 from ..sweep_figures import layout, place_of
 from ..sweep_tables import cell, metric_column, sign_of, sweep_rows, value_text
 from .chart import Chart, limits
+from .provenance import now
 from .rendering import render, squeezed
 from .run import line_kinds
 
@@ -61,7 +61,7 @@ def sweep_html(study: Study, found: Sequence[Aggregate], versions: dict[str, str
         "folder": str(folder),
         "versions": versions,
         "digest": digest,
-        "written": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "written": now(),
     }
     return squeezed(render("sweep.html.j2", context))
 

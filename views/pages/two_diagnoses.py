@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import shlex
 from dataclasses import dataclass
-from datetime import datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,6 +15,7 @@ from ...models.files import check_format, read_text
 from ...models.joint import Joint, load_joint
 from ..glossary import meaning
 from ..report import listed, plain
+from .provenance import file_digest, now
 from .rendering import number, render, squeezed, with_std
 
 MOVED = 3.0
@@ -116,9 +115,9 @@ def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
             f"flexspline validate NEW_MEASUREMENT --joint {place}/joint.yaml --out check",
             f"flexspline plan {place}",
         ],
-        "written": datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z"),
+        "written": now(),
         "version": metadata.version("flexspline"),
-        "data": [(str(d.folder), _digest(d.folder)) for d in (before, after)],
+        "data": [(str(d.folder), file_digest(d.folder / "diagnosis.json")) for d in (before, after)],
     }
 
 
@@ -197,7 +196,3 @@ def _errors(before: Diagnosed, after: Diagnosed) -> list[tuple[str, list[str]]]:
         for name, a in found[0].items()
         if name in found[1]
     ]
-
-
-def _digest(folder: Path) -> str:
-    return hashlib.sha256((folder / "diagnosis.json").read_bytes()).hexdigest()[:12]
