@@ -350,9 +350,7 @@ def sample_interval(signals: Signals) -> float:
     return round(float(np.median(np.diff(signals.time))), 9)
 
 
-def as_samples(
-    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False
-) -> np.ndarray:
+def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False) -> np.ndarray:
     """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command, which is there for who
     `reads_command`, counts from the next sample on; before the first there was none, 0 A.
 

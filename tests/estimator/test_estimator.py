@@ -68,7 +68,7 @@ def test_finite_and_causal(name, known, signals):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_the_current_is_the_sensors_reading(name, known, signals):
-    """The paper's measurement, Eq. (5), goes by the drive's command where that is known; all others have the reading, to the bit."""
+    """The paper's measurement goes by the drive's command where that is known; all others have the reading, to the bit."""
     estimator = registry.get(name)
     reading = estimator.estimate(signals.without("current_command"), known).mean
     assert np.isfinite(reading).all()
