@@ -6,6 +6,7 @@ What a command needs is imported when it is called, not before: `--help` reads t
 
 from __future__ import annotations
 
+import _thread
 import ast
 import contextlib
 import functools
@@ -156,12 +157,13 @@ def main() -> None:
     What is being written when it is asked to end (Ctrl-C, SIGTERM) is not left behind.
     """
     with contextlib.suppress(ValueError):  # not in the main thread
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, _interrupt)
         signal.signal(signal.SIGTERM, _end)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show µ or °
             stream.reconfigure(errors="replace")
     warnings.showwarning = _notice
+    sys.unraisablehook = _unraisable
     try:
         app()
     except InputError as error:
@@ -181,25 +183,46 @@ def main() -> None:
         _refuse(InputError(f"{where}{reason}"))
     except MemoryError:
         _refuse(InputError("out of memory"))
-    except ImportError as error:  # a compiled library that was being loaded turns Ctrl-C into "initialization failed"
-        if not _interrupted(error):
-            raise
-        _leave(130)
     except KeyboardInterrupt:
         _leave(130)
     except SystemExit as stop:
         if stop.code in (130, 143):  # Ctrl-C, as Typer passes it on, and SIGTERM
             _leave(stop.code)
         raise
+    except Exception:  # what Ctrl-C breaks off fails elsewhere: "initialization failed", "no compiled object yet"
+        if not _interrupted:
+            raise
+        _leave(130)
 
 
-def _interrupted(error: BaseException | None) -> bool:
-    """Whether an error comes from Ctrl-C."""
-    while error is not None:
-        if isinstance(error, KeyboardInterrupt):
-            return True
-        error = error.__cause__ or error.__context__
-    return False
+_interrupted: list[int] = []
+"""Signals of Ctrl-C that came."""
+
+
+def _interrupt(number: int, frame: Any) -> NoReturn:
+    _interrupted.append(number)
+    raise KeyboardInterrupt
+
+
+_unraised = sys.unraisablehook
+
+
+def _unraisable(unraisable: Any) -> None:
+    """Raise Ctrl-C again where it fell into a call from compiled code, which loses it; anything else as Python does."""
+    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+        _unraised(unraisable)
+        return
+    again = threading.Timer(0.02, _ask_to_end)  # not here, where it would be lost as well
+    again.daemon = True
+    again.start()
+
+
+def _ask_to_end() -> None:
+    """Ctrl-C from within; on POSIX as a signal, which ends what waits as well."""
+    if hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
 
 
 _otherwise = warnings.showwarning

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from ._listing import AsJson
 from ._options import MeasurementPath
 
 EXAMPLES = ("flexspline export measurement --out mcap",)
@@ -15,6 +16,7 @@ EXAMPLES = ("flexspline export measurement --out mcap",)
 def command(
     measurement: MeasurementPath,
     out: Annotated[Path, typer.Option(help="folder that the files are written to")],
+    as_json: AsJson = False,
 ) -> None:
     """Write recordings as MCAP, a file each: ROS 2 messages for Foxglove, PlotJuggler and `ros2 bag`.
 
@@ -31,6 +33,11 @@ def command(
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:
         for recording, name in zip(data.recordings, names, strict=True):
             write_mcap(recording, folder / name)
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text({r.name: {"file": str(out / name)} for r, name in zip(data.recordings, names, strict=True)}))
+        return
     terminal = console()
     for name in names:
         terminal.print(f"{out / name}")

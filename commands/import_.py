@@ -5,14 +5,16 @@ from __future__ import annotations
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..models.errors import InputError
+from ._listing import AsJson
 from ._options import with_plugins
 
 if TYPE_CHECKING:
+    from ..diagnosis.data.mistakes import Mistake
     from ..models.recording import Measurement
 
 EXAMPLES = (
@@ -45,6 +47,7 @@ def command(
             help="replace recordings of these names that were imported before; YAML that was edited since is kept",
         ),
     ] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Import logs in another layout as recordings: table and YAML. See docs/importing.md.
 
@@ -52,6 +55,7 @@ def command(
     program's own format can be given as well then: `flexspline import MEASUREMENT --fix --out DIR`.
     """
     from ..diagnosis.data.mistakes import find_mistakes, mended
+    from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..models.recording import edited, write_recording
     from ._console import console
@@ -66,21 +70,36 @@ def command(
             if (out / file).exists():
                 raise InputError(f"{out / file}: expected no such file, --force replaces what was imported before")
     check_output(out, "import", inputs=inputs, writes=written)
+    mistakes: list[Mistake] = []
     if fix:
         described = measurement.load_joint(joint)
-        mistakes = find_mistakes(measurement, described)
-        print_mistakes(terminal, mistakes, "mended")
+        mistakes = list(find_mistakes(measurement, described))
+        if not as_json:
+            print_mistakes(terminal, mistakes, "mended")
         measurement = mended(measurement, described, mistakes)
+    imported: dict[str, dict[str, Any]] = {}
     with output_folder(out, "import", inputs=inputs, writes=written) as folder:
         for recording in measurement.recordings:
             told = replace(recording, joint=_beside(recording.joint, home, out))
             path = out / write_recording(told, folder).name
-            if edited(path):
+            kept = edited(path)
+            if kept:
                 _keep(path.with_suffix(".yaml"), folder / path.name)
-                terminal.print(f"{path.with_suffix('.yaml')}: kept, as it was edited")
-            seconds = recording.time[-1] - recording.time[0]
-            columns = ", ".join(["time", *recording.columns])
-            terminal.print(f"{path}: {len(recording.time)} samples, {seconds:.2f} s: {columns}")
+            imported[recording.name] = {
+                "file": str(path),
+                "samples": len(recording.time),
+                "seconds": float(recording.time[-1] - recording.time[0]),
+                "columns": ["time", *recording.columns],
+                "description_kept": kept,
+            }
+    if as_json:
+        print(json_text({"recordings": imported, "mended": [m.to_json() for m in mistakes]}))
+        return
+    for one in imported.values():
+        if one["description_kept"]:
+            terminal.print(f"{Path(one['file']).with_suffix('.yaml')}: kept, as it was edited")
+        columns = ", ".join(one["columns"])
+        terminal.print(f"{one['file']}: {one['samples']} samples, {one['seconds']:.2f} s: {columns}")
 
 
 def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..models.errors import InputError
+from ._listing import AsJson
 from ._options import with_plugins
 
 EXAMPLES = (
@@ -33,6 +34,7 @@ def command(
     out: Annotated[Path, typer.Option(help="the page, an HTML file that needs nothing beside it")] = Path(
         "report.html"
     ),
+    as_json: AsJson = False,
 ) -> None:
     """Write one self-contained page of a run, a comparison, a diagnosis, a sweep or contact; or of two diagnoses side by side.
 
@@ -46,6 +48,11 @@ def command(
     page = _page(folders)
     with write_into_place(out) as temporary:
         temporary.write_text(page, encoding="utf-8")
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text({"page": str(out), "of": [str(folder) for folder in folders]}))
+        return
     console().print(f"{out}")
 
 

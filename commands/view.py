@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -12,9 +13,10 @@ from typing import Annotated
 import typer
 
 from ..models.errors import InputError
+from ._listing import AsJson
+from ._live import ADDRESS
+from ._options import Changes, Seed, shipped, with_plugins
 
-ADDRESS = "127.0.0.1"
-"""What the viewer listens on: this computer only."""
 RECORDINGS = ("run.rrd", "report.rrd")
 """Of a run and of a diagnosis, in their folders."""
 _MAGIC = b"RRF"
@@ -23,23 +25,55 @@ EXAMPLES = (
     "flexspline view runs/external_push",
     "flexspline view diagnosis --web",
     "flexspline view runs/external_push again/external_push",
+    "flexspline view --live external_push --set controller.kp=6 --speed 0.5",
 )
 
 
+@with_plugins
 def command(
     folders: Annotated[
-        list[Path],
+        list[Path] | None,
         typer.Argument(
             help="Folder of a run or a diagnosis, or an .rrd recording; or several runs, laid over each other.",
-            metavar="FOLDER…",
+            metavar="[FOLDER…]",
         ),
-    ],
+    ] = None,
+    live: Annotated[
+        str | None,
+        typer.Option(
+            "--live",
+            metavar="SCENARIO",
+            help="Run a scenario, by its name or path, and show it while it runs; nothing is written.",
+            autocompletion=shipped("scenarios"),
+        ),
+    ] = None,
+    changes: Changes = None,
+    seed: Seed = None,
+    speed: Annotated[
+        float, typer.Option("--speed", min=0.01, max=1000, help="Of `--live`: seconds of the scenario per second.")
+    ] = 1.0,
     web: Annotated[bool, typer.Option("--web", help="In the browser, instead of a window.")] = False,
+    as_json: AsJson = False,
 ) -> None:
-    """Open a run, several, or a diagnosis in the Rerun viewer, which listens on 127.0.0.1 only and sends no usage data."""
-    recording = find_recording(folders[0]) if len(folders) == 1 else None
+    """Open a run, several, or a diagnosis in the Rerun viewer, or a scenario while it runs (`--live`).
+
+    The viewer listens on 127.0.0.1 only and sends no usage data. `--live` goes on until its viewer is closed, or Ctrl-C.
+    """
+    if (live is None) == (not folders):
+        raise InputError(
+            f"view: expected folders, or --live with a scenario, got {'neither' if live is None else 'both'}"
+        )
+    if live is None and (changes or seed is not None or speed != 1.0):
+        raise InputError("view: --set, --seed, --speed: expected --live with them, got a folder")
+    recording = find_recording(folders[0]) if folders and len(folders) == 1 else None
     if not web and sys.platform.startswith("linux") and not (_set("DISPLAY") or _set("WAYLAND_DISPLAY")):
         raise InputError("view: expected a display for the viewer's window, found none; use --web")
+    if live is not None:
+        _show_live(live, changes, seed, speed, web, as_json)
+        return
+    assert folders is not None
+    if as_json:
+        _tell(folders)
     if recording is None:
         raise typer.Exit(_overlaid(folders, web))
     words = viewer_command(recording, web)
@@ -48,6 +82,40 @@ def command(
             words[0], words, viewer_environment()
         )  # the viewer takes this process's place, so that what ends one ends the other
     raise typer.Exit(subprocess.call(words, env=viewer_environment()))
+
+
+def _show_live(name: str, changes: list[str] | None, seed: int | None, speed: float, web: bool, as_json: bool) -> None:
+    from ..scenarios.live import LiveRun
+    from ..scenarios.scenario import load_scenario
+    from ._console import console
+    from ._live import free_port, show_live
+
+    live = LiveRun(*load_scenario(name, changes, seed))
+    port = free_port()
+    run = show_live(live, viewer_command(None, web, port), viewer_environment(), port, speed)
+    if as_json:
+        from ..models.files import json_text
+
+        print(json_text({live.scenario.name: {"folder": None, **run.metrics} if run is not None else None}))
+        return
+    terminal = console()
+    if run is None:
+        terminal.print(f"{live.scenario.name}: the viewer was closed before the end")
+        return
+    from ..views.tables import comparison_table
+
+    terminal.print(comparison_table({run.name: run.metrics}))
+    for note in run.notes:
+        terminal.print(f"{run.name}: {note}", style="yellow")
+
+
+def _tell(folders: list[Path]) -> None:
+    """Say what is opened, for programs; what the viewer says goes to stderr."""
+    from ..models.files import json_text
+
+    print(json_text({"opened": [str(folder) for folder in folders], "address": ADDRESS}), flush=True)
+    with contextlib.suppress(OSError, ValueError):
+        os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
 
 
 def _overlaid(folders: list[Path], web: bool) -> int:
@@ -75,14 +143,21 @@ def overlay(folders: list[Path], path: Path) -> Path:
     return write_rerun_overlay(list(zip(names, runs, strict=True)), path)
 
 
-def viewer_command(recording: Path, web: bool = False) -> list[str]:
-    """The command line that opens a recording; every port is free and bound to this computer only."""
+def viewer_command(recording: Path | None, web: bool = False, port: int | None = None) -> list[str]:
+    """The command line of a viewer; every port is bound to this computer only.
+
+    Args:
+      recording: that it opens; None: it waits for data.
+      web: in the browser.
+      port: on which it takes data; any that is free by default.
+    """
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
     program = next((folder / name for name in ("rerun", "rerun.exe") if (folder / name).is_file()), None)
     start = [sys.executable, "-m", "rerun_cli"] if program is None else [str(program)]
-    words = [*start, str(recording), "--bind", ADDRESS, "--port", "auto"]
+    shown = [str(recording)] if recording is not None else ["--expect-data-soon"]
+    words = [*start, *shown, "--bind", ADDRESS, "--port", "auto" if port is None else str(port)]
     return [*words, "--web-viewer", "--web-viewer-port", "0"] if web else words
 
 

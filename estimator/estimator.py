@@ -368,17 +368,29 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, read
 
 
 def _samples(signals: Signals, joint: KnownJoint, reads_command: bool) -> np.ndarray:
-    time = signals.time
-    found = np.full(len(time), np.nan, SAMPLE)
-    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
-    for name in SENSED:
-        if name in signals and name != "joint_torque":
-            found[name] = signals[name]
-    if reads_command and "current_command" in signals:
-        command = signals["current_command"]
-        found["current_command"] = np.r_[0.0, command[:-1]]
+    found = blank_samples(signals.time, joint)
+    fill_samples(found, signals.columns, slice(0, len(found)), reads_command)
     found.flags.writeable = False
     return found
+
+
+def blank_samples(time: np.ndarray, joint: KnownJoint) -> np.ndarray:
+    """Records of `SAMPLE` at times [s], shape (n,), without readings."""
+    found = np.full(len(time), np.nan, SAMPLE)
+    found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
+    return found
+
+
+def fill_samples(
+    samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice, reads_command: bool = False
+) -> None:
+    """Put a stretch of channels, shape (n,) each, into records of `SAMPLE`, as `as_samples` says."""
+    for name in SENSED:
+        if name in columns and name != "joint_torque":
+            samples[name][part] = columns[name][part]
+    if reads_command and "current_command" in columns and part.stop > part.start:
+        command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
+        samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
 
 
 def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, int]:
@@ -387,10 +399,26 @@ def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, 
     Returns:
       Its outputs, shape (n, outputs); the sample at which it failed and its status, (n, 0) where it did not.
     """
-    address, memory, record, settings, out = step.arrays()
-    history = np.zeros((len(samples), len(out)))
+    arrays = step.arrays()
+    history = np.zeros((len(samples), len(arrays[-1])))
+    failed, status = go_on(arrays, samples, history)
+    return history, failed, status
+
+
+def go_on(
+    arrays: tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray], samples: np.ndarray, history: np.ndarray
+) -> tuple[int, int]:
+    """Run a step on over further samples; `arrays` of `CompiledStep.arrays`, whose memory moves on with them.
+
+    Args:
+      arrays: of the step. samples: records of `SAMPLE`, shape (n,). history: for its outputs, shape (n, outputs).
+
+    Returns:
+      The sample at which it failed and its status, (n, 0) where it did not.
+    """
+    address, memory, record, settings, _ = arrays
     failed, status = _run(address, memory, samples, record, settings, history)
-    return history, int(failed), int(status)
+    return int(failed), int(status)
 
 
 @kernel

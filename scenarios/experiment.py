@@ -19,7 +19,7 @@ from ..models.joint import Joint, Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors
-from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, Simulation, simulate
+from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, ClosedLoop, Simulation
 from .scenario import Scenario
 
 if TYPE_CHECKING:
@@ -106,48 +106,69 @@ class Experiment:
           InputError: torques under which the motion is no longer finite.
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
+        loop = self.closed_loop(seed, record, model)
+        loop.advance(len(self.position))
+        self.check(loop)
+        return self.with_own_sensors(loop.simulation, seed)
+
+    def closed_loop(
+        self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
+    ) -> ClosedLoop:
+        """The closed loop before its first tick; arguments as of `simulate`."""
         scenario, record = self.scenario, self.record if record is None else record
         model = self.build(record) if model is None else model
-        p = record[0]
+        p, seed = record[0], scenario.seed if seed is None else seed
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:
             feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
-        simulation = simulate(
+        return ClosedLoop(
             model,
             record,
             self.position,
             self.velocity,
             self.external_torque,
             sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
-            sensors.noise(self.joint, scenario.seed if seed is None else seed, len(self.position), CONTROL_PERIOD),
+            sensors.noise(self.joint, seed, len(self.position), CONTROL_PERIOD),
             scenario.controller.record(self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none"),
             feedback,
             self.temperature,
             self.tip_force,
-            sensors.wrench_crosstalk(self.joint, scenario.seed if seed is None else seed),
-            sensors.time_stamps(scenario.time, scenario.jitter, scenario.seed if seed is None else seed),
+            sensors.wrench_crosstalk(self.joint, seed),
+            sensors.time_stamps(scenario.time, scenario.jitter, seed),
             scenario.current == "command",
         )
+
+    def check(self, loop: ClosedLoop, begin: int = 0) -> None:
+        """Look at what the loop has simulated, from a tick on.
+
+        Raises:
+          InputError: torques under which the motion is no longer finite.
+          FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
+        """
+        simulation = loop.simulation
         tick = simulation.failed[0]
-        overloaded = _overload(simulation)
+        overloaded = _overload(simulation, begin, loop.done)
         if overloaded is not None:
             raise InputError(
-                f"scenario {scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques and "
+                f"scenario {self.scenario.name}: from {overloaded:.3f} s on the motion is not finite: expected torques and "
                 "motions that the joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
             )
         if tick < len(simulation.time):
             if self.fed_back is not None and tick > 0:  # over the signals until then it says why
                 self.fed_back.estimate(signals_of(simulation).part(slice(0, tick + 1)), self.known)
             raise FilterDiverged(
-                scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
+                self.scenario.feedback, tick, float(simulation.time[tick]), "the estimate is no longer a finite number"
             )
+
+    def with_own_sensors(self, simulation: Simulation, seed: int | None = None) -> Simulation:
+        """The same with what sensors of plugins read, which follows from the whole of it; `seed`: as of `simulate`."""
         if not own_sensors.names():
             return simulation
         truth = {name: np.ascontiguousarray(simulation.truth[name]) for name in simulation.truth.dtype.names or ()}
         own = own_sensors.readings(
             simulation.time,
             truth | {"external_torque": self.external_torque},
-            partial(sensors.stream, scenario.seed if seed is None else seed),
+            partial(sensors.stream, self.scenario.seed if seed is None else seed),
         )
         return replace(simulation, further=own)
 
@@ -162,11 +183,15 @@ class Experiment:
 def signals_of(simulation: Simulation) -> Signals:
     """What an estimator may read of a simulation: sensors that are read before the drive acts, and the current command where it
     is told that; at their time stamps."""
-    readings = simulation.readings
-    columns = {name: readings[name] for name in _SEEN} | dict(simulation.further)
+    return Signals(simulation.time if simulation.stamps is None else simulation.stamps, readable(simulation))
+
+
+def readable(simulation: Simulation) -> dict[str, np.ndarray]:
+    """The channels of `signals_of`, shape (n,) each: views of what the simulation fills."""
+    columns = {name: simulation.readings[name] for name in _SEEN} | dict(simulation.further)
     if simulation.commanded:
         columns["current_command"] = simulation.command
-    return Signals(simulation.time if simulation.stamps is None else simulation.stamps, columns)
+    return columns
 
 
 def estimate(
@@ -195,15 +220,16 @@ def _loaded(mounting: Mounting, load: float) -> Mounting:
     return mounting.model_copy(update={"gravity_moment": load, "inertia": mounting.inertia * share})
 
 
-def _overload(simulation: Simulation) -> float | None:
-    """When [s] the plant's motion stopped being one: not finite, or faster than anything that turns."""
-    time, ended = simulation.time, simulation.failed[0]
-    truth = simulation.truth[:ended]
-    broken = np.zeros(min(ended + 1, len(time)), dtype=bool)
+def _overload(simulation: Simulation, begin: int, end: int) -> float | None:
+    """When [s], in ticks from `begin` to `end`, the plant's motion stopped being one: not finite, or faster than anything
+    that turns."""
+    first = max(begin - 1, 0)
+    truth = simulation.truth[first:end]
+    broken = np.zeros(min(end + 1, len(simulation.time)) - first, dtype=bool)
     for name in TRUTH.names or ():
-        broken[:ended] |= ~np.isfinite(truth[name])
+        broken[: len(truth)] |= ~np.isfinite(truth[name])
     for name in ("motor_position", "wave_generator_position", "link_position"):
-        broken[1:ended] |= ~(np.abs(np.diff(truth[name])) < _FASTEST * CONTROL_PERIOD)
+        broken[1 : len(truth)] |= ~(np.abs(np.diff(truth[name])) < _FASTEST * CONTROL_PERIOD)
     for name in _SEEN:  # an estimate that is fed back fails with the readings, before there is a truth beside them
-        broken |= ~np.isfinite(simulation.readings[name][: len(broken)])
-    return float(time[np.argmax(broken)]) if np.any(broken) else None
+        broken |= ~np.isfinite(simulation.readings[name][first : first + len(broken)])
+    return float(simulation.time[first + np.argmax(broken)]) if np.any(broken) else None

@@ -1,6 +1,7 @@
 """The closed loop, compiled: plant, sensors, one estimator and the drive at control rate, with no Python inside.
 
-One call runs a whole scenario and releases the interpreter's lock, so that threads run scenarios side by side. Only an
+One call runs a whole scenario, or a stretch of it, and releases the interpreter's lock, so that threads run scenarios side by
+side. Only an
 estimator whose torque is fed back changes what happens, so only that one is in here; it is called by its address, as all
 estimators share one signature (`models.step`). Every other one runs over the signals afterwards, and says to the bit what
 it would have said in the loop.
@@ -10,7 +11,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
@@ -54,6 +55,12 @@ _ADDRESSES = np.dtype(
 )
 """Where things lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata` (−1: there is
 none), the number of the link's body."""
+
+
+_CARRIED = np.dtype(
+    [("drive", np.float64, 3), *((name, np.float64) for name in ("command", "external", "force", "estimate"))]
+)
+"""What the loop takes from one tick to the next, beside what MuJoCo, the estimator and the sensors remember."""
 
 
 @dataclass(frozen=True)
@@ -117,43 +124,93 @@ def simulate(
       stamps: time stamps of the readings [s], shape (n,); exact by default.
       commanded: whether the current command is told to estimators that read it (`models.step.CompiledStep.reads_command`).
     """
-    n = len(position)
-    if temperature is None:
-        temperature = np.full(n, REFERENCE_TEMPERATURE)
-    model = copy.copy(model)
-    plant.set_temperature(model, float(temperature[0]))
-    data = mujoco.MjData(model)
-    begin = position[0]
-    p = record[0]
-    plant.start(model, data, np.array([begin * p["N"], begin * p["N"], begin]))
-    tip_force = np.zeros(n) if tip_force is None else tip_force
-    crosstalk = np.zeros((6, 6)) if crosstalk is None else crosstalk
-    time = np.arange(n) * (round(CONTROL_PERIOD / model.opt.timestep) * float(model.opt.timestep))
-    told = np.ascontiguousarray(time if stamps is None else stamps, dtype=np.float64)
-    truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
-    failed = np.array([n, 0], dtype=np.int64)
-    substeps = round(CONTROL_PERIOD / model.opt.timestep)
-    asked = isinstance(feedback, CompiledStep) and feedback.reads_command
-    if isinstance(feedback, CompiledStep):
+    loop = ClosedLoop(
+        model, record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force,
+        crosstalk, stamps, commanded,
+    )  # fmt: skip
+    loop.advance(len(position))
+    return loop.simulation
+
+
+class ClosedLoop:
+    """A closed loop under way: as many ticks at a time as one likes, to the bit the same in any pieces.
+
+    Attributes:
+      simulation: its arrays fill up as the loop goes on.
+      done: ticks that have been simulated.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        record: np.ndarray,
+        position: np.ndarray,
+        velocity: np.ndarray,
+        external_torque: np.ndarray,
+        sensors: np.ndarray,
+        noise: np.ndarray,
+        controller: np.ndarray,
+        feedback: CompiledStep | str | None = None,
+        temperature: np.ndarray | None = None,
+        tip_force: np.ndarray | None = None,
+        crosstalk: np.ndarray | None = None,
+        stamps: np.ndarray | None = None,
+        commanded: bool = True,
+    ):
+        """Stand at rest at the first commanded position; arguments as of `simulate`."""
+        n = len(position)
+        if temperature is None:
+            temperature = np.full(n, REFERENCE_TEMPERATURE)
+        model = copy.copy(model)
+        plant.set_temperature(model, float(temperature[0]))
+        data = mujoco.MjData(model)
+        begin = position[0]
+        p = record[0]
+        plant.start(model, data, np.array([begin * p["N"], begin * p["N"], begin]))
+        tip_force = np.zeros(n) if tip_force is None else tip_force
+        crosstalk = np.zeros((6, 6)) if crosstalk is None else crosstalk
+        substeps = round(CONTROL_PERIOD / model.opt.timestep)
+        timestep = float(model.opt.timestep)
+        time = np.arange(n) * (substeps * timestep)
+        told = np.ascontiguousarray(time if stamps is None else stamps, dtype=np.float64)
+        truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
+        self._failed = np.array([n, 0], dtype=np.int64)
+        if not isinstance(feedback, CompiledStep):
+            feedback = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record)
         address, memory, known, settings, out = feedback.arrays()
-    else:
-        address, memory, known, settings, out = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record).arrays()
-    with native.quiet(), native.untimed():
-        _loop(
+        carried = np.zeros(1, _CARRIED)
+        carried[0]["drive"][0] = float(controller[0]["gear"]) * begin
+        # What the sensors see before delay, noise and quantisation, as histories; before their low-pass, a tick ago.
+        seen, raw = np.zeros((len(sensors), n)), np.zeros(len(sensors))
+        self._alive = model, data, feedback  # whose memory compiled code reads by address
+        self._arguments = (
             native.function_address("mj_step"), model._address, data._address, _addresses(model),
-            model.numeric_data, substeps, float(model.opt.timestep), record, position, velocity, external_torque,
+            model.numeric_data, substeps, timestep, record, position, velocity, external_torque,
             temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
-            readings, _as_floats(readings), command, failed, tip_force, crosstalk, told, commanded and asked,
+            readings, _as_floats(readings), command, self._failed, tip_force, crosstalk, told, commanded and feedback.reads_command,
+            seen, raw, carried,
         )  # fmt: skip
-    return Simulation(
-        time,
-        truth,
-        readings,
-        command,
-        (int(failed[0]), int(failed[1])),
-        stamps,
-        commanded,
-    )
+        self.done = 0
+        self._simulation = Simulation(time, truth, readings, command, (n, 0), stamps, commanded)
+
+    @property
+    def simulation(self) -> Simulation:
+        return replace(self._simulation, failed=(int(self._failed[0]), int(self._failed[1])))
+
+    def advance(self, ticks: int) -> slice:
+        """Simulate so many more ticks, or those that are left; nothing more once the estimator in the loop has failed.
+
+        Returns:
+          The ticks that are new.
+        """
+        begin, n = self.done, len(self._simulation.time)
+        if self._failed[0] < n:
+            return slice(begin, begin)
+        end = min(begin + ticks, n)
+        with native.quiet(), native.untimed():
+            _loop(*self._arguments, begin, end)
+        self.done = min(end, int(self._failed[0]))
+        return slice(begin, self.done)
 
 
 def _addresses(model: mujoco.MjModel) -> np.ndarray:
@@ -196,7 +253,7 @@ def _in_force(command, step, delay, substeps):
 def _loop(
     step, model, data, addresses, numeric, substeps, h, record, position, velocity, external, temperature,
     sensors, noise, noise_of, controller, estimator, memory, known, settings, out, truth, readings, reading_of,
-    command, failed, tip_force, crosstalk, stamps, commanded,
+    command, failed, tip_force, crosstalk, stamps, commanded, seen, raw, carried, begin, end,
 ):  # fmt: skip
     p, c, at = record[0], controller[0], addresses[0]
     delay = round(c.delay / h)
@@ -208,22 +265,20 @@ def _loop(
     sensordata = floats_at(word_at(data + 8 * at.sensordata))
     disabled = ints_at(model + 4 * at.disableflags)
 
-    n, channels = position.size, len(sensors)
+    channels = len(sensors)
     dt = substeps * h
-    # What the sensors see before delay, noise and quantisation, as histories; before their low-pass, a tick ago.
-    seen, raw = np.zeros((channels, n)), np.zeros(channels)
     ideal = np.zeros(1, READINGS)
     ideal_of = ideal.view(np.float64)
     given = np.zeros(1, SAMPLE)
     given_of = given.view(np.float64)
     given_of[:] = np.nan
-    drive = np.zeros(3)
-    drive[0] = c.gear * position[0]
+    drive = carried[0].drive
     theta, before, omega = np.zeros(3), np.zeros(3), np.zeros(3)
-    last_command, last_external, last_force, estimate = 0.0, 0.0, 0.0, 0.0
+    last_command, last_external = carried[0].command, carried[0].external
+    last_force, estimate = carried[0].force, carried[0].estimate
     wrench = np.zeros(6)
 
-    for k in range(n):
+    for k in range(begin, end):
         time = k * dt
         theta[:] = q
         before[:] = v
@@ -311,3 +366,5 @@ def _loop(
             call_step(step, model, data)
         disabled[0] = flags
         last_command, last_external, last_force = command[k], external[k], tip_force[k]
+    carried[0].command, carried[0].external = last_command, last_external
+    carried[0].force, carried[0].estimate = last_force, estimate

@@ -74,6 +74,25 @@ def test_ctrl_c_in_the_first_second_is_silent(tmp_path, after):
     assert b"Traceback" not in err and process.returncode in (130, -signal.SIGINT, 0)
 
 
+@pytest.mark.parametrize(
+    "after", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"], ids=["fails", "goes_on"]
+)
+def test_ctrl_c_that_falls_into_compiled_code_is_not_lost(after):
+    """A call from C cannot raise: Python only prints what came, and what was broken off fails elsewhere or goes on."""
+    program = f"""
+import ctypes, os, signal, time
+from flexspline import commands
+called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT) or time.sleep(0.01))
+def app():
+    called()
+    {after}
+commands.app = app
+commands.main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=15)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("command", ["run", "compare"])
 def test_asked_to_end_it_ends_and_leaves_nothing(flexspline, tmp_path_factory, tmp_path, number, command):

@@ -29,6 +29,56 @@ def test_every_command_has_examples_in_its_help(flexspline, folder, name):
         assert example in text
 
 
+WITHOUT_JSON = {"schema": "prints JSON Schema, which is JSON already"}
+
+
+@pytest.mark.parametrize(("folder", "name"), ALL, ids=[" ".join(one).strip() for one in ALL])
+def test_every_command_answers_programs(flexspline, folder, name):
+    """By `--json`, or for a reason that stands above; the same words are known to all, and `--json` is the option's only name."""
+    words = [word for word in (folder, name) if word]
+    code, out, _ = flexspline(*words, "-h")
+    assert code == 0
+    assert ("--json" in out) != (" ".join(words) in WITHOUT_JSON)
+
+
+def test_logs_and_pages_as_json(flexspline, tmp_path, monkeypatch):
+    """One object on stdout and nothing else, of what was written; errors as without."""
+    monkeypatch.chdir(tmp_path)
+    code, _, err = flexspline("run", "no_load", *SHORT, "--out", "runs", "--no-figures", "--no-recording")
+    assert code == 0, err
+    code, out, err = flexspline("report", "runs/no_load", "--out", "page.html", "--json")
+    assert code == 0, err
+    assert json.loads(out) == {"page": "page.html", "of": ["runs/no_load"]} and (tmp_path / "page.html").is_file()
+    pytest.importorskip("mcap_ros2")
+    code, out, err = flexspline("export", "runs/no_load/no_load.yaml", "--out", "mcap", "--json")
+    assert code == 0, err
+    assert json.loads(out) == {"no_load": {"file": "mcap/no_load.mcap"}} and (tmp_path / "mcap/no_load.mcap").is_file()
+    code, out, err = flexspline("import", "runs/no_load/no_load.yaml", "--fix", "--out", "mended", "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    recording = told["recordings"]["no_load"]
+    assert (tmp_path / recording["file"]).is_file() and recording["samples"] == 3000 and told["mended"] == []
+    assert recording["columns"][0] == "time" and not recording["description_kept"]
+    for name, *more in (("import", "--out", "x"), ("export", "--out", "x"), ("report",), ("view",)):
+        words = [name, "nowhere", *more]
+        plain, told = flexspline(*words), flexspline(*words, "--json")
+        assert plain == told and plain[0] == 2 and not plain[1]
+
+
+def test_what_is_viewed_as_json(tmp_path):
+    """The viewer takes the command's place and may say what it likes, on stderr."""
+    (tmp_path / "run.rrd").write_bytes(b"RRF2")
+    program = (
+        "import os, sys; from flexspline.commands import view, main\n"
+        "view.viewer_command = lambda *given: [sys.executable, '-c', 'print(\"a word of the viewer\")']\n"
+        f"sys.argv = ['flexspline', 'view', {str(tmp_path)!r}, '--web', '--json']; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout) == {"opened": [str(tmp_path)], "address": "127.0.0.1"}
+    assert "a word of the viewer" in done.stderr
+
+
 def test_exit_codes_are_documented(flexspline):
     _, out, _ = flexspline("-h")
     assert "Exit codes: 0 done; 1 a limit is missed" in " ".join(out.split())

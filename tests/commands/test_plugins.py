@@ -1,4 +1,4 @@
-"""Own estimators and causes: the files of docs/plugins.md, given to commands and installed; what is wrong is one line."""
+"""Own estimators, causes and sensors: the files of docs/plugins.md, given and installed; what is wrong is one line."""
 
 from __future__ import annotations
 
@@ -34,17 +34,18 @@ STUDY = {
 
 
 @pytest.fixture
-def files(tmp_path) -> tuple[Path, Path]:
-    """The two files of the page."""
+def files(tmp_path) -> tuple[Path, Path, Path]:
+    """The three files of the page."""
     made = tmp_path / "own"
     made.mkdir()
     programs = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
-    for name, text in zip(("my_filter.py", "my_cause.py"), programs[:2], strict=True):
+    names = ("my_filter.py", "my_cause.py", "my_sensor.py")
+    for name, text in zip(names, programs, strict=True):
         (made / name).write_text(text, encoding="utf-8")
-    return made / "my_filter.py", made / "my_cause.py"
+    return made / names[0], made / names[1], made / names[2]
 
 
-def install(files: tuple[Path, Path], site: Path) -> None:
+def install(files: tuple[Path, Path, Path], site: Path) -> None:
     """The page's package as an installer leaves it in a folder."""
     site.mkdir()
     for file in files:
@@ -54,7 +55,7 @@ def install(files: tuple[Path, Path], site: Path) -> None:
     (told / "METADATA").write_text("Metadata-Version: 2.1\nName: my-joint\nVersion: 1.0\n", encoding="utf-8")
     (project,) = re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
     points = re.findall(r'\[project\.entry-points\."([\w.]+)"\]\n((?:\w+ = .*\n)+)', project)
-    assert len(points) == 2
+    assert len(points) == 3
     text = "".join(f"[{group}]\n{lines}\n" for group, lines in points).replace('"', "")
     (told / "entry_points.txt").write_text(text, encoding="utf-8")
 
@@ -69,7 +70,7 @@ def installed(files, tmp_path, monkeypatch) -> Path:
     yield site
     monkeypatch.undo()
     forget()
-    for name in ("my_filter", "my_cause"):
+    for name in ("my_filter", "my_cause", "my_sensor"):
         sys.modules.pop(name, None)
 
 
@@ -87,12 +88,13 @@ def one_line(found: tuple[int, str, str]) -> str:
 
 def test_an_installed_package_is_simply_there(flexspline, installed, tmp_path):
     """Lists say where it comes from; a study hides the cause, a check says whether it could show."""
-    for what, name in (("estimators", "moving_average"), ("causes", "soft_bearing")):
+    own = {"estimators": {"moving_average", "strain_tared"}, "causes": {"soft_bearing"}, "sensors": {"strain"}}
+    for what, names in own.items():
         code, text, error = flexspline(what, "--json")
         assert code == 0, error
         listed = json.loads(text)
-        assert listed[name]["source"] == "my-joint 1.0"
-        assert {entry["source"] for other, entry in listed.items() if other != name} == {"flexspline"}
+        assert {name for name, entry in listed.items() if entry["source"] == "my-joint 1.0"} == names
+        assert {entry["source"] for other, entry in listed.items() if other not in names} == {"flexspline"}
         assert "(my-joint 1.0)" in flexspline(what)[1]
     assert (
         fs.estimators().loc["moving_average", "source"] == fs.causes().loc["soft_bearing", "source"] == "my-joint 1.0"
@@ -109,6 +111,25 @@ def test_an_installed_package_is_simply_there(flexspline, installed, tmp_path):
     assert code == 0, error
     report = json.loads(text)
     assert "soft_bearing" in [*report["can_show"], *report["undetermined"]]
+
+
+def test_an_installed_sensor_is_read(flexspline, installed, tmp_path):
+    """By a run, whose recording has it with its unit, by its own estimator there and over the recording, and in a sweep."""
+    out = tmp_path / "runs"
+    words = ["--set", "duration=2", "--set", "transient=0.5", "--set", "filters=[strain_tared]"]
+    code, _, error = flexspline("run", "link_sweep", *words, "--no-figures", "--no-recording", "--out", out)
+    assert code == 0, error
+    recording = fs.load_recording(out / "link_sweep" / "link_sweep.yaml")
+    run = fs.simulate("link_sweep", duration=2, transient=0.5, filters=["strain_tared"])
+    np.testing.assert_array_equal(recording["strain"], run.simulation.further["strain"])
+    found = fs.estimate(recording, estimators="strain_tared")
+    assert np.isfinite(found["strain_tared"]).all() and len(found) == len(run.time)
+
+    study = tmp_path / "mine.yaml"
+    study.write_text(yaml.safe_dump(STUDY | {"axes": [], "filters": ["strain_tared"]}), encoding="utf-8")
+    code, _, error = flexspline("sweep", study, "--out", tmp_path / "sweep", "--no-figures")
+    assert code == 0, error
+    assert set(pd.read_csv(tmp_path / "sweep" / "summary.csv")["filter"]) == {"strain_tared"}
 
 
 @pytest.mark.slow

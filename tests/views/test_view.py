@@ -51,7 +51,7 @@ def test_without_a_display_it_says_what_to_do(tmp_path, monkeypatch):
     for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     with pytest.raises(InputError, match="--web"):
-        view.command([tmp_path])
+        view.command(folders=[tmp_path])
 
 
 @pytest.mark.parametrize("web", [False, True], ids=["window", "web"])
@@ -62,7 +62,7 @@ def test_it_listens_on_this_computer_only(web, pushed, tmp_path):
         pytest.skip("no xvfb-run")
     path = write_rerun(pushed, tmp_path / "run.rrd")
     program = "import sys, pathlib; from flexspline.commands.view import command as view; "
-    program += f"view([pathlib.Path(sys.argv[1])], {web})"
+    program += f"view(folders=[pathlib.Path(sys.argv[1])], web={web})"
     command = [sys.executable, "-c", program, str(path)]
     if not web:
         command = ["xvfb-run", "-a", *command]

@@ -7,7 +7,15 @@ so that a recording opens laid out. Entities of a run: `scene/…` the 3D joint,
 
 from .channels import ModelledChannel, rerun_measurement
 from .diagnosis import write_rerun_report
+from .live import LiveRecording
 from .overlay import write_rerun_overlay
 from .run import write_rerun
 
-__all__ = ["ModelledChannel", "rerun_measurement", "write_rerun", "write_rerun_overlay", "write_rerun_report"]
+__all__ = [
+    "LiveRecording",
+    "ModelledChannel",
+    "rerun_measurement",
+    "write_rerun",
+    "write_rerun_overlay",
+    "write_rerun_report",
+]

@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 
 from ..style import EXTERNAL
-from .recording import rgb
+from .recording import is_new, rgb
 
 DEGREES_PER_TORQUE = 12.0
 """Length of the torque arrows around the axis [°/(N·m)]."""
@@ -44,11 +44,12 @@ def send_arc(
         return radius * (np.cos(angle)[..., None] * up + np.sin(angle)[..., None] * side) + place
 
     strips = at(angles).astype(np.float32)  # (f, points, 3): one array, not one object per frame
-    stream.log(path, rr.LineStrips3D.from_fields(colors=[rgb(color)], radii=[0.003]), static=True, strict=True)
+    point = f"{path}/head"
+    if is_new(stream, path, color):
+        stream.log(path, rr.LineStrips3D.from_fields(colors=[rgb(color)], radii=[0.003]), static=True, strict=True)
+        stream.log(point, rr.Arrows3D.from_fields(colors=[rgb(color)], radii=[0.007]), static=True, strict=True)
     stream.send_columns(path, time, rr.LineStrips3D.columns(strips=strips), strict=True)
     begin, end = at(swept - head), at(swept)
-    point = f"{path}/head"
-    stream.log(point, rr.Arrows3D.from_fields(colors=[rgb(color)], radii=[0.007]), static=True, strict=True)
     arrows = rr.Arrows3D.columns(origins=begin.astype(np.float32), vectors=(end - begin).astype(np.float32))
     stream.send_columns(point, time, arrows, strict=True)
 
@@ -61,8 +62,8 @@ def send_push(
     length = np.linalg.norm(arm, axis=1, keepdims=True)
     direction = np.cross(axis, arm) / np.maximum(length, 1e-9)
     vectors = FORCE_SCALE * (torque[:, None] / np.maximum(length, 1e-9)) * direction
-    stream.log(
-        "scene/external", rr.Arrows3D.from_fields(colors=[rgb(EXTERNAL)], radii=[0.007]), static=True, strict=True
-    )
+    if is_new(stream, "scene/external"):
+        looks = rr.Arrows3D.from_fields(colors=[rgb(EXTERNAL)], radii=[0.007])
+        stream.log("scene/external", looks, static=True, strict=True)
     columns = rr.Arrows3D.columns(origins=(tips - vectors).astype(np.float32), vectors=vectors.astype(np.float32))
     stream.send_columns("scene/external", time, columns, strict=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,16 +27,34 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
       reach: of the link [m], for the camera.
     """
     names = list(run.estimates)
+    limits = _error_limits(run, main_filter(names))
+    pushed = bool(np.any(run.external_torque))
+    return layout(run_panels(names, tuple(innovations(run)), pushed, reach, limits), float(run.time[-1]))
+
+
+def run_panels(
+    names: Sequence[str],
+    stated: Collection[str],
+    pushed: bool,
+    reach: float,
+    limits: tuple[float, float] | None = None,
+) -> rrb.Container:
+    """The panels of a run.
+
+    Args:
+      names: of its filters. stated: those that state an innovation.
+      pushed: whether there is ever a torque on the link.
+      reach: of the link [m].
+      limits: of the panel of errors [N·m]; all of them by default.
+    """
     main = main_filter(names)
     joint = joint_view("Joint: torque true (green), estimated, external (pink)", "scene", reach)
     # The same colours in all panels, so that one legend is enough.
-    stated = innovations(run)
     surprises = [
         series_view(f"Innovation {name} [N·m]" if name == main else name, f"innovation/{name}", legend=False)
         for name in (main, *(name for name in names if name != main))
         if name in stated
     ]
-    pushed = bool(np.any(run.external_torque))
     behind: list[rrb.View | rrb.Container] = [
         *([rrb.Tabs(contents=surprises, name="Innovation")] if surprises else []),
         series_view("Torsion and its parts [mrad]", "torsion"),
@@ -49,20 +68,15 @@ def run_blueprint(run: Run, reach: float = 0.4) -> rrb.Blueprint:
     ]
     estimates: list[rrb.View] = [
         series_view("Joint torque [N·m]", "torque"),
-        series_view("Estimate − truth [N·m]", "error", legend=False, limits=_error_limits(run, main)),
+        series_view("Estimate − truth [N·m]", "error", legend=False, limits=limits),
         series_view(f"Robust mode [% of {SHARE_WINDOW:g} s]", "robust_share", legend=False, limits=(-5, 105)),
         rrb.StateTimelineView(name="Mode", origin="mode", time_view=SHARED_TIME),
     ]
-    return layout(
-        rrb.Horizontal(
-            rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
-            rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
-            rrb.Vertical(
-                contents=behind, row_shares=[*([2] if surprises else []), 2.2, *([1.2] if pushed else []), 1.6]
-            ),
-            column_shares=[1.05, 1.4, 1.25],
-        ),
-        float(run.time[-1]),
+    return rrb.Horizontal(
+        rrb.Vertical(joint, rrb.TextDocumentView(origin="notes", name="Run"), row_shares=[3, 2]),
+        rrb.Vertical(contents=estimates, row_shares=[3, 2.4, 1.6, 1.2]),
+        rrb.Vertical(contents=behind, row_shares=[*([2] if surprises else []), 2.2, *([1.2] if pushed else []), 1.6]),
+        column_shares=[1.05, 1.4, 1.25],
     )
 
 

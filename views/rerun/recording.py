@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import rerun as rr
@@ -21,6 +22,15 @@ SHARED_TIME = rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal)
 """The time axis that all panels share."""
 _GLOBAL_VIEW = uuid.UUID("5c0dca6a-e63f-9cf7-f657-2602590474cc")
 """`GLOBAL_VIEW_ID` of Rerun's viewer (re_viewer_context)."""
+_LOOKS: WeakKeyDictionary[rr.RecordingStream, dict[str, Hashable]] = WeakKeyDictionary()
+
+
+def is_new(stream: rr.RecordingStream, path: str, looks: Hashable = None) -> bool:
+    """Whether an entity of a stream has not been asked about yet, or had other looks: its static data are sent once only."""
+    told = _LOOKS.setdefault(stream, {})
+    new = path not in told or told[path] != looks
+    told[path] = looks
+    return new
 
 
 @contextmanager
@@ -73,10 +83,11 @@ def send_series(
       visible: whether it is shown before one asks for it in the legend.
     """
     peaks = rr.components.AggregationPolicy.MinMax
-    line = rr.SeriesLines(
-        colors=rgb(color), names=name, widths=width, visible_series=[visible], aggregation_policy=peaks
-    )
-    stream.log(path, line, static=True, strict=True)
+    if is_new(stream, path, (name, color, width, visible)):
+        line = rr.SeriesLines(
+            colors=rgb(color), names=name, widths=width, visible_series=[visible], aggregation_policy=peaks
+        )
+        stream.log(path, line, static=True, strict=True)
     i = envelope(values, points // 2, keep)
     at = [rr.TimeColumn(TIMELINE, duration=time[i])]
     stream.send_columns(path, at, rr.Scalars.columns(scalars=values[i]), strict=True)
@@ -102,8 +113,9 @@ def series_view(
     )
 
 
-def layout(root: rrb.Container, end: float) -> rrb.Blueprint:
-    """A blueprint with that content, all of the time from 0 to `end` [s] in view, the panels at the sides folded."""
+def layout(root: rrb.Container, end: float, live: bool = False) -> rrb.Blueprint:
+    """A blueprint with that content, all of the time from 0 to `end` [s] in view, the panels at the sides folded; `live`: the
+    cursor follows what comes in."""
     # The viewer keeps the range of the shared time axis with a view of this id. Unset, it shows 30 s about the cursor.
     shared = rrb.TimeSeriesView(
         name="shared time axis",
@@ -120,7 +132,7 @@ def layout(root: rrb.Container, end: float) -> rrb.Blueprint:
         rrb.Horizontal(root, shared, column_shares=[1, 0]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, play_state="following" if live else None),
         auto_views=False,
         auto_layout=False,
     )

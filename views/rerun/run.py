@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -13,10 +14,12 @@ from ..series import share
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
 from ..tables import comparison_markdown
 from .blueprint import SHARE_WINDOW, run_blueprint
-from .recording import POINTS, TIMELINE, recording, rgb, send_series
+from .recording import POINTS, TIMELINE, is_new, recording, rgb, send_series
 from .scene import reach, send_scene, shape_of
 
 if TYPE_CHECKING:
+    import mujoco
+
     from ...scenarios.run import Run
 
 MODE_WINDOW = 0.02
@@ -37,15 +40,43 @@ def write_rerun(run: Run, path: Path) -> Path:
       InputError: the file cannot be written.
     """
     model = shape_of(run.joint)
+    colors = filter_colors(run.estimates)
     with recording(path, run.name, run_blueprint(run, reach(model))) as stream:
-        send_scene(stream, run, model)
-        _send_torques(stream, run)
-        _send_filters(stream, run)
-        _send_torsion(stream, run)
-        _send_motion(stream, run)
-        notes = rr.TextDocument(_notes(run), media_type=rr.MediaType.MARKDOWN)
-        stream.log("notes", notes, static=True, strict=True)
+        send_run(stream, run, model, colors, bool(np.any(run.external_torque)))
+        for name in switching(run):
+            robust = modes(run, name)
+            send_share(stream, name, run.time, share_of(robust, run.time), colors[name])
+            start, robust = windows(run.time, robust, window_samples(MODE_WINDOW, run.time))
+            send_mode(stream, name, start, robust, colors[name])
+        send_notes(stream, notes(run))
     return Path(path)
+
+
+def send_run(
+    stream: rr.RecordingStream,
+    run: Run,
+    model: mujoco.MjModel,
+    colors: Mapping[str, str],
+    pushed: bool,
+    points: int = POINTS,
+    visible: Collection[str] | None = None,
+) -> None:
+    """Send what can be said of a stretch of a run by itself: scene, torques, innovations, torsion, motion.
+
+    Args:
+      run: a run, or a stretch of one.
+      model: the joint's shape.
+      colors: of the filters, by name.
+      pushed: whether there is ever a torque on the link.
+      points: about how many samples of a series stay at most.
+      visible: of `send_estimates`.
+    """
+    near = _interesting(run)
+    send_scene(stream, run, model, colors, pushed)
+    _send_torques(stream, run, near, points)
+    send_estimates(stream, run, colors, points, visible)
+    _send_torsion(stream, run, near, points)
+    _send_motion(stream, run, points)
 
 
 def _interesting(run: Run) -> np.ndarray:
@@ -59,62 +90,97 @@ def _interesting(run: Run) -> np.ndarray:
     return near
 
 
-def _send_torques(stream: rr.RecordingStream, run: Run) -> None:
-    near, truth = _interesting(run), run.truth("joint_torque")
-    colors = filter_colors(run.estimates)
-
+def _send_torques(stream: rr.RecordingStream, run: Run, near: np.ndarray, points: int) -> None:
     def send(path: str, values: np.ndarray, name: str, color: str, width: float = 1.5, visible: bool = True) -> None:
-        send_series(stream, path, run.time, values, name, color, width, near, visible=visible)
+        send_series(stream, path, run.time, values, name, color, width, near, points, visible)
 
     send("torque/sensor", run.reading("joint_torque"), "torque sensor", SENSOR, 1.0)
     send("torque/model", run.model_torque, "raw model", MODEL, visible=False)
-    for name, found in run.estimates.items():
-        # Series are drawn in the order of their paths: a filter that is always robust would cover the paper's three.
-        shown = found.robust is None or not found.robust[1:].all()
-        send(f"torque/{name}", run.estimate(name), name, colors[name], 2.5, shown)
-        send(f"error/{name}", run.estimate(name) - truth, name, colors[name], 1.5, shown)
-    send("torque/truth", truth, "truth", TRUTH, 1.0)
+    send("torque/truth", run.truth("joint_torque"), "truth", TRUTH, 1.0)
     send("external_torque", run.external_torque, "external torque on the link", EXTERNAL)
 
 
-def _send_filters(stream: rr.RecordingStream, run: Run) -> None:
-    near = _interesting(run)
-    period = float(run.time[1] - run.time[0])
+def send_estimates(
+    stream: rr.RecordingStream, run: Run, colors: Mapping[str, str], points: int, visible: Collection[str] | None = None
+) -> None:
+    """Send the estimates of the filters in `colors`, their errors and innovations.
+
+    Args:
+      run: a run, or a stretch of one.
+      colors: of the filters, by name.
+      points: about how many samples of a series stay at most.
+      visible: filters that are shown before one asks for them in the legend; by default those that are not always robust.
+    """
+    near, truth = _interesting(run), run.truth("joint_torque")
     found = innovations(run)
-    for name, color in filter_colors(run.estimates).items():
-        place = f"innovation/{name}"
+    for name, color in colors.items():
+        values = run.estimate(name)
+        # Series are drawn in the order of their paths: a filter that is always robust would cover the paper's three.
+        shown = name not in always_robust(run, colors) if visible is None else name in visible
+        send_series(stream, f"torque/{name}", run.time, values, name, color, 2.5, near, points, shown)
+        send_series(stream, f"error/{name}", run.time, values - truth, name, color, 1.5, near, points, shown)
         if name in found:
-            deviation = found[name].deviation
-            send_series(stream, f"{place}/innovation", run.time, found[name].values, "innovation", color, 1.0, near)
+            place, deviation = f"innovation/{name}", found[name].deviation
+            innovation = found[name].values
+            send_series(stream, f"{place}/innovation", run.time, innovation, "innovation", color, 1.0, near, points)
             for sign, label in ((1, "+√P_Y"), (-1, "−√P_Y")):
                 part = "upper" if sign > 0 else "lower"
-                send_series(stream, f"{place}/{part}", run.time, sign * deviation, label, SENSOR, 1.5, near)
-        if name in switching(run):
-            robust = modes(run, name)
-            percent = 100 * share(robust, round(SHARE_WINDOW / period))
-            send_series(stream, f"robust_share/{name}", run.time, percent, name, color, points=POINTS // 4)
-            _send_mode(stream, f"mode/{name}", run.time, robust, round(MODE_WINDOW / period), color)
+                limit = sign * deviation
+                send_series(stream, f"{place}/{part}", run.time, limit, label, SENSOR, 1.5, near, points)
 
 
-def _send_mode(
-    stream: rr.RecordingStream, path: str, time: np.ndarray, robust: np.ndarray, window: int, color: str
+def always_robust(run: Run, names: Iterable[str], first: int = 1) -> set[str]:
+    """Filters of those that doubt themselves all the time, from a sample on: the start counts for nothing."""
+    return {name for name in names if (robust := run.estimates[name].robust) is not None and robust[first:].all()}
+
+
+def share_of(robust: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Moving share of the time in robust mode [%], shape (n,)."""
+    return 100 * share(robust, window_samples(SHARE_WINDOW, time))
+
+
+def send_share(
+    stream: rr.RecordingStream, name: str, time: np.ndarray, percent: np.ndarray, color: str, points: int = POINTS
 ) -> None:
-    """Send the mode as a lane: its changes, of the majority in each window."""
-    start = np.arange(0, len(robust), max(window, 1))
-    majority = np.add.reduceat(robust.astype(int), start) * 2 >= np.diff(np.append(start, len(robust)))
-    changes = np.flatnonzero(np.append(True, majority[1:] != majority[:-1]))
-    stream.log(
-        path,
-        rr.StateConfiguration(values=["optimal", "robust"], labels=[" ", " "], colors=[rgb("#3A4048"), rgb(color)]),
-        static=True,
-        strict=True,
-    )
-    states = np.where(majority[changes], "robust", "optimal").tolist()
-    at = rr.TimeColumn(TIMELINE, duration=time[start[changes]])
+    """Send a filter's share of the time in robust mode [%], shape (n,)."""
+    send_series(stream, f"robust_share/{name}", time, percent, name, color, points=points // 4)
+
+
+def window_samples(window: float, time: np.ndarray) -> int:
+    """How many samples a window [s] has, at least one."""
+    return max(round(window / float(time[1] - time[0])), 1)
+
+
+def windows(time: np.ndarray, robust: np.ndarray, samples: int) -> tuple[np.ndarray, np.ndarray]:
+    """Starts [s] of windows of so many samples, and whether the majority of each is robust."""
+    start = np.arange(0, len(robust), samples)
+    return time[start], np.add.reduceat(robust.astype(int), start) * 2 >= np.diff(np.append(start, len(robust)))
+
+
+def send_mode(
+    stream: rr.RecordingStream, name: str, start: np.ndarray, robust: np.ndarray, color: str, before: bool | None = None
+) -> None:
+    """Send a filter's mode as a lane: its changes.
+
+    Args:
+      start, robust: of `windows`.
+      before: whether the window before them was robust; None: there is none.
+    """
+    changes = np.flatnonzero(np.append(before is None or robust[0] != before, robust[1:] != robust[:-1]))
+    if not len(changes):
+        return
+    path = f"mode/{name}"
+    if is_new(stream, path):
+        looks = rr.StateConfiguration(
+            values=["optimal", "robust"], labels=[" ", " "], colors=[rgb("#3A4048"), rgb(color)]
+        )
+        stream.log(path, looks, static=True, strict=True)
+    states = np.where(robust[changes], "robust", "optimal").tolist()
+    at = rr.TimeColumn(TIMELINE, duration=start[changes])
     stream.send_columns(path, [at], rr.StateChange.columns(state=states), strict=True)
 
 
-def _send_torsion(stream: rr.RecordingStream, run: Run) -> None:
+def _send_torsion(stream: rr.RecordingStream, run: Run, near: np.ndarray, points: int) -> None:
     """Eq. (1) on the true state: Δθ = Δθf + Δθw/N + θerr."""
     N = run.joint.numbers["N"].value
     rotor, wave, link = (run.truth(f"{name}_position") for name in ("motor", "wave_generator", "link"))
@@ -127,10 +193,10 @@ def _send_torsion(stream: rr.RecordingStream, run: Run) -> None:
         "kinematic_error": ("θerr, kinematic error", run.kinematic_error, 1.5),
     }
     for part, (name, values, width) in parts.items():
-        send_series(stream, f"torsion/{part}", run.time, 1e3 * values, name, PARTS[part], width, _interesting(run))
+        send_series(stream, f"torsion/{part}", run.time, 1e3 * values, name, PARTS[part], width, near, points)
 
 
-def _send_motion(stream: rr.RecordingStream, run: Run) -> None:
+def _send_motion(stream: rr.RecordingStream, run: Run, points: int) -> None:
     link = run.truth("link_position")
     send = [
         ("position/command", np.degrees(run.position_command), "command", COMMAND),
@@ -140,22 +206,33 @@ def _send_motion(stream: rr.RecordingStream, run: Run) -> None:
         ("current/true", run.truth("motor_current"), "true", TRUTH),
     ]
     for path, values, name, color in send:
-        send_series(stream, path, run.time, values, name, color)
+        send_series(stream, path, run.time, values, name, color, points=points)
 
 
-def _notes(run: Run) -> str:
+def send_notes(stream: rr.RecordingStream, text: str) -> None:
+    """Send what stands beside the pictures, Markdown."""
+    stream.log("notes", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), static=True, strict=True)
+
+
+def asked(run: Run) -> str:
+    """What was asked for, as Markdown."""
     scenario = run.scenario
     mounting = scenario.mounting or run.joint.mounting
     lines = [
         f"# {run.name}",
         scenario.description,
         "",
-        f"Joint **{run.joint.name}**, mounting **{mounting}**, {run.time[-1] + run.time[1] - run.time[0]:g} s, "
+        f"Joint **{run.joint.name}**, mounting **{mounting}**, {scenario.duration:g} s, "
         f"seed {scenario.seed}, feedback: {scenario.feedback}."
         + (f" Reproduces the paper's {scenario.figure}." if scenario.figure else ""),
         "",
     ]
-    lines += [f"* {note}" for note in run.notes]
+    return "\n".join(lines)
+
+
+def notes(run: Run) -> str:
+    """What was asked for and what came out, as Markdown."""
+    lines = [asked(run), *(f"* {note}" for note in run.notes)]
     if run.metrics.get("filters"):
         table = comparison_markdown({run.name: run.metrics}, keys=("rms", "max", "robust_share"))
         lines += ["Errors against the noise-free joint torque:", "", table]

@@ -12,9 +12,9 @@ import rerun as rr
 from ...models.errors import InputError
 from ...models.mjcf import check_mjcf
 from ...sim.native import quiet
-from ..style import TRUTH, filter_colors, main_filter
+from ..style import TRUTH, main_filter
 from .arrows import send_arc, send_push
-from .recording import TIMELINE
+from .recording import TIMELINE, is_new
 
 if TYPE_CHECKING:
     from ...models.joint import Joint
@@ -44,21 +44,28 @@ def reach(model: mujoco.MjModel) -> float:
     return max(float(np.linalg.norm(model.site_pos[site][[0, 2]])), 0.2) if site >= 0 else 0.4
 
 
-def send_scene(stream: rr.RecordingStream, run: Run, model: mujoco.MjModel) -> None:
-    """Send the joint's bodies with their motion, and the torques as arrows."""
+def send_scene(
+    stream: rr.RecordingStream, run: Run, model: mujoco.MjModel, colors: Mapping[str, str], pushed: bool
+) -> None:
+    """Send the joint's bodies with their motion, and the torques as arrows.
+
+    Args:
+      run: a run, or a stretch of one.
+      model: the joint's shape.
+      colors: of the filters that there are, by name.
+      pushed: whether there is ever a torque on the link.
+    """
     frames = thin_frames(run.time)
+    if not len(frames):
+        return
     time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
     angles = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
     bare = run.joint.mount(run.scenario.mounting or None).gravity_moment == 0
     tips = send_bodies(stream, "scene", time, angles, model, bare)
-    names = list(run.estimates)
-    main = main_filter(names)
-    torques = {
-        "true": (run.truth("joint_torque")[frames], TRUTH),
-        main: (run.estimate(main)[frames], filter_colors(names)[main]),
-    }
+    main = main_filter(colors)
+    torques = {"true": (run.truth("joint_torque")[frames], TRUTH), main: (run.estimate(main)[frames], colors[main])}
     send_torques(stream, "scene", time, torques, model)
-    if tips is not None and np.any(run.external_torque):
+    if tips is not None and pushed:
         send_push(stream, time, run.external_torque[frames], tips, _axis(model))
 
 
@@ -80,11 +87,14 @@ def send_bodies(
     Returns:
       Positions of the site `tip` [m], shape (f, 3), if there is one.
     """
-    stream.log(place, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
+    new = is_new(stream, place)
+    if new:
+        stream.log(place, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True, strict=True)
     positions, rotations, tips = _poses(model, angles)
     for body in range(1, model.nbody):
         name = model.body(body).name or f"body_{body}"
-        send_geoms(stream, model, body, f"{place}/{name}", bare and name == "link")
+        if new:
+            send_geoms(stream, model, body, f"{place}/{name}", bare and name == "link")
         columns = rr.Transform3D.columns(translation=positions[:, body], quaternion=rotations[:, body])
         stream.send_columns(f"{place}/{name}", time, columns, strict=True)
     return tips
@@ -129,9 +139,10 @@ def _front(model: mujoco.MjModel, axis: np.ndarray) -> float:
 
 
 def thin_frames(time: np.ndarray) -> np.ndarray:
-    """Indices of the samples that the 3D scene shows."""
-    step = max(round(1.0 / FRAME_RATE / float(time[1] - time[0])), 1)
-    return np.arange(0, len(time), step)
+    """Indices of the samples that the 3D scene shows; of a stretch the same as of the whole."""
+    period = float(time[1] - time[0])
+    step = max(round(1.0 / FRAME_RATE / period), 1)
+    return np.arange(-round(float(time[0]) / period) % step, len(time), step)
 
 
 def _poses(model: mujoco.MjModel, angles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

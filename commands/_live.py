@@ -1,0 +1,121 @@
+"""A scenario that runs while a viewer shows it: the loop, its filters and the viewer's process, put together."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from ..models.errors import InputError
+
+if TYPE_CHECKING:
+    from ..scenarios.live import LiveRun
+    from ..scenarios.run import Run
+    from ..views.rerun import LiveRecording
+
+ADDRESS = "127.0.0.1"
+"""What the viewer listens on: this computer only."""
+UPDATE = 0.04
+"""Time between two updates of the viewer [s]."""
+_LONGEST = 1.0
+"""Most time between two updates [s], where a computer is too slow for more."""
+_PATIENCE = 30.0
+"""Time in which a viewer opens [s]."""
+
+
+def show_live(live: LiveRun, words: list[str], environment: dict[str, str], port: int, speed: float) -> Run | None:
+    """Run a scenario before a viewer that is opened for it.
+
+    Args:
+      live: the scenario.
+      words, environment: of the viewer's process, which listens on `port` of this computer.
+      speed: seconds of the scenario per second.
+
+    Returns:
+      The whole run once the viewer is closed; None where it was closed before the end.
+
+    Raises:
+      InputError: a viewer that does not open; and as of `scenarios.run.run_scenario`. FilterDiverged: likewise.
+    """
+    os.environ.setdefault("RUST_LOG", "off")  # that a viewer was closed is no error here
+    import rerun as rr
+
+    from ..views.rerun import LiveRecording
+
+    first = live.advance(speed * UPDATE)  # compiles what is new, and fails where it fails, before there is a window
+    with _viewer(words, environment) as viewer:
+        _wait_for(viewer, port)
+        stream = rr.RecordingStream(f"flexspline live {live.scenario.name}")
+        stream.connect_grpc(f"rerun+http://{ADDRESS}:{port}/proxy")
+        try:
+            run = play(live, LiveRecording(stream, live.start), speed, first, viewer)
+            if run is not None:
+                stream.flush(timeout_sec=_PATIENCE)
+                viewer.wait()
+        finally:
+            stream.disconnect()
+    return run
+
+
+def play(
+    live: LiveRun,
+    shown: LiveRecording,
+    speed: float,
+    first: Run | None = None,
+    viewer: subprocess.Popen[bytes] | None = None,
+) -> Run | None:
+    """Run a scenario as fast as `speed` says, or as it can, and show every stretch; `first` is one that has been simulated.
+
+    Returns:
+      The whole run; None where the viewer was closed before its end.
+    """
+    begin = time.monotonic() - live.done / speed
+    if first is not None:
+        shown.send(first)
+    while not live.over:
+        behind = speed * (time.monotonic() - begin) - live.done
+        shown.send(live.advance(min(max(behind, 0.0) + speed * UPDATE, speed * _LONGEST)))
+        left = begin + live.done / speed - time.monotonic()
+        if left > 0:
+            time.sleep(left)
+        if viewer is not None and viewer.poll() is not None:
+            return None
+    run = live.finish()
+    shown.finish(run)
+    return run
+
+
+def free_port() -> int:
+    """A port of this computer that nobody listens on."""
+    with socket.socket() as found:
+        found.bind((ADDRESS, 0))
+        return int(found.getsockname()[1])
+
+
+@contextlib.contextmanager
+def _viewer(words: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
+    """A viewer's process, which does not outlive the block."""
+    viewer = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL)
+    try:
+        yield viewer
+    finally:
+        if viewer.poll() is None:
+            viewer.terminate()
+            try:
+                viewer.wait(timeout=5)
+            except subprocess.TimeoutExpired:
+                viewer.kill()
+                viewer.wait()
+
+
+def _wait_for(viewer: subprocess.Popen[bytes], port: int) -> None:
+    end = time.monotonic() + _PATIENCE
+    while viewer.poll() is None and time.monotonic() < end:
+        with contextlib.suppress(OSError), socket.create_connection((ADDRESS, port), timeout=1.0):
+            return
+        time.sleep(0.05)
+    raise InputError("view: expected a viewer that opens, got none; where there is no display, use --web")
