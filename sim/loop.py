@@ -187,8 +187,8 @@ class ClosedLoop:
             native.function_address("mj_step"), model._address, data._address, _addresses(model),
             model.numeric_data, substeps, timestep, record, position, velocity, external_torque,
             temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
-            readings, _as_floats(readings), command, self._failed, tip_force, crosstalk, told, commanded and feedback.reads_command,
-            seen, raw, carried,
+            readings, _as_floats(readings), command, self._failed, tip_force, crosstalk, told,
+            commanded and feedback.reads_command, seen, raw, carried,
         )  # fmt: skip
         self.done = 0
         self._simulation = Simulation(time, truth, readings, command, (n, 0), stamps, commanded)
