@@ -202,11 +202,11 @@ def test_told_of_an_effect_with_the_reading_alone(name):
     ("link_encoder_eccentricity", "EKF", 20.0), ("link_encoder_error", "EKF", 10.0), ("link_encoder_zero", "lowpass", 100.0),
     ("motor_encoder_eccentricity", "model", 8.0), ("encoder_delay", "EKF", 100.0), ("encoder_delay", "dynamics_ekf", 100.0),
     ("discrepancy_link_position", "kalman", 10.0), ("backlash", "model", 20.0), ("kinematic_error", "EKF", 10.0),
-    ("stiffness", "EKF", 20.0), ("hysteresis", "EKF", 2.0), ("hysteresis", "dynamics_ekf", 8.0),
+    ("stiffness", "EKF", 20.0), ("hysteresis", "EKF", 2.0), ("hysteresis", "dynamics_ekf", 6.0),
     ("discrepancy_flexspline", "EKF", 4.0), ("cogging", "model", 1.7), ("torque_constant", "dynamics_ekf", 10.0),
     ("mesh_friction", "current", 5.0), ("viscous_friction", "current", 1.5), ("friction_drift", "momentum", 5.0),
     ("load_dependent_friction", "current", 4.0), ("friction_temperature", "current", 1.5),
-    ("discrepancy_mesh", "current", 1.7), ("link_flexibility", "dynamics_ekf", 2.0),
+    ("discrepancy_mesh", "current", 1.7), ("link_flexibility", "dynamics_ekf", 1.2),
 ])  # fmt: skip
 def test_not_told_of_it(name, estimator, worse):
     """The same effects, kept from the estimator: that they are ordinary does not make them small."""
