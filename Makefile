@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 UV := $(shell command -v uv 2>/dev/null)
 DONE := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow test-lowest lint docs bench clean
+.PHONY: setup demo test test-slow test-lowest lint docs wheel bench clean
 
 setup: $(DONE)
 
@@ -42,6 +42,16 @@ lint: $(DONE)
 
 docs: $(DONE)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+# A wheel, and what it does in an empty environment, away from the sources.
+wheel: $(DONE)
+	rm -rf build/wheel
+	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
+	$(PYTHON) -m venv build/wheel/venv
+	build/wheel/venv/bin/python -m pip install --quiet build/wheel/*.whl --constraint constraints.txt
+	cd build/wheel && venv/bin/flexspline --version
+	cd build/wheel && venv/bin/flexspline run no_load --set duration=2 --set "filters=[RAREKF]" --no-figures
+	cd build/wheel && venv/bin/flexspline report runs/no_load --json
 
 bench: $(DONE)
 	$(BIN)/python -m benchmarks

@@ -134,7 +134,7 @@ def show(
     terminal: Console, found: Diagnosis, gained: Improvement | None, measurement: Path, out: Path, report: bool
 ) -> None:
     """Print the answer: what was found, how sure that is, what it is worth, what to do now; legible in 80 columns."""
-    from ..views.report import plain, verdict_sentence
+    from ..views.report import look_alikes, plain, verdict_sentence
 
     page = _Page(terminal)
     page.say(found.verdict, verdict_sentence(found))
@@ -172,8 +172,8 @@ def show(
         page.table(("", "described", "extended", "", ""), regions)
     if found.problem is not None:
         page.heading("What this measurement cannot tell")
-        for pair in found.confusable:
-            page.item(f"look alike: {plain(pair[0])} and {plain(pair[1])}")
+        for name, others in look_alikes(found.confusable):
+            page.item(f"look alike: {plain(name)} and {', '.join(plain(other) for other in others)}")
         if found.undetermined:
             page.item(f"could not have shown: {', '.join(plain(n) for n in found.undetermined)}")
         if not found.confusable and not found.undetermined:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import math
 import re
@@ -175,6 +176,12 @@ def check_format(data: Any, path: Path, known: int = 1) -> None:
         raise InputError(f"{path}: format: expected {known}, got {shown(found)}: written by another version")
 
 
+_FEW = 12
+"""So many keys fit into a message."""
+_CLOSE = 0.55
+"""How like two keys are of which one was meant: `from` is not `zero`."""
+
+
 def parse(data: Any, model: type[M], where: str) -> M:
     """Check `data` against a pydantic model; the first thing wrong raises `InputError` in one line."""
     if not isinstance(data, dict):
@@ -191,9 +198,17 @@ def load(path: Path, model: type[M], what: str) -> M:
 
 
 def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:
-    """One line for the first error that pydantic found, a misspelt key before what is missing: field, expected, came."""
-    first = min(range(error.error_count()), key=lambda i: error.errors()[i]["type"] != "extra_forbidden")
-    return descriptions(error, model)[first]
+    """One line for the first error that pydantic found, a misspelt key before what is missing: field, expected, came.
+
+    Of what is missing all is named at once.
+    """
+    errors = error.errors()
+    first = min(range(len(errors)), key=lambda i: errors[i]["type"] != "extra_forbidden")
+    line = descriptions(error, model)[first]
+    if errors[first]["type"] != "missing":
+        return line
+    others = [_field(one) for i, one in enumerate(errors) if one["type"] == "missing" and i != first]
+    return f"{line}; so {'is' if len(others) == 1 else 'are'} {', '.join(others)}" if others else line
 
 
 def descriptions(error: ValidationError, model: type[BaseModel]) -> list[str]:
@@ -202,14 +217,27 @@ def descriptions(error: ValidationError, model: type[BaseModel]) -> list[str]:
 
 
 def _described(one: Any, model: type[BaseModel]) -> str:
-    field = ".".join(str(part) for part in one["loc"]) or "top level"
+    field = _field(one)
     kind, came = one["type"], shown(one["input"])
     if kind == "extra_forbidden":
-        return f"{field}: unknown key{nearest(str(one['loc'][-1]), _siblings(model, one['loc'][:-1]))}"
+        known = _siblings(model, one["loc"][:-1])
+        name = str(one["loc"][-1])
+        close = nearest(name, known) if difflib.get_close_matches(name, known, n=1, cutoff=_CLOSE) else ""
+        few = f"; expected one of {known}" if 0 < len(known) <= _FEW else ""
+        return f"{field}: unknown key{close or few}"
     if kind == "missing":
         return f"{field}: missing"
+    if kind in ("model_type", "model_attributes_type", "dataclass_type"):
+        keys = ", ".join(_siblings(model, one["loc"]))
+        return f"{field}: expected a mapping of keys{keys and f' ({keys})'}, got {came}"
     message = one["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
-    return f"{field}: expected {message}, got {came}" if kind != "value_error" else f"{field}: {message}"
+    if kind == "value_error":  # of the whole, it names its field itself
+        return f"{field}: {message}" if one["loc"] else message
+    return f"{field}: expected {message}, got {came}"
+
+
+def _field(one: Any) -> str:
+    return ".".join(str(part) for part in one["loc"]) or "top level"
 
 
 def _siblings(model: type[BaseModel], path: tuple) -> list[str]:

@@ -342,8 +342,16 @@ def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     """
     data = scenario.model_dump(mode="json", exclude_none=True)
     for key, value in changes.items():
+        value = _from_here(key, value)
         put(data, key, value, f"scenario {scenario.name}: {key}")
     return data
+
+
+def _from_here(key: str, value: Any) -> Any:
+    """A change's value; a joint's file is looked for where one stands, not in the scenario's folder."""
+    if key in ("joint", "known_joint") and str(value).endswith(".yaml") and Path(str(value)).is_file():
+        return str(Path(str(value)).resolve())
+    return value
 
 
 def _override(data: dict[str, Any], change: str) -> None:
@@ -351,8 +359,7 @@ def _override(data: dict[str, Any], change: str) -> None:
     if not sign or not key:
         raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
     value = yaml_value(text)
-    if key in ("joint", "known_joint") and str(value).endswith(".yaml") and Path(str(value)).is_file():
-        value = str(Path(str(value)).resolve())  # from where one stands, not from the scenario's folder
+    value = _from_here(key, value)
     put(data, key, value, f"--set {change}")
 
 

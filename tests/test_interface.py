@@ -60,6 +60,15 @@ def test_simulate(run):
     assert again.estimate("lowpass").tobytes() == run.estimate("lowpass").tobytes()
 
 
+def test_a_joints_file_is_looked_for_where_one_stands(tmp_path, monkeypatch):
+    """As by `--set joint=my.yaml`, also for a shipped scenario, which lies elsewhere."""
+    joint = fs.load_joint("test-joint")
+    joint.model_copy(update={"name": "mine"}).write(tmp_path / "mine.yaml")
+    monkeypatch.chdir(tmp_path)
+    run = fs.simulate("no_load", joint="mine.yaml", duration=1, transient=0.2, filters=["current"])
+    assert run.joint.name == "mine"
+
+
 def test_estimate(run, tmp_path):
     table = fs.estimate(run, estimators=["lowpass", "dynamics_ekf"])
     assert list(table.columns) == ["lowpass", "dynamics_ekf"] and table.index.name == "time [s]"

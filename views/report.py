@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -32,6 +34,17 @@ class Report:
     improvement: Improvement | None = None
     plan: Plan | None = None
     folder: Path | None = None
+
+
+def look_alikes(pairs: Sequence[Sequence[str]]) -> list[tuple[str, list[str]]]:
+    """Pairs of causes that look alike, by cause: first the one that most look like, with those; each pair once."""
+    left, found = [tuple(pair) for pair in pairs], []
+    while left:
+        counts = Counter(name for pair in left for name in pair)
+        most = max(counts, key=lambda name: counts[name])
+        found.append((most, [a if b == most else b for a, b in left if most in (a, b)]))
+        left = [pair for pair in left if most not in pair]
+    return found
 
 
 def verdict_sentence(d: Diagnosis) -> str:
@@ -89,7 +102,8 @@ def markdown(report: Report) -> str:
         lines += ["", "## Torque error [N·m]", "| estimator | before | after |", "|---|---:|---:|"]
         lines += [f"| {k} | {a:.3f} | {b:.3f} |" for k, (a, b) in report.improvement.errors.items()]
     if d.confusable:
-        lines += ["", "Cannot be told apart: " + "; ".join(" and ".join(p) for p in d.confusable)]
+        groups = (f"{name} from {', '.join(others)}" for name, others in look_alikes(d.confusable))
+        lines += ["", "Cannot be told apart: " + "; ".join(groups)]
     if d.undetermined:
         lines += ["", "Could not have shown: " + ", ".join(d.undetermined)]
     lines += ["", "*simulated*: the calibrated joint; *extended*: with the causes in it."]

@@ -28,7 +28,7 @@ from flexspline.models.joint import Effect, Estimate, load_joint
 from flexspline.models.recording import Measurement, read_measurement, write_recording
 from flexspline.views.glossary import meaning
 from flexspline.views.pages import html
-from flexspline.views.report import Report, markdown, verdict_sentence
+from flexspline.views.report import Report, look_alikes, markdown, verdict_sentence
 from flexspline.views.rerun import write_rerun_report
 from flexspline.views.residuals import overlays
 
@@ -425,3 +425,10 @@ def test_bad_input_is_one_line_and_writes_nothing(flexspline, measured, tmp_path
     assert sorted(p.name for p in measured[0].iterdir()) == before
     assert sorted(p.name for p in tmp_path.iterdir()) == ["full"]
     assert [p.name for p in (tmp_path / "full").iterdir()] == ["thesis.txt"]
+
+
+def test_what_looks_alike_is_said_by_cause():
+    """One that looks like many is named once, each pair once."""
+    pairs = [("a", "p"), ("b", "p"), ("c", "d"), ("p", "e"), ("a", "b")]
+    assert look_alikes(pairs) == [("p", ["a", "b", "e"]), ("c", ["d"]), ("a", ["b"])]
+    assert look_alikes(()) == []

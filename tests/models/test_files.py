@@ -10,7 +10,7 @@ from contextlib import contextmanager
 import pytest
 
 from flexspline.models.errors import InputError
-from flexspline.models.files import check_name, read_yaml, write_into_place
+from flexspline.models.files import Strict, check_name, parse, read_yaml, write_into_place
 from flexspline.models.output import output_folder
 
 NOBODY = 65534
@@ -135,3 +135,30 @@ def test_ordinary_names_are_welcome(name):
 
 def test_messages_are_one_line_and_do_nothing_to_a_terminal():
     assert str(InputError("a\nb\x1b[31mc")) == "a b\\x1b[31mc"
+
+
+class _Inner(Strict):
+    mass: float
+    distance: float
+
+
+class _Outer(Strict):
+    name: str
+    inner: _Inner
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        ({}, "it: name: missing; so is inner"),
+        ({"name": "a", "inner": {}}, "it: inner.mass: missing; so is inner.distance"),
+        ({"name": "a", "inner": {"mas": 1}}, "it: inner.mas: unknown key; did you mean 'mass'?"),
+        ({"name": "a", "inner": {"zzz": 1}}, "it: inner.zzz: unknown key; expected one of ['mass', 'distance']"),
+        ({"name": "a", "inner": "that"}, "it: inner: expected a mapping of keys (mass, distance), got 'that'"),
+    ],
+)
+def test_what_is_wrong_is_said_at_once(data, said):
+    """All that is missing, and what a key could have been."""
+    with pytest.raises(InputError) as caught:
+        parse(data, _Outer, "it")
+    assert str(caught.value) == said

@@ -18,7 +18,7 @@ import numpy as np
 from ...models import causes, plugins
 from ...models.files import write_into_place
 from ..glossary import meaning, pieces
-from ..report import Report, listed, plain, title, verdict_sentence
+from ..report import Report, listed, look_alikes, plain, title, verdict_sentence
 from ..residuals import balances, overlays
 from . import residual_charts
 from .provenance import provenance
@@ -124,7 +124,8 @@ def context(report: Report) -> dict[str, Any]:
         "improvement": gained,
         "trace": residual_charts.trace(gained) if gained is not None else None,
         "moved": moved,
-        "confusable": [[plain(n) for n in pair] for pair in d.confusable],
+        "confusable": d.confusable,
+        "alike": [(plain(name), [plain(other) for other in others]) for name, others in look_alikes(d.confusable)],
         "undetermined": [(plain(n), causes.get(n).component, reason) for n, reason in d.undetermined.items()],
         "plan": _plan(report),
         "fitted": d.problem.calibration.size if d.problem is not None else 0,
