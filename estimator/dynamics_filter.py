@@ -246,7 +246,7 @@ def propagate(F, P, A, m, n):
 
 @kernel
 def add_noise(m, dt, noise):
-    """Add the process noise of `dt` [s]: more of it where the encoders' mean NIS is high; the current's noise drives the rotor."""
+    """Add the process noise of `dt` [s]: more of it where the encoders' mean NIS is high; the rotor's is the current's."""
     P = m.P
     for i in range(int(noise.count)):
         s = int(noise.active[i])
