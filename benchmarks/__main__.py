@@ -19,6 +19,7 @@ NAMED_ONLY = (
     "contact",
     "torque_control",
     "studies",
+    "arms",
 )
 
 

@@ -115,7 +115,8 @@ class Estimates:
       time: shape (n,) [s].
       torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments of fewer
         than `SHORTEST` samples.
-      external_torque: torque on the link that its own gravity and inertia do not explain, by estimator, likewise.
+      external_torque: torque on the link that its own gravity and inertia, and the motion of other joints of an arm, do not
+        explain, by estimator, likewise.
       left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
       notes: what was found on the way, one entry a segment (`Prepared.note`).
       deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty where nobody asked.
@@ -189,7 +190,8 @@ def estimate_recording(
         beliefs: dict[str, np.ndarray] = {}
         estimates = _estimates(ready, chosen, left_out, beliefs, threads=_THREADS)
         for (what, name), values in estimates.items():
-            found[what].setdefault(name, np.full(n, np.nan))[segment] = values
+            known_torque = recording.torque_of_arm[segment] if what == "external_torque" else 0.0
+            found[what].setdefault(name, np.full(n, np.nan))[segment] = values - known_torque
         if bands:
             # The dynamics simulated nine times more is for whoever asks for it by name.
             told = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}

@@ -181,6 +181,11 @@ class Recording:
         return np.ones(len(self.time)) if self.load is None else self.load.inertia / self.link.inertia
 
     @cached_property
+    def torque_of_arm(self) -> np.ndarray:
+        """What an arm in motion does to the joint, as torque on a link of constant inertia, shape (n,) [N·m]; 0 without."""
+        return np.zeros(len(self.time)) if self.load is None else self.load.on(self.link.inertia)
+
+    @cached_property
     def segments(self) -> tuple[slice, ...]:
         """The parts between gaps, as slices of samples."""
         cuts = np.flatnonzero(np.diff(self.time) > GAP) + 1

@@ -206,7 +206,7 @@ class _Extent:
         ends = [_link_range(s, N) for s in summaries]
         turns = [_rotor_range(s, N) for s in summaries]
         warm = [s.ranges["temperature"] for s in summaries if "temperature" in s.ranges]
-        known = [r for r in recordings if r.external != "unmeasured"]
+        known = [r for r in recordings if r.external != "unmeasured" and r.load is None]
         return cls(
             joint=joint,
             columns=frozenset(name for r in recordings for name in r.columns),
@@ -254,9 +254,9 @@ def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
     if found.temperature_span < needed.temperature_span:
         yield f"the temperature changes by {found.temperature_span:.2g} K, less than {needed.temperature_span:g} K"
     if needed.known_push and not found.known_push:
-        yield "unmeasured pushes may happen in every recording"
+        yield "in every recording unmeasured pushes may happen, or other joints of the arm move"
     if needed.gravity and not found.gravity:
-        yield "no recording without unmeasured pushes has a gravity moment"
+        yield "no recording without unmeasured pushes, the arm's other joints still, has a gravity moment"
 
 
 _DRAWS = 3  # of a cause: one may happen to do nothing
