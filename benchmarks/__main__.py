@@ -18,6 +18,7 @@ NAMED_ONLY = (
     "sysid",
     "contact",
     "torque_control",
+    "studies",
     "arms",
 )
 

@@ -255,6 +255,7 @@ class Estimator(ABC):
     costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
     innovation_unit: ClassVar[str] = "N·m"  # of its innovations, where it has any
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "link_position", "motor_current")  # channels it reads
+    reads_command: ClassVar[bool] = False  # whether it reads the drive's current command, where that is known
     tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # what tuning may change; first what trades noise for delay
     description: ClassVar[str] = ""  # a line for people, with its source
 
@@ -263,8 +264,8 @@ class Estimator(ABC):
         """Estimate the joint torque over signals.
 
         Args:
-          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known. A torque
-            sensor's reading is not looked at.
+          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known, for who
+            `reads_command`. A torque sensor's reading is not looked at.
           joint: what is known of the joint.
 
         Raises:
@@ -319,8 +320,9 @@ class CausalEstimator(Estimator):
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
         settings = self.settings(joint, interval).view(np.float64).reshape(-1)
         return CompiledStep(
-            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs)
-        )
+            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs),
+            self.reads_command,
+        )  # fmt: skip
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
         return self.posterior(signals.time, self._columns(signals, joint, self.outputs))
@@ -333,7 +335,7 @@ class CausalEstimator(Estimator):
         arrays = self.step(joint, sample_interval(signals)).arrays()
         column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
         before = None
-        for part, samples in sample_blocks(signals, self.needs, joint):
+        for part, samples in sample_blocks(signals, self.needs, joint, self.reads_command):
             out = np.zeros((len(samples), len(self.outputs)))
             failed, status = go_on(arrays, samples, out)
             if failed < len(samples):
@@ -372,9 +374,9 @@ def sample_interval(signals: Signals) -> float:
     return round(float(np.median(np.diff(signals.time))), 9)
 
 
-def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> np.ndarray:
-    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command counts from the next
-    sample on; before the first there was none, 0 A.
+def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False) -> np.ndarray:
+    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command, which is there for who
+    `reads_command`, counts from the next sample on; before the first there was none, 0 A.
 
     Raises:
       InputError: a channel of `needs` that is missing.
@@ -382,14 +384,15 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> n
     for name in needs:
         signals[name]
     # Signals do not change, and every estimator reads the same of them.
-    made: dict[float | None, np.ndarray] = signals.__dict__.setdefault("_samples", {})
-    if joint.start not in made:
-        made[joint.start] = _samples(signals, joint, slice(0, len(signals.time)))
-    return made[joint.start]
+    made: dict[tuple[float | None, bool], np.ndarray] = signals.__dict__.setdefault("_samples", {})
+    key = (joint.start, reads_command)
+    if key not in made:
+        made[key] = _samples(signals, joint, slice(0, len(signals.time)), reads_command)
+    return made[key]
 
 
 def sample_blocks(
-    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, block: int | None = None
+    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False, block: int | None = None
 ) -> Iterator[tuple[slice, np.ndarray]]:
     """Parts of signals with their records, as `as_samples` makes them: all at once, or of long ones block after block.
 
@@ -398,22 +401,22 @@ def sample_blocks(
     """
     n, block = len(signals.time), BLOCK if block is None else block
     if n <= block:
-        yield slice(0, n), as_samples(signals, needs, joint)
+        yield slice(0, n), as_samples(signals, needs, joint, reads_command)
         return
     for name in needs:
         signals[name]
     for begin in range(0, n, block):
         part = slice(begin, min(begin + block, n))
-        yield part, _samples(signals, joint, part)
+        yield part, _samples(signals, joint, part, reads_command)
 
 
-def _samples(signals: Signals, joint: KnownJoint, part: slice) -> np.ndarray:
+def _samples(signals: Signals, joint: KnownJoint, part: slice, reads_command: bool) -> np.ndarray:
     time = signals.time
-    before = slice(
-        max(part.start - 1, 0), part.stop
-    )  # the command in force, and the interval, begin at the sample before
+    # The command in force, and the interval, begin at the sample before.
+    before = slice(max(part.start - 1, 0), part.stop)
     found = blank_samples(time[before], joint if joint.start is not None else replace(joint, start=float(time[0])))
-    fill_samples(found, {name: values[before] for name, values in signals.columns.items()}, slice(0, len(found)))
+    columns = {name: values[before] for name, values in signals.columns.items()}
+    fill_samples(found, columns, slice(0, len(found)), reads_command)
     found = found[part.start - before.start :]
     found.flags.writeable = False
     return found
@@ -426,12 +429,14 @@ def blank_samples(time: np.ndarray, joint: KnownJoint) -> np.ndarray:
     return found
 
 
-def fill_samples(samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice) -> None:
+def fill_samples(
+    samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice, reads_command: bool = False
+) -> None:
     """Put a stretch of channels, shape (n,) each, into records of `SAMPLE`, as `as_samples` says."""
     for name in SENSED:
         if name in columns and name != "joint_torque":
             samples[name][part] = columns[name][part]
-    if "current_command" in columns and part.stop > part.start:
+    if reads_command and "current_command" in columns and part.stop > part.start:
         command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
         samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
 

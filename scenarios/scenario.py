@@ -141,7 +141,11 @@ class Scenario(Strict):
         Field(description="changes to the joint's sensors, or `realistic`: sensors, clock and drive as they are"),
     ] = {}
     current: Annotated[
-        Literal["command", "sensor"], Field(description="what estimators are told of the motor current")
+        Literal["command", "sensor"],
+        Field(
+            description="what the paper's filters take for the motor current: the drive's command, as the paper does, or the "
+            "sensor's reading, as all others do"
+        ),
     ] = "command"
     jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()

@@ -72,7 +72,7 @@ class Simulation:
       command: shape (n,), current command [A].
       failed: tick at which the estimator in the loop failed, and its status; (n, 0) where it did not.
       stamps: shape (n,), time stamps of the readings [s]; `time` where the clock is exact.
-      commanded: whether estimators are told the current command; otherwise they have the current sensor alone.
+      commanded: whether estimators that read the current command are told it; otherwise they, too, have the current sensor alone.
       further: what sensors of plugins read (`models.own_sensors`), shape (n,) each.
     """
 
@@ -105,7 +105,7 @@ class Driven:
         the external torque is a torque alone.
       crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
       stamps: time stamps of the readings [s], shape (n,); exact by default.
-      commanded: whether the estimator in the loop is told the current command.
+      commanded: whether the current command is told to estimators that read it (`models.step.CompiledStep.reads_command`).
       prefix: of its names in the model, where there are several joints.
     """
 
@@ -209,6 +209,7 @@ class ClosedLoop:
             for one in joints
         ]
         kept = [step.arrays() for step in steps]
+        told = np.array([one.commanded and step.reads_command for one, step in zip(joints, steps, strict=True)])
         estimators = np.array([[address, *(x.ctypes.data for x in rest)] for address, *rest in kept], dtype=np.int64)
         noise = np.stack([np.ascontiguousarray(one.noise) for one in joints])
         sensors = np.stack([one.sensors for one in joints])
@@ -224,7 +225,7 @@ class ClosedLoop:
             np.concatenate([one.record for one in joints]), np.stack([one.position for one in joints]),
             np.stack([one.velocity for one in joints]), external, warmth, sensors, noise, _as_floats(noise), controller,
             estimators, truth, readings, _as_floats(readings), command, self._failed, tip_force, crosstalk, stamps,
-            np.array([one.commanded for one in joints]), seen, raw, drive,
+            told, seen, raw, drive,
         )  # fmt: skip
         self.done = 0
         self._simulations = tuple(
