@@ -9,7 +9,18 @@ import platform
 from importlib import metadata
 
 NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views")
-NAMED_ONLY = ("convergence", "estimators", "claims", "mistakes", "calibrated", "sysid", "contact", "torque_control")
+NAMED_ONLY = (
+    "convergence",
+    "estimators",
+    "claims",
+    "mistakes",
+    "calibrated",
+    "sysid",
+    "contact",
+    "torque_control",
+    "studies",
+    "arms",
+)
 
 
 def main() -> None:

@@ -32,8 +32,9 @@ from .estimators import ROOT, SCENARIOS, drawn, fill, text
 
 READINGS = ("max", "inverse", "printed", "one")
 """Of Eq. (23); `one`: α = 1, the AREKF."""
-V = {"1e-2": 1e-2, "2.2e-3": 2.2e-3}
-"""The shipped one, and the encoders' own."""
+SHIPPED, OWN = "1e-2", "own"
+V = {SHIPPED: 1e-2, "2.2e-3": 2.2e-3}
+"""The shipped one, and what the encoders leave with 4096 counts; `OWN`: with as many as there are."""
 W = {"1e-4": 1e-4, "1e-3": 1e-3}
 MISMATCHES: Mapping[str, Mapping[str, float]] = {
     "exact": {}, "stiffness 10 % high": {"K1": 1.1, "K2": 1.1, "K3": 1.1}, "Kw0 15 % high": {"Kw0": 1.15},
@@ -42,6 +43,10 @@ MISMATCHES: Mapping[str, Mapping[str, float]] = {
 """What the filters are told, as a factor of the truth."""
 LOADS = ((0.0, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 6.0), (6.0, 99.0))
 """Bins of the joint torque's size [N·m], in motion."""
+CLAIMS = (
+    "no load: within 0.1 N·m", "no load: optimal", "from optimal to robust under load", "quick and quiet in pushes",
+)  # fmt: skip
+"""As the tables call them."""
 
 
 @dataclass(frozen=True)
@@ -76,18 +81,13 @@ def mistaken(known: KnownJoint, factors: Mapping[str, float]) -> KnownJoint:
     return known.told(**{name: factor * known.p[name] for name, factor in factors.items()})
 
 
-def examine(
-    scenario: str,
-    one: DrawnExperiment,
-    variances: Mapping[str, float] = V,
-    mismatches: Mapping[str, Mapping[str, float]] = MISMATCHES,
-) -> Iterator[Found]:
-    """Every setting over a draw; by name V [(N·m)²] and what the filters are told."""
+def examine(scenario: str, one: DrawnExperiment, variances: Mapping[str, float] = V) -> Iterator[Found]:
+    """Every setting over a draw; V [(N·m)²] by name."""
     truth, kept = one.truth, one.kept
     steady = metrics.steady(truth, CONTROL_PERIOD, kept)
     events = [(a, b) for a, b in metrics.pushes(one.external_torque, CONTROL_PERIOD) if kept[a]]
     load = np.abs(truth)
-    for label, factors in mismatches.items():
+    for label, factors in MISMATCHES.items():
         y = registry.get("model").estimate(one.signals, mistaken(one.known, factors)).mean
         raw = metrics.noise(y, truth, CONTROL_PERIOD, steady)
         for reading in READINGS:
@@ -156,23 +156,42 @@ def claim_table(found: Map) -> str:
     rows = [
         (*s[1:], s[0], *("yes" if held else "no" for held in found.claims(s))) for s in found.settings
     ]  # fmt: skip
-    heads = (
-        "α", "V", "W", "calibration", "no load: within 0.1 N·m", "no load: optimal", "from optimal to robust under load",
-        "quick and quiet in pushes",
-    )  # fmt: skip
-    return markdown(heads, rows)
+    return markdown(("α", "V", "W", "calibration", *CLAIMS), rows)
+
+
+def _shares(found: Map, setting: tuple[str, ...]) -> list[str]:
+    """Share of robust mode [%]: without load, in the sweep by load while it moves, at rest."""
+    shares = [f"{100 * x:.0f}" for x in found.loads(setting)]
+    no_load = f"{100 * np.mean(found.values(setting, 'no_load', 'robust')):.1f}"
+    return [no_load, *shares, f"{100 * np.mean(found.values(setting, 'link_sweep', 'resting')):.0f}"]
+
+
+_BINS = [f"sweep, {a:g}–{b:g} N·m" if b < 99 else f"sweep, over {a:g} N·m" for a, b in LOADS]
 
 
 def mode_table(found: Map) -> str:
     """Share of robust mode by load, exact calibration."""
-    rows = []
-    for s in found.settings:
-        if s[0] == "exact":
-            shares = [f"{100 * x:.0f}" for x in found.loads(s)]
-            no_load = f"{100 * np.mean(found.values(s, 'no_load', 'robust')):.1f}"
-            rows.append((*s[1:], no_load, *shares, f"{100 * np.mean(found.values(s, 'link_sweep', 'resting')):.0f}"))
-    bins = [f"{a:g}–{b:g} N·m" if b < 99 else f"over {a:g} N·m" for a, b in LOADS]
-    return markdown(("α", "V", "W", "no load", *(f"sweep, {b}" for b in bins), "at rest"), rows)
+    rows = [(*s[1:], *_shares(found, s)) for s in found.settings if s[0] == "exact"]
+    return markdown(("α", "V", "W", "no load", *_BINS, "at rest"), rows)
+
+
+def count_tables(found: Mapping[int, Map]) -> tuple[str, str]:
+    """By the motor encoder's counts: the claims that come out, by number, and the share of robust mode with the encoders' own V
+    and exact calibration."""
+    claims, modes = [], []
+    for counts, one in found.items():
+        held = {s: "".join(str(i) for i, x in enumerate(one.claims(s), 1) if x) or "none" for s in one.settings}
+        for label in MISMATCHES:
+            for v in (SHIPPED, OWN):
+                claims.append((str(counts), label, v, *(held[label, r, v, w] for w in W for r in READINGS)))
+        modes += [
+            (str(counts), r, w, *_shares(one, ("exact", r, OWN, w))) for r in READINGS for w in W
+        ]  # fmt: skip
+    heads = [f"{reading}, W {w}" for w in W for reading in READINGS]
+    return (
+        markdown(("counts", "calibration", "V", *heads), claims),
+        markdown(("counts", "α", "W", "no load", *_BINS, "at rest"), modes),
+    )
 
 
 def error_table(found: Map) -> str:
@@ -230,29 +249,40 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--draws", type=Path, help="folder in which draws are kept, to be used again")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "paper.md")
     parser.add_argument(
-        "--counts", type=int, help="of the motor encoder: writes that section and its own CSV, and leaves the others"
+        "--counts",
+        type=int,
+        nargs="+",
+        help="of the motor encoder: writes that section and its CSVs, and leaves the others",
     )
     asked = parser.parse_args(arguments)
+    seeds, pool = range(101, 101 + asked.seeds), ThreadPoolExecutor(asked.threads)
+    with pool:
+        if asked.counts is not None:
+            by_count = {counts: measured(pool, seeds, asked.draws, counts) for counts in asked.counts}
+            claims, modes = count_tables(by_count)
+            fill(asked.page, {"counts": claims, "counts mode": modes})
+            for counts, one in by_count.items():
+                write_csv(one, asked.page.with_name(f"paper_{counts}.csv"))
+            return
+        whole = measured(pool, seeds, asked.draws)
+    fill(asked.page, {"claims": claim_table(whole), "mode": mode_table(whole), "errors": error_table(whole)})
+    write_csv(whole, asked.page.with_suffix(".csv"))
+
+
+def measured(pool: ThreadPoolExecutor, seeds: Sequence[int], kept: Path | None, counts: int | None = None) -> Map:
+    """Every setting over every draw; `counts`: of another motor encoder, with the V that it leaves beside the shipped one."""
     found, began = [], time.perf_counter()
-    changes = [] if asked.counts is None else [f"sensors.motor_encoder.counts={asked.counts}"]
+    changes = [] if counts is None else [f"sensors.motor_encoder.counts={counts}"]
     for scenario in SCENARIOS:
 
         def one(seed: int, scenario: str = scenario) -> list[Found]:
-            draw = drawn(scenario, 0.0, seed, asked.draws, changes)
-            if asked.counts is None:
-                return list(examine(scenario, draw))
-            return list(examine(scenario, draw, V | {"own": own_variance(draw.known)}, {"exact": {}}))
+            draw = drawn(scenario, 0.0, seed, kept, changes)
+            own = V if counts is None else {SHIPPED: V[SHIPPED], OWN: own_variance(draw.known)}
+            return list(examine(scenario, draw, own))
 
-        with ThreadPoolExecutor(asked.threads) as pool:
-            found += [x for several in pool.map(one, range(101, 101 + asked.seeds)) for x in several]
-        print(f"{time.perf_counter() - began:7.0f} s  {scenario}", flush=True)
-    whole = Map(found)
-    if asked.counts is not None:
-        fill(asked.page, {f"counts {asked.counts}": claim_table(whole)})
-        write_csv(whole, asked.page.with_name(f"paper_{asked.counts}.csv"))
-        return
-    fill(asked.page, {"claims": claim_table(whole), "mode": mode_table(whole), "errors": error_table(whole)})
-    write_csv(whole, asked.page.with_suffix(".csv"))
+        found += [x for several in pool.map(one, seeds) for x in several]
+        print(f"{time.perf_counter() - began:7.0f} s  {counts or ''} {scenario}", flush=True)
+    return Map(found)
 
 
 if __name__ == "__main__":

@@ -286,6 +286,41 @@ def told_table(seeds: Sequence[int], kept: Path | None, threads: int) -> str:
     return markdown(heads, table)
 
 
+READERS = ("augmented", "dynamics_ekf", "momentum_torsion", "momentum", "current")
+"""The estimators of the tables that read the current sensor."""
+
+
+def reading_table(seeds: Sequence[int], kept: Path | None, threads: int) -> str:
+    """RMS error with the current sensor's noise over that with the command in its place, draw by draw."""
+    rows = []
+    for tolerance in COSTLY_AT:
+        cells = []
+        for scenario in SCENARIOS:
+
+            def one(seed: int, s: str = scenario, t: float = tolerance) -> list[list[float]]:
+                found = drawn(s, t, seed, kept)
+                command = np.r_[0.0, found.signals["current_command"][:-1]]
+                exact = found.signals.with_columns(motor_current=command)
+                sure = replace(found.known, noise=replace(found.known.noise, current_noise=0.0))
+                errors = []
+                for name in READERS:
+                    if t > 0.0 and registry.get(name).costly:
+                        errors.append([np.nan, np.nan])
+                        continue
+                    pair = [
+                        registry.get(name).estimate(signals, known).mean
+                        for signals, known in ((found.signals, found.known), (exact, sure))
+                    ]
+                    errors.append([rms(mean - found.truth, found.kept) for mean in pair])
+                return errors
+
+            with ThreadPoolExecutor(threads) as pool:
+                values = np.array(list(pool.map(one, seeds)))
+            cells.append([text(geometric(values[:, i, 0], values[:, i, 1])) for i in range(len(READERS))])
+        rows += [(name, f"×{tolerance:g}", *(c[i] for c in cells)) for i, name in enumerate(READERS)]
+    return markdown(("estimator", "tolerance", *SCENARIOS), [r for r in rows if "–" not in r])
+
+
 def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment) -> str:
     """Core time of an update, median of five."""
     part = one.signals.part(slice(0, 4000))
@@ -359,7 +394,8 @@ def main(arguments: Sequence[str] = ()) -> None:
             write_csv(results, asked.page.with_name("estimators_realistic.csv"))
             continue
         if not costly:
-            fill(asked.page, {"told": told_table(seeds, asked.draws, asked.threads)})
+            further = {"told": told_table, "reading": reading_table}
+            fill(asked.page, {name: make(seeds, asked.draws, asked.threads) for name, make in further.items()})
         last = drawn(SCENARIOS[0], asked.tolerances[0], seeds[0], asked.draws)
         fill(asked.page, tables(results, asked.seeds, estimators, last))
         write_csv(results, asked.page.with_suffix(".csv"))

@@ -142,13 +142,28 @@ def _load(name: str, folder: str = "") -> Any:
 
 
 def _home(value: Any) -> Any:
-    """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; anything else as it is."""
+    """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; anything else as it is.
+
+    Raises:
+      InputError: no home folder, a name that is not UTF-8, a link that leads to itself.
+    """
     if not isinstance(value, Path):
         return value
     try:
-        return value.expanduser()
+        found = value.expanduser()
     except RuntimeError as error:
         raise InputError(f"{value}: expected a home folder for ~, found none") from error
+    try:
+        str(found).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{str(found).encode(errors='replace').decode()}: expected a name in UTF-8, got one that LC_ALL=C.UTF-8 would show"
+        ) from error
+    try:
+        found.resolve()
+    except (RuntimeError, OSError) as error:  # of links that lead to each other; Python 3.13 says nothing
+        raise InputError(f"{value}: expected a file or folder, got a link that leads to itself") from error
+    return found
 
 
 def main() -> None:
@@ -242,7 +257,9 @@ def _notice(
         return
     from rich.console import Console
 
-    Console(stderr=True, soft_wrap=True).print(f"flexspline: {message}", style="yellow", markup=False, highlight=False)
+    Console(stderr=True, soft_wrap=True, emoji=False).print(
+        f"flexspline: {message}", style="yellow", markup=False, highlight=False
+    )
 
 
 def _end(number: int, frame: Any) -> None:
@@ -262,5 +279,7 @@ def _leave(code: Any) -> NoReturn:
 def _refuse(error: Exception) -> NoReturn:
     from rich.console import Console
 
-    Console(stderr=True, soft_wrap=True).print(f"flexspline: {error}", style="red", markup=False, highlight=False)
+    Console(stderr=True, soft_wrap=True, emoji=False).print(
+        f"flexspline: {error}", style="red", markup=False, highlight=False
+    )
     sys.exit(2)

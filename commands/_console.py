@@ -18,8 +18,10 @@ def console() -> Console:
     """Console for results: text is printed as it is, nothing in it is taken for a style."""
     from rich.console import Console
 
-    found = Console(markup=False, highlight=False)
-    return found if found.is_terminal else Console(width=max(found.width, _WIDTH), markup=False, highlight=False)
+    found = Console(markup=False, highlight=False, emoji=False)
+    if found.is_terminal:
+        return found
+    return Console(width=max(found.width, _WIDTH), markup=False, highlight=False, emoji=False)
 
 
 def progress(counting: bool = False, remaining: bool = False) -> Progress:
@@ -51,7 +53,7 @@ def stages(what: str) -> Iterator[Callable[[str, float], None]]:
     """
     from rich.console import Console
 
-    terminal = Console(stderr=True)
+    terminal = Console(stderr=True, emoji=False)
     begin = time.monotonic()
     if not terminal.is_terminal:
         told = ""

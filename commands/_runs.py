@@ -15,6 +15,7 @@ from ._drawing import drawing
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ..scenarios.arms.arm_scenario import ArmScenario
     from ..scenarios.run import Run
     from ..scenarios.scenario import Scenario
 
@@ -35,12 +36,14 @@ def load_all(names: list[str], changes: list[str] | None, seed: int | None = Non
     from ..scenarios.scenario import load_scenario
 
     loaded = [load_scenario(name, changes, seed) for name in names]
-    seen: set[str] = set()
-    for scenario, _ in loaded:
-        if scenario.name in seen:
-            raise InputError(f"scenario {scenario.name}: expected each scenario once, got it twice")
-        seen.add(scenario.name)
+    _each_once([scenario.name for scenario, _ in loaded])
     return loaded
+
+
+def _each_once(names: list[str]) -> None:
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise InputError(f"scenario {name}: expected each scenario once, got it twice")
 
 
 def run_all(
@@ -49,34 +52,49 @@ def run_all(
     """Run scenarios on as many threads as there are cores, into folders below `out`; all are read before the first is run."""
     views = [name for name, wanted in (("figures", figures), ("recording", recording)) if wanted]
     with drawing(views, len(names)) as begin:
+        from ..scenarios.arms.arm_run import run_arm, save_arm
+        from ..scenarios.arms.arm_scenario import ArmScenario, load_any
         from ..scenarios.run import run_scenario
         from ..scenarios.run_folder import check_run_folder, save_run
-        from ..scenarios.scenario import source_of
 
-        loaded = load_all(names, changes, seed)
+        loaded = [load_any(name, changes, seed) for name in names]
+        _each_once([scenario.name for scenario, _ in loaded])
         # What cannot run is known before the first does.
-        for name, (scenario, folder) in zip(names, loaded, strict=True):
-            for joint in scenario.load_joint(folder):
-                joint.mount(scenario.mounting or None)
-            check_run_folder(scenario, source_of(name), out / scenario.name, out)
+        for scenario, source in loaded:
+            own = out / scenario.name
+            places: list[tuple[Scenario, Path]] = (
+                [(joint, own / joint.name) for joint in scenario.arm]
+                if isinstance(scenario, ArmScenario)
+                else [(scenario, own)]
+            )
+            for joint, place in places:
+                for described in joint.load_joint(source.parent):
+                    joint.mount(described)
+                check_run_folder(joint, source, place, out)
         cores = os.cpu_count() or 1
         at_once = min(cores, len(loaded))
         pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
         with progress() as bar:
             task = bar.add_task("simulating", total=len(loaded) * 2)
 
-            def one(scenario: Scenario, folder: Path) -> tuple[Run, Path]:
-                run = run_scenario(scenario, folder, max(1, cores // at_once))
-                bar.update(task, advance=1, description=f"{scenario.name}: writing")
-                saved = save_run(run, out / scenario.name, begin, out)
+            def one(scenario: Scenario | ArmScenario, source: Path) -> list[tuple[Run, Path]]:
+                place, threads = out / scenario.name, max(1, cores // at_once)
+                if isinstance(scenario, ArmScenario):
+                    runs = run_arm(scenario, source.parent, threads)
+                    bar.update(task, advance=1, description=f"{scenario.name}: writing")
+                    saved = list(zip(runs.values(), save_arm(scenario, runs, place, begin, out), strict=True))
+                else:
+                    run = run_scenario(scenario, source.parent, threads)
+                    bar.update(task, advance=1, description=f"{scenario.name}: writing")
+                    saved = [(run, save_run(run, place, begin, out))]
                 bar.update(task, advance=1)
-                return run, saved
+                return saved
 
-            futures = [pool.submit(one, scenario, folder) for scenario, folder in loaded]
+            futures = [pool.submit(one, scenario, source) for scenario, source in loaded]
             for module in _LATER:  # a simulation that is under way does not hold the interpreter's lock
                 importlib.import_module(module)
             try:
-                return [future.result() for future in futures]
+                return [found for future in futures for found in future.result()]
             except Exception:
                 pool.shutdown(cancel_futures=True)
                 raise

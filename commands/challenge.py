@@ -47,7 +47,7 @@ EXAMPLES = (
 
 @with_plugins
 def command(
-    draws: Annotated[int, typer.Option(min=1, help="number of draws of each kind (at each size)")] = 24,
+    draws: Annotated[int, typer.Option(min=1, max=100_000, help="number of draws of each kind (at each size)")] = 24,
     hidden: Annotated[
         list[Hidden] | None,
         typer.Option(

@@ -36,10 +36,12 @@ def command(
     from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models import causes
     from ..models.files import json_text
+    from ..models.memory import give_back_large_arrays
     from ..models.recording import read_measurement
     from ._console import console
     from ._mistakes import print_mistakes
 
+    give_back_large_arrays()
     given = read_measurement(measurement)
     described = given.load_joint(joint)
     mistakes = find_mistakes(given, described)

@@ -36,13 +36,15 @@ def command(
     """
     from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
-    from ..estimator.offline import beyond_range, estimate_recording, score, write_estimates
+    from ..estimator.offline import SHORTEST, beyond_range, estimate_recording, score, write_estimates
     from ..models.files import json_text
     from ..models.joint import beyond_sentence
+    from ..models.memory import give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
     from ..models.recording import read_measurement
     from ._console import console
 
+    give_back_large_arrays()
     data = read_measurement(measurement)
     described = data.load_joint(joint)
     for name in filter_ or ():
@@ -53,6 +55,10 @@ def command(
     stems = [recording.name for recording in data.recordings]
     written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
+    if all(s.stop - s.start < SHORTEST for recording in data.recordings for s in recording.segments):
+        raise InputError(
+            f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got none: too short to estimate"
+        )
     require_sound(data, described)
     terminal = console()
     report: dict[str, dict[str, Any]] = {}

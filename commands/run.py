@@ -14,6 +14,7 @@ EXAMPLES = (
     "flexspline run external_push",
     "flexspline run link_sweep --set joint=my_joint.yaml --set controller.kp=6 --seed 3 --out runs",
     "flexspline run my_scenario.yaml --no-figures --json",
+    "flexspline run two_joints --set arm.1.joint=my_joint.yaml",
 )
 
 
@@ -27,7 +28,7 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording."""
+    """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording; of an arm's, those of every joint."""
     from ._console import console
     from ._runs import metrics_of, run_all, tell
 

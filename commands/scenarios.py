@@ -12,6 +12,7 @@ EXAMPLES = (
 
 def command(as_json: AsJson = False) -> None:
     """List the scenarios that come with the testbed; commands take one of these names, or the path of a YAML file."""
+    from ..scenarios.arms.arm_scenario import load_arm, shipped_arms
     from ..scenarios.scenario import load_scenario, shipped_scenarios
     from ._listing import Entry, show
 
@@ -21,4 +22,8 @@ def command(as_json: AsJson = False) -> None:
         mounting = f", mounting {s.mounting}" if s.mounting else ""
         paper = f"; {s.figure} of the paper" if s.figure else ""
         entries[name] = Entry(f"{s.joint}{mounting}, {s.duration:g} s{paper}", s.description, "")
+    for name in shipped_arms():
+        arm, _ = load_arm(name)
+        joints = ", ".join(f"{joint.name} {joint.joint}" for joint in arm.arm)
+        entries[name] = Entry(f"an arm: {joints}; {arm.duration:g} s; for `run`", arm.description, "")
     show("scenario", entries, as_json)

@@ -15,6 +15,7 @@ EXAMPLES = ("flexspline schema scenario", "flexspline schema --out schemas")
 KINDS = {
     "joint": ("models.joint", "Joint", "A joint's description"),
     "scenario": ("scenarios.scenario", "Scenario", "A scenario"),
+    "arm": ("scenarios.arms.arm_scenario", "ArmScenario", "A scenario of joints in series"),
     "study": ("scenarios.studies.study", "Study", "A study"),
     "recording": ("models.recording", "Sidecar", "The YAML beside a recording's table"),
     "mapping": ("diagnosis.data.importing", "Layout", "A mapping from another program's log"),

@@ -43,7 +43,7 @@ def recorded(hidden: dict[str, float]) -> Measurement:
     nominal = load_joint("test-joint")
     found: list[Recording] = []
     for k, scenario in enumerate(motions(np.random.default_rng(SEED))):
-        mounting = nominal.mount(scenario.mounting or None)
+        mounting = scenario.mount(nominal)
         record = nominal.record(mounting)
         causes.get("link_flexibility").apply(record[0], hidden)
         found.append(record_motion(nominal, mounting, record, scenario, SEED + k).without("joint_torque"))

@@ -24,7 +24,6 @@ from typing import TypeVar
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import lfilter
 
 from ..models.joint import Joint, Mounting
 from ..models.signals import Signals
@@ -201,6 +200,8 @@ def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
 
 def _wave(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """A random error of unit variance that forgets in `_MEMORY`, shape (n,)."""
+    from scipy.signal import lfilter  # a third of a second, and 50 MB
+
     keep = float(np.exp(-1 / (_rate(time) * _MEMORY)))
     noise = np.sqrt(1 - keep**2) * rng.standard_normal(len(time))
     return lfilter([1.0], [1.0, -keep], noise)

@@ -90,7 +90,7 @@ def _step(m, s, link_position, dt, c, p, unscented):
             predict_unscented(m, command, dt, heat, noise, c.kappa, p)
         else:
             predict_extended(m, command, dt, heat, noise, p)
-        add_noise(m, dt, math.isnan(s.current_command), noise)
+        add_noise(m, dt, noise)
         m.current = model.next_current(m.current, command, dt, p)
         m.predicted[:] = x
         m.predicted_P[:] = P
@@ -245,8 +245,8 @@ def propagate(F, P, A, m, n):
 
 
 @kernel
-def add_noise(m, dt, by_reading, noise):
-    """Add the process noise of `dt` [s]: more of it where the encoders' mean NIS is high, or a current reading drives."""
+def add_noise(m, dt, noise):
+    """Add the process noise of `dt` [s]: more of it where the encoders' mean NIS is high; the rotor's is the current's."""
     P = m.P
     for i in range(int(noise.count)):
         s = int(noise.active[i])
@@ -255,7 +255,7 @@ def add_noise(m, dt, by_reading, noise):
             P[i, i] += noise.mesh_surge * dt * _share(m.motor_ratio, noise)
         elif s == EXTERNAL:
             P[i, i] += noise.external_surge * dt * _share(m.link_ratio, noise)
-        elif s == MOTOR_RATE and by_reading:
+        elif s == MOTOR_RATE:
             P[i, i] += noise.current_walk * dt
 
 

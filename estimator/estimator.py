@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar
 
@@ -27,6 +27,11 @@ from ..models.signals import SENSED, Signals
 from ..models.step import SAMPLE, CompiledStep, Step
 from .errors import FilterDiverged
 from .tuning_parameters import TuningParameter
+
+BLOCK = 1 << 16
+"""Samples of a long recording that an estimator reads at a time."""
+_TORQUES = frozenset({"torque", "variance", "external_torque"})
+"""Outputs that are estimates of torques, or say how good these are."""
 
 
 @dataclass(frozen=True)
@@ -250,6 +255,7 @@ class Estimator(ABC):
     costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
     innovation_unit: ClassVar[str] = "N·m"  # of its innovations, where it has any
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "link_position", "motor_current")  # channels it reads
+    reads_command: ClassVar[bool] = False  # whether it reads the drive's current command, where that is known
     tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # what tuning may change; first what trades noise for delay
     description: ClassVar[str] = ""  # a line for people, with its source
 
@@ -258,13 +264,17 @@ class Estimator(ABC):
         """Estimate the joint torque over signals.
 
         Args:
-          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known. A torque
-            sensor's reading is not looked at.
+          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known, for who
+            `reads_command`. A torque sensor's reading is not looked at.
           joint: what is known of the joint.
 
         Raises:
           InputError: a channel that is missing. FilterDiverged: the next estimate would not be finite.
         """
+
+    def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        """As `estimate`, to the bit, but for what is needed of long recordings alone: mean, variance and external torque."""
+        return self.estimate(signals, joint)
 
     def scaled(self, joint: KnownJoint, interval: float) -> Estimator:
         """The same estimator for a joint whose samples are `interval` [s] apart.
@@ -310,21 +320,37 @@ class CausalEstimator(Estimator):
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
         settings = self.settings(joint, interval).view(np.float64).reshape(-1)
         return CompiledStep(
-            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs)
-        )
+            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs),
+            self.reads_command,
+        )  # fmt: skip
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        samples = as_samples(signals, self.needs, joint)
-        out, failed, status = run_step(self.step(joint, sample_interval(signals)), samples)
-        if failed < len(samples):
-            last = out[max(failed - 1, 0)]
-            raise FilterDiverged(self.name, failed, float(signals.time[failed]), self.reason(status, last))
-        return self.posterior(signals.time, out)
+        return self.posterior(signals.time, self._columns(signals, joint, self.outputs))
 
-    def posterior(self, time: np.ndarray, out: np.ndarray) -> Posterior:
-        """Outputs, shape (n, len(outputs)), as a posterior."""
-        column = {name: out[:, i].copy() for i, name in enumerate(self.outputs)}
-        variances = [n for n in self.outputs if n.startswith("innovation_variance")]
+    def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        return self.posterior(signals.time, self._columns(signals, joint, _TORQUES.intersection(self.outputs)))
+
+    def _columns(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> dict[str, np.ndarray]:
+        """Some of the outputs over signals by name, shape (n,) each, computed block by block."""
+        arrays = self.step(joint, sample_interval(signals)).arrays()
+        column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
+        before = None
+        for part, samples in sample_blocks(signals, self.needs, joint, self.reads_command):
+            out = np.zeros((len(samples), len(self.outputs)))
+            failed, status = go_on(arrays, samples, out)
+            if failed < len(samples):
+                last = out[failed - 1] if failed or before is None else before
+                k = part.start + failed
+                raise FilterDiverged(self.name, k, float(signals.time[k]), self.reason(status, last))
+            for i, name in enumerate(self.outputs):
+                if name in column:
+                    column[name][part] = out[:, i]
+            before = out[-1]
+        return column
+
+    def posterior(self, time: np.ndarray, column: Mapping[str, np.ndarray]) -> Posterior:
+        """Outputs by name, shape (n,) each, as a posterior."""
+        variances = [n for n in column if n.startswith("innovation_variance")]
         innovations = [n.replace("innovation_variance", "innovation") for n in variances]
         e = np.column_stack([column[n] for n in innovations]) if innovations else None
         S = None
@@ -348,9 +374,9 @@ def sample_interval(signals: Signals) -> float:
     return round(float(np.median(np.diff(signals.time))), 9)
 
 
-def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> np.ndarray:
-    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command counts from the next
-    sample on; before the first there was none, 0 A.
+def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False) -> np.ndarray:
+    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command, which is there for who
+    `reads_command`, counts from the next sample on; before the first there was none, 0 A.
 
     Raises:
       InputError: a channel of `needs` that is missing.
@@ -358,15 +384,40 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint) -> n
     for name in needs:
         signals[name]
     # Signals do not change, and every estimator reads the same of them.
-    made: dict[float | None, np.ndarray] = signals.__dict__.setdefault("_samples", {})
-    if joint.start not in made:
-        made[joint.start] = _samples(signals, joint)
-    return made[joint.start]
+    made: dict[tuple[float | None, bool], np.ndarray] = signals.__dict__.setdefault("_samples", {})
+    key = (joint.start, reads_command)
+    if key not in made:
+        made[key] = _samples(signals, joint, slice(0, len(signals.time)), reads_command)
+    return made[key]
 
 
-def _samples(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    found = blank_samples(signals.time, joint)
-    fill_samples(found, signals.columns, slice(0, len(found)))
+def sample_blocks(
+    signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False, block: int | None = None
+) -> Iterator[tuple[slice, np.ndarray]]:
+    """Parts of signals with their records, as `as_samples` makes them: all at once, or of long ones block after block.
+
+    Raises:
+      InputError: a channel of `needs` that is missing.
+    """
+    n, block = len(signals.time), BLOCK if block is None else block
+    if n <= block:
+        yield slice(0, n), as_samples(signals, needs, joint, reads_command)
+        return
+    for name in needs:
+        signals[name]
+    for begin in range(0, n, block):
+        part = slice(begin, min(begin + block, n))
+        yield part, _samples(signals, joint, part, reads_command)
+
+
+def _samples(signals: Signals, joint: KnownJoint, part: slice, reads_command: bool) -> np.ndarray:
+    time = signals.time
+    # The command in force, and the interval, begin at the sample before.
+    before = slice(max(part.start - 1, 0), part.stop)
+    found = blank_samples(time[before], joint if joint.start is not None else replace(joint, start=float(time[0])))
+    columns = {name: values[before] for name, values in signals.columns.items()}
+    fill_samples(found, columns, slice(0, len(found)), reads_command)
+    found = found[part.start - before.start :]
     found.flags.writeable = False
     return found
 
@@ -378,12 +429,14 @@ def blank_samples(time: np.ndarray, joint: KnownJoint) -> np.ndarray:
     return found
 
 
-def fill_samples(samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice) -> None:
+def fill_samples(
+    samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice, reads_command: bool = False
+) -> None:
     """Put a stretch of channels, shape (n,) each, into records of `SAMPLE`, as `as_samples` says."""
     for name in SENSED:
         if name in columns and name != "joint_torque":
             samples[name][part] = columns[name][part]
-    if "current_command" in columns and part.stop > part.start:
+    if reads_command and "current_command" in columns and part.stop > part.start:
         command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
         samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
 

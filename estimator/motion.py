@@ -18,6 +18,8 @@ from ..models.kernels import kernel
 
 CUTOFF = 120.0
 """Passband fc of the smoother [Hz]; at half of the Nyquist frequency where sampling is slower than that."""
+BLOCK = 1 << 15
+"""Samples of which the smoother keeps everything at a time."""
 
 
 @kernel
@@ -60,81 +62,122 @@ def _product(A, B, C):
 
 
 @kernel
-def _smooth(t, y, q):
-    """Smooth channels y, shape (n, c), at times t, shape (n,); q is the jerk's intensity at unit measurement noise.
+def _predict(d, q, x, M, F, Q, work):
+    """Motion x, shape (3, c), and its covariance M a time d later, in place."""
+    _transition(d, F, Q, q)
+    for j in range(x.shape[1]):
+        x[0, j] += d * x[1, j] + 0.5 * d * d * x[2, j]
+        x[1, j] += d * x[2, j]
+    _product(F, M, work)
+    _product(work, F.T, M)
+    for i in range(3):
+        for j in range(i + 1):
+            M[i, j] = M[j, i] = 0.5 * (M[i, j] + M[j, i]) + Q[i, j]
 
-    Returns value, first and second derivative, shape (n, 3, c).
+
+@kernel
+def _correct(y, offset, x, M, column):
+    """Motion x and its covariance M once a sample y, shape (c,), is seen, in place."""
+    s = M[0, 0] + 1.0
+    for j in range(x.shape[1]):
+        e = (y[j] - offset[j] - x[0, j]) / s
+        for i in range(3):
+            x[i, j] += M[i, 0] * e
+    column[:] = M[:, 0]
+    for i in range(3):
+        for j in range(3):
+            M[i, j] -= column[i] * column[j] / s
+
+
+@kernel
+def _smooth(time, y, offset, q, scale, square, step, every, block, value, rate, acceleration):
+    """Smooth channels y, shape (n, c), at `time`, shape (n,), and evaluate them every `step`: value and two derivatives, shape
+    (c, m) each.
+
+    The filter runs forward once and keeps what it knows at the begin of every `block` of samples. From the last block to the
+    first it then runs again, now keeping every sample, and back: the same numbers as with all samples kept, in a block's memory.
+
+    Args:
+      offset: of the channels, shape (c,), taken off before. q: the jerk's intensity at unit measurement noise.
+      scale: of time, for the covariances to be near one; square: its square.
+      every: of how many steps one is evaluated.
     """
     n, c = y.shape
     F, Q, inverse = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
     work, gain, column, M = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros(3), np.eye(3) * 1e6
-    state = np.empty((n, 3, c))
-    P = np.empty((n, 3, 3))
-    predicted = np.empty((n, 3, 3))
     x = np.zeros((3, c))
-    x[0] = y[0]
-    for k in range(n):
-        if k:
-            d = t[k] - t[k - 1]
+    for j in range(c):
+        x[0, j] = y[0, j] - offset[j]
+    blocks = (n + block - 1) // block
+    size = min(block, n)
+    known, sure = np.empty((blocks, 3, c)), np.empty((blocks, 3, 3))
+    for b in range(blocks):
+        known[b], sure[b] = x, M
+        if b == blocks - 1:
+            break
+        for k in range(b * block, (b + 1) * block):
+            if k:
+                _predict(scale * (time[k] - time[0]) - scale * (time[k - 1] - time[0]), q, x, M, F, Q, work)
+            _correct(y[k], offset, x, M, column)
+    # One more than a block: the first sample of the next one, smoothed.
+    t, state, P, predicted = (
+        np.empty(size + 1),
+        np.empty((size + 1, 3, c)),
+        np.empty((size, 3, 3)),
+        np.empty((size + 1, 3, 3)),
+    )
+    end = value.shape[1]
+    for b in range(blocks - 1, -1, -1):
+        begin = b * block
+        count = min(block, n - begin)
+        last = b == blocks - 1
+        if not last:
+            t[count], state[count], predicted[count] = t[0], state[0], predicted[0]
+        x[:], M[:] = known[b], sure[b]
+        for i in range(count):
+            k = begin + i
+            t[i] = scale * (time[k] - time[0])
+            if k:
+                _predict(t[i] - scale * (time[k - 1] - time[0]), q, x, M, F, Q, work)
+            predicted[i] = M
+            _correct(y[k], offset, x, M, column)
+            state[i], P[i] = x, M
+        for i in range(count - 2 if last else count - 1, -1, -1):
+            d = t[i + 1] - t[i]
             _transition(d, F, Q, q)
+            _inverse(predicted[i + 1], inverse)
+            _product(P[i], F.T, work)
+            _product(work, inverse, gain)
             for j in range(c):
-                x[0, j] += d * x[1, j] + 0.5 * d * d * x[2, j]
-                x[1, j] += d * x[2, j]
-            _product(F, M, work)
-            _product(work, F.T, M)
-            for i in range(3):
-                for j in range(i + 1):
-                    M[i, j] = M[j, i] = 0.5 * (M[i, j] + M[j, i]) + Q[i, j]
-        predicted[k] = M
-        s = M[0, 0] + 1.0
-        for j in range(c):
-            e = (y[k, j] - x[0, j]) / s
-            for i in range(3):
-                x[i, j] += M[i, 0] * e
-        column[:] = M[:, 0]
-        for i in range(3):
-            for j in range(3):
-                M[i, j] -= column[i] * column[j] / s
-        state[k] = x
-        P[k] = M
-    for k in range(n - 2, -1, -1):
-        d = t[k + 1] - t[k]
-        _transition(d, F, Q, q)
-        _inverse(predicted[k + 1], inverse)
-        _product(P[k], F.T, work)
-        _product(work, inverse, gain)
-        for j in range(c):
-            e2 = state[k + 1, 2, j] - state[k, 2, j]
-            e1 = state[k + 1, 1, j] - state[k, 1, j] - d * state[k, 2, j]
-            e0 = state[k + 1, 0, j] - state[k, 0, j] - d * state[k, 1, j] - 0.5 * d * d * state[k, 2, j]
-            for i in range(3):
-                state[k, i, j] += gain[i, 0] * e0 + gain[i, 1] * e1 + gain[i, 2] * e2
-    return state
-
-
-@kernel
-def _interpolate(t, state, at):
-    """Evaluate the quintic through (value, slope, curvature) at the knots t: shape (len(at), 3, c)."""
-    c = state.shape[2]
-    out = np.empty((len(at), 3, c))
-    i = 0
-    for k in range(len(at)):
-        while i < len(t) - 2 and t[i + 1] < at[k]:
-            i += 1
-        d = t[i + 1] - t[i]
-        u = at[k] - t[i]
-        for j in range(c):
-            p, v, a = state[i, 0, j], state[i, 1, j], state[i, 2, j]
-            e0 = state[i + 1, 0, j] - p - v * d - 0.5 * a * d * d
-            e1 = state[i + 1, 1, j] - v - a * d
-            e2 = state[i + 1, 2, j] - a
-            b3 = (10.0 * e0 - 4.0 * e1 * d + 0.5 * e2 * d * d) / d**3
-            b4 = (-15.0 * e0 + 7.0 * e1 * d - e2 * d * d) / d**4
-            b5 = (6.0 * e0 - 3.0 * e1 * d + 0.5 * e2 * d * d) / d**5
-            out[k, 0, j] = p + u * (v + u * (0.5 * a + u * (b3 + u * (b4 + u * b5))))
-            out[k, 1, j] = v + u * (a + u * (3.0 * b3 + u * (4.0 * b4 + u * 5.0 * b5)))
-            out[k, 2, j] = a + u * (6.0 * b3 + u * (12.0 * b4 + u * 20.0 * b5))
-    return out
+                e2 = state[i + 1, 2, j] - state[i, 2, j]
+                e1 = state[i + 1, 1, j] - state[i, 1, j] - d * state[i, 2, j]
+                e0 = state[i + 1, 0, j] - state[i, 0, j] - d * state[i, 1, j] - 0.5 * d * d * state[i, 2, j]
+                for r in range(3):
+                    state[i, r, j] += gain[r, 0] * e0 + gain[r, 1] * e1 + gain[r, 2] * e2
+        first = end
+        if last and count == 1 and b > 0:  # what lies beyond it follows from the interval before
+            continue
+        while first > 0 and (b == 0 or scale * (step * (every * (first - 1))) > t[0]):
+            first -= 1
+        i = 0
+        for k in range(first, end):
+            at = scale * (step * (every * k))
+            while i < (count - 2 if last else count - 1) and t[i + 1] < at:
+                i += 1
+            d = t[i + 1] - t[i]
+            u = at - t[i]
+            for j in range(c):
+                p, v, a = state[i, 0, j], state[i, 1, j], state[i, 2, j]
+                e0 = state[i + 1, 0, j] - p - v * d - 0.5 * a * d * d
+                e1 = state[i + 1, 1, j] - v - a * d
+                e2 = state[i + 1, 2, j] - a
+                b3 = (10.0 * e0 - 4.0 * e1 * d + 0.5 * e2 * d * d) / d**3
+                b4 = (-15.0 * e0 + 7.0 * e1 * d - e2 * d * d) / d**4
+                b5 = (6.0 * e0 - 3.0 * e1 * d + 0.5 * e2 * d * d) / d**5
+                value[j, k] = p + u * (v + u * (0.5 * a + u * (b3 + u * (b4 + u * b5)))) + offset[j]
+                rate[j, k] = (v + u * (a + u * (3.0 * b3 + u * (4.0 * b4 + u * 5.0 * b5)))) * scale
+                acceleration[j, k] = (a + u * (6.0 * b3 + u * (12.0 * b4 + u * 20.0 * b5))) * square
+        end = first
 
 
 @dataclass(frozen=True)
@@ -154,18 +197,34 @@ class Smooth:
 
 def passband(time: np.ndarray, cutoff: float = CUTOFF) -> float:
     """Passband fc [Hz] of the smoother for samples at these times [s]."""
-    return min(cutoff, 0.25 / float(np.median(np.diff(time))))
+    return min(cutoff, 0.25 / _interval(time))
 
 
-def smooth(time: np.ndarray, channels: np.ndarray, step: float, cutoff: float = CUTOFF) -> Smooth:
-    """Smooth channels, shape (n, c), sampled at `time` [s] and evaluate them on a uniform grid of `step` [s]."""
-    interval = float(np.median(np.diff(time)))
-    cutoff = passband(time, cutoff)
-    scale = 2 * np.pi * cutoff  # time in units of 1/ωc keeps the covariances near one
-    offset = channels[0]
-    since = time - time[0]
-    state = _smooth(scale * since, np.ascontiguousarray(channels - offset, dtype=np.float64), scale * interval)
+def _interval(time: np.ndarray) -> float:
+    """Median time between samples [s]."""
+    return float(np.median(np.diff(time), overwrite_input=True))
+
+
+def smooth(
+    time: np.ndarray, channels: np.ndarray, step: float, cutoff: float = CUTOFF, every: int = 1, block: int = BLOCK
+) -> Smooth:
+    """Smooth channels sampled at `time` and evaluate them on a uniform grid; each as it would be alone, to the bit.
+
+    Args:
+      time: shape (n,) [s]. channels: shape (n, c).
+      step: of the grid [s]. cutoff: passband [Hz].
+      every: of the grid's points one is evaluated, the first among them.
+      block: samples of which everything is kept at a time; the result does not depend on it.
+    """
+    interval = _interval(time)
+    scale = 2 * np.pi * min(cutoff, 0.25 / interval)  # time in units of 1/ωc keeps the covariances near one
+    since, y = (np.ascontiguousarray(x, dtype=np.float64) for x in (time, channels))
     # A last sample on the grid counts as such, whatever its time has lost by rounding.
-    grid = step * np.arange(int(since[-1] / step + 1e-3) + 1)
-    out = _interpolate(scale * since, state, scale * grid)
-    return Smooth(time[0] + grid, out[:, 0] + offset, out[:, 1] * scale, out[:, 2] * scale**2)
+    count = int((time[-1] - time[0]) / step + 1e-3) // every + 1
+    value, rate, acceleration = (np.empty((y.shape[1], count)) for _ in range(3))
+    _smooth(since, y, y[0].copy(), scale * interval, scale, scale**2, step, every, block, value, rate, acceleration)
+    grid = np.arange(count, dtype=np.float64)
+    grid *= every
+    grid *= step
+    grid += time[0]
+    return Smooth(grid, value.T, rate.T, acceleration.T)

@@ -35,8 +35,7 @@ from ..models.kernels import kernel
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..models.tables import write_table
-from . import registry, smoothed
-from .arrays import run
+from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, Posterior, sample_interval
@@ -115,7 +114,8 @@ class Estimates:
       time: shape (n,) [s].
       torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments of fewer
         than `SHORTEST` samples.
-      external_torque: torque on the link that its own gravity and inertia do not explain, by estimator, likewise.
+      external_torque: torque on the link that its own gravity and inertia, and the motion of other joints of an arm, do not
+        explain, by estimator, likewise.
       left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
       notes: what was found on the way, one entry a segment (`Prepared.note`).
       deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty where nobody asked.
@@ -189,7 +189,8 @@ def estimate_recording(
         beliefs: dict[str, np.ndarray] = {}
         estimates = _estimates(ready, chosen, left_out, beliefs, threads=_THREADS)
         for (what, name), values in estimates.items():
-            found[what].setdefault(name, np.full(n, np.nan))[segment] = values
+            known_torque = recording.torque_of_arm[segment] if what == "external_torque" else 0.0
+            found[what].setdefault(name, np.full(n, np.nan))[segment] = values - known_torque
         if bands:
             # The dynamics simulated nine times more is for whoever asks for it by name.
             told = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
@@ -256,7 +257,7 @@ def _estimates(
 
     def one(name: str) -> Posterior | str:
         try:
-            return ready.ready(able[name]).estimate(ready.signals, ready.known)
+            return ready.ready(able[name]).torques(ready.signals, ready.known)
         except (FilterDiverged, InputError) as error:
             return str(error)
 
@@ -363,29 +364,34 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     payload = observe(signals, joint, motion, own)
     joint = joint.told(back_driven_friction=payload.back_driven_friction)
     note |= {"bandwidth": cutoff} | payload._asdict()
+    own = motion.at(signals.time, own)
     walk = 1.0
     if measured >= set(POSITIONS):
-        zero, std = tared(signals, joint, motion)
+        torque = smoothed.torque_from_current(motion, joint)[::_TRACK].copy()
+        motion = motion.every(_TRACK)  # of an hour, all of it is 300 MB
+        zero, std = tared(signals, joint, motion, torque)
         signals = signals.with_columns(link_position=signals["link_position"] - zero)
         joint = replace(joint, link_zero=std)
         note |= {"zero": float(np.mean(zero)), "zero_std": std}
         walk = likely_walk(signals, joint)
-    return Prepared(signals, joint, frozenset(measured), motion.at(signals.time, own), walk, cutoff, note)
+    return Prepared(signals, joint, frozenset(measured), own, walk, cutoff, note)
 
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
     """The one of `WALKS` by which the EKF's W makes its innovations most likely."""
     interval = sample_interval(signals)
-    measured = registry.get("model").estimate(signals, joint).mean
+    measured = registry.get("model").torques(signals, joint).mean
     ekf = registry.get("EKF").scaled(joint, interval)
     assert isinstance(ekf, PaperFilter)
-    return min(WALKS, key=lambda walk: _surprise(run(replace(ekf, W=ekf.W * walk), measured)))
+    return min(WALKS, key=lambda walk: _surprise(replace(ekf, W=ekf.W * walk), measured))
 
 
-def _surprise(history) -> float:
+def _surprise(ekf: PaperFilter, measured: np.ndarray) -> float:
     """Minus twice the log likelihood of a filter's innovations, robust: no outlier counts more than 5 deviations."""
-    S = history.innovation_covariance[1:, 0, 0]
-    return float(np.sum(np.log(S) + np.minimum(history.innovation[1:, 0] ** 2 / S, 25.0)))
+    found, step, status = recursion.surprise(measured, ekf.record(), 25.0)
+    if status != recursion.OK:
+        raise FilterDiverged(ekf.name, step, step * 1e-3, ekf.failure(status, measured[step - 1], ekf.W))
+    return float(found)
 
 
 # --- one encoder ----------------------------------------------------------------------------------------------------
@@ -435,32 +441,30 @@ def _wind_motor(link, torque, record, out):
 # --- the encoders' zeros --------------------------------------------------------------------------------------------
 
 
-def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion) -> tuple[np.ndarray, float]:
+def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray) -> tuple[np.ndarray, float]:
     """What the link encoder's zero is off from the joint's [rad], shape (n,), and its mean standard deviation.
 
     Args:
       signals: both encoders and the current, n samples.
-      motion: of `smoothed.smooth_motion` at the bandwidth of the estimate from current.
+      motion: of `smoothed.smooth_motion` at the bandwidth of the estimate from current, every `_TRACK`-th point of its grid.
+      torque: of `smoothed.torque_from_current` there [N·m].
     """
     p, spread, wander = joint.p, joint.link_zero, joint.link_wander
     if spread == 0 and wander == 0:
         return np.zeros(len(signals.time)), 0.0
-    torque = smoothed.torque_from_current(motion, joint)
-    wide = smoothed.smooth_motion(signals, joint, CUTOFF)
-    n = min(len(wide.time), len(motion.time))
+    wide = smoothed.smooth_motion(signals, joint, CUTOFF, _TRACK)  # of the same grid
     # A reading that is too high by δ makes torsion too small by δ.
-    torsion = smoothed.torsion_of(wide, joint, wide.at(wide.time, np.interp(wide.time, motion.time, torque)))
-    seen = (smoothed.wound(torque, joint)[:n] - torsion[:n])[::_TRACK]
-    load = np.abs(torque[:n:_TRACK])
+    seen = smoothed.wound(torque, joint) - smoothed.torsion_of(wide, joint, torque)
+    load = np.abs(torque)
     slope = 1.0 / np.where(load < p["T1"], p["K1"], np.where(load < p["T2"], p["K2"], p["K3"]))
-    w, v = motion.motor_velocity[:n:_TRACK], motion.link_velocity[:n:_TRACK]
+    w, v = motion.motor_velocity, motion.link_velocity
     slow = np.array([slow_friction(x, p) for x in w])
     friction = friction_error(joint)
     zero, std = track_zero(
         seen, slope, np.sign(w), slow, np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
         max(0.1 * friction, NOISE * joint.rated_torque),
     )  # fmt: skip
-    return np.interp(signals.time, motion.time[:n:_TRACK], zero), float(np.mean(std))
+    return np.interp(signals.time, motion.time, zero), float(np.mean(std))
 
 
 def track_zero(

@@ -12,7 +12,7 @@ from .estimator import CausalEstimator, KnownJoint, Posterior, blank_samples, fi
 
 
 class OnlineSamples:
-    """What estimators read of signals that fill up: records of `models.step.SAMPLE`, shape (n,).
+    """What estimators read of signals that fill up: records of `models.step.SAMPLE`, shape (n,), with and without the command.
 
     Args of the constructor:
       time: of all samples [s], shape (n,). columns: channels, shape (n,) each, that somebody fills. joint: what is known.
@@ -20,11 +20,16 @@ class OnlineSamples:
 
     def __init__(self, time: np.ndarray, columns: Mapping[str, np.ndarray], joint: KnownJoint):
         self.time, self.columns, self.joint = time, columns, joint
-        self.records = blank_samples(time, joint)
+        self._records = {reads_command: blank_samples(time, joint) for reads_command in (False, True)}
 
     def fill(self, part: slice) -> None:
         """Take up the channels' samples of a stretch."""
-        fill_samples(self.records, self.columns, part)
+        for reads_command, records in self._records.items():
+            fill_samples(records, self.columns, part, reads_command)
+
+    def of(self, estimator: CausalEstimator) -> np.ndarray:
+        """The records that an estimator reads."""
+        return self._records[estimator.reads_command]
 
 
 class OnlineEstimate:
@@ -58,7 +63,7 @@ class OnlineEstimate:
         Raises:
           FilterDiverged: an estimate that is no longer finite.
         """
-        records, time = self._samples.records[part], self._samples.time
+        records, time = self._samples.of(self.estimator)[part], self._samples.time
         failed, status = go_on(self._arrays, records, self._history[part])
         if failed < len(records):
             at = part.start + failed
@@ -68,4 +73,5 @@ class OnlineEstimate:
 
     def so_far(self, part: slice) -> Posterior:
         """What it said of a stretch."""
-        return self.estimator.posterior(self._samples.time[part], self._history[part])
+        columns = dict(zip(self.estimator.outputs, self._history[part].T.copy(), strict=True))
+        return self.estimator.posterior(self._samples.time[part], columns)

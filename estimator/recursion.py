@@ -154,6 +154,26 @@ def run(y, settings, history):
     return len(y), OK
 
 
+@kernel
+def surprise(y, settings, most):
+    """Minus twice the log likelihood of a filter's innovations over measurements y, shape (T,); none counts more than `most`.
+
+    Returns:
+        It, the sample at which the filter failed, and the status; T and OK where it did not.
+    """
+    c = settings[0]
+    history = np.zeros(1, STATE)
+    start(history[0], y[0], c)
+    total = 0.0
+    for t in range(1, len(y)):
+        status = update(history[0], y[t], c)
+        if status != OK:
+            return total, t, status
+        S, e = history[0].innovation_variance, history[0].innovation
+        total += math.log(S) + min(e * e / S, most)
+    return total, len(y), OK
+
+
 def vector_update(
     f: dict[str, Any],
     x: np.ndarray,

@@ -6,7 +6,7 @@ low its passband is. How low it must be, the readings' own noise says (`bandwidt
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ..models.dynamics import State
 from ..models.kernels import kernel
 from ..models.signals import Signals
 from .estimator import KnownJoint
-from .motion import smooth
+from .motion import BLOCK, smooth
 
 STEP = 1e-3
 """Grid [s] on which motion is differentiated and friction replayed."""
@@ -51,34 +51,53 @@ class Motion:
     temperature: np.ndarray
     cutoff: float
 
+    def every(self, steps: int) -> Motion:
+        """The same on every so many-th point of the grid."""
+        kept = {f.name: getattr(self, f.name)[::steps].copy() for f in fields(self) if f.name != "cutoff"}
+        return replace(self, **kept)
+
     def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Values on the grid at other times [s]."""
         return np.interp(time, self.time, values)
 
 
-def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float) -> Motion:
-    """Motion of a recording's part; `cutoff`: passband [Hz].
+def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int = 1) -> Motion:
+    """Motion of a recording's part.
 
     Args:
       signals: `motor_position`, and `link_position`, `motor_current`, `temperature` where they are known. Without a link
         encoder the link moves as the rotor does.
       joint: what is known of it.
+      cutoff: passband [Hz].
+      every: of the grid's points one is evaluated, the first among them.
     """
     time, p = signals.time, joint.p
-    motor = np.empty(len(time))
-    _motor_positions(signals["motor_position"], joint.record, motor)
-    link = motor / p["N"]
-    if "link_position" in signals:
-        link = link_positions(signals, joint)
-    current = signals["motor_current"] if "motor_current" in signals else np.zeros(len(time))
-    s = smooth(time, np.column_stack([motor, link, current]), STEP, cutoff)
-    temperature = signals["temperature"] if "temperature" in signals else np.full(len(time), p["reference_temperature"])
+    s = smooth(time, _rotor_link_current(signals, joint), STEP, cutoff, every)
     position, velocity, acceleration = (np.ascontiguousarray(a.T) for a in (s.value, s.rate, s.acceleration))
-    heat = np.interp(s.time, time, temperature)
+    heat = np.full(len(s.time), p["reference_temperature"])
+    if "temperature" in signals:
+        heat = np.interp(s.time, time, signals["temperature"])
     return Motion(
-        s.time, s.time - time[0] + joint.since(time)[0], position[0], velocity[0], acceleration[0], position[1], velocity[1],
+        s.time, s.time - time[0] + joint.since(time[:1])[0], position[0], velocity[0], acceleration[0], position[1], velocity[1],
         acceleration[1], position[2], heat, cutoff,
     )  # fmt: skip
+
+
+def _rotor_link_current(signals: Signals, joint: KnownJoint) -> np.ndarray:
+    """Rotor and link angle [rad] and current [A] at every sample, shape (n, 3)."""
+    link = link_positions(signals, joint) if "link_position" in signals else None
+    found = np.zeros((len(signals.time), 3))
+    if link is not None:
+        found[:, 1] = link
+        del link  # of an hour, 30 MB
+    motor = np.empty(len(found))
+    _motor_positions(signals["motor_position"], joint.record, motor)
+    found[:, 0] = motor
+    if "link_position" not in signals:
+        found[:, 1] = motor / joint.p["N"]
+    if "motor_current" in signals:
+        found[:, 2] = signals["motor_current"]
+    return found
 
 
 def in_time(signals: Signals, joint: KnownJoint) -> tuple[Signals, KnownJoint]:
@@ -135,13 +154,21 @@ def bandwidth(signals: Signals, joint: KnownJoint, quiet: float = QUIET) -> floa
 
 def white_noise(time: np.ndarray, values: np.ndarray) -> float:
     """Standard deviation of white noise on a smooth signal, from third divided differences; robust."""
+    difference = np.empty(max(len(time) - 3, 0))
+    for begin in range(0, len(difference), BLOCK):
+        part = slice(begin, begin + BLOCK + 3)
+        difference[begin : begin + BLOCK] = _third_differences(time[part], values[part])
+    return float(_ROBUST * np.median(np.abs(difference)))
+
+
+def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Third divided differences of n samples in units of the noise of one, shape (n - 3,)."""
     t = np.stack([time[i : len(time) - 3 + i] for i in range(4)])
     t = t - t[0]
     scale = t[-1].copy()
     weight = np.array([1 / np.prod([(t[i] - t[j]) / scale for j in range(4) if j != i], axis=0) for i in range(4)])
     y = np.stack([values[i : len(values) - 3 + i] for i in range(4)])
-    difference = np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
-    return float(_ROBUST * np.median(np.abs(difference)))
+    return np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
 
 
 def torque_from_current(motion: Motion, joint: KnownJoint) -> np.ndarray:

@@ -31,12 +31,14 @@ if TYPE_CHECKING:
     from .models.errors import InputError
     from .models.joint import Joint, load_joint
     from .models.recording import Measurement, Recording
+    from .scenarios.arms.arm_scenario import ArmScenario
     from .scenarios.run import Run
     from .scenarios.scenario import Scenario
 
 __version__ = "0.1.0"
 
 _ELSEWHERE = {
+    "ArmScenario": "scenarios.arms.arm_scenario",
     "Diagnosis": "diagnosis.diagnose",
     "Estimator": "estimator.estimator",
     "FilterDiverged": "estimator.errors",
@@ -52,6 +54,7 @@ _ELSEWHERE = {
     "load_joint": "models.joint",
 }
 __all__ = [
+    "ArmScenario",
     "Diagnosis",
     "Estimator",
     "FilterDiverged",
@@ -77,6 +80,7 @@ __all__ = [
     "load_recording",
     "plan",
     "simulate",
+    "simulate_arm",
     "validate",
 ]
 _EXPERIMENTS = ("no_load", "link_sweep", "external_push")
@@ -161,6 +165,37 @@ def simulate(scenario: str | Path | Scenario, seed: int | None = None, **changes
     from .scenarios.run import run_scenario
 
     return run_scenario(*_scenario(scenario, seed, changes), threads=_cores())
+
+
+def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **changes: Any) -> dict[str, Run]:
+    """Run a scenario of joints in series: each under its own controller, with sensors and filters of its own, in one plant.
+
+    Args:
+      scenario: name of a shipped one (`two_joints`), path of a YAML file, or an `ArmScenario`.
+      seed: of every random stream, instead of the scenario's.
+      changes: keys of the scenario with other values, SI: `duration=20` [s]; with two underscores for a dot where they lie
+        inside, joints counted from the base: `arm__0__length=0.5` [m].
+
+    Returns:
+      A run of every joint, by its name, from the base to the tip, as of `simulate`. Its recording says of the arm what its motion
+      puts on the joint.
+
+    Raises:
+      InputError: a scenario, joint or key that is wrong; torques under which the motion is no longer finite.
+      FilterDiverged: an estimate that is no longer finite.
+    """
+    from .models.files import parse
+    from .scenarios.arms.arm_run import run_arm
+    from .scenarios.arms.arm_scenario import ArmScenario, load_arm
+    from .scenarios.scenario import from_here, put
+
+    dotted = {key.replace("__", "."): value for key, value in changes.items()}
+    if not isinstance(scenario, ArmScenario):
+        return run_arm(*load_arm(scenario, seed, dotted), threads=_cores())
+    data = scenario.written() | ({} if seed is None else {"seed": seed})
+    for key, value in dotted.items():
+        put(data, key, from_here(key, value), f"scenario {scenario.name}: {key}")
+    return run_arm(parse(data, ArmScenario, f"scenario {scenario.name}"), threads=_cores())
 
 
 def estimate(

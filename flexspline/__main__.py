@@ -20,6 +20,7 @@ def main() -> None:
     """Run the command line; Ctrl-C ends it without a traceback also while it is still being loaded."""
     with suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, signal.SIG_DFL)
+    _open_what_is_closed()
     gc.set_threshold(_COLLECT_AFTER)
     os.environ.setdefault("MUJOCO_GL", "off")  # nothing is rendered, and looking for OpenGL takes a tenth of a second
     from .commands import main as run
@@ -30,6 +31,22 @@ def main() -> None:
         _end(stop.code)
         raise
     _end(0)
+
+
+def _open_what_is_closed() -> None:
+    """Let streams that the caller has closed lead nowhere: the next file to be opened would take their numbers, and with them
+    what is printed."""
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        if getattr(sys, name) is not None:
+            continue
+        nowhere = os.open(os.devnull, os.O_RDWR)
+        if nowhere != number:
+            try:
+                os.fstat(number)
+            except OSError:
+                os.dup2(nowhere, number)
+            os.close(nowhere)
+        setattr(sys, name, open(os.devnull, "r" if number == 0 else "w", encoding="utf-8"))
 
 
 def _end(code: object) -> None:

@@ -36,14 +36,20 @@ class Load:
       inertia: shape (n,), about the joint's axis [kg·m²].
       torque: shape (n,), known torque on the link, positive forward [N·m]: what the other joints' motion does, and by how much
         the weight differs from that of the recording's mounting.
+      acceleration: of the joint itself, shape (n,), smoothed as the others' are [rad/s²].
     """
 
     inertia: np.ndarray
     torque: np.ndarray
+    acceleration: np.ndarray
 
     def at(self, samples: slice | np.ndarray) -> Load:
         """The same at some of the samples."""
-        return Load(self.inertia[samples], self.torque[samples])
+        return Load(self.inertia[samples], self.torque[samples], self.acceleration[samples])
+
+    def on(self, inertia: float) -> np.ndarray:
+        """Torque [N·m] that on a link of constant inertia [kg·m²] has the same effect, shape (n,)."""
+        return self.torque - (self.inertia - inertia) * self.acceleration
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import mujoco
@@ -52,9 +53,20 @@ class Arm:
         Raises:
           InputError: no such file or joint, or no arm of hinges and slides under gravity; one line.
         """
-        self.spec = spec
-        self.path = _find(spec.model, folder)
-        self._model = _read(self.path)
+        path = _find(spec.model, folder)
+        check_mjcf(path)
+        self._begin(spec, path, partial(mujoco.MjSpec.from_file, str(path)))
+
+    @classmethod
+    def of_text(cls, spec: ArmSpec, text: str) -> Arm:
+        """The same of an MJCF that is no file; `spec.model` is what messages call it."""
+        arm = cls.__new__(cls)
+        arm._begin(spec, Path(spec.model), partial(mujoco.MjSpec.from_string, text))
+        return arm
+
+    def _begin(self, spec: ArmSpec, path: Path, read: Callable[[], mujoco.MjSpec]) -> None:
+        self.spec, self.path = spec, path
+        self._model = _model_of(path, read)
         self._data = mujoco.MjData(self._model)
         names = [self._model.joint(i).name for i in range(self._model.njnt)]
         if spec.joint not in names:
@@ -101,12 +113,13 @@ class Arm:
             i = self._joint if name == self.spec.joint else self._at(name, "column")
             q[:, i], v[:, i], a[:, i] = _smooth(time, angle)
         q[:, self._joint] = position
+        own = a[:, self._joint].copy()
         a[:, self._joint] = 0.0  # the rest of τ: inertia times the joint's own acceleration is the equations' of motion
         inertia, torque = np.zeros(n), np.zeros(n)
         for k in range(n):
             inertia[k], torque[k] = self._dynamics(q[k], v[k], a[k])
         weight = mounting.gravity_moment * np.sin(position + mounting.gravity_angle)
-        return Load(inertia, weight - torque)
+        return Load(inertia, weight - torque, own)
 
     def of(
         self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], parts: tuple[slice, ...]
@@ -126,7 +139,10 @@ class Arm:
             self.load(time[part], position[part], {name: angle[part] for name, angle in positions.items()}, mounting)
             for part in parts
         ]
-        return mounting, Load(np.concatenate([x.inertia for x in loads]), np.concatenate([x.torque for x in loads]))
+        inertia, torque, own = (
+            np.concatenate([getattr(x, name) for x in loads]) for name in ("inertia", "torque", "acceleration")
+        )
+        return mounting, Load(inertia, torque, own)
 
     def mjcf(self) -> str:
         """Its masses and joints alone, as the text of an MJCF without looks and files."""
@@ -194,10 +210,9 @@ def _find(name: str, folder: Path) -> Path:
     raise InputError(f"{path}: arm.model: expected an MJCF file, no such file {name!r}")
 
 
-def _read(path: Path) -> mujoco.MjModel:
-    check_mjcf(path)
+def _model_of(path: Path, read: Callable[[], mujoco.MjSpec]) -> mujoco.MjModel:
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
+        spec = read()
         flags = int(spec.option.disableflags)
         model = spec.compile()
     except ValueError as error:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from pydantic import model_validator
@@ -32,9 +32,15 @@ from .own_sensors import channel
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .tables import reading_parquet, write_table
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 GAP = 0.1
 """A time [s] between samples that splits a recording into segments."""
+LARGEST = 1e30
+"""A number that no sensor reads in any unit, and whose powers are still numbers."""
 SUFFIXES = (".parquet", ".csv")
+_BATCH = 1 << 16  # rows of a table that are read at a time
 
 External = Literal["none", "measured", "unmeasured"]
 
@@ -86,7 +92,8 @@ class Recording:
       source: where it came from, for messages.
 
     Raises:
-      InputError: columns of different length, values that are not finite, time that does not increase, too few channels.
+      InputError: columns of different length, values that are not finite or beyond `LARGEST`, time that does not
+        increase, too few channels.
     """
 
     name: str
@@ -111,11 +118,11 @@ class Recording:
             if values.ndim != 1 or len(values) != len(self.time):
                 raise InputError(f"{where}: column {name!r}: expected shape ({len(self.time)},), got {values.shape}")
             found[name] = values
-            bad = np.flatnonzero(~np.isfinite(values))
+            bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
             if len(bad):
+                wanted = "a finite number" if not np.isfinite(values[bad[0]]) else f"a number of at most {LARGEST:g}"
                 raise InputError(
-                    f"{where}: column {name!r}, {_row(self.source, int(bad[0]))}: "
-                    f"expected a finite number, got {values[bad[0]]}"
+                    f"{where}: column {name!r}, {_row(self.source, int(bad[0]))}: expected {wanted}, got {values[bad[0]]}"
                 )
         object.__setattr__(self, "columns", {k: v for k, v in found.items() if k != "time"})
         check_channels(where, self.columns)
@@ -179,6 +186,11 @@ class Recording:
     def relative_inertia(self) -> np.ndarray:
         """Inertia about the joint's axis over that of `link`, shape (n,) [1]: 1 but for an arm whose other joints move."""
         return np.ones(len(self.time)) if self.load is None else self.load.inertia / self.link.inertia
+
+    @cached_property
+    def torque_of_arm(self) -> np.ndarray:
+        """What an arm in motion does to the joint, as torque on a link of constant inertia, shape (n,) [N·m]; 0 without."""
+        return np.zeros(len(self.time)) if self.load is None else self.load.on(self.link.inertia)
 
     @cached_property
     def segments(self) -> tuple[slice, ...]:
@@ -438,11 +450,12 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     import pyarrow.parquet
 
     with reading_parquet(path):
-        table = pa.parquet.read_table(path)
-    table = table.drop_columns([name for name in table.column_names if name.startswith("__index_level")])
-    _check_header(path, table.column_names)
+        file = pa.parquet.ParquetFile(path, memory_map=False)
+        schema = file.schema_arrow
+    fields = [field for field in schema if not field.name.startswith("__index_level")]
+    _check_header(path, [field.name for field in fields])
     columns = {}
-    for field in table.schema:
+    for field in fields:  # one at a time: of an hour, 30 MB each
         kind = field.type
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
             raise InputError(f"{path}: column {field.name!r}: expected numbers, got {kind}")
@@ -450,12 +463,22 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         unit = (field.metadata or {}).get(b"unit", expected.encode()).decode()
         if not units.same(unit, expected):
             raise InputError(f"{path}: column {field.name!r}: expected unit {expected!r}, got {unit!r}")
-        column = table.column(field.name)
-        if column.null_count:
-            i = int(np.flatnonzero(column.is_null().to_numpy())[0])
-            raise InputError(f"{path}: column {field.name!r}, {_row(str(path), i)}: expected a number, got none")
-        columns[field.name] = column.to_numpy().astype(np.float64)
+        columns[field.name] = _parquet_column(path, file, field.name)
     return columns
+
+
+def _parquet_column(path: Path, file: pa.parquet.ParquetFile, name: str) -> np.ndarray:
+    """A column of numbers, shape (n,), read in batches: what Arrow has once taken it does not give back."""
+    found, begin = np.empty(file.metadata.num_rows), 0
+    with reading_parquet(path):
+        for batch in file.iter_batches(_BATCH, columns=[name]):
+            column = batch.column(0)
+            if column.null_count:
+                i = begin + int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])
+                raise InputError(f"{path}: column {name!r}, {_row(str(path), i)}: expected a number, got none")
+            found[begin : begin + len(column)] = column.to_numpy()
+            begin += len(column)
+    return found
 
 
 def _read_csv(path: Path) -> dict[str, np.ndarray]:

@@ -27,7 +27,7 @@ from .signals import READINGS
 SAMPLE = np.dtype([("time", np.float64), ("interval", np.float64), ("current_command", np.float64), *READINGS.descr])
 """What an estimator reads at one instant, as a record for compiled code: `time` since the recording's start and `interval` since
 the sample before [s] (0 at the first), the current command in force until now [A], and every reading; NaN where no command is
-known, or where there is no such sensor."""
+known or the estimator does not ask for it, or where there is no such sensor."""
 
 sample_at = pointer_to(SAMPLE)
 """Pointer to a `SAMPLE` at an integer address, for compiled steps."""
@@ -104,6 +104,7 @@ class CompiledStep:
       record: shape (1,), what it knows of the joint (`parameters.PARAMETERS`).
       settings: float64, its tuning parameters, in its own order.
       outputs: length of `out`.
+      reads_command: whether its samples hold the current command where it is known; NaN otherwise.
       owner: kept alive as long as the address is used.
     """
 
@@ -112,6 +113,7 @@ class CompiledStep:
     record: np.ndarray
     settings: np.ndarray = field(default_factory=lambda: np.zeros(1))
     outputs: int = 1
+    reads_command: bool = False
     owner: Any = None
 
     def arrays(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from ..models.joint import Joint, Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors
-from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, ClosedLoop, Simulation
+from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, ClosedLoop, Driven, Simulation
 from .scenario import Scenario
 
 if TYPE_CHECKING:
@@ -71,7 +71,7 @@ class Experiment:
           InputError: a joint or mounting that does not exist, or one without a gravity moment to change.
         """
         joint, known_joint = scenario.load_joint(folder)
-        mounting, known_mounting = (j.mount(scenario.mounting or None) for j in (joint, known_joint))
+        mounting, known_mounting = (scenario.mount(j) for j in (joint, known_joint))
         if load is not None:
             mounting, known_mounting = _loaded(mounting, load), _loaded(known_mounting, load)
         position, velocity = scenario.commands()
@@ -115,14 +115,17 @@ class Experiment:
         self, seed: int | None = None, record: np.ndarray | None = None, model: mujoco.MjModel | None = None
     ) -> ClosedLoop:
         """The closed loop before its first tick; arguments as of `simulate`."""
+        record = self.record if record is None else record
+        return ClosedLoop(self.build(record) if model is None else model, (self.driven(seed, record),))
+
+    def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
+        """How its joint is driven and read in a closed loop; `prefix`: of the joint's names in a model of several."""
         scenario, record = self.scenario, self.record if record is None else record
-        model = self.build(record) if model is None else model
         p, seed = record[0], scenario.seed if seed is None else seed
         feedback: CompiledStep | str | None = SENSOR_FEEDBACK if scenario.feedback == "sensor" else None
         if self.fed_back is not None:
             feedback = self.fed_back.step(self.known, CONTROL_PERIOD)
-        return ClosedLoop(
-            model,
+        return Driven(
             record,
             self.position,
             self.velocity,
@@ -136,16 +139,17 @@ class Experiment:
             sensors.wrench_crosstalk(self.joint, seed),
             sensors.time_stamps(scenario.time, scenario.jitter, seed),
             scenario.current == "command",
+            prefix,
         )
 
-    def check(self, loop: ClosedLoop, begin: int = 0) -> None:
-        """Look at what the loop has simulated, from a tick on.
+    def check(self, loop: ClosedLoop, begin: int = 0, place: int = 0) -> None:
+        """Look at what the loop has simulated, from a tick on; `place`: of the joint among the loop's.
 
         Raises:
           InputError: torques under which the motion is no longer finite.
           FilterDiverged: the fed-back estimate is no longer finite; names filter and time.
         """
-        simulation = loop.simulation
+        simulation = loop.simulations[place]
         tick = simulation.failed[0]
         overloaded = _overload(simulation, begin, loop.done)
         if overloaded is not None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ import numpy as np
 from ..estimator import registry
 from ..estimator.compliance import compliance
 from ..estimator.estimator import KnownJoint, Posterior
+from ..models.arm import ArmRecord
+from ..models.arm_dynamics import Arm
 from ..models.errors import InputError
 from ..models.joint import Joint, beyond_sentence
 from ..models.notebook import html_table, paragraph
@@ -35,6 +37,19 @@ _LIMITED = 0.005
 
 
 @dataclass(frozen=True)
+class Place:
+    """The place of a joint in an arm that moved; n control ticks.
+
+    Attributes:
+      arm: as a recording says it.
+      external_torque: torques on the joint's own link and all beyond it, shape (n,) [N·m].
+    """
+
+    arm: ArmRecord
+    external_torque: np.ndarray
+
+
+@dataclass(frozen=True)
 class Run:
     """A scenario that has been run: what was asked, what came out. n control ticks.
 
@@ -44,6 +59,7 @@ class Run:
       known: what they know of it.
       simulation: everything that happened at the control ticks: truth and readings as records, by name.
       estimates: what each of the scenario's filters said, by its name.
+      place: where the joint was in an arm; None where it was alone.
     """
 
     scenario: Scenario
@@ -52,6 +68,7 @@ class Run:
     known: KnownJoint
     simulation: Simulation
     estimates: dict[str, Posterior]
+    place: Place | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in _COPIES}
@@ -89,7 +106,7 @@ class Run:
     @cached_property
     def kinematic_error(self) -> np.ndarray:
         """Kinematic error of the plant [rad] at the true angle of its wave generator, shape (n,)."""
-        record = self.joint.record(self.joint.mount(self.scenario.mounting or None))
+        record = self.joint.record(self.scenario.mount(self.joint))
         # With zero torque the compliance model's kinematic error is the one at the given angle: θw itself.
         return compliance(self.truth("wave_generator_position"), 0.0, 0.0, record).kinematic_error
 
@@ -139,14 +156,19 @@ class Run:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What whoever reads the measures should know: disturbances that do not act, a drive at its limit, no measures."""
-        found, end = [], self.scenario.duration
+        end, late = self.scenario.duration, []
+        found = []
         for i, d in enumerate(self.scenario.disturbances):
             if d.start >= end:
-                found.append(f"disturbances.{i} starts at {d.start:g} s, after the end at {end:g} s: it never acts")
+                late.append((f"disturbances.{i}", f"{d.start:g}"))
             elif d.start + d.duration > end:
                 found.append(
                     f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
                 )
+        if late:
+            names, starts = (", ".join(words) for words in zip(*late, strict=True))
+            start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
+            found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
         limit = self.joint.numbers["current_limit"].value
         limited = float(np.mean(np.abs(self.simulation.command) >= (1 - 1e-9) * limit))
         if limited > _LIMITED:
@@ -176,7 +198,7 @@ class Run:
         levers = {d.lever for d in self.scenario.disturbances}
         if "force_x" not in self.scenario.record or len(levers) != 1 or 0.0 in levers:
             return None
-        mass, _ = link_mass(self.joint.record(self.joint.mount(self.scenario.mounting or None))[0])
+        mass, _ = link_mass(self.joint.record(self.scenario.mount(self.joint))[0])
         force = self.scenario.tip_force()
         return tip_force(self.simulation, self.signals, self.known, mass, force, levers.pop(), self.estimates)
 
@@ -209,17 +231,18 @@ class Run:
         Where it names none: encoders, current and torque sensor, and motor torque and temperature where the joint states such a
         sensor's noise.
         """
-        mounting = self.joint.mount(self.scenario.mounting or None)
+        mounting = self.scenario.mount(self.joint)
         names = self.scenario.record
         if not names:
             stated = [n for n in _WHERE_STATED if getattr(self.joint.sensors, n).noise > 0.0]
             names = [*_RECORDED, *stated]
         columns = {name: self.reading(name) for name in names} | {"position_command": self.position_command}
         columns |= self.simulation.further
-        pushed = bool(np.any(self.external_torque))
+        external = self.external_torque if self.place is None else self.place.external_torque
+        pushed = bool(np.any(external))
         if pushed:
-            columns["external_torque"] = self.external_torque
-        return Recording(
+            columns["external_torque"] = external
+        recording = Recording(
             name=self.name,
             time=self.signals.time,
             columns=columns,
@@ -228,6 +251,13 @@ class Run:
             link=mounting,
             external="measured" if pushed else "none",
         )
+        if self.place is None:
+            return recording
+        arm = self.place.arm
+        link, load = Arm.of_text(arm.spec, arm.mjcf).of(
+            recording.time, self.reading("link_position"), arm.positions, recording.segments
+        )
+        return replace(recording, link=link, load=load, arm=arm)
 
 
 def reference_of(

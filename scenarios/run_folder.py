@@ -92,7 +92,7 @@ def load_run(folder: Path) -> Run:
             raise InputError(f"{folder}: expected a run folder, found no {name}")
     scenario = load(folder / "scenario.yaml", Scenario, "a scenario")
     joint, known_joint = scenario.load_joint(folder)
-    known = KnownJoint.of(known_joint, known_joint.mount(scenario.mounting or None))
+    known = KnownJoint.of(known_joint, scenario.mount(known_joint))
     columns, _ = read_table(folder / "signals.parquet")
     time = _column(columns, "time", folder)
     truth, readings = np.zeros(len(time), TRUTH), np.zeros(len(time), READINGS)

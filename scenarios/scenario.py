@@ -16,7 +16,7 @@ from pydantic import Field, model_serializer, model_validator
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
 from ..models.files import Strict, find, parse, read_yaml, yaml_value
-from ..models.joint import SYMBOLS, Joint, Sensors, load_joint
+from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
 from ..models.signals import SENSED
@@ -123,6 +123,9 @@ class Scenario(Strict):
         dict[str, float], Field(description="numbers of the plant that the estimators do not know, SI")
     ] = {}
     mounting: Annotated[str, Field(description="of the joint; its default where empty")] = ""
+    link: Annotated[
+        Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
+    ] = None
     duration: Annotated[float, Field(gt=0, le=3600, description="s")]
     timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
@@ -138,7 +141,11 @@ class Scenario(Strict):
         Field(description="changes to the joint's sensors, or `realistic`: sensors, clock and drive as they are"),
     ] = {}
     current: Annotated[
-        Literal["command", "sensor"], Field(description="what estimators are told of the motor current")
+        Literal["command", "sensor"],
+        Field(
+            description="what the paper's filters take for the motor current: the drive's command, as the paper does, or the "
+            "sensor's reading, as all others do"
+        ),
     ] = "command"
     jitter: Annotated[float, Field(ge=0, lt=1e-3, description="of the time stamps, s rms")] = 0.0
     controller: Controller = Controller()
@@ -167,6 +174,8 @@ class Scenario(Strict):
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:
+        if self.mounting and self.link is not None:
+            raise ValueError("expected either mounting or link, got both")
         if round(self.duration / CONTROL_PERIOD) < 2:
             raise ValueError(
                 f"duration: expected at least two control periods of {CONTROL_PERIOD:g} s, got {self.duration:g} s"
@@ -258,6 +267,10 @@ class Scenario(Strict):
             joint = _revalidated(joint, {"numbers": numbers}, f"scenario {self.name}: plant")
         return joint, known
 
+    def mount(self, joint: Joint) -> Mounting:
+        """What hangs on a joint's output; `InputError` where it has no mounting of that name."""
+        return joint.mount(self.mounting or None) if self.link is None else self.link
+
     def _with_sensors(self, joint: Joint) -> Joint:
         if not self.sensors:
             return joint
@@ -298,11 +311,6 @@ def shipped_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
-def source_of(source: str | Path) -> Path:
-    """The file of a scenario, by the name of a shipped one or by its path; `InputError` where there is none."""
-    return find(source, shipped_scenarios(), "scenario")
-
-
 def load_scenario(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario, Path]:
@@ -319,7 +327,24 @@ def load_scenario(
     Raises:
       InputError: no such scenario, or one that is wrong; one line.
     """
-    path = source_of(source)
+    from .arms.arm_scenario import shipped_arms
+
+    data, path = read_scenario(source, changes, seed, shipped_arms())
+    if "arm" in data:
+        raise InputError(
+            f"{path}: arm: expected the scenario of a joint, got that of an arm: `flexspline run` takes one"
+        )
+    return parse(data, Scenario, str(path)), path.parent
+
+
+def read_scenario(
+    source: str | Path,
+    changes: list[str] | None = None,
+    seed: int | None = None,
+    further: Mapping[str, Path] | None = None,
+) -> tuple[dict[str, Any], Path]:
+    """The data of a scenario's file with changes, unchecked, and its path; `further`: names beside those of shipped scenarios."""
+    path = find(source, shipped_scenarios() | dict(further or {}), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")
@@ -327,7 +352,7 @@ def load_scenario(
         _override(data, change)
     if seed is not None:
         data["seed"] = seed
-    return parse(data, Scenario, str(path)), path.parent
+    return data, path
 
 
 def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -338,14 +363,18 @@ def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
     """
     data = scenario.model_dump(mode="json", exclude_none=True)
     for key, value in changes.items():
-        value = _from_here(key, value)
+        value = from_here(key, value)
         put(data, key, value, f"scenario {scenario.name}: {key}")
     return data
 
 
-def _from_here(key: str, value: Any) -> Any:
+def from_here(key: str, value: Any) -> Any:
     """A change's value; a joint's file is looked for where one stands, not in the scenario's folder."""
-    if key in ("joint", "known_joint") and str(value).endswith(".yaml") and Path(str(value)).is_file():
+    if (
+        key.rpartition(".")[2] in ("joint", "known_joint")
+        and str(value).endswith(".yaml")
+        and Path(str(value)).is_file()
+    ):
         return str(Path(str(value)).resolve())
     return value
 
@@ -355,7 +384,7 @@ def _override(data: dict[str, Any], change: str) -> None:
     if not sign or not key:
         raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
     value = yaml_value(text)
-    value = _from_here(key, value)
+    value = from_here(key, value)
     put(data, key, value, f"--set {change}")
 
 

@@ -1,8 +1,8 @@
 """What MJCF cannot say, as C callbacks into MuJoCo: the laws of `models.laws`, compiled, no Python per step.
 
-The model carries the joint's parameter record in its first custom numeric field, behind a header. The callbacks
-act only on models with that header, so any other model in the process is left alone. They are C functions, as
-`mujoco.batch` and `mujoco.rollout` ask for.
+The model carries the joint's parameter record in its first custom numeric field, behind a header; of joints in series
+each has a field of its own, one after the other. The callbacks act only on models with that header, so any other model in
+the process is left alone. They are C functions, as `mujoco.batch` and `mujoco.rollout` ask for.
 """
 
 from __future__ import annotations
@@ -21,16 +21,18 @@ from ..models.pointers import floats_at, record_at, word_at
 from . import native
 
 MAGIC = 1.8446744073e19  # marks the numeric field of a joint's model
-HEADER = 9
+HEADER = 11
 """Words before the record: magic; timestep; activations of the bristle, of the velocities' memory and (or −1) of the Dahl
-state; whether the bristle is MuJoCo's own; actuators that hold the memory (the first) and the Dahl state; temperature
-[°C]."""
+state; whether the bristle is MuJoCo's own; actuators that hold the memory (the first) and the Dahl state; the joint's first
+coordinate and first actuator; temperature [°C]."""
+BRISTLE, MEMORY, DAHL, NATIVE, REMEMBERING, DAHL_ACTUATOR, COORDINATE, ACTUATOR = range(2, 10)
+"""Places in the header."""
 TEMPERATURE = HEADER - 1
 """Place of the temperature [°C] in the header: whoever steps the model may change it."""
 NUMERIC_SIZE = HEADER + SIZE
 
 ROTOR, WAVE_GENERATOR, LINK, FLEXIBLE = 0, 1, 2, 3
-"""Indices of the joint's coordinates; the fourth, against the link, where part of the link hangs by a spring."""
+"""Indices of the joint's coordinates, from its first; the fourth, against the link, where part of the link hangs by a spring."""
 
 
 def numeric(record: np.ndarray, timestep: float, header: tuple[float, ...]) -> np.ndarray:
@@ -116,22 +118,32 @@ _NUMERIC, _COUNT, _TIME, _QPOS, _QVEL, _ACT, _PASSIVE = (
 
 
 @kernel
-def _is_joint(m):
-    return word_at(m + 8 * _COUNT) >= NUMERIC_SIZE and floats_at(word_at(m + 8 * _NUMERIC))[0] == MAGIC
+def _joints(m):
+    """How many joints a model has; 0 where it is none of this package's."""
+    count = word_at(m + 8 * _COUNT) // NUMERIC_SIZE
+    return count if count > 0 and floats_at(word_at(m + 8 * _NUMERIC))[0] == MAGIC else 0
 
 
 def _passive(m, d):
-    if not _is_joint(m):
-        return
-    numeric = word_at(m + 8 * _NUMERIC)
+    for k in range(_joints(m)):
+        _act_on(word_at(m + 8 * _NUMERIC) + 8 * NUMERIC_SIZE * k, d)
+
+
+@kernel
+def _act_on(numeric, d):
+    """Add one joint's torques to the passive forces; `numeric`: address of its numeric field."""
     header = floats_at(numeric)
     p = carray(record_at(numeric + 8 * HEADER), 1)[0]
-    theta, velocity = carray(floats_at(word_at(d + 8 * _QPOS)), 3), carray(floats_at(word_at(d + 8 * _QVEL)), 3)
+    at = 8 * int(header[COORDINATE])
+    theta, velocity = (
+        carray(floats_at(word_at(d + 8 * _QPOS) + at), 3),
+        carray(floats_at(word_at(d + 8 * _QVEL) + at), 3),
+    )
     act = floats_at(word_at(d + 8 * _ACT))
     time, h = floats_at(d + 8 * _TIME)[0], header[1]
-    z = act[int(header[2])]
-    dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
-    memory = int(header[3])
+    z = act[int(header[BRISTLE])]
+    dahl = act[int(header[DAHL])] if header[DAHL] >= 0.0 else 0.0
+    memory = int(header[MEMORY])
     previous = carray(floats_at(word_at(d + 8 * _ACT) + 8 * memory), 3)
     state, t, g = at_positions(theta, velocity, previous, z, dahl, time, h, header[TEMPERATURE], p)
     b = dynamics.balance_with(state, t, g, p)
@@ -153,7 +165,7 @@ def _passive(m, d):
     # half of that damping. What remains implicit, s1/2, is the trapezoidal rule while sticking; while sliding, the last
     # change stands for the next.
     own = 0.5 * p.s1 * w
-    if header[5] > 0.0:
+    if header[NATIVE] > 0.0:
         own = laws.mesh_friction(z, w, g, p) - 0.5 * p.s1 * w
     sliding = p.s0 * state.bristle / g if w > 0.0 else -p.s0 * state.bristle / g
     change = w - act[memory + WAVE_GENERATOR]
@@ -166,35 +178,41 @@ def _passive(m, d):
     on_wave_generator += 0.5 * p.dw * rotor_change + 0.5 * p.df / p.N * link_change
     on_link += 0.5 * p.df / p.N * change
 
-    force = carray(floats_at(word_at(d + 8 * _PASSIVE)), 3)
+    force = carray(floats_at(word_at(d + 8 * _PASSIVE) + at), 3)
     force[ROTOR] += on_rotor
     force[WAVE_GENERATOR] += on_wave_generator
     force[LINK] += on_link
     if p.flexible_share > 0.0:  # the spring and half of the damping are MuJoCo's own; this is the explicit half
-        flexible = floats_at(word_at(d + 8 * _QVEL))[FLEXIBLE]
-        floats_at(word_at(d + 8 * _PASSIVE))[FLEXIBLE] -= 0.5 * laws.flexible_torque(0.0, flexible, p)
+        flexible = floats_at(word_at(d + 8 * _QVEL) + at)[FLEXIBLE]
+        floats_at(word_at(d + 8 * _PASSIVE) + at)[FLEXIBLE] -= 0.5 * laws.flexible_torque(0.0, flexible, p)
 
 
 def _act_dyn(m, d, actuator):
     # The rate that takes MuJoCo's Euler step to where the exact solution of the stiff state is.
-    if not _is_joint(m):
+    joints = _joints(m)
+    if joints == 0:
         return 0.0
     numeric = word_at(m + 8 * _NUMERIC)
+    for _ in range(joints - 1):  # to the joint whose actuator it is
+        if floats_at(numeric + 8 * NUMERIC_SIZE)[ACTUATOR] > actuator:
+            break
+        numeric += 8 * NUMERIC_SIZE
     header = floats_at(numeric)
     p = carray(record_at(numeric + 8 * HEADER), 1)[0]
-    speed = floats_at(word_at(d + 8 * _QVEL))
-    theta, velocity = carray(floats_at(word_at(d + 8 * _QPOS)), 3), carray(speed, 3)
+    at = 8 * int(header[COORDINATE])
+    speed = floats_at(word_at(d + 8 * _QVEL) + at)
+    theta, velocity = carray(floats_at(word_at(d + 8 * _QPOS) + at), 3), carray(speed, 3)
     act = floats_at(word_at(d + 8 * _ACT))
     time, h = floats_at(d + 8 * _TIME)[0], header[1]
-    z = act[int(header[2])]
-    dahl = act[int(header[4])] if header[4] >= 0.0 else 0.0
-    memory = int(header[3])
-    remembered = actuator - int(header[6])
+    z = act[int(header[BRISTLE])]
+    dahl = act[int(header[DAHL])] if header[DAHL] >= 0.0 else 0.0
+    memory = int(header[MEMORY])
+    remembered = actuator - int(header[REMEMBERING])
     if 0 <= remembered < (4 if p.flexible_share > 0.0 else 3):
         return (speed[remembered] - act[memory + remembered]) / h
     previous = carray(floats_at(word_at(d + 8 * _ACT) + 8 * memory), 3)
     state, _, _ = at_positions(theta, velocity, previous, z, dahl, time, h, header[TEMPERATURE], p)
-    if actuator == int(header[7]):
+    if actuator == int(header[DAHL_ACTUATOR]):
         return (state.dahl - dahl) / h
     return (state.bristle - z) / h
 

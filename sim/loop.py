@@ -1,7 +1,7 @@
 """The closed loop, compiled: plant, sensors, one estimator and the drive at control rate, with no Python inside.
 
-One call runs a whole scenario, or a stretch of it, and releases the interpreter's lock, so that threads run scenarios side by
-side. Only an
+Joints in series share the plant alone: each has its own sensors, estimator and drive. One call runs a whole scenario and
+releases the interpreter's lock, so that threads run scenarios side by side. Only an
 estimator whose torque is fed back changes what happens, so only that one is in here; it is called by its address, as all
 estimators share one signature (`models.step`). Every other one runs over the signals afterwards, and says to the bit what
 it would have said in the loop.
@@ -10,12 +10,11 @@ it would have said in the loop.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import mujoco
 import numpy as np
-from numba import carray
 
 from ..models import dynamics
 from ..models.kernels import kernel
@@ -51,16 +50,15 @@ _JOINT_AXIS = SENSED.index("torque_y")
 
 _FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
 _ADDRESSES = np.dtype(
-    [(name, np.int64) for name in (*_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body")]
-)
-"""Where things lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata` (−1: there is
-none), the number of the link's body."""
-
-
-_CARRIED = np.dtype(
-    [("drive", np.float64, 3), *((name, np.float64) for name in ("command", "external", "force", "estimate"))]
-)
-"""What the loop takes from one tick to the next, beside what MuJoCo, the estimator and the sensors remember."""
+    [
+        (name, np.int64)
+        for name in (
+            *_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body", "coordinate", "motor", "numeric",
+        )
+    ]
+)  # fmt: skip
+"""Where things of a joint lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata`
+(−1: there is none), the numbers of the link's body, of the joint's first coordinate and of its motor, its numeric field."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +72,7 @@ class Simulation:
       command: shape (n,), current command [A].
       failed: tick at which the estimator in the loop failed, and its status; (n, 0) where it did not.
       stamps: shape (n,), time stamps of the readings [s]; `time` where the clock is exact.
-      commanded: whether estimators are told the current command; otherwise they have the current sensor alone.
+      commanded: whether estimators that read the current command are told it; otherwise they, too, have the current sensor alone.
       further: what sensors of plugins read (`models.own_sensors`), shape (n,) each.
     """
 
@@ -90,6 +88,41 @@ class Simulation:
 
 SENSOR_FEEDBACK = "sensor"
 """Stands for an estimator where the torque sensor's own reading is fed back."""
+
+
+@dataclass(frozen=True)
+class Driven:
+    """A joint in the closed loop: how it is driven and read; n control ticks.
+
+    Attributes:
+      record: the plant's parameter record, shape (1,).
+      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
+      sensors, noise: of `sim.sensors`.
+      controller: `drive.CONTROLLER` record, shape (1,).
+      feedback: the estimator that closes the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: none.
+      temperature: of the gear [°C], shape (n,); constant by default.
+      tip_force: tangential force on the link [N] that the external torque comes from, shape (n,): the wrench shows it. By default
+        the external torque is a torque alone.
+      crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
+      stamps: time stamps of the readings [s], shape (n,); exact by default.
+      commanded: whether the current command is told to estimators that read it (`models.step.CompiledStep.reads_command`).
+      prefix: of its names in the model, where there are several joints.
+    """
+
+    record: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    external_torque: np.ndarray
+    sensors: np.ndarray
+    noise: np.ndarray
+    controller: np.ndarray
+    feedback: CompiledStep | str | None = None
+    temperature: np.ndarray | None = None
+    tip_force: np.ndarray | None = None
+    crosstalk: np.ndarray | None = None
+    stamps: np.ndarray | None = None
+    commanded: bool = True
+    prefix: str = ""
 
 
 def simulate(
@@ -108,129 +141,146 @@ def simulate(
     stamps: np.ndarray | None = None,
     commanded: bool = True,
 ) -> Simulation:
-    """Run the closed loop from rest at the first commanded position.
+    """Run the closed loop of one joint from rest at the first commanded position.
 
     Args:
       model: of `plant.build`; left as it is.
-      record: the plant's parameter record, shape (1,).
-      position, velocity, external_torque: commands [rad], [rad/s] and torque on the link [N·m], shape (n,).
-      sensors, noise: of `sim.sensors`.
-      controller: `drive.CONTROLLER` record, shape (1,).
-      feedback: the estimator that closes the torque feedback loop; `SENSOR_FEEDBACK`: the torque sensor; None: none.
-      temperature: of the gear [°C], shape (n,); constant by default.
-      tip_force: tangential force on the link [N] that the external torque comes from, shape (n,): the wrench shows it. By default
-        the external torque is a torque alone.
-      crosstalk: of the wrench, shape (6, 6): what of its axes' loads shows in the others; none by default.
-      stamps: time stamps of the readings [s], shape (n,); exact by default.
-      commanded: whether the estimator in the loop is told the current command.
+      record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk,
+        stamps, commanded: as in `Driven`.
     """
-    loop = ClosedLoop(
-        model, record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force,
-        crosstalk, stamps, commanded,
+    driven = Driven(
+        record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk,
+        stamps, commanded,
     )  # fmt: skip
-    loop.advance(len(position))
-    return loop.simulation
+    return simulate_together(model, (driven,))[0]
+
+
+def simulate_together(model: mujoco.MjModel, joints: Sequence[Driven]) -> tuple[Simulation, ...]:
+    """Run the closed loops of a model's joints, each its own, from rest at the first commanded positions.
+
+    Args:
+      model: of `plant.build` or `arm.build`; left as it is.
+      joints: in the model's order, with as many ticks each.
+
+    Returns:
+      What each of them gives.
+    """
+    loop = ClosedLoop(model, joints)
+    loop.advance(len(joints[0].position))
+    return loop.simulations
 
 
 class ClosedLoop:
-    """A closed loop under way: as many ticks at a time as one likes, to the bit the same in any pieces.
+    """Closed loops of a model's joints under way: as many ticks at a time as one likes, to the bit the same in any pieces.
 
     Attributes:
-      simulation: its arrays fill up as the loop goes on.
+      simulations: of each joint; their arrays fill up as the loop goes on. `simulation`: of the first.
       done: ticks that have been simulated.
     """
 
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        record: np.ndarray,
-        position: np.ndarray,
-        velocity: np.ndarray,
-        external_torque: np.ndarray,
-        sensors: np.ndarray,
-        noise: np.ndarray,
-        controller: np.ndarray,
-        feedback: CompiledStep | str | None = None,
-        temperature: np.ndarray | None = None,
-        tip_force: np.ndarray | None = None,
-        crosstalk: np.ndarray | None = None,
-        stamps: np.ndarray | None = None,
-        commanded: bool = True,
-    ):
-        """Stand at rest at the first commanded position; arguments as of `simulate`."""
-        n = len(position)
-        if temperature is None:
-            temperature = np.full(n, REFERENCE_TEMPERATURE)
-        model = copy.copy(model)
-        plant.set_temperature(model, float(temperature[0]))
-        data = mujoco.MjData(model)
-        begin = position[0]
-        p = record[0]
-        plant.start(model, data, np.array([begin * p["N"], begin * p["N"], begin]))
-        tip_force = np.zeros(n) if tip_force is None else tip_force
-        crosstalk = np.zeros((6, 6)) if crosstalk is None else crosstalk
-        substeps = round(CONTROL_PERIOD / model.opt.timestep)
-        timestep = float(model.opt.timestep)
+    def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven]):
+        """Stand at rest at the first commanded positions; arguments as of `simulate_together`."""
+        n = len(joints[0].position)
+        many = (len(joints), n)
+        warmth, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
+        crosstalk = np.zeros((len(joints), 6, 6))
+        substeps, timestep = round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep)
         time = np.arange(n) * (substeps * timestep)
-        told = np.ascontiguousarray(time if stamps is None else stamps, dtype=np.float64)
-        truth, readings, command = np.zeros(n, TRUTH), np.zeros(n, READINGS), np.zeros(n)
-        self._failed = np.array([n, 0], dtype=np.int64)
-        if not isinstance(feedback, CompiledStep):
-            feedback = CompiledStep(int(feedback == SENSOR_FEEDBACK), 1, record)
-        address, memory, known, settings, out = feedback.arrays()
-        carried = np.zeros(1, _CARRIED)
-        carried[0]["drive"][0] = float(controller[0]["gear"]) * begin
+        stamps = np.tile(time, (len(joints), 1))
+        for i, one in enumerate(joints):
+            external[i] = one.external_torque
+            for array, given in (
+                (warmth, one.temperature), (tip_force, one.tip_force), (crosstalk, one.crosstalk), (stamps, one.stamps),
+            ):  # fmt: skip
+                if given is not None:
+                    array[i] = given
+        model = copy.copy(model)
+        plant.set_temperature(model, warmth[:, 0])
+        data = mujoco.MjData(model)
+        start = np.array([one.position[0] for one in joints])
+        gear = np.array([one.record[0]["N"] for one in joints])
+        plant.start(model, data, np.stack([start * gear, start * gear, start], axis=1))
+        truth, readings, command = np.zeros(many, TRUTH), np.zeros(many, READINGS), np.zeros(many)
+        self._failed = np.array([[n, 0]] * len(joints), dtype=np.int64)
+        steps = [
+            one.feedback
+            if isinstance(one.feedback, CompiledStep)
+            else CompiledStep(int(one.feedback == SENSOR_FEEDBACK), 1, one.record)
+            for one in joints
+        ]
+        kept = [step.arrays() for step in steps]
+        told = np.array([one.commanded and step.reads_command for one, step in zip(joints, steps, strict=True)])
+        estimators = np.array([[address, *(x.ctypes.data for x in rest)] for address, *rest in kept], dtype=np.int64)
+        noise = np.stack([np.ascontiguousarray(one.noise) for one in joints])
+        sensors = np.stack([one.sensors for one in joints])
+        controller = np.concatenate([one.controller for one in joints])
+        drive = np.zeros((len(joints), 3))
+        drive[:, 0] = controller["gear"] * start
         # What the sensors see before delay, noise and quantisation, as histories; before their low-pass, a tick ago.
-        seen, raw = np.zeros((len(sensors), n)), np.zeros(len(sensors))
-        self._alive = model, data, feedback  # whose memory compiled code reads by address
+        seen, raw = np.zeros((*sensors.shape, n)), np.zeros(sensors.shape)
+        self._alive = model, data, steps, kept  # whose memory compiled code reads by address
         self._arguments = (
-            native.function_address("mj_step"), model._address, data._address, _addresses(model),
-            model.numeric_data, substeps, timestep, record, position, velocity, external_torque,
-            temperature, sensors, noise, _as_floats(noise), controller, address, memory, known, settings, out, truth,
-            readings, _as_floats(readings), command, self._failed, tip_force, crosstalk, told, commanded,
-            seen, raw, carried,
+            native.function_address("mj_step"), model._address, data._address,
+            np.concatenate([_addresses(model, one.prefix) for one in joints]), model.numeric_data, substeps, timestep,
+            np.concatenate([one.record for one in joints]), np.stack([one.position for one in joints]),
+            np.stack([one.velocity for one in joints]), external, warmth, sensors, noise, _as_floats(noise), controller,
+            estimators, truth, readings, _as_floats(readings), command, self._failed, tip_force, crosstalk, stamps,
+            told, seen, raw, drive,
         )  # fmt: skip
         self.done = 0
-        self._simulation = Simulation(time, truth, readings, command, (n, 0), stamps, commanded)
+        self._simulations = tuple(
+            Simulation(time, truth[i], readings[i], command[i], (n, 0), one.stamps, one.commanded)
+            for i, one in enumerate(joints)
+        )
+
+    @property
+    def simulations(self) -> tuple[Simulation, ...]:
+        return tuple(
+            replace(one, failed=(int(tick), int(status)))
+            for one, (tick, status) in zip(self._simulations, self._failed, strict=True)
+        )
 
     @property
     def simulation(self) -> Simulation:
-        return replace(self._simulation, failed=(int(self._failed[0]), int(self._failed[1])))
+        return self.simulations[0]
 
     def advance(self, ticks: int) -> slice:
-        """Simulate so many more ticks, or those that are left; nothing more once the estimator in the loop has failed.
+        """Simulate so many more ticks, or those that are left; nothing more once an estimator in the loop has failed.
 
         Returns:
           The ticks that are new.
         """
-        begin, n = self.done, len(self._simulation.time)
-        if self._failed[0] < n:
+        begin, n = self.done, len(self._simulations[0].time)
+        if self._failed[:, 0].min() < n:
             return slice(begin, begin)
         end = min(begin + ticks, n)
         with native.quiet(), native.untimed():
             _loop(*self._arguments, begin, end)
-        self.done = min(end, int(self._failed[0]))
+        self.done = min(end, int(self._failed[:, 0].min()))
         return slice(begin, self.done)
 
 
-def _addresses(model: mujoco.MjModel) -> np.ndarray:
-    """A record of `_ADDRESSES`, shape (1,)."""
+def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
+    """A record of `_ADDRESSES` of the joint whose names begin so, shape (1,)."""
     at = np.zeros(1, _ADDRESSES)
     for name in _FIELDS:
         at[name] = native.offsets()[name]
-    has_current = model.actuator_actnum[model.actuator("motor").id]
-    has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
-    at["current"] = plant.activation(model, "motor") if has_current else -1
-    at["bristle"] = plant.activation(model, "mesh_friction")
-    at["dahl"] = plant.activation(model, "hysteresis") if has_dahl else -1
-    at["force"], at["torque"] = (model.sensor(name).adr[0] for name in ("force", "torque"))
-    at["link_body"] = model.body("link").id
+    motor = model.actuator(prefix + "motor").id
+    has_dahl = any(model.actuator(i).name == prefix + "hysteresis" for i in range(model.nactuator))
+    at["current"] = plant.activation(model, prefix + "motor") if model.actuator_actnum[motor] else -1
+    at["bristle"] = plant.activation(model, prefix + "mesh_friction")
+    at["dahl"] = plant.activation(model, prefix + "hysteresis") if has_dahl else -1
+    at["force"], at["torque"] = (model.sensor(prefix + name).adr[0] for name in ("force", "torque"))
+    at["link_body"] = model.body(prefix + "link").id
+    at["coordinate"] = model.joint(prefix + "rotor").dofadr[0]
+    at["motor"] = model.actuator_ctrladr[motor]
+    at["numeric"] = model.numeric_adr[model.numeric(prefix + "joint").id]
     return at
 
 
 def _as_floats(records: np.ndarray) -> np.ndarray:
-    """Records of float64 fields as a matrix, shape (n, fields); a view."""
-    return records.view(np.float64).reshape(len(records), -1)
+    """Records of float64 fields, shape (joints, n), as shape (joints, n, fields); a view."""
+    return records.view(np.float64).reshape(*records.shape, -1)
 
 
 @kernel
@@ -243,128 +293,159 @@ def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
 
 
 @kernel
-def _in_force(command, step, delay, substeps):
-    """The current command [A] in force in a plant step, counted from the start; `delay`: of the drive, in plant steps."""
+def _in_force(command, j, step, delay, substeps):
+    """The current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the drive, in steps."""
     k = (step - delay) // substeps
-    return command[k] if k >= 0 else 0.0
+    return command[j, k] if k >= 0 else 0.0
+
+
+@kernel
+def _input(command, j, step, delay, substeps, Kt):
+    """Motor torque [N·m, motor side] that joint j is asked for in a plant step: of the mean command in it and the one before."""
+    in_force = _in_force(command, j, step, delay, substeps)
+    return Kt * 0.5 * (in_force + _in_force(command, j, step - 1, delay, substeps))
 
 
 @kernel
 def _loop(
     step, model, data, addresses, numeric, substeps, h, record, position, velocity, external, temperature,
-    sensors, noise, noise_of, controller, estimator, memory, known, settings, out, truth, readings, reading_of,
-    command, failed, tip_force, crosstalk, stamps, commanded, seen, raw, carried, begin, end,
+    sensors, noise, noise_of, controller, estimators, truth, readings, reading_of, command, failed, tip_force, crosstalk,
+    stamps, commanded, seen, raw, drive, begin, end,
 ):  # fmt: skip
-    p, c, at = record[0], controller[0], addresses[0]
-    delay = round(c.delay / h)
-    q = carray(floats_at(word_at(data + 8 * at.qpos)), 3)
-    v = carray(floats_at(word_at(data + 8 * at.qvel)), 3)
+    at = addresses[0]
     act = floats_at(word_at(data + 8 * at.act))
     ctrl = floats_at(word_at(data + 8 * at.ctrl))
-    link_force = carray(floats_at(word_at(data + 8 * at.xfrc_applied) + 48 * at.link_body), 6)
     sensordata = floats_at(word_at(data + 8 * at.sensordata))
+    qpos, qvel = floats_at(word_at(data + 8 * at.qpos)), floats_at(word_at(data + 8 * at.qvel))
+    applied = floats_at(word_at(data + 8 * at.xfrc_applied))
     disabled = ints_at(model + 4 * at.disableflags)
 
-    channels = len(sensors)
+    joints = len(position)
+    channels = sensors.shape[1]
     dt = substeps * h
     ideal = np.zeros(1, READINGS)
     ideal_of = ideal.view(np.float64)
     given = np.zeros(1, SAMPLE)
     given_of = given.view(np.float64)
     given_of[:] = np.nan
-    drive = carried[0].drive
-    theta, before, omega = np.zeros(3), np.zeros(3), np.zeros(3)
-    last_command, last_external = carried[0].command, carried[0].external
-    last_force, estimate = carried[0].force, carried[0].estimate
+    # Numbers and places that the steps within a tick need.
+    delay, motor, Kt = np.zeros(joints, np.int64), np.zeros(joints, np.int64), np.zeros(joints)
+    for j in range(joints):
+        delay[j], motor[j], Kt[j] = round(controller[j].delay / h), addresses[j].motor, record[j].Kt
+    theta, before, omega, current = np.zeros((joints, 3)), np.zeros((joints, 3)), np.zeros(3), np.zeros(joints)
     wrench = np.zeros(6)
 
     for k in range(begin, end):
         time = k * dt
-        theta[:] = q
-        before[:] = v
-        numeric[TEMPERATURE] = temperature[k]
-        current = act[at.current] if at.current >= 0 else _in_force(command, k * substeps - 1, delay, substeps)
-        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
-
-        # The sensors that read the state itself, at this instant.
-        state = state_of(theta, before, act[at.bristle], dahl, current, time, temperature[k])
-        dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
-        for s in range(channels):
-            if sensors[s].at_step == 0.0:
-                reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
-
-        # The estimator and the drive.
-        if estimator == 1:
-            estimate = readings[k - 1].joint_torque if k > 0 else 0.0
-        elif estimator != 0:
-            # As differences of the time stamps, which is what whoever reads the signals afterwards has.
-            given[0].time = stamps[k] - stamps[0]
-            given[0].interval = stamps[k] - stamps[k - 1] if k > 0 else 0.0
-            given[0].current_command = last_command if commanded else np.nan
-            for s in range(channels):
-                if sensors[s].at_step == 0.0:
-                    given_of[_READINGS_AT + s] = reading_of[k, s]
-            status = call_estimator(
-                estimator,
-                memory.ctypes.data,
-                given.ctypes.data,
-                known.ctypes.data,
-                settings.ctypes.data,
-                out.ctypes.data,
-            )
-            if status != 0:
-                failed[0], failed[1] = k, status
-                return
-            estimate = out[0]
-        command[k] = control(position[k], velocity[k], readings[k].motor_position, estimate, drive, dt, c)
-
-        # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
         first = k * substeps
-        in_force = _in_force(command, first, delay, substeps)
-        ctrl[0] = p.Kt * 0.5 * (in_force + _in_force(command, first - 1, delay, substeps))
-        link_force[4] = -0.5 * (external[k] + last_external)
-        call_step(step, model, data)
-        for s in range(3):
-            omega[s] = 0.5 * (before[s] + v[s])
-        dahl = act[at.dahl] if at.dahl >= 0 else 0.0
-        state = state_of(theta, omega, act[at.bristle], dahl, current, time, temperature[k])
-        b = dynamics.balance(state, p)
-        t = truth[k]
-        t.motor_position, t.wave_generator_position, t.link_position = theta[ROTOR], theta[WAVE_GENERATOR], theta[LINK]
-        t.motor_velocity, t.wave_generator_velocity, t.link_velocity = omega[ROTOR], omega[WAVE_GENERATOR], omega[LINK]
-        t.motor_current, t.bristle, t.dahl = current, state.bristle, dahl
-        t.wave_generator_torque, t.flexspline_torque, t.joint_torque = (
-            b.wave_generator_torque,
-            b.flexspline_torque,
-            b.joint_torque,
-        )
+        for j in range(joints):
+            p, at = record[j], addresses[j]
+            # Parts of arrays are taken once: each time costs more than the arithmetic.
+            angle, speed, raw_of, seen_of, sensor, its_noise = (
+                theta[j],
+                before[j],
+                raw[j],
+                seen[j],
+                sensors[j],
+                noise_of[j],
+            )
+            for s in range(3):
+                angle[s], speed[s] = qpos[at.coordinate + s], qvel[at.coordinate + s]
+            numeric[at.numeric + TEMPERATURE] = temperature[j, k]
+            if at.current >= 0:
+                current[j] = act[at.current]
+            else:
+                current[j] = _in_force(command, j, first - 1, delay[j], substeps)
+            dahl = act[at.dahl] if at.dahl >= 0 else 0.0
 
-        # The torque sensor and its wrench, which MuJoCo evaluates within the step.
-        dynamics.readings(state, b, p, ideal[0])
-        for axis in range(3):
-            ideal_of[_WRENCH_AT + axis] = sensordata[at.force + axis]
-            ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at.torque + axis]
-        # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
-        ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
-        # Its torque acts already; a force at a point in the sensor's plane is what the joint must hold against, along x.
-        ideal_of[_WRENCH_AT] -= 0.5 * (tip_force[k] + last_force)
-        wrench[:] = ideal_of[_WRENCH_AT : _WRENCH_AT + 6]
-        for axis in range(6):
-            for other in range(6):
-                ideal_of[_WRENCH_AT + axis] += crosstalk[axis, other] * wrench[other]
-        for s in range(channels):
-            if sensors[s].at_step != 0.0:
-                reading_of[k, s] = _read(s, k, dt, ideal_of[s], theta, raw, seen, noise_of, sensors)
+            # The sensors that read the state itself, at this instant.
+            state = state_of(angle, speed, act[at.bristle], dahl, current[j], time, temperature[j, k])
+            dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
+            for s in range(channels):
+                if sensor[s].at_step == 0.0:
+                    reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
+
+            # The estimator and the drive.
+            estimate = 0.0
+            if estimators[j, 0] == 1:
+                estimate = readings[j, k - 1].joint_torque if k > 0 else 0.0
+            elif estimators[j, 0] != 0:
+                # As differences of the time stamps, which is what whoever reads the signals afterwards has.
+                given[0].time = stamps[j, k] - stamps[j, 0]
+                given[0].interval = stamps[j, k] - stamps[j, k - 1] if k > 0 else 0.0
+                given[0].current_command = np.nan
+                if commanded[j]:
+                    given[0].current_command = command[j, k - 1] if k > 0 else 0.0
+                for s in range(channels):
+                    if sensor[s].at_step == 0.0:
+                        given_of[_READINGS_AT + s] = reading_of[j, k, s]
+                status = call_estimator(
+                    estimators[j, 0],
+                    estimators[j, 1],
+                    given.ctypes.data,
+                    estimators[j, 2],
+                    estimators[j, 3],
+                    estimators[j, 4],
+                )
+                if status != 0:
+                    failed[j, 0], failed[j, 1] = k, status
+                    return
+                estimate = floats_at(estimators[j, 4])[0]
+            command[j, k] = control(
+                position[j, k], velocity[j, k], readings[j, k].motor_position, estimate, drive[j], dt,
+                controller[j],
+            )  # fmt: skip
+
+            # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
+            ctrl[motor[j]] = _input(command, j, first, delay[j], substeps, Kt[j])
+            applied[6 * at.link_body + 4] = -0.5 * (external[j, k] + (external[j, k - 1] if k > 0 else 0.0))
+        call_step(step, model, data)
+        for j in range(joints):
+            p, at = record[j], addresses[j]
+            angle, raw_of, seen_of, sensor, its_noise = theta[j], raw[j], seen[j], sensors[j], noise_of[j]
+            for s in range(3):
+                omega[s] = 0.5 * (before[j, s] + qvel[at.coordinate + s])
+            dahl = act[at.dahl] if at.dahl >= 0 else 0.0
+            state = state_of(angle, omega, act[at.bristle], dahl, current[j], time, temperature[j, k])
+            b = dynamics.balance(state, p)
+            t = truth[j, k]
+            t.motor_position, t.wave_generator_position, t.link_position = (
+                angle[ROTOR],
+                angle[WAVE_GENERATOR],
+                angle[LINK],
+            )
+            t.motor_velocity, t.wave_generator_velocity = omega[ROTOR], omega[WAVE_GENERATOR]
+            t.link_velocity = omega[LINK]
+            t.motor_current, t.bristle, t.dahl = current[j], state.bristle, dahl
+            t.wave_generator_torque, t.flexspline_torque, t.joint_torque = (
+                b.wave_generator_torque,
+                b.flexspline_torque,
+                b.joint_torque,
+            )
+
+            # The torque sensor and its wrench, which MuJoCo evaluates within the step.
+            dynamics.readings(state, b, p, ideal[0])
+            for axis in range(3):
+                ideal_of[_WRENCH_AT + axis] = sensordata[at.force + axis]
+                ideal_of[_WRENCH_AT + 3 + axis] = sensordata[at.torque + axis]
+            # MuJoCo takes all that acts on the link's coordinate for the joint's; cable and stop act on the link.
+            ideal_of[_JOINT_AXIS] += dynamics.link_torque(state, b.load, p) - b.gravity
+            # Its torque acts already; a force at a point in the sensor's plane is what the joint must hold against, along x.
+            ideal_of[_WRENCH_AT] -= 0.5 * (tip_force[j, k] + (tip_force[j, k - 1] if k > 0 else 0.0))
+            wrench[:] = ideal_of[_WRENCH_AT : _WRENCH_AT + 6]
+            for axis in range(6):
+                for other in range(6):
+                    ideal_of[_WRENCH_AT + axis] += crosstalk[j, axis, other] * wrench[other]
+            for s in range(channels):
+                if sensor[s].at_step != 0.0:
+                    reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
+            applied[6 * at.link_body + 4] = -external[j, k]
 
         # The other steps of the tick, whose sensors nobody reads: they are a tenth of a step.
-        link_force[4] = -external[k]
         flags = disabled[0]
         disabled[0] = flags | _NO_SENSORS
         for s in range(1, substeps):
-            before_it, in_force = in_force, _in_force(command, first + s, delay, substeps)
-            ctrl[0] = p.Kt * 0.5 * (in_force + before_it)
+            for j in range(joints):
+                ctrl[motor[j]] = _input(command, j, first + s, delay[j], substeps, Kt[j])
             call_step(step, model, data)
         disabled[0] = flags
-        last_command, last_external, last_force = command[k], external[k], tip_force[k]
-    carried[0].command, carried[0].external = last_command, last_external
-    carried[0].force, carried[0].estimate = last_force, estimate

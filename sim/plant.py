@@ -49,50 +49,80 @@ def build(
     """
     callbacks.install()
     record = joint.record(mounting) if record is None else record
-    p = record[0]
-    spec = structure.read(joint.mjcf)
     try:
-        set_numbers(spec, p, timestep, ideal_current)
-        native_friction = set_friction(spec, p)
-        has_dahl = p["hysteresis_torque"] != 0
-        joints: tuple[str, ...] = structure.JOINTS
-        if p["flexible_share"] > 0:
-            _hang_flexibly(spec, p)
-            joints = (*structure.JOINTS, "flexible")
-        for name in joints:
-            _add_state(spec, f"{name}_velocity", joint=name)
-        if has_dahl:
-            _add_state(spec, "hysteresis")
-        if locked_rotor:
-            spec.joint("rotor").armature = _LOCKED
-        spec.add_numeric(name="joint", size=callbacks.NUMERIC_SIZE, data=[0.0])
+        spec = describe(joint, record, timestep, ideal_current, locked_rotor)
         with native.quiet():
             model = spec.compile()
     except (ValueError, KeyError, AttributeError) as error:
         raise InputError(f"{joint.mjcf}: not the MJCF of a joint: {' '.join(str(error).split())}") from error
     structure.check_tendons(model, joint.mjcf)
-    _correct_to_fourth_order(model, p, timestep)
-    model.wrap_prm[model.tendon_adr[model.tendon("flexspline").id]] = 1.0 / p["N"]
-    model.tendon_stiffness[:] = 0.0  # the laws in the callback replace the linear springs
-    # Implicit damping of half of s1 (see the callback): MuJoCo's own LuGre has s1 already.
-    model.actuator_damping[model.actuator("mesh_friction").id] = 0.5 * (
-        p["bw"] + (-p["s1"] if native_friction else p["s1"])
-    )
-    header = (
-        activation(model, "mesh_friction"),
-        activation(model, "rotor_velocity"),
-        activation(model, "hysteresis") if has_dahl else -1,
-        native_friction,
-        model.actuator("rotor_velocity").id,
-        model.actuator("hysteresis").id if has_dahl else -1,
-        temperature,
-    )
-    model.numeric_data[:] = callbacks.numeric(record, timestep, header)
+    complete(model, record, temperature)
     structure.check_motion(model, record, joint.mjcf, _LOCKED if locked_rotor else 0.0)
     return model
 
 
-def _correct_to_fourth_order(model: mujoco.MjModel, p: np.void, h: float) -> None:
+def describe(
+    joint: Joint, record: np.ndarray, timestep: float, ideal_current: bool = False, locked_rotor: bool = False
+) -> mujoco.MjSpec:
+    """A joint's MJCF with the numbers of a record, before it is compiled; `complete` says what is left to do then.
+
+    Raises:
+      InputError, ValueError, KeyError, AttributeError: an MJCF that cannot be read or is not a joint's.
+    """
+    p = record[0]
+    spec = structure.read(joint.mjcf)
+    set_numbers(spec, p, timestep, ideal_current)
+    set_friction(spec, p)
+    joints: tuple[str, ...] = structure.JOINTS
+    if p["flexible_share"] > 0:
+        _hang_flexibly(spec, p)
+        joints = (*structure.JOINTS, "flexible")
+    for name in joints:
+        _add_state(spec, f"{name}_velocity", joint=name)
+    if p["hysteresis_torque"] != 0:
+        _add_state(spec, "hysteresis")
+    if locked_rotor:
+        spec.joint("rotor").armature = _LOCKED
+    spec.add_numeric(name="joint", size=callbacks.NUMERIC_SIZE, data=[0.0])
+    return spec
+
+
+def complete(
+    model: mujoco.MjModel, record: np.ndarray, temperature: float = REFERENCE_TEMPERATURE, prefix: str = ""
+) -> None:
+    """Put into a compiled model what MJCF cannot say of a joint, in place.
+
+    Args:
+      model: of `describe`; record: the joint's, shape (1,); temperature: of its gear [°C].
+      prefix: of its names, where the model has several joints.
+    """
+    p, h = record[0], float(model.opt.timestep)
+    flexspline, wave_generator = (model.tendon(prefix + name).id for name in ("flexspline", "wave_generator"))
+    _correct_to_fourth_order(model, flexspline, p, h)
+    model.wrap_prm[model.tendon_adr[flexspline]] = 1.0 / p["N"]
+    model.tendon_stiffness[[flexspline, wave_generator]] = 0.0  # the laws in the callback replace the linear springs
+    # Implicit damping of half of s1 (see the callback): MuJoCo's own LuGre has s1 already.
+    native_friction = _plain_friction(p)
+    model.actuator_damping[model.actuator(prefix + "mesh_friction").id] = 0.5 * (
+        p["bw"] + (-p["s1"] if native_friction else p["s1"])
+    )
+    has_dahl = p["hysteresis_torque"] != 0
+    header = (
+        activation(model, prefix + "mesh_friction"),
+        activation(model, prefix + "rotor_velocity"),
+        activation(model, prefix + "hysteresis") if has_dahl else -1,
+        native_friction,
+        model.actuator(prefix + "rotor_velocity").id,
+        model.actuator(prefix + "hysteresis").id if has_dahl else -1,
+        model.joint(prefix + "rotor").dofadr[0],
+        model.actuator(prefix + "motor").id,
+        temperature,
+    )
+    at = model.numeric_adr[model.numeric(prefix + "joint").id]
+    model.numeric_data[at : at + callbacks.NUMERIC_SIZE] = callbacks.numeric(record, h, header)
+
+
+def _correct_to_fourth_order(model: mujoco.MjModel, tendon: int, p: np.void, h: float) -> None:
     """Cancel the h² error that the trapezoidal leapfrog makes in the flexspline's mode, its fastest at no load.
 
     For M q'' + D q' + K q = 0 the scheme solves an equation that differs by h²/12 ((K + D²/M) q'' + (D K/M) q'). An
@@ -100,34 +130,43 @@ def _correct_to_fourth_order(model: mujoco.MjModel, p: np.void, h: float) -> Non
     damping). Both vanish with h²: at the default timestep 1e-4 of a link's inertia (docs/convergence.md).
     """
     reduced = callbacks.reduced_inertia(p)
-    model.tendon_armature[model.tendon("flexspline").id] = h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced)
+    model.tendon_armature[tendon] = h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced)
 
 
-def set_temperature(model: mujoco.MjModel, temperature: float) -> None:
-    """Change the temperature [°C] of a joint's gear."""
-    model.numeric_data[callbacks.TEMPERATURE] = temperature
+def set_temperature(model: mujoco.MjModel, temperature: float | np.ndarray) -> None:
+    """Change the temperature [°C] of a joint's gear; of several joints, one each or one for all."""
+    model.numeric_data[callbacks.TEMPERATURE :: callbacks.NUMERIC_SIZE] = temperature
 
 
 def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | None = None) -> None:
-    """Put a joint at rest at a position (rotor, wave generator, link; shape (3,), rad; zero by default) at time 0.
+    """Put a model's joints at rest at a position (of each: rotor, wave generator, link [rad]; zero by default) at time 0.
 
     Velocities in the model's state belong to the middle of a step (leapfrog), so the state starts half a step early.
+
+    Args:
+      position: shape (3,), or (joints, 3).
     """
     h = model.opt.timestep
-    data.qpos[:3] = 0.0 if position is None else position
+    blocks = model.numeric_data.reshape(-1, callbacks.NUMERIC_SIZE)
+    given = np.zeros((len(blocks), 3)) if position is None else np.reshape(position, (len(blocks), 3))
+    first = [int(block[callbacks.COORDINATE]) for block in blocks]
+    for at, angles in zip(first, given, strict=True):
+        data.qpos[at : at + 3] = angles
     data.qvel[:] = 0.0
     data.act[:] = 0.0
     with native.quiet():
         mujoco.mj_forward(model, data)
-    memory = activation(model, "rotor_velocity")
-    data.act[memory : memory + model.nv] = -1.5 * h * data.qacc
     data.qvel[:] = -0.5 * h * data.qacc
-    data.act[activation(model, "mesh_friction")] = -h * data.qvel[callbacks.WAVE_GENERATOR]
-    p = model.numeric_data[callbacks.HEADER :].copy().view(PARAMETERS)[0]
-    if p["hysteresis_torque"] != 0:  # what the first step takes to zero (laws.dahl_step)
-        rate = callbacks.transmission_at(data.qpos[:3].copy(), data.qvel[:3].copy(), 0.0, p).torsion_rate
-        x = p["hysteresis_extent"]
-        data.act[activation(model, "hysteresis")] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
+    for block, at, end in zip(blocks, first, [*first[1:], model.nv], strict=True):
+        memory = int(block[callbacks.MEMORY])
+        data.act[memory : memory + end - at] = -1.5 * h * data.qacc[at:end]
+        velocity = data.qvel[at : at + 3].copy()
+        data.act[int(block[callbacks.BRISTLE])] = -h * velocity[callbacks.WAVE_GENERATOR]
+        p = block[callbacks.HEADER :].copy().view(PARAMETERS)[0]
+        if p["hysteresis_torque"] != 0:  # what the first step takes to zero (laws.dahl_step)
+            rate = callbacks.transmission_at(data.qpos[at : at + 3].copy(), velocity, 0.0, p).torsion_rate
+            x = p["hysteresis_extent"]
+            data.act[int(block[callbacks.DAHL])] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
 
 
 def activation(model: mujoco.MjModel, actuator: str) -> int:
@@ -206,17 +245,21 @@ def _hang_flexibly(spec: mujoco.MjSpec, p: np.void) -> None:
     joint.damping = [0.5 * laws.flexible_torque(0.0, 1.0, p), 0, 0]
 
 
-def set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
-    """MuJoCo's own LuGre where the sliding friction is a function of velocity alone; the callback's otherwise."""
-    friction = spec.actuator("mesh_friction")
-    plain = (
+def _plain_friction(p: np.void) -> bool:
+    """Whether the sliding friction is a function of velocity alone, which MuJoCo's own LuGre can be."""
+    return bool(
         p["friction_asymmetry"] == 0
         and p["friction_load"] == 0
         and p["drift_amplitude"] == 0
         and p["friction_temperature"] == 0
         and not np.any(p["friction_amplitude"])
     )
-    if plain:
+
+
+def set_friction(spec: mujoco.MjSpec, p: np.void) -> None:
+    """MuJoCo's own LuGre where the sliding friction is a function of velocity alone; the callback's otherwise."""
+    friction = spec.actuator("mesh_friction")
+    if _plain_friction(p):
         error = friction.set_to_dcmotor(
             motorconst=[0.0, 0.0],
             resistance=1.0,
@@ -228,8 +271,11 @@ def set_friction(spec: mujoco.MjSpec, p: np.void) -> bool:
     else:
         spec.delete(friction)
         friction = _add_state(spec, "mesh_friction", joint="wave_generator")
-    friction.damping = [1.0, 0, 0]  # set below, where it may be negative; zero here would leave it out altogether
-    return bool(plain)
+    friction.damping = [
+        1.0,
+        0,
+        0,
+    ]  # set by `complete`, where it may be negative; zero here would leave it out altogether
 
 
 def _add_state(spec: mujoco.MjSpec, name: str, joint: str = "link") -> Any:

@@ -20,7 +20,18 @@ from ..models.errors import InputError
 from ..models.mjcf import check_mjcf
 from ..models.parameters import GRAVITY
 from . import native
-from .callbacks import FLEXIBLE, HEADER, LINK, WAVE_GENERATOR, at_positions, reduced_inertia
+from .callbacks import (
+    BRISTLE,
+    DAHL,
+    FLEXIBLE,
+    HEADER,
+    LINK,
+    MEMORY,
+    TEMPERATURE,
+    WAVE_GENERATOR,
+    at_positions,
+    reduced_inertia,
+)  # fmt: skip
 
 JOINTS = ("rotor", "wave_generator", "link")
 """The joints of every joint's MJCF, in this order."""
@@ -182,7 +193,7 @@ def check_motion(model: mujoco.MjModel, record: np.ndarray, path: Path, locked: 
     p = record[0]
     h, header = model.opt.timestep, model.numeric_data[:HEADER]
     data = mujoco.MjData(model)
-    memory, dahl_at = int(header[3]), int(header[4])
+    memory, dahl_at = int(header[MEMORY]), int(header[DAHL])
     current_at = int(model.actuator_actadr[model.actuator("motor").id])
     torque_at = int(model.sensor("torque").adr[0])
     for numbers in _STATES:
@@ -194,7 +205,7 @@ def check_motion(model: mujoco.MjModel, record: np.ndarray, path: Path, locked: 
         if model.nv > FLEXIBLE:
             data.qpos[FLEXIBLE], data.qvel[FLEXIBLE] = 1e-3, 0.02
         data.act[memory : memory + model.nv] = data.qvel
-        data.act[int(header[2])] = bristle
+        data.act[int(header[BRISTLE])] = bristle
         if dahl_at >= 0:
             dahl = 0.3 * p["hysteresis_extent"]
             data.act[dahl_at] = dahl
@@ -204,7 +215,7 @@ def check_motion(model: mujoco.MjModel, record: np.ndarray, path: Path, locked: 
             data.ctrl[0] = p["Kt"] * current
         with native.quiet():
             mujoco.mj_forward(model, data)
-        state, t, g = at_positions(theta, velocity, velocity, bristle, dahl, 0.0, h, header[HEADER - 1], p)
+        state, t, g = at_positions(theta, velocity, velocity, bristle, dahl, 0.0, h, header[TEMPERATURE], p)
         b = dynamics.balance_with(state, t, g, p)
         drive = float(data.actuator_force[model.actuator("motor").id])  # its current, within a step, is MuJoCo's own
         force, inertia = _expected(b, drive, data, p, h, locked)

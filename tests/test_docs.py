@@ -15,6 +15,7 @@ import yaml
 from flexspline import commands
 from flexspline.diagnosis.data.importing import Layout
 from flexspline.models.files import parse
+from flexspline.scenarios.arms.arm_scenario import ArmScenario
 from flexspline.scenarios.scenario import Scenario
 from flexspline.scenarios.studies.study import Study
 
@@ -35,7 +36,7 @@ ROOMS = (
 MADE = {
     "joint.yaml", "diagnosis/joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv",
     "diagnosis.json", "DIR/NAME.yaml", "study.yaml", "cause.py", "models/causes/NAME.py", "my_filter.py",
-    "my_cause.py", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml",
+    "my_cause.py", "arm.yaml", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml",
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 BUILT = re.compile(r"(?:reference/\w+|examples)\.md")
@@ -118,6 +119,11 @@ def test_scenario_and_study_are_read():
     scenario, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
     parse(scenario, Scenario, "the scenario")
     parse(study, Study, "the study")
+
+
+def test_the_arm_is_read():
+    (text,) = snippets(ROOT / "docs" / "arms.md", "yaml")
+    assert [joint.name for joint in parse(yaml.safe_load(text), ArmScenario, "the arm").arm] == ["shoulder", "elbow"]
 
 
 def test_mappings_are_read():

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import secrets
+import subprocess
+import sys
 from collections import Counter
 
 import pytest
 
 from benchmarks import fuzzing
 from benchmarks.full_disk import full_disk
+from benchmarks.reliability import memory
 
 
 def test_inputs_made_at_random_are_used_or_refused_in_one_line():
@@ -48,3 +52,27 @@ def test_a_full_disk_at_every_fifth_write_of_import_is_one_line_and_nothing_half
 @pytest.mark.parametrize(("name", "step"), [("import", 1), ("estimate", 1), ("run", 2), ("sweep", 1), ("diagnose", 9)])
 def test_a_full_disk_at_any_write_is_one_line_and_nothing_half_written(name, step):
     assert held_by(full_disk([name], step))[f"{name}, refused"] > 4
+
+
+@pytest.mark.slow
+def test_an_hour_at_1_khz_fits_into_a_gigabyte():
+    """`check` and `estimate` with three filters (`python -m benchmarks.reliability memory`)."""
+    for name, megabytes, _ in memory(1.0, ("check", "estimate")):
+        assert megabytes < 1000, name
+
+
+@pytest.mark.slow
+def test_a_diagnosis_is_the_same_for_any_number_of_threads(shared, tmp_path):
+    """To the byte, with one and two threads in every library."""
+    measurement = shared / "data" / "examples" / "toleranced" / "02" / "free.yaml"
+    found = []
+    for threads in ("1", "2"):
+        names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+        words = ["diagnose", str(measurement), "--no-report", "--out", str(tmp_path / threads)]
+        done = subprocess.run(
+            [sys.executable, "-m", "flexspline", *words],
+            env={**os.environ, **dict.fromkeys(names, threads)}, capture_output=True, text=True, timeout=900,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        found.append([(tmp_path / threads / name).read_bytes() for name in ("diagnosis.json", "joint.yaml")])
+    assert found[0] == found[1]

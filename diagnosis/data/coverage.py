@@ -25,6 +25,7 @@ SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
 _CLIPPED = 0.995  # of the current limit
+_BLOCK = 1 << 16  # samples that are made Python's numbers at a time
 _FEWEST = 10  # samples of a segment whose motion can be smoothed
 _TURN = 2 * np.pi
 _DRIVE = ("motor_current", "motor_torque")
@@ -86,6 +87,7 @@ class Balance:
 def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
     """Sum up a recording of a joint, whatever its channels."""
     time = recording.time
+    late = _late(recording)
     steps = np.diff(time)
     interval = recording.interval
     inside = steps[steps <= GAP]
@@ -105,7 +107,7 @@ def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
         duration=float(time[-1] - time[0]),
         interval=interval,
         jitter=float(np.sqrt(np.mean((regular - interval) ** 2))) if len(regular) else 0.0,
-        late=_late(recording),
+        late=late,
         missing=max(round(float(inside.sum()) / interval) - len(inside), 0),
         gaps=recording.gaps,
         ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items()},
@@ -206,7 +208,7 @@ class _Extent:
         ends = [_link_range(s, N) for s in summaries]
         turns = [_rotor_range(s, N) for s in summaries]
         warm = [s.ranges["temperature"] for s in summaries if "temperature" in s.ranges]
-        known = [r for r in recordings if r.external != "unmeasured"]
+        known = [r for r in recordings if r.external != "unmeasured" and r.load is None]
         return cls(
             joint=joint,
             columns=frozenset(name for r in recordings for name in r.columns),
@@ -254,9 +256,9 @@ def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
     if found.temperature_span < needed.temperature_span:
         yield f"the temperature changes by {found.temperature_span:.2g} K, less than {needed.temperature_span:g} K"
     if needed.known_push and not found.known_push:
-        yield "unmeasured pushes may happen in every recording"
+        yield "in every recording unmeasured pushes may happen, or other joints of the arm move"
     if needed.gravity and not found.gravity:
-        yield "no recording without unmeasured pushes has a gravity moment"
+        yield "no recording without unmeasured pushes, the arm's other joints still, has a gravity moment"
 
 
 _DRAWS = 3  # of a cause: one may happen to do nothing
@@ -360,7 +362,7 @@ def _turning_points(position: np.ndarray) -> list[float]:
     """Turning points of a motion, ends included: shorter ways than `_REVERSAL` do not count."""
     points = [float(position[0])]
     extreme, direction = float(position[0]), 0
-    for x in position.tolist():
+    for x in (x for begin in range(0, len(position), _BLOCK) for x in position[begin : begin + _BLOCK].tolist()):
         if direction == 0:
             if abs(x - points[0]) > _REVERSAL:
                 direction, extreme = (1 if x > points[0] else -1), x

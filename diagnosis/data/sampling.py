@@ -33,6 +33,8 @@ class SamplingSettings:
 
 
 SETTINGS = SamplingSettings()
+_BLOCK = 1 << 16
+"""Samples that are looked at together, for an hour to fit into memory."""
 
 
 def fresh(time: np.ndarray, reading: np.ndarray, rate: float) -> np.ndarray:
@@ -88,6 +90,15 @@ def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float
 
 def _off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Samples less the cubic through two neighbours on either side, as noise of one sample; and the speed there."""
+    n = max(len(t) - 4, 0)
+    off, speed = np.empty(n), np.empty(n)
+    for begin in range(0, n, _BLOCK):
+        part = slice(begin, begin + _BLOCK + 4)
+        off[begin : begin + _BLOCK], speed[begin : begin + _BLOCK] = _off_within(t[part], x[part])
+    return off, speed
+
+
+def _off_within(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     i = np.arange(2, len(t) - 2)
     others = [i - 2, i - 1, i + 1, i + 2]
     weights = [np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in others if b is not a], axis=0) for a in others]

@@ -260,6 +260,9 @@ def _channels(recording: Recording, part: slice, joint: Joint, p: np.void, rng: 
     s = joint.sensors
     time = recording.time[part]
     columns = {name: values[part] for name, values in recording.columns.items()}
+    known = recording.external == "measured" or recording.load is not None
+    if recording.load is not None:
+        columns["external_torque"] = recording.torque_of_arm[part] + columns.get("external_torque", 0.0)
     if "motor_current" not in columns and "motor_torque" in columns:
         columns["motor_current"] = columns["motor_torque"] / p["Kt_drive"]
     encoders = {"motor_position": s.motor_encoder, "link_position": s.link_encoder}
@@ -280,7 +283,7 @@ def _channels(recording: Recording, part: slice, joint: Joint, p: np.void, rng: 
             at = fresh(time, columns[name], spec.rate)
             kept[name] = between(time, time[at], columns[name][at])
             noise[name] = between(time, time[at], rms * rng.standard_normal(int(at.sum())))
-    if recording.external == "measured":
+    if known:
         at = fresh(time, columns["external_torque"], s.wrench.rate)
         kept["external_torque"] = between(time, time[at], columns["external_torque"][at])
         noise["external_torque"] = np.zeros(len(time))
@@ -327,7 +330,9 @@ def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, sett
     usable = np.empty((len(at), len(BALANCES)), bool)
     usable[:, CURRENT] = begun
     usable[:, TORQUE] = begun
-    usable[:, LINK] = (settled if has_torque else begun) & (recording.external != "unmeasured")
+    usable[:, LINK] = (
+        (settled if has_torque else begun) & (recording.external != "unmeasured") & (recording.load is None)
+    )
     usable &= balances
     return usable & ~held_out[:, None], usable & held_out[:, None]
 

@@ -77,7 +77,7 @@ def _recorded(
         true = drawn.nominal if flaws is None else flaws.nominal
         seed, clock = ([challenge.seed, index, at + k] for at in (20, 30))
         one = record_motion(
-            without_noise(true) if quiet else true, drawn.nominal.mount(scenario.mounting or None), record,
+            without_noise(true) if quiet else true, scenario.mount(drawn.nominal), record,
             smaller(scenario, share), int(np.random.default_rng(seed).integers(2**31)), False,
             0.0 if flaws is None else flaws.warming,
         )  # fmt: skip

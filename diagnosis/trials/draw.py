@@ -127,7 +127,7 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
         true = flaws.nominal
     records, recordings = [], []
     for k, scenario in enumerate(scenarios):
-        mounting = nominal.mount(scenario.mounting or None)
+        mounting = scenario.mount(nominal)
         record = calibration.record(x, mounting)
         if flaws is not None:
             flaws.apply(record)

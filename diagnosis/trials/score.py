@@ -272,7 +272,7 @@ def run(
         nominal = load_joint(challenge.joint)
         challenge.pool()
         for name in challenge.scenarios:
-            nominal.mount(load_scenario(name)[0].mounting or None)
+            load_scenario(name)[0].mount(nominal)
     tasks = [(c, i, size) for c in challenges for i in range(first, first + count) for size in sizes]
     if jobs <= 1:
         for task in tasks:

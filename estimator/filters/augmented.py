@@ -28,6 +28,9 @@ Regressors are predictions (κ·T, not κ·k(Δθf)): one that shares its noise 
 (errors in variables). Constants are learned only in calm, and not from every sample: what the laws leave out is no white noise.
 In between they are considered, not estimated (Schmidt 1966).
 
+Times since something happened are sums of intervals, and readings of one count may differ by rounding: both are compared half
+a sample or half a count beside where they fall, so that no rounding decides.
+
 Counts are cells, not noise: at rest a count says the same thing again and again, which ε has learned once. Contacts are rare:
 τ and T walk loudly only while the innovations of encoder or torsion are larger than their variance (adaptive process noise,
 Mehra 1972, as in `dynamics_filter`).
@@ -61,7 +64,7 @@ SIZE = KINEMATIC + 2 * ORDERS
 _FIELDS = (
     "link_variance", "torsion_variance", "ripple", "torque_quiet", "torque_loud", "external_quiet", "external_loud", "free",
     "gate", "current_variance", "sliding", "settled", "memory", "low", "high", "wander", "cutoff", "back", "pause", "every",
-    "wait", "least", "drive", "ringing",
+    "wait", "least", "drive", "ringing", "half",
 )  # fmt: skip
 SETTINGS = np.dtype(
     [(name, np.float64) for name in _FIELDS]
@@ -192,7 +195,7 @@ def _step(memory, sample, record, settings, out):
     # Calm for a while, and not at every sample: what the laws leave is no white noise.
     calm = m.torsion_ratio < c.low and m.link_ratio < c.low
     m.calm = m.calm + h if calm else 0.0
-    learn = m.calm >= c.pause
+    learn = m.calm > c.pause - 0.5 * h
     if learn:
         m.calm -= c.every
     if h == 0.0:
@@ -208,7 +211,7 @@ def _step(memory, sample, record, settings, out):
         ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
         yielding = 1.0 / laws.flexspline_stiffness(found.torsion, p) + _softness(m.motor_torque.value, p) / p.N**2
         _predict(m, weight, slope, 1.0 / yielding, m.drive.rate * ratio, h, p, c)
-        if s.motor_position != m.motor_reading:
+        if not abs(s.motor_position - m.motor_reading) <= c.half:
             _new_count(m, c)
         m.motor_reading = s.motor_position
         # The link encoder.
@@ -243,7 +246,7 @@ def _step(memory, sample, record, settings, out):
     direction = 1.0 if w > 0.0 else -1.0
     m.slid = m.slid + h if abs(w) > c.sliding and direction == m.direction else 0.0
     m.direction = direction
-    if m.slid > c.settled:
+    if m.slid > c.settled + 0.5 * h:
         state = dynamics.drive_state(
             found.motor_position, w, x[LINK], x[RATE], m.current.bristle, 0.0, s.time, temperature(s, p)
         )
@@ -255,7 +258,7 @@ def _step(memory, sample, record, settings, out):
     # Nobody touches it.
     m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
     sure = c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2)
-    if m.untouched > c.wait and abs(x[EXTERNAL]) < max(sure, c.least):
+    if m.untouched > c.wait + 0.5 * h and abs(x[EXTERNAL]) < max(sure, c.least):
         H[:] = 0.0
         H[EXTERNAL] = 1.0
         # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
@@ -338,7 +341,7 @@ class Augmented(CausalEstimator):
         c["sliding"], c["settled"] = 2.5 * p["vs"], 0.05
         c["memory"], c["low"], c["high"] = self.memory, self.low, self.high
         c["least"] = self.least * scale
-        c["wander"] = joint.link_wander
+        c["wander"], c["half"] = joint.link_wander, 0.5 * noise.motor_resolution
         c["cutoff"] = 2 * math.pi * self.cutoff
         c["drive"], c["ringing"] = 2 * math.pi * self.drive, self.ringing
         c["pause"], c["every"], c["wait"] = self.pause, self.every, self.wait

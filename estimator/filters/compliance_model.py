@@ -35,6 +35,7 @@ class ComplianceModel(CausalEstimator):
 
     name: str = "model"
     description: ClassVar[str] = "torque from torsion by the compliance model alone (Shi & Liu, Eqs. 1-7)"
+    reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = TORSION
     outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)

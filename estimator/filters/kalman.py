@@ -104,6 +104,7 @@ class TorqueFilter(CausalEstimator):
     rate: float = 1.0
     tuning: ClassVar[tuple[TuningParameter, ...]] = (ACCELERATION,)
     description: ClassVar[str] = "Kalman filter of the compliance model's torque and its rate (Bar-Shalom et al. 2001)"
+    reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY
     outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)

@@ -55,6 +55,7 @@ class LowPass(CausalEstimator):
     order: int = 2
     tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 400.0),)
     description: ClassVar[str] = "compliance model through a Butterworth low-pass (Zhang, Ahmad & Liu 2013)"
+    reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY
 

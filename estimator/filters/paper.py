@@ -121,6 +121,7 @@ class PaperFilter(CausalEstimator):
     alpha: Literal["max", "printed", "inverse"] = "max"
     memory: Literal["source", "printed"] = "source"
     covariance: Literal["unadjusted", "adjusted"] = "unadjusted"
+    reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step
     remembers: ClassVar[np.dtype] = MEMORY
     outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)

@@ -23,7 +23,7 @@ from ...models.signals import Signals
 from ...models.step import Step, sample_at
 from .. import smoothed
 from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior, fields_of
-from ..motion import CUTOFF
+from ..motion import CUTOFF, smooth
 from ..payload_model import INTERVAL, MEMORY, SIZE, KnownPayload, Seen, external_torque, forget, noise, prior, update
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
@@ -141,13 +141,13 @@ def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: n
     Args:
         motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque`, shape (n,) [N·m].
     """
-    wide = smoothed.smooth_motion(signals, joint, CUTOFF)
-    k = np.arange(0, min(len(wide.time), len(motion.time)), _DECIMATION)
+    current = smooth(signals.time, signals["motor_current"][:, None], smoothed.STEP, CUTOFF, _DECIMATION).value[:, 0]
     columns = [
         motion.since, motion.motor_position, motion.motor_velocity, motion.motor_acceleration, motion.link_position,
-        motion.link_velocity, motion.link_acceleration, motion.temperature, wide.current, own,
+        motion.link_velocity, motion.link_acceleration, motion.temperature, own,
     ]  # fmt: skip
-    given = [np.ascontiguousarray(c[k]) for c in columns]
+    *given, own = (np.ascontiguousarray(c[::_DECIMATION]) for c in columns)
+    given += [np.ascontiguousarray(current), own]
     sigma, first = noise(joint), prior(joint)
     share = math.exp(-smoothed.STEP * _DECIMATION / MEMORY)
     x = _filter(*given, joint.record, first, sigma, share, np.empty(0))

@@ -104,7 +104,7 @@ class RTSSmoother(Estimator):
         except np.linalg.LinAlgError as error:  # a covariance that is finite and whose inverse is not
             raise FilterDiverged(self.name, n - 1, float(signals.time[-1]), f"its smoother: {error}") from error
         out[:, 0], out[:, 1], out[:, fields_of(OUT).index(STATES[0]) :] = torque, variance, states
-        return filtered.posterior(signals.time, out)
+        return filtered.posterior(signals.time, {name: out[:, i].copy() for i, name in enumerate(fields_of(OUT))})
 
 
 ESTIMATORS = (RTSSmoother(),)

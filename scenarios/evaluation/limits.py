@@ -144,7 +144,7 @@ def assess(
     if len(seeds) == 0:
         raise InputError("bound: expected at least one seed, got none")
     joint, _ = scenario.load_joint(folder)
-    record = joint.record(joint.mount(scenario.mounting or None))
+    record = joint.record(scenario.mount(joint))
     if record[0]["hysteresis_torque"] != 0.0:
         raise InputError(f"joint {joint.name}: no bound: the true state of the flexspline's hysteresis is not recorded")
     fitted = fitted_intensity(scenario)
@@ -152,7 +152,7 @@ def assess(
         intensity = max(fitted, bound.QUIET.external * float(record[0]["T2"]))
 
     collected = [_Collected(name, one) for name, one in estimators.items()]
-    others = doubtful(joint, joint.mount(scenario.mounting or None), tolerance)
+    others = doubtful(joint, scenario.mount(joint), tolerance)
     variances, torsion_variances, doubtful_variances, walks = [], [], [], []
     for seed in seeds:
         run = simulate_scenario(scenario, folder, seed)

@@ -180,3 +180,25 @@ def test_a_command_ends_at_once_and_in_order():
         done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, timeout=60)
         said = done.stdout.split(b"\n")
         assert done.returncode == code and said[-2] == b"in the end" and b"late" in said, done
+
+
+def test_a_link_that_leads_to_itself_is_one_line(flexspline, tmp_path):
+    (tmp_path / "loop").symlink_to(tmp_path / "loop")
+    for words in (("run", "no_load", "--out"), ("tune", "no_load", "--out"), ("check",)):
+        code, out, err = flexspline(*words, tmp_path / "loop")
+        assert code == 2 and not out
+        assert "got a link that leads to itself" in err and len(err.splitlines()) == 1
+
+
+def test_words_between_colons_are_no_pictures(flexspline, tmp_path):
+    code, _, err = flexspline("check", tmp_path / "a:x:b")
+    assert code == 2 and "a:x:b: expected a recording" in err
+
+
+@pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
+def test_streams_that_are_closed_change_nothing_but_what_is_said(tmp_path, closed):
+    for words, code in ((["causes"], 0), (["check", "nowhere"], 2)):
+        done = subprocess.run(
+            ["sh", "-c", f'exec "$@" {closed}', "sh", *PROGRAM, *words], capture_output=True, timeout=60
+        )
+        assert done.returncode == code and b"Traceback" not in done.stderr, done

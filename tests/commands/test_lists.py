@@ -7,6 +7,7 @@ import json
 import pytest
 
 import flexspline as fs
+from flexspline.scenarios.arms.arm_scenario import shipped_arms
 from flexspline.scenarios.scenario import shipped_scenarios
 from flexspline.scenarios.studies.study import shipped_studies
 
@@ -14,7 +15,7 @@ KNOWN = {
     "joints": lambda: fs.joints().index,
     "causes": lambda: fs.causes().index,
     "estimators": lambda: fs.estimators().index,
-    "scenarios": shipped_scenarios,
+    "scenarios": lambda: shipped_scenarios() | shipped_arms(),
     "studies": shipped_studies,
 }
 

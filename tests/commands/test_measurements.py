@@ -124,3 +124,12 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path):
     done = subprocess.run([sys.executable, "-m", "flexspline", "check", str(tmp_path)], capture_output=True, text=True)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1 and "a.csv" in done.stderr and "row 2" in done.stderr
+
+
+def test_what_is_too_short_for_any_estimate_is_refused(flexspline, tmp_path):
+    t = np.arange(9) * 1e-3
+    columns = {"motor_position": 100 * t, "link_position": t, "motor_current": np.sin(t)}
+    write_recording(Recording("short", t, columns), tmp_path / "m")
+    code, out, err = flexspline("estimate", tmp_path / "m", "--out", tmp_path / "e")
+    assert code == 2 and not out and not (tmp_path / "e").exists()
+    assert "expected a part without gaps of 10 samples at least" in one_line(err)

@@ -17,6 +17,7 @@ SHIPPED = [
     *(("joint", path) for path in sorted((ROOT / "models").glob("*.yaml"))),
     *(("scenario", path) for path in sorted((ROOT / "scenarios").glob("*.yaml"))),
     *(("study", path) for path in sorted((ROOT / "scenarios" / "studies").glob("*.yaml"))),
+    *(("arm", path) for path in sorted((ROOT / "scenarios" / "arms").glob("*.yaml"))),
     *(("mapping", path) for path in sorted((ROOT / "diagnosis" / "data" / "layouts").glob("*.yaml"))),
 ]
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from flexspline.estimator import PaperFilter, compliance, compliance_torque, run
+from flexspline.estimator import PaperFilter, compliance, compliance_torque, get, run
 from flexspline.models.errors import InputError
+from flexspline.models.signals import Signals
 
 N, K1, K2, K3, T1, T2, KW0, CW = 100.0, 8400.0, 9400.0, 13000.0, 3.9, 12.0, 1.14, 20.0
 
@@ -113,3 +114,21 @@ def test_filters_on_the_reference(reference, calibration, name, rng):
         assert robust["rarekf"] < 0.02
     if name == "external_push":
         assert max(rms["arekf"], rms["rarekf"]) < 0.7 * rms["ekf"]
+
+
+def test_a_late_link_encoder_is_held_against_motor_and_torque_as_they_were(known):
+    """While everything moves evenly: the torque of readings 1.6 samples old is that of readings in time."""
+    time = np.arange(300) * 1e-3
+    delay = 1.6e-3
+    motor, current = 3.0 + 2.0 * time, 4.0 + 3.0 * time
+
+    def link(t):
+        return (3.0 + 2.0 * t) / 100 - 6e-4 - 5e-4 * t
+
+    columns = {"motor_position": motor, "motor_current": current}
+    model = get("model")
+    in_time = model.estimate(Signals(time, {**columns, "link_position": link(time)}), known).mean
+    late = Signals(time, {**columns, "link_position": link(time - delay)})
+    found = model.estimate(late, known.told(link_delay=delay)).mean
+    np.testing.assert_allclose(found[50:], in_time[50:], atol=2e-3)
+    assert np.abs(model.estimate(late, known).mean - in_time)[50:].min() > 0.1  # had nobody known

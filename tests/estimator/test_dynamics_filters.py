@@ -168,7 +168,7 @@ def sample(record: np.ndarray, seed: int, n: int = 2500) -> tuple[Signals, np.nd
         motor[k], link[k], torque[k] = x[0], x[LINK], joint_model.joint_torque(x, time[k], p)
     motor += EXACT.motor_noise * rng.standard_normal(n)
     link += EXACT.link_noise * rng.standard_normal(n)
-    columns = {"motor_position": motor, "link_position": link, "motor_current": 0 * time, "current_command": command}
+    columns = {"motor_position": motor, "link_position": link, "motor_current": np.r_[0.0, command[:-1]]}
     return Signals(time, columns), torque
 
 

@@ -13,7 +13,7 @@ import pytest
 from known_effects import JOINT, MOUNTING
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
-from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, run_step
+from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, run_step, sample_blocks
 from flexspline.estimator.tuning_parameters import value_of, with_values
 from flexspline.models import plugins
 from flexspline.models.errors import InputError
@@ -58,14 +58,26 @@ def test_every_one_is_a_frozen_dataclass_that_says_what_it_is(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_finite_and_causal(name, known, signals):
-    """What comes later changes nothing, where an estimator says so; it runs with and without the current command."""
+    """What comes later changes nothing, where an estimator says so."""
     estimator = registry.get(name)
     whole = estimator.estimate(signals, known)
     assert whole.mean.shape == (2000,) and np.isfinite(whole.mean).all()
     short = estimator.estimate(signals.part(slice(0, 1400)), known)
     assert np.array_equal(short.mean, whole.mean[:1400]) == estimator.causal
-    blind = estimator.estimate(signals.without("current_command"), known)
-    assert np.isfinite(blind.mean).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_current_is_the_sensors_reading(name, known, signals):
+    """The paper's measurement goes by the drive's command where that is known; all others have the reading, to the bit."""
+    estimator = registry.get(name)
+    reading = estimator.estimate(signals.without("current_command"), known).mean
+    assert np.isfinite(reading).all()
+    assert np.array_equal(estimator.estimate(signals, known).mean, reading) != estimator.reads_command
+    family = {
+        "model", "EKF", "AREKF", "RAREKF", "REKF", "kalman", "huber", "h_infinity", "strong_tracking", "lowpass",
+        "lowpass_first_order",
+    }  # fmt: skip
+    assert estimator.reads_command == (name in family)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -136,12 +148,33 @@ def test_one_that_looks_ahead_cannot_be_fed_back(known):
 
 
 def test_samples(known, signals):
-    found = as_samples(signals, ("motor_position",), replace(known, start=-1.0))
+    found = as_samples(signals, ("motor_position",), replace(known, start=-1.0), reads_command=True)
     assert found.dtype == SAMPLE
     assert found["time"][0] == 1.0 and found["interval"][0] == 0.0 and found["interval"][1] == pytest.approx(1e-3)
     assert np.array_equal(found["current_command"], np.r_[0.0, signals["current_command"][:-1]])
     assert np.isnan(found["joint_torque"]).all() and np.isnan(found["temperature"]).all()
-    assert np.isnan(as_samples(signals.without("current_command"), (), known)["current_command"]).all()
+    assert np.isnan(as_samples(signals.without("current_command"), (), known, True)["current_command"]).all()
+    assert np.isnan(as_samples(signals, (), known)["current_command"]).all()
+
+
+def test_a_long_recording_is_read_in_blocks_without_a_difference(known, signals, monkeypatch):
+    """Records as of the whole, a command that counts from the next sample on at every seam, and all outputs of the filters."""
+    whole = as_samples(signals, (), known, True)
+    parts = list(sample_blocks(signals, (), known, True, 333))
+    assert [p.start for p, _ in parts] == list(range(0, 2000, 333)) and parts[-1][0].stop == 2000
+    assert np.concatenate([samples for _, samples in parts]).tobytes() == whole.tobytes()
+    monkeypatch.setattr("flexspline.estimator.estimator.BLOCK", 333)
+    for name in ("EKF", "current", "momentum_torsion"):
+        one = registry.get(name)
+        out, failed, _ = run_step(one.step(known, 1e-3), as_samples(signals, (), known, one.reads_command))
+        assert failed == 2000
+        found, torques = one.estimate(signals, known), one.torques(signals, known)
+        assert np.array_equal(found.mean, out[:, 0]) and np.array_equal(torques.mean, out[:, 0])
+        assert not torques.columns and torques.innovation is None
+        if found.variance is not None:
+            assert np.array_equal(torques.variance, found.variance)
+    with pytest.raises(FilterDiverged, match=r"'plain' diverged at step 700, t = 0\.7 s"):
+        Plain(fails_at=700).torques(signals, known)
 
 
 def test_known_joint_says_how_well(known):
@@ -156,6 +189,7 @@ class Plain(CausalEstimator):
 
     name: str = "plain"
     fails_at: int = -1
+    reads_command: ClassVar[bool] = True
     description: ClassVar[str] = "torque of the motor current times the gear ratio"
     remembers: ClassVar[np.dtype] = np.dtype([("count", np.float64)])
     outputs: ClassVar[tuple[str, ...]] = ("torque", "variance", "innovation", "innovation_variance", "count")
@@ -189,7 +223,7 @@ def test_an_estimator_in_python(known, signals):
     assert np.array_equal(found.columns["count"], np.arange(2000))
     with pytest.raises(FilterDiverged, match=r"'plain' diverged at step 7, t = 0\.007 s"):
         Plain(fails_at=7).estimate(signals, known)
-    out, failed, status = run_step(Plain(fails_at=7).step(known, 1e-3), as_samples(signals, (), known))
+    out, failed, status = run_step(Plain(fails_at=7).step(known, 1e-3), as_samples(signals, (), known, True))
     assert (failed, status) == (7, 1) and (out[7:] == 0).all()
 
 

@@ -33,3 +33,19 @@ def test_the_smoother_is_linear_and_the_same_for_every_channel():
     a, b = rng.standard_normal((2, 500))
     together = smooth(time, np.column_stack([a, b, 2 * a - 3 * b]), 1e-3).value
     np.testing.assert_allclose(together[:, 2], 2 * together[:, 0] - 3 * together[:, 1], atol=1e-8)
+
+
+@pytest.mark.parametrize("irregular", [False, True])
+def test_blocks_change_no_bit_and_every_channel_is_smoothed_as_if_alone(irregular):
+    rng = np.random.default_rng(3)
+    for n in (2, 3, 100, 1003):
+        time = 50.0 + (np.cumsum(rng.uniform(2e-4, 2e-3, n)) if irregular else 1e-3 * np.arange(n))
+        y = 5.0 + rng.standard_normal((n, 2))
+        whole = smooth(time, y, 1e-3, 40.0)
+        for block in (1, 2, 7, 64):
+            for name in ("time", "value", "rate", "acceleration"):
+                cut = getattr(smooth(time, y, 1e-3, 40.0, block=block), name)
+                assert np.array_equal(cut, getattr(whole, name)), (n, block, name)
+        alone = smooth(time, y[:, 1:], 1e-3, 40.0, every=3)
+        assert np.array_equal(alone.time, whole.time[::3])
+        assert np.array_equal(alone.acceleration[:, 0], whole.acceleration[::3, 1])

@@ -54,7 +54,7 @@ def test_a_lead_follows_a_ramp_without_lag(known):
     lags = []
     for lead in (0.0, 1.0):
         torque = replace(get("current"), cutoff=5.0, lead=lead).estimate(signals, joint).mean
-        at_rest = 100 * (joint.p["Kt"] * slope * (time - 1e-3))  # the command counts from the next sample on
+        at_rest = 100 * joint.p["Kt"] * slope * time
         off = torque - torque[2500] - (at_rest - at_rest[2500])
         assert np.abs(off[2000:]).max() < 1e-6
         friction = 100 * (laws.stribeck_friction(w, 0.2, 0.0, 1.0, 25.0, joint.p) + (joint.p["bm"] + joint.p["bw"]) * w)

@@ -224,3 +224,20 @@ def test_the_examples_are_read(shared):
         m = read_measurement(folder)
         assert [r.name for r in m.recordings] == ["free", "push", "sweep"]
         assert m.recordings[1].external == "unmeasured"
+
+
+@pytest.mark.parametrize("value", [1e308, -1e31])
+def test_a_number_that_no_sensor_reads_is_refused(value):
+    with pytest.raises(
+        InputError, match=r"column 'motor_current', row 3: expected a number of at most 1e\+30, got -?1e"
+    ):
+        recording(motor_current=np.where(np.arange(50) == 2, value, 0.0))
+
+
+def test_a_table_in_several_groups_of_rows_some_of_them_empty_is_read_as_one(tmp_path):
+    path = write_recording(recording(n=100), tmp_path)
+    table = pq.read_table(path)
+    with pq.ParquetWriter(path, table.schema) as writer:
+        for part in (table.slice(0, 0), table.slice(0, 30), table.slice(0, 0), table.slice(30)):
+            writer.write_table(part)
+    np.testing.assert_array_equal(read_recording(path)["motor_position"], table["motor_position"])

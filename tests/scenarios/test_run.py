@@ -183,6 +183,11 @@ def test_what_the_measures_do_not_say_is_told():
     assert "disturbances.1" in cut and "cuts it off" in cut
     assert "limit of 3.3 A" in limit and "off its command" in limit
     assert odd.metrics["notes"] == list(odd.notes)
+    shortened = run_scenario(*load_scenario("external_push", ["duration=20", "filters=[RAREKF]"]))
+    assert shortened.notes == (
+        "disturbances.3, disturbances.4, disturbances.5, disturbances.6 start at 22, 29, 32, 35 s, after the end at 20 s: they "
+        "never act",
+    )
 
 
 def test_a_run_folder_has_the_mjcf_of_a_joint_of_ones_own(tmp_path):

@@ -170,15 +170,17 @@ def recording_step(kept):
     return PythonStep(step)
 
 
-def test_an_estimator_is_given_in_the_loop_what_it_reads_afterwards():
+@pytest.mark.parametrize("reads_command", [False, True])
+def test_an_estimator_is_given_in_the_loop_what_it_reads_afterwards(reads_command):
     kept = []
     step = recording_step(kept)
-    s = run(feedback=CompiledStep(step.address, 1, JOINT.record(), owner=step))
+    s = run(feedback=CompiledStep(step.address, 1, JOINT.record(), reads_command=reads_command, owner=step))
     assert step.error is None and s.failed == (len(s.time), 0)
     given = np.array(kept, SAMPLE)
     np.testing.assert_array_equal(given["time"], s.time)
     np.testing.assert_array_equal(given["interval"], np.diff(s.time, prepend=0.0))
-    np.testing.assert_array_equal(given["current_command"], np.r_[0.0, s.command[:-1]])
+    told = np.r_[0.0, s.command[:-1]] if reads_command else np.full(len(s.time), np.nan)
+    np.testing.assert_array_equal(given["current_command"], told)
     later = {"joint_torque", *WRENCH}  # known only once the plant has stepped
     for name in SENSED:
         if name in later:

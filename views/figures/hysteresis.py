@@ -24,7 +24,7 @@ POINTS = 6000
 @ruled
 def stiffness(run: Run) -> Figure:
     """Fig. 3: torsion against torque, the hysteresis loop of the locked rotor, beside the nominal compliance curve."""
-    p = run.joint.record(run.joint.mount(run.scenario.mounting or None))[0]
+    p = run.joint.record(run.scenario.mount(run.joint))[0]
     torque = run.truth("joint_torque")
     total = run.truth("motor_position") / p["N"] - run.truth("link_position")
     # The kinematic error of a rotor that stands still is a constant of the position, not of the load.

@@ -48,7 +48,7 @@ def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
             columns = [rr.TimeColumn(TIMELINE, duration=time[frames])]
             angles = ("motor_position", "wave_generator_position", "link_position")
             motion = np.column_stack([run.truth(angle)[frames] for angle in angles])
-            bare = run.joint.mount(run.scenario.mounting or None).gravity_moment == 0
+            bare = run.scenario.mount(run.joint).gravity_moment == 0
             send_bodies(stream, f"scene/{place}", columns, motion, model, bare)
             send_torques(stream, f"scene/{place}", columns, {"true": (truth[frames], TRUTH)}, model)
     return Path(path)

@@ -60,7 +60,7 @@ def send_scene(
         return
     time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
     angles = np.column_stack([run.truth(f"{name}_position")[frames] for name in ("motor", "wave_generator", "link")])
-    bare = run.joint.mount(run.scenario.mounting or None).gravity_moment == 0
+    bare = run.scenario.mount(run.joint).gravity_moment == 0
     tips = send_bodies(stream, "scene", time, angles, model, bare)
     main = main_filter(colors)
     torques = {"true": (run.truth("joint_torque")[frames], TRUTH), main: (run.estimate(main)[frames], colors[main])}

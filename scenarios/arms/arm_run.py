@@ -1,0 +1,119 @@
+"""Running a scenario of an arm: the closed loops of its joints in one plant, then every joint's filters over its own signals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...estimator.estimator import KnownJoint
+from ...models.arm import ArmRecord, ArmSpec
+from ...models.arm_dynamics import Arm
+from ...models.files import yaml_text
+from ...models.joint import Mounting
+from ...models.output import output_folder
+from ...models.parameters import neutral
+from ...sim import arm as plant
+from ...sim.arm import ArmJoint
+from ...sim.loop import ClosedLoop
+from ..experiment import Experiment, estimate, signals_of
+from ..run import Place, Run
+from ..run_folder import View, save_run
+from ..scenario import Scenario
+from .arm_scenario import ArmScenario
+
+_MJCF = "arm.xml"
+
+
+def run_arm(
+    scenario: ArmScenario,
+    folder: Path | None = None,
+    threads: int = 1,
+    records: Mapping[str, np.ndarray] | None = None,
+) -> dict[str, Run]:
+    """Run a scenario of an arm.
+
+    Estimators know of a joint what hangs on it while the others stand in the middle of their commanded ways; what the others'
+    motion adds is external torque to them. The recordings say it, by the arm's links and the angles that the others' encoders
+    read.
+
+    Args:
+      scenario: what to run.
+      folder: of the scenario's file, where joints that it names by a relative path lie.
+      threads: filters at a time; the result does not depend on it.
+      records: parameters of other plants than the joints' own, with effects hidden in them, by the joint's name, shape (1,) each.
+
+    Returns:
+      A run of every joint, by its name in the arm, from the base to the tip.
+
+    Raises:
+      InputError, FilterDiverged: as `run.run_scenario`.
+    """
+    alone = [Experiment.of(joint, folder) for joint in scenario.arm]
+    alone = [replace(e, record=(records or {}).get(e.scenario.name, e.record)) for e in alone]
+    names = [joint.name for joint in scenario.arm]
+    lengths = [joint.length for joint in scenario.arm]
+    joints = [
+        ArmJoint(*of) for of in zip(names, (e.joint for e in alone), (e.record for e in alone), lengths, strict=True)
+    ]
+    bolted = [scenario_of.mount(e.known_joint) for scenario_of, e in zip(scenario.arm, alone, strict=True)]
+    known = [replace(one, record=_links(mounting)) for one, mounting in zip(joints, bolted, strict=True)]
+    mjcf = plant.rigid(known)
+    middle = {name: float(np.median(e.position)) for name, e in zip(names, alone, strict=True)}
+    experiments = []
+    for name, joint, e in zip(names, scenario.arm, alone, strict=True):
+        others = {other: angle for other, angle in middle.items() if other != name}
+        link = Arm.of_text(ArmSpec(model=_MJCF, joint=name), mjcf).mounting(others)
+        own = _alone(scenario, joint).model_copy(update={"link": link, "mounting": ""})
+        described = KnownJoint.of(e.known_joint, link)
+        experiments.append(replace(e, scenario=own, known=described))
+    model = plant.build(joints, scenario.timestep)
+    loop = ClosedLoop(model, [e.driven(prefix=one.prefix) for e, one in zip(experiments, joints, strict=True)])
+    loop.advance(len(alone[0].position))
+    for i, e in enumerate(experiments):
+        e.check(loop, place=i)
+    done = [e.with_own_sensors(found) for e, found in zip(experiments, loop.simulations, strict=True)]
+    angles = {name: np.ascontiguousarray(s.readings["link_position"]) for name, s in zip(names, done, strict=True)}
+    runs = {}
+    for i, (name, e, s) in enumerate(zip(names, experiments, done, strict=True)):
+        others_angles = {other: angle for other, angle in angles.items() if other != name}
+        beyond = np.sum([one.external_torque for one in experiments[i:]], axis=0)
+        place = Place(ArmRecord(ArmSpec(model=_MJCF, joint=name), mjcf, others_angles), beyond)
+        estimates = estimate(e.scenario.estimators(), signals_of(s), e.known, threads)
+        runs[name] = Run(e.scenario, e.joint, e.known_joint, e.known, s, estimates, place)
+    return runs
+
+
+def _links(mounting: Mounting) -> np.ndarray:
+    """A record, shape (1,), of what a mounting says of its link alone."""
+    record = neutral()
+    p = record[0]
+    p["Jl"], p["Mg"], p["gravity_angle"] = mounting.inertia, mounting.gravity_moment, mounting.gravity_angle
+    return record
+
+
+def _alone(scenario: ArmScenario, joint: Scenario) -> Scenario:
+    """The scenario of a joint by itself, under a name of its own."""
+    data = {name: getattr(joint, name) for name in Scenario.model_fields}
+    text = f"{joint.name} of the arm {scenario.name}; alone, the others stand in the middle of their ways. {joint.description}"
+    data |= {"name": f"{scenario.name}_{joint.name}", "description": text.strip()}
+    return Scenario.model_construct(**data)
+
+
+def save_arm(
+    scenario: ArmScenario, runs: dict[str, Run], out: Path, views: Sequence[View] = (), within: Path | None = None
+) -> list[Path]:
+    """Write the runs of an arm's joints: a run folder each, and `arm.yaml`, with which to run it again.
+
+    Args, Raises: as `run_folder.save_run`.
+    """
+    folders = [save_run(run, out / name, views, within) for name, run in runs.items()]
+    data = scenario.written()
+    for joint in data["arm"]:
+        joint["joint"], joint["known_joint"] = f"{joint['name']}/joint.yaml", f"{joint['name']}/known_joint.yaml"
+        joint["plant"], joint["sensors"] = {}, {}
+    with output_folder(out, "arm", writes=("arm.yaml",)) as folder:
+        (folder / "arm.yaml").write_text(yaml_text(data), encoding="utf-8")
+    return folders

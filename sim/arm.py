@@ -1,0 +1,119 @@
+"""Joints in series: one MuJoCo model of several joints, each on the link of the one before.
+
+All axes are parallel and horizontal, as in a joint's own MJCF, so the arm moves in a vertical plane; with all angles at
+zero it hangs straight down. What is bolted to a joint's output, its `Mounting`, is its link with all that is fixed to it,
+housing and motor of the next joint included: rotors and wave generators of the joints have inertia about their axis and no
+mass. A mounting states inertia Jl and gravity moment Mg and no mass; the link's is `plant.link_mass`, which the joints
+before it feel.
+
+The rotors turn with the links that carry them, as real ones do. That couples the joints by Jm θ̈, a hundredth of what a rotor
+asks for when its own joint moves; the equations of a joint alone (`models.dynamics`) leave it out.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from ..models.errors import InputError
+from ..models.joint import Joint
+from ..models.parameters import GRAVITY, REFERENCE_TEMPERATURE
+from . import native, plant
+
+_MASSLESS = 1e-9  # kg: MuJoCo wants every body to have some
+
+
+@dataclass(frozen=True)
+class ArmJoint:
+    """A joint of an arm.
+
+    Attributes:
+      name: in the arm.
+      joint: its description.
+      record: parameters with what is bolted to its output, shape (1,).
+      length: from its axis to the next joint's, along its link [m].
+    """
+
+    name: str
+    joint: Joint
+    record: np.ndarray
+    length: float
+
+    @property
+    def prefix(self) -> str:
+        """What its names in the model begin with."""
+        return f"{self.name}_"
+
+
+def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_current: bool = False) -> mujoco.MjModel:
+    """Build the MuJoCo model of joints in series.
+
+    Args:
+      joints: from the base to the tip, at least one.
+      timestep: step of the integrator [s].
+      ideal_current: as in `plant.build`.
+
+    Returns:
+      The model. Coordinates and activations as of `plant.build`, joint after joint; names begin with `ArmJoint.prefix`.
+
+    Raises:
+      InputError: an MJCF that cannot be read, is not a joint's, or acts.
+    """
+    arm = mujoco.MjSpec()
+    at = arm.worldbody
+    for i, one in enumerate(joints):
+        # Alone first: everything in its MJCF that acts is found there.
+        plant.build(one.joint, timestep=timestep, record=one.record, ideal_current=ideal_current)
+        spec = plant.describe(one.joint, one.record, timestep, ideal_current)
+        for name in ("rotor", "wave_generator", "flange"):
+            spec.body(name).mass = _MASSLESS
+        if i == 0:
+            for option in ("timestep", "integrator", "gravity", "disableflags"):
+                setattr(arm.option, option, getattr(spec.option, option))
+        else:
+            for light in spec.lights:
+                spec.delete(light)
+        place = [0.0, 0.0, -joints[i - 1].length] if i else [0.0, 0.0, 0.0]
+        try:
+            arm.attach(spec, prefix=one.prefix, frame=at.add_frame(pos=place))
+        except ValueError as error:
+            raise InputError(f"{one.joint.mjcf}: cannot be part of an arm: {' '.join(str(error).split())}") from error
+        at = arm.body(one.prefix + "link")
+    with native.quiet():
+        model = arm.compile()
+    for one in joints:
+        plant.complete(model, one.record, REFERENCE_TEMPERATURE, one.prefix)
+    return model
+
+
+def rigid(joints: Sequence[ArmJoint]) -> str:
+    """The arm's links alone, without drives, as the text of an MJCF: what a recording says of the arm (`models.arm`).
+
+    Args:
+      joints: with the records that are known of them; a part that hangs by a spring counts as rigid.
+    """
+    root = ElementTree.Element("mujoco", model="arm")
+    ElementTree.SubElement(root, "compiler", angle="radian")
+    ElementTree.SubElement(root, "option", gravity=f"0 0 {-GRAVITY!r}")
+    parent = ElementTree.SubElement(root, "worldbody")
+    for i, one in enumerate(joints):
+        p = one.record[0]
+        mass, lever = plant.link_mass(p)
+        drop = joints[i - 1].length if i else 0.0
+        parent = ElementTree.SubElement(parent, "body", name=one.name, pos=_numbers(0.0, 0.0, -drop))
+        ElementTree.SubElement(parent, "joint", name=one.name, axis="0 -1 0")
+        angle, about_mass = float(p["gravity_angle"]), float(p["Jl"]) - mass * lever**2
+        ElementTree.SubElement(
+            parent, "inertial", pos=_numbers(lever * np.sin(angle), 0.0, -lever * np.cos(angle)), mass=_numbers(mass),
+            diaginertia=_numbers(*[about_mass] * 3),
+        )  # fmt: skip
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _numbers(*values: float) -> str:
+    return " ".join(repr(float(x)) for x in values)
