@@ -66,7 +66,8 @@ class AnswerSettings:
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
-      far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent.
+      far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent;
+        near: so many times the noise, where the fit was taken back that would explain it.
     """
 
     temper: float = 5.0
@@ -85,6 +86,7 @@ class AnswerSettings:
     lookalike: float = 0.05
     slight: float = 0.25
     far: float = 5.0
+    near: float = 2.0
     worth: float = 0.02
     diluted: float = 0.1
     useless: float = 1.05
@@ -206,7 +208,7 @@ def _told(outcome: _Outcome) -> Diagnosis:
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
     residual = _balances(problem, found.base, final)
-    verdict, reason = _verdict(problem, findings, residual, outcome.nearly_all)
+    verdict, reason = _verdict(problem, findings, residual, outcome.nearly_all, outcome.share < 1.0)
     nothing = "the causes named leave no less unexplained than calibration alone" if useless else ""
     reason = "; ".join(part for part in (reason, nothing, _holds_back(outcome)) if part)
     extended_joint = joint
@@ -499,14 +501,23 @@ def _close(found: Search) -> list[tuple[str, str]]:
 
 
 def _verdict(
-    problem: Problem, findings: list[Finding], residual: dict[str, BalanceResidual], nearly_all: bool
+    problem: Problem,
+    findings: list[Finding],
+    residual: dict[str, BalanceResidual],
+    nearly_all: bool,
+    taken_back: bool,
 ) -> tuple[str, str]:
-    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent."""
+    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent.
+
+    Args:
+      taken_back: whether not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
+    """
     rated = problem.joint.numbers["rated_torque"].value
     scale = dict(zip(BALANCES, problem.output_scale, strict=True))
+    times, worth = (ANSWER.far, ANSWER.worth) if findings or not taken_back else (ANSWER.near, 0.0)
     far = [
         (name, r) for name, r in residual.items()
-        if r.after > ANSWER.far * r.noise and r.after * scale[name] > ANSWER.worth * rated
+        if r.after > times * r.noise and r.after * scale[name] > worth * rated
     ]  # fmt: skip
     left = "; ".join(
         f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise"
@@ -517,7 +528,7 @@ def _verdict(
     if nearly_all:
         return "inconclusive", "nearly all causes could not have shown" + (f"; {left}" if far else "")
     if far:
-        return "inconclusive", f"no known cause explains the residual; {left}"
+        return "inconclusive", left if taken_back else f"no known cause explains the residual; {left}"
     return "consistent", ""
 
 

@@ -78,7 +78,10 @@ class Region:
 
 
 def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[str, list[np.ndarray]]:
-    """Residuals of every region by segment: ends of angle, speed and load, directions, whole recordings."""
+    """Residuals of every region by segment: ends of angle, speed and load, whole recordings.
+
+    Not the directions of motion: either both were seen, and no motion lies beyond them, or one alone.
+    """
     segments = problem.segments
 
     def end(values: list[np.ndarray], high: bool) -> list[np.ndarray]:
@@ -97,8 +100,6 @@ def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[
         "the highest speeds": end(speed, True),
         "the smallest loads": end(load, False),
         "the largest loads": end(load, True),
-        "motion forward": [s.motor_velocity > 0 for s in segments],
-        "motion backward": [s.motor_velocity < 0 for s in segments],
     }
     names = sorted({s.name for s in segments})
     if len(names) > 1:

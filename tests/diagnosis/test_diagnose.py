@@ -1,12 +1,14 @@
 """Effects hidden in joints drawn within tolerance, and what diagnosis makes of them. Seeds are in the test ids."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hidden_joint import measure
 
 from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.fit import regions
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
 
@@ -53,6 +55,18 @@ def test_nothing_hidden_is_consistent(joint, seed):
     measurement, _ = measure(joint, seed)
     d = diagnose(measurement, joint)
     assert d.verdict == "consistent", [(c.name, c.parameters) for c in d.causes]
+
+
+@pytest.mark.slow
+def test_what_is_taken_back_is_not_called_consistent(joint, monkeypatch):
+    """Calibration explains a joint within tolerance; where it is not believed the description is left, and that is off."""
+    measurement, _ = measure(joint, 600)
+    monkeypatch.setattr(regions, "SETTINGS", replace(regions.SETTINGS, worse=0.0))  # worse wherever it has not been
+    d = diagnose(measurement, joint)
+    current = d.residual["motor_current"]
+    assert current.after > 2 * current.noise
+    assert d.verdict == "inconclusive" and "motor current" in d.reason
+    assert "joint.yaml is the description" in d.reason
 
 
 @pytest.mark.slow
