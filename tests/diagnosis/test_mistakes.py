@@ -135,7 +135,7 @@ def odd(r: Recording) -> dict[str, Recording]:
         "2 samples": r.at(slice(0, 2)), "5 samples": r.at(slice(0, 5)), "40 samples": r.at(slice(0, 40)), **slow,
         "all zero": of(**dict.fromkeys(r.columns, zero)), "motor zero": of(motor_position=zero),
         "current alone": of(link_position=zero, motor_position=zero), "constant": of(**dict.fromkeys(r.columns, zero + 3)),
-        "huge": of(joint_torque=1e5 * np.sign(r["joint_torque"])), "vast": of(link_position=1e300 * r["link_position"]),
+        "huge": of(joint_torque=1e5 * np.sign(r["joint_torque"])), "vast": of(link_position=1e29 * r["link_position"]),
         "one encoder, zero": r.without("link_position", "position_command", "joint_torque").at(slice(0, 100)),
         "gaps": r.at(np.arange(len(r.time)) % 500 < 30),
     }  # fmt: skip
