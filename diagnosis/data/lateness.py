@@ -42,7 +42,8 @@ class LatenessSettings:
       hats: pieces of the angle, whose functions gravity, cables, stops and the like are.
       fewest: samples that a relation takes.
       most: samples that are looked at.
-      floor: share of a relation's variance that is never explained.
+      wind_up, drive, torque: of what a relation of positions, of current or motor torque, and of joint torque leaves unexplained
+        the least that counts, in what the rated torque makes of it: the shapes are no better, whatever they happen to leave.
       beside: distance from the best shift [s] at which it must be worse by `peaked`.
       peaked: in log likelihood.
       ordinary_link: by how much the link encoder is late in sound data, by `encoder_delay`, sensors and filters [s].
@@ -64,7 +65,9 @@ class LatenessSettings:
     hats: int = 24
     fewest: int = 200
     most: int = 2500
-    floor: float = 1e-9
+    wind_up: float = 0.1
+    drive: float = 0.01
+    torque: float = 0.001
     beside: float = 0.03
     peaked: float = 4.0
     ordinary_link: tuple[float, float] = (-2e-3, 14e-3)
@@ -194,7 +197,8 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
     limit = SETTINGS.travel * (1.0 if "link_position" in names else N)
     if np.ptp(recording[positions[-1]]) < limit or len(recording.time) < 50:
         return []
-    parts = _evenly(recording, names)
+    pushed = ["external_torque"] if recording.external == "measured" and "external_torque" in recording else []
+    parts = _evenly(recording, names + pushed)
     pairs = [(m, n) for m in positions for n in names if n in DRIVING]
     if recording.external == "unmeasured":  # pushes are in no shape
         pairs = []
@@ -214,14 +218,29 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
                 shifted = shifted - motion[i, :1]
             sliding = N * motion[i, 1] / float(p["vs"])
             use = np.abs(sliding) > SETTINGS.sliding if second != "joint_torque" else np.ones(len(i), bool)
-            A.append(_shapes(time[i], motion[i], sliding, second)[use])
+            shapes = _shapes(time[i], motion[i], sliding, second)
+            if pushed:
+                shapes = np.column_stack([shapes, values[i, -1, 0]])
+            A.append(shapes[use])
             B.append(shifted[use])
         if not A or sum(map(len, A)) < SETTINGS.fewest:
             continue
-        shapes, y = np.concatenate(A), np.concatenate(B)
+        whole, y = np.concatenate(A), np.concatenate(B)
         count = min(SETTINGS.effective[0] * SETTINGS.step * stride * len(y), SETTINGS.effective[1])
-        found.append(_Relation(first, second, 0.5 * count * np.log(_unexplained(shapes, y))))
+        least = _least_that_counts(joint, second)
+        found.append(_Relation(first, second, 0.5 * count * np.log(_unexplained(whole, y) + least**2)))
     return found
+
+
+def _least_that_counts(joint: Joint, channel: str) -> float:
+    """What may be left of a channel by shapes that are not exact: of wind-up [rad], current [A], torque [N·m]."""
+    value = {name: number.value for name, number in joint.numbers.items()}
+    if channel in POSITIONS:
+        return SETTINGS.wind_up * value["rated_torque"] / value["K1"]
+    if channel == "joint_torque":
+        return SETTINGS.torque * value["rated_torque"]
+    torque = SETTINGS.drive * value["rated_torque"] / value["N"]
+    return torque / value["Kt"] if channel == "motor_current" else torque
 
 
 def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -233,7 +252,7 @@ def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
     along = (A @ vectors[:, kept] / np.sqrt(values[kept])).T @ y
     total = np.einsum("ij,ij->j", y, y)
     left = np.maximum(total - np.einsum("ij,ij->j", along, along), 0.0) / len(y)
-    return left + SETTINGS.floor * float(np.mean(total)) / len(y) + 1e-300
+    return left
 
 
 def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np.ndarray]]:

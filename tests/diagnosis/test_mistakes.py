@@ -12,6 +12,7 @@ import pytest
 from swing import SEED, recording
 from typer.testing import CliRunner
 
+import flexspline
 from benchmarks.mistakes import Hidden, hidden_mistakes, hide
 from flexspline import commands
 from flexspline.diagnosis.data.mistakes import find_mistakes, mended
@@ -76,6 +77,14 @@ def test_a_link_encoder_late_by_an_ordinary_delay_is_a_cause_and_no_mistake():
         late = np.interp(r.time - seconds, r.time, r["link_position"])
         one = measurement(replace(r, columns={**r.columns, "link_position": late}))
         assert find_mistakes(one, JOINT) == ()
+
+
+@pytest.mark.parametrize("joint", ["test-joint", "csg-17-80-ec60"])
+@pytest.mark.parametrize("scenario", ["no_load", "link_sweep", "external_push"])
+def test_nothing_is_claimed_of_a_shipped_experiment(scenario, joint):
+    """A slow sweep one way, whose wind-up any shift explains nearly as well, and pushes that were measured."""
+    run = flexspline.simulate(scenario, joint=joint)
+    assert find_mistakes(measurement(run.as_recording()), load_joint(joint)) == ()
 
 
 def test_a_stop_that_the_link_leans_on_is_no_zero_of_the_angle_elsewhere():
