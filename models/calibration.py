@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .joint import Joint, Mounting, Number
+from .joint import Joint, Mounting, Number, may_be_zero
 from .parameters import as_floats
 
 CUT = 2.5
@@ -80,6 +80,8 @@ class Calibration:
         if number.shared is not None:
             shared = self.joint.shared_tolerances[number.shared]
             value *= _factor(shared * x[self._position[f"shared {number.shared}"]])
+        if slot.name in self.joint.numbers:  # none of these is negative, however wide its deviation
+            value = max(value, 0.0 if may_be_zero(slot.name) else _LEAST_SHARE * number.value)
         return float(value)
 
     def record(self, x: np.ndarray, mounting: Mounting | None = None, effects: bool = True) -> np.ndarray:
@@ -113,6 +115,7 @@ class Calibration:
 
 
 _LEAST = 0.3
+_LEAST_SHARE = 1e-3  # of its nominal value, of a number that is not zero
 
 
 def _factor(change: float) -> float:

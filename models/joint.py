@@ -44,6 +44,11 @@ slope to the next, `viscous_exponent` the power of speed as which viscous fricti
 `reference_temperature` the one at which friction is as stated; 1, 0, 1 and 25 °C where they are left out."""
 
 
+def may_be_zero(symbol: str) -> bool:
+    """Whether a number of a joint may be zero; none may be negative."""
+    return (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][1]
+
+
 POSSIBLE: dict[str, tuple[float, float]] = {
     "N": (2, 1e4), "Jm": (1e-9, 0.3), "Jw": (1e-9, 0.3), "Kt": (1e-5, 1e2), "R": (1e-6, 1e4), "L": (1e-9, 10),
     "supply_voltage": (0.1, 1e4), "current_limit": (1e-3, 1e5), "K1": (1, 1e8), "K2": (1, 1e8), "K3": (1, 1e8),
@@ -664,10 +669,10 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
 
 def value_fault(symbol: str, value: float) -> str | None:
     """What is wrong with the value of one number, in its own unit, in a line; None where nothing is."""
-    unit, may_be_zero = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol]
+    unit, zero = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol]
     low, high = POSSIBLE.get(symbol, (0.0, np.inf))
-    if value < 0 or (value == 0 and not may_be_zero):
-        return f"numbers.{symbol}.value: expected a number {'≥' if may_be_zero else '>'} 0, got {value:g}"
+    if value < 0 or (value == 0 and not zero):
+        return f"numbers.{symbol}.value: expected a number {'≥' if zero else '>'} 0, got {value:g}"
     if value and not low <= value <= high:
         possible = f"{low:g} to {high:g} {unit}".removesuffix(" 1")
         return f"numbers.{symbol}.value: expected {possible}, beyond which no joint is, got {value:g}"

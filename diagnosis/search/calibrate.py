@@ -40,10 +40,10 @@ SETTINGS = CalibrateSettings()
 def calibrate(problem: Problem, fitter: Fitter, settings: CalibrateSettings = SETTINGS) -> Fit:
     """The joint without causes at its most probable numbers."""
     start = tared(problem, problem.start(None, ()), ())
-    return _of_both(fitter, (), start, settings)
+    return better_of_both(fitter, (), start, settings)
 
 
-def _of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: CalibrateSettings) -> Fit:
+def better_of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: CalibrateSettings = SETTINGS) -> Fit:
     """The better of two fits: by annealing from `start`, and on from least squares.
 
     A slow discrepancy can hold what parameters would: gravity and friction then decide nothing, and the likelihood has a second

@@ -24,7 +24,7 @@ from ..fit.noise import learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter, Point, huber_loss, losses_of, prior_cost, tamed, with_dispersion
 from ..fit.tare import roughness, tared
-from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
+from .calibrate import CalibrateSettings, afresh, better_of_both, calibrate, doubtful, hand_over
 from .screen import Library, Screened, ScreenSettings, screen
 from .worth import Worth, unexplained, worth
 
@@ -55,8 +55,8 @@ class AcceptSettings:
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
         noise and the linear model no good judge; per_cause: at most of one cause.
       general: part of a cause's gain that a more general one must add to it.
-      lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps have not
-        reached the fit without it: it takes so many `iterations` more.
+      lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps may have gone
+        astray, or slow discrepancy holds what the numbers would: it is then fitted both ways, to the end.
       most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
@@ -80,7 +80,6 @@ class AcceptSettings:
     per_cause: int = 2
     general: float = 0.05
     lost: float = 2.25
-    iterations: int = 9
     most: int = 5
     rounds: int = 3
     gross: float = 60.0
@@ -638,7 +637,7 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, setting
     other = fitter.fit(model, f.theta[kept], f, 4)
     if np.sum(unexplained(problem, other.point)) < settings.lost * np.sum(unexplained(problem, f.point)):
         return other
-    return fitter.fit(model, other.theta, None, settings.iterations)
+    return better_of_both(fitter, model, f.theta[kept])
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:

@@ -87,3 +87,13 @@ def test_no_tolerance_makes_a_number_negative():
     x = np.zeros(calibration.size)
     x[calibration.names.index("Jm")] = -1.2
     assert calibration.value(slot, x) == pytest.approx(nominal["Jm"] * (1 - 1.2 * 0.5))  # a tolerance as it says
+
+
+def test_no_number_becomes_negative_however_wide_its_deviation():
+    """What a diagnosis writes must be a joint: a share of friction of 0.5 ± 0.7 is never below nothing."""
+    joint = load_joint("ur3e-shoulder")
+    assert joint.numbers["back_driven_friction"].deviation > 0.5 * joint.numbers["back_driven_friction"].value
+    calibration = Calibration(joint)
+    for side in (-2.6, 2.6):
+        record = calibration.record(np.full(calibration.size, side))[0]
+        assert all(record[name] >= 0 for name in joint.numbers if name in record.dtype.names)
