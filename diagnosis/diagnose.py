@@ -126,7 +126,8 @@ def diagnose(
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     available = [n for n in causes.of(joint) if coverage.can_show(n, measurement, problem.link_measured)]
     present = {effect.name: effect.values for effect in joint.effects}
-    tried = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n)) if problem.has_room((), h)]
+    offered = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n))]
+    tried = problem.with_room((), offered)
     found = search(problem, tried, settings, progress, deadline)
     fitter = Fitter(problem)
     progress("looking for unknown effects", 0.88)

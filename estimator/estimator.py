@@ -371,7 +371,12 @@ def fields_of(record: np.dtype) -> tuple[str, ...]:
 
 def sample_interval(signals: Signals) -> float:
     """Median time between samples [s] to the nanosecond, without what a time since the start has lost by rounding."""
-    return round(float(np.median(np.diff(signals.time))), 9)
+    return interval_of(signals.time)
+
+
+def interval_of(time: np.ndarray) -> float:
+    """The same of times [s], shape (n,)."""
+    return round(float(np.median(np.diff(time))), 9)
 
 
 def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..models.errors import InputError
 from .errors import FilterDiverged
-from .estimator import CausalEstimator, KnownJoint, Posterior, blank_samples, fill_samples, go_on
+from .estimator import CausalEstimator, KnownJoint, Posterior, blank_samples, fill_samples, go_on, interval_of
 
 
 class OnlineSamples:
@@ -51,9 +51,7 @@ class OnlineEstimate:
                     f"estimator {estimator.name!r}: expected a channel {name!r}, got {sorted(samples.columns)}"
                 )
         self.estimator, self._samples = estimator, samples
-        # As `estimator.sample_interval` of the whole.
-        interval = round(float(np.median(np.diff(samples.time))), 9)
-        self._step = estimator.step(samples.joint, interval)
+        self._step = estimator.step(samples.joint, interval_of(samples.time))
         self._arrays = self._step.arrays()
         self._history = np.zeros((len(samples.time), len(estimator.outputs)))
 

@@ -187,14 +187,13 @@ def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **
     from .models.files import parse
     from .scenarios.arms.arm_run import run_arm
     from .scenarios.arms.arm_scenario import ArmScenario, load_arm
-    from .scenarios.scenario import from_here, put
+    from .scenarios.scenario import put_all
 
     dotted = {key.replace("__", "."): value for key, value in changes.items()}
     if not isinstance(scenario, ArmScenario):
         return run_arm(*load_arm(scenario, seed, dotted), threads=_cores())
     data = scenario.written() | ({} if seed is None else {"seed": seed})
-    for key, value in dotted.items():
-        put(data, key, from_here(key, value), f"scenario {scenario.name}: {key}")
+    put_all(data, dotted, f"scenario {scenario.name}")
     return run_arm(parse(data, ArmScenario, f"scenario {scenario.name}"), threads=_cores())
 
 

@@ -362,10 +362,14 @@ def changed(scenario: Scenario, changes: Mapping[str, Any]) -> dict[str, Any]:
       InputError: a key that leads nowhere.
     """
     data = scenario.model_dump(mode="json", exclude_none=True)
-    for key, value in changes.items():
-        value = from_here(key, value)
-        put(data, key, value, f"scenario {scenario.name}: {key}")
+    put_all(data, changes, f"scenario {scenario.name}")
     return data
+
+
+def put_all(data: dict[str, Any], changes: Mapping[str, Any], where: str) -> None:
+    """Give dotted keys other values, in place; `where`: what messages begin with."""
+    for key, value in changes.items():
+        put(data, key, from_here(key, value), f"{where}: {key}")
 
 
 def from_here(key: str, value: Any) -> Any:
@@ -383,9 +387,7 @@ def _override(data: dict[str, Any], change: str) -> None:
     key, sign, text = change.partition("=")
     if not sign or not key:
         raise InputError(f"--set {change}: expected key=value, got no '='" if not sign else f"--set {change}: no key")
-    value = yaml_value(text)
-    value = from_here(key, value)
-    put(data, key, value, f"--set {change}")
+    put(data, key, from_here(key, yaml_value(text)), f"--set {change}")
 
 
 def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:

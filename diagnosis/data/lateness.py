@@ -251,8 +251,7 @@ def _unexplained(shapes: np.ndarray, y: np.ndarray) -> np.ndarray:
     kept = values > 1e-10 * values[-1]
     along = (A @ vectors[:, kept] / np.sqrt(values[kept])).T @ y
     total = np.einsum("ij,ij->j", y, y)
-    left = np.maximum(total - np.einsum("ij,ij->j", along, along), 0.0) / len(y)
-    return left
+    return np.maximum(total - np.einsum("ij,ij->j", along, along), 0.0) / len(y)
 
 
 def _evenly(recording: Recording, names: list[str]) -> list[tuple[np.ndarray, np.ndarray]]:

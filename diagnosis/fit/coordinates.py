@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,11 @@ class Hypothesis:
     start: dict[str, float]
     alternatives: int = 1
     scale: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What tells it from others: the cause's name and its whole numbers."""
+        return (self.cause.name, *self.fixed.items())
 
     @property
     def free(self) -> list[CauseParameter]:

@@ -108,15 +108,20 @@ class Problem:
             found.append(made[mounting])
         return found
 
-    def has_room(self, model: Model, h: Hypothesis) -> bool:
-        """Whether the joint has room for one effect more beside those of a model: orders of one kind are limited in number."""
-        record = self.calibration.record(np.zeros(self.calibration.size))
-        try:
-            for o in (*model, h):
-                o.cause.apply(record[0], o.values(np.ones(o.size)))
-        except InputError:
-            return False
-        return True
+    def with_room(self, model: Model, hypotheses: Sequence[Hypothesis]) -> list[Hypothesis]:
+        """Hypotheses for which the joint has room beside the effects of a model: orders of one kind are limited in number."""
+        full = self.calibration.record(np.zeros(self.calibration.size))
+        for h in model:
+            h.cause.apply(full[0], h.values(np.ones(h.size)))
+
+        def fits(h: Hypothesis) -> bool:
+            try:
+                h.cause.apply(full.copy()[0], h.values(np.ones(h.size)))
+            except InputError:
+                return False
+            return True
+
+        return [h for h in hypotheses if fits(h)]
 
     def residuals(
         self, thetas: Sequence[np.ndarray], models: Sequence[Model], replicate: bool = False

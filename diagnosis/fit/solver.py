@@ -339,8 +339,7 @@ class Fitter:
                 columns = (
                     np.arange(problem.size) if common is None else np.setdiff1d(np.arange(problem.size), problem.linear)
                 )
-                found = problem.jacobian(theta, model, columns)
-                common = _put(common, found, columns, problem.size)
+                common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
             assert common is not None
             jacobian = self._with_effects(model, theta, common, jacobian or None)
             noise = learn(problem.segments, residual, replicates, problem.quantum(), settings=self.noise)

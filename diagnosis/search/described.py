@@ -32,6 +32,7 @@ from .stages import (
     Rivals,
     Search,
     SearchSettings,
+    as_finalist,
     finalists_of,
     others_than,
     quiet_rms,
@@ -144,8 +145,7 @@ def _first(
         told = f"{away:.1f} standard deviations from absent, must be {settings.accept.significant:g}"
         decisions.append(_decision(problem, chosen, found, told))
         return _Step(None, (), tuple(decisions))
-    rms = float(np.sqrt(max(chosen.removed, 0.0)))
-    told = f"takes {rms:.2g} N·m RMS from the simulation's error, also where its fit has not been"
+    told = f"takes {_rms(chosen):.2g} N·m RMS from the simulation's error, also where its fit has not been"
     decisions.append(_decision(problem, chosen, found, told, True))
     rivals = rivals_of(chosen, {f.name: f.gain for _, f, _ in good}, {}, settings.accept)
     return _Step(found, (rivals,), tuple(decisions))
@@ -156,16 +156,30 @@ class _Explanation:
     """One or two causes beside the first.
 
     Attributes:
-      fit: with them; effects: they themselves.
-      gain: log evidence that they add; alone: that the best of two adds alone.
+      found: a fit with them; effects: they themselves.
+      alone: log evidence that the best of two adds alone.
       numbers: that they set free; numbers of the description that a cause changes count as one more, since here those hold.
     """
 
-    fit: Fit
+    found: Finalist
     effects: tuple[Hypothesis, ...]
-    gain: float
     alone: float
     numbers: int
+
+    @property
+    def fit(self) -> Fit:
+        """The fit with them."""
+        return self.found.fit
+
+    @property
+    def gain(self) -> float:
+        """Log evidence that they add."""
+        return self.found.gain
+
+    @property
+    def rms(self) -> float:
+        """Root mean square that they take from the simulation's error [N·m]."""
+        return _rms(self.found)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -200,7 +214,7 @@ def _beside(
         else:
             reason = _objection_beside(problem, base, e, settings, accept)
             near += [] if reason else [e]
-        decisions += _decisions(problem, base, e, reason or "holds also where its fit has not been")
+        decisions += _decisions(problem, e, reason or "holds also where its fit has not been")
     if not near:
         return _Step(None, (), tuple(decisions))
     chosen = min(near, key=lambda e: (e.numbers, -e.gain))
@@ -209,16 +223,17 @@ def _beside(
     if max(share) <= 0.5:
         told = f"cannot be told from {_told(others)}"
         alike = tuple((name, other) for name in chosen.names for other in others)
-        return _Step(None, (), (*decisions, *_decisions(problem, base, chosen, told)), alike)
+        return _Step(None, (), (*decisions, *_decisions(problem, chosen, told)), alike)
     rivals: list[Rivals] = []
     pairs: list[tuple[str, str]] = []
     for h, part in zip(chosen.effects, share, strict=True):
         rivals.append(Rivals(h.cause.name, max(e.gain for e in near if e.has(h.cause)), (), part))
         instead = [n for e in near if h.cause.name not in e.names for n in e.names if n not in chosen.names]
         pairs += [(h.cause.name, n) for n in dict.fromkeys(instead)]
-    rms = float(np.sqrt(max(_removed(problem, base, chosen.fit), 0.0)))
-    told = f"{_told(chosen.names)}: {rms:.2g} N·m RMS of the simulation's error, also where their fit has not been"
-    return _Step(chosen.fit, tuple(rivals), (*decisions, *_decisions(problem, base, chosen, told, True)), tuple(pairs))
+    told = (
+        f"{_told(chosen.names)}: {chosen.rms:.2g} N·m RMS of the simulation's error, also where their fit has not been"
+    )
+    return _Step(chosen.fit, tuple(rivals), (*decisions, *_decisions(problem, chosen, told, True)), tuple(pairs))
 
 
 def _explanations(
@@ -231,12 +246,13 @@ def _explanations(
 ) -> list[_Explanation]:
     """Causes beside those of a fit, alone and in pairs, with derivatives of their own."""
     screened = screen(problem, base, library, settings.screen)
-    alone = {_key(s.hypothesis): s.gain for s in screened}
+    alone = {s.hypothesis.key: s.gain for s in screened}
     singles: list[_Explanation] = []
     for f in finalists_of(problem, fitter, base, screened, settings.accept):
         fit = fitter.fit(f.fit.model, f.fit.theta, None, settings.calibrate.iterations)
-        alone[_key(fit.model[-1])] = gain = fit.log_evidence - base.log_evidence
-        singles.append(_Explanation(fit, fit.model[-1:], gain, 0.0, _numbers(problem, fit.model[-1:])))
+        found = as_finalist(problem, base, fit)
+        alone[fit.model[-1].key] = found.gain
+        singles.append(_Explanation(found, fit.model[-1:], 0.0, _numbers(problem, fit.model[-1:])))
     pairs: dict[frozenset[tuple], _Explanation] = {}
     for one in singles:
         rest = Library(problem, one.fit, others_than(problem, hypotheses, one.fit.model), settings.screen.coarse_probe)
@@ -244,28 +260,22 @@ def _explanations(
             problem, fitter, one.fit, screen(problem, one.fit, rest, settings.screen), settings.accept
         ):
             effects = g.fit.model[-2:]
-            key = frozenset(map(_key, effects))
+            key = frozenset(h.key for h in effects)
             if key not in pairs:
                 fit = fitter.fit(g.fit.model, g.fit.theta, None, settings.calibrate.iterations)
-                best = max(alone.get(_key(h), 0.0) for h in effects)
-                gain = fit.log_evidence - base.log_evidence
-                pairs[key] = _Explanation(fit, effects, gain, best, _numbers(problem, effects))
+                best = max(alone.get(h.key, 0.0) for h in effects)
+                pairs[key] = _Explanation(as_finalist(problem, base, fit), effects, best, _numbers(problem, effects))
     return [*singles, *pairs.values()]
 
 
 def _numbers(problem: Problem, effects: Sequence[Hypothesis]) -> int:
     """Numbers that effects set free, and one more for each that changes a number of the description."""
-    free = 0
+    free, before = 0, problem.calibration.record(np.zeros(problem.calibration.size), problem.mountings[0])[0]
     for h in effects:
-        before = problem.calibration.record(np.zeros(problem.calibration.size), problem.mountings[0])[0]
         after = before.copy()
         h.cause.apply(after, h.values(np.full(h.size, 0.5)))
         free += h.size + any(np.any((before[n] != 0) & (before[n] != after[n])) for n in before.dtype.names or ())
     return free
-
-
-def _key(h: Hypothesis) -> tuple:
-    return (h.cause.name, *sorted(h.fixed.items()))
 
 
 def _margin(gain: float, settings: SearchSettings) -> float:
@@ -279,11 +289,8 @@ def _objection_beside(
     """Why an explanation beside the first cause is not accepted; empty where it is."""
     if e.gain < e.alone + _margin(e.gain, settings):
         return f"adds {e.gain - e.alone:.1f} to the log evidence of one of them alone, needs {_margin(e.gain, settings):.1f}"
-    before, after = unexplained(problem, base.point), unexplained(problem, e.fit.point)
-    if after.sum() > (1 - accept.beside) * before.sum():
-        return f"takes {100 * (1 - after.sum() / before.sum()):.0f} % of the mean square, must take {100 * accept.beside:.0f} %"
-    if np.any(after > accept.worse * before + 0.01 * before.sum()):
-        return "makes another balance worse"
+    if reason := _takes_too_little(problem, base, e.fit, accept.beside, accept):
+        return reason
     regions = held_out_regions(problem, e.fit, described=base.point.residual)
     if not regions:
         return "too little motion to keep a region of it from the fit"
@@ -299,17 +306,13 @@ def _told(names: Sequence[str]) -> str:
     return " and ".join(name.replace("_", " ") for name in names)
 
 
-def _removed(problem: Problem, base: Fit, f: Fit) -> float:
-    return float(np.sum(unexplained(problem, base.point)) - np.sum(unexplained(problem, f.point)))
-
-
-def _decisions(problem: Problem, base: Fit, e: _Explanation, reason: str, taken: bool = False) -> list[Decision]:
+def _decisions(problem: Problem, e: _Explanation, reason: str, taken: bool = False) -> list[Decision]:
     """One decision for each cause of an explanation."""
-    rms, n = float(np.sqrt(max(_removed(problem, base, e.fit), 0.0))), len(e.fit.model)
+    n = len(e.fit.model)
     beside = f"with {_told(e.names)}: " if len(e.effects) > 1 and not taken else ""
     return [
         Decision(
-            "described", h.cause.name, h.fixed, e.gain, rms, size_of(problem, e.fit, n - len(e.effects) + i), True, taken,
+            "described", h.cause.name, h.fixed, e.gain, e.rms, size_of(problem, e.fit, n - len(e.effects) + i), True, taken,
             beside + reason,
         )
         for i, h in enumerate(e.effects)
@@ -317,9 +320,8 @@ def _decisions(problem: Problem, base: Fit, e: _Explanation, reason: str, taken:
 
 
 def _decision(problem: Problem, f: Finalist, found: Fit, reason: str, taken: bool = False) -> Decision:
-    rms = float(np.sqrt(max(f.removed, 0.0)))
     return Decision(
-        "described", f.name, found.model[-1].fixed, f.gain, rms, size_of(problem, found), True, taken, reason
+        "described", f.name, found.model[-1].fixed, f.gain, _rms(f), size_of(problem, found), True, taken, reason
     )
 
 
@@ -333,16 +335,28 @@ def _objection(
     accept: DescribedSettings,
 ) -> str:
     """Why a cause is not accepted; empty where it is."""
-    before, after = unexplained(problem, base.point), unexplained(problem, f.point)
     if gain < settings.accept.threshold:
         return f"adds {gain:.1f} to the log evidence, needs {settings.accept.threshold:g}"
-    if after.sum() > (1 - accept.removes) * before.sum():
-        return f"takes {100 * (1 - after.sum() / before.sum()):.0f} % of the mean square, must take {100 * accept.removes:.0f} %"
-    if np.any(after > accept.worse * before + 0.01 * before.sum()):
-        return "makes another balance worse"
+    if reason := _takes_too_little(problem, base, f, accept.removes, accept):
+        return reason
     if not regions:
         return "too little motion to keep a region of it from the fit"
     worst = max(r.ratio for r in regions)
     if worst > accept.worst or mean_ratio(regions) > accept.mean:
         return f"has up to {worst:.1f} times the description's error where its fit has not been"
     return ""
+
+
+def _takes_too_little(problem: Problem, base: Fit, f: Fit, least: float, accept: DescribedSettings) -> str:
+    """Whether a fit takes less than a part of the mean square that is not explained, or makes one balance worse; empty if not."""
+    before, after = unexplained(problem, base.point), unexplained(problem, f.point)
+    if after.sum() > (1 - least) * before.sum():
+        return f"takes {100 * (1 - after.sum() / before.sum()):.0f} % of the mean square, must take {100 * least:.0f} %"
+    if np.any(after > accept.worse * before + 0.01 * before.sum()):
+        return "makes another balance worse"
+    return ""
+
+
+def _rms(f: Finalist) -> float:
+    """Root mean square that a fit takes from the simulation's error [N·m]."""
+    return float(np.sqrt(max(f.removed, 0.0)))

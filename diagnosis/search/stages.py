@@ -237,7 +237,7 @@ def finalists_of(
         if len(chosen) < most:
             chosen.append(s)
     fitted = [
-        _as_finalist(
+        as_finalist(
             problem, base,
             fitter.fit((*base.model, s.hypothesis), _start(problem, base, s), base, 4, base.point.noise),
         )
@@ -249,7 +249,7 @@ def finalists_of(
         for i, f in enumerate(fitted):
             if f.gain > settings.race * best:
                 more = fitter.fit(f.fit.model, f.fit.theta, f.fit, 4, base.point.noise)
-                fitted[i] = max((f, _as_finalist(problem, base, more)), key=lambda x: x.gain)
+                fitted[i] = max((f, as_finalist(problem, base, more)), key=lambda x: x.gain)
     return sorted(fitted, key=lambda f: -f.gain)
 
 
@@ -280,7 +280,8 @@ def _coarse(
     return found
 
 
-def _as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
+def as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
+    """A fit beside the one that it was made on."""
     removed = float(np.sum(unexplained(problem, base.point)) - np.sum(unexplained(problem, f.point)))
     return Finalist(f, f.log_evidence - base.log_evidence, removed)
 
@@ -326,7 +327,7 @@ def search(
             # So far off that the linear model says little.
             for h, start in _coarse(problem, hypotheses, settings):
                 f = fitter.fit((h,), start, None, settings.calibrate.iterations, at.point.noise)
-                fitted = sorted([*fitted, _as_finalist(problem, at, f)], key=lambda f: -f.gain)
+                fitted = sorted([*fitted, as_finalist(problem, at, f)], key=lambda f: -f.gain)
         seen, chosen = _first(problem, at, screened, fitted, accept)
         decisions += seen
         if chosen is None:
@@ -394,7 +395,7 @@ def others_than(problem: Problem, hypotheses: Sequence[Hypothesis], model: Model
             o.cause.name == h.cause.name and (not h.cause.adds or o.fixed == h.fixed or not h.fixed) for o in model
         )
 
-    return [h for h in hypotheses if not repeats(h) and problem.has_room(model, h)]
+    return problem.with_room(model, [h for h in hypotheses if not repeats(h)])
 
 
 def _first(
@@ -423,9 +424,9 @@ def _first(
         decisions.append(
             Decision("fit", f.name, h.fixed, f.gain, rms, size_of(problem, f.fit), True, f is chosen, reason)
         )
-    done = {(f.name, *f.fit.model[-1].fixed.items()) for f in fitted}
+    done = {f.fit.model[-1].key for f in fitted}
     for s in screened:
-        if (s.hypothesis.cause.name, *s.hypothesis.fixed.items()) not in done:
+        if s.hypothesis.key not in done:
             decisions.append(_not_fitted(s, settings, "fit"))
     return decisions, chosen
 
@@ -537,7 +538,7 @@ def _select(
         good: list[tuple[Screened, Worth]] = []
         for s in screened:
             name = s.hypothesis.cause.name
-            key = (name, *s.hypothesis.fixed.items())
+            key = s.hypothesis.key
             if s.gain <= settings.threshold or s.size <= settings.smallest or s.noise is None:
                 seen[key] = _not_fitted(s, settings, stage)
                 continue
@@ -561,7 +562,7 @@ def _select(
             f"would add {best.gain:.0f} to the log evidence and take {w.rms:.2g} N·m RMS from the simulation's error"
         )
         name = best.hypothesis.cause.name
-        seen.pop((name, *best.hypothesis.fixed.items()), None)
+        seen.pop(best.hypothesis.key, None)
         decisions.append(Decision(stage, name, best.hypothesis.fixed, best.gain, w.rms, best.size, False, True, reason))
         before = (best, _gains([s for s in screened if s.removed > settings.alike * best.removed]))
         chosen.append(best)

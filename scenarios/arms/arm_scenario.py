@@ -17,7 +17,7 @@ from ...models.errors import InputError
 from ...models.files import Strict, parse
 from ...sim.loop import CONTROL_PERIOD
 from ...sim.plant import TIMESTEP
-from ..scenario import Scenario, from_here, put, read_scenario
+from ..scenario import Scenario, put_all, read_scenario
 
 _SHARED = ("duration", "timestep")
 _BESIDE = (*_SHARED, "seed", "format")
@@ -149,8 +149,7 @@ def load_arm(
       InputError: no such scenario, one that is wrong, or that of a joint alone; one line.
     """
     data, path = read_scenario(source, None, seed, shipped_arms())
-    for key, value in (changes or {}).items():
-        put(data, key, from_here(key, value), f"{path}: {key}")
+    put_all(data, changes or {}, str(path))
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a joint alone")
     return parse(data, ArmScenario, str(path)), path.parent
