@@ -150,9 +150,9 @@ def _use_measurement(path: Path, rng: random.Random) -> None:
     data.load_joint()
     with redirect_stdout(StringIO()):
         if rng.random() < 0.5:
-            check.command(path)
+            check.command(measurement=path)
         if rng.random() < 0.1:
-            estimate.command(path, path.parent / "estimates", filter_=["model", "EKF", "lowpass"])
+            estimate.command(measurement=path, out=path.parent / "estimates", filter_=["model", "EKF", "lowpass"])
 
 
 # --- what is made of them ---------------------------------------------------------------------------------------------
@@ -275,7 +275,7 @@ def measurement(rng: random.Random, folder: Path) -> Path:
         if kind == 0:
             columns[name] = np.zeros(n)
         elif kind == 1:
-            columns[name] = np.full(n, rng.choice([1.0, 1e300, -1e-300]))
+            columns[name] = np.full(n, rng.choice([1.0, 1e29, -1e-300]))  # the largest that a recording holds is 1e30
         elif kind == 2:
             columns[name] = -columns[name]
         elif kind == 3:
