@@ -221,7 +221,7 @@ def effect(name, **values):
          "effects.2: backlash stands twice"),
         ([effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in range(2, 11)],
          "expected at most 8 orders of cogging, got one more"),
-        ([effect("stiffness", scale=1.1)] * 1000, "effects: expected List should have at most 32 items"),
+        ([effect("stiffness", scale=1.1)] * 1000, "effects: expected at most 32 items, not 1000, got"),
         ([effect("link_inertia", scale=20.0)] * 32, None),
     ],
 )  # fmt: skip
