@@ -275,7 +275,9 @@ def _described(one: Any, model: type[BaseModel]) -> str:
     if kind in ("model_type", "model_attributes_type", "dataclass_type"):
         keys = ", ".join(_siblings(model, one["loc"]))
         return f"{field}: expected a mapping of keys{keys and f' ({keys})'}, got {came}"
-    message = re.sub(r"^(?:Input|List|String|Dictionary|Tuple) should (?:be|have) ", "", one["msg"].removeprefix("Value error, "))
+    message = re.sub(
+        r"^(?:Input|List|String|Dictionary|Tuple) should (?:be|have) ", "", one["msg"].removeprefix("Value error, ")
+    )
     message = message.replace("String should match pattern", "text of the pattern").replace(" after validation", "")
     if kind == "value_error":  # of the whole, it names its field itself
         return f"{field}: {message}" if one["loc"] else message

@@ -97,7 +97,11 @@ class ColumnChange:
     def shrinkage(self) -> float:
         """What it costs in each recording that smaller torques, or smaller angles all together, look like nothing, whatever they
         are."""
-        if self.name != "unit" or self.factor is None or not (self.also or self.column in (*DRIVING, "external_torque")):
+        if (
+            self.name != "unit"
+            or self.factor is None
+            or not (self.also or self.column in (*DRIVING, "external_torque"))
+        ):
             return 0.0
         return 0.5 * AGREEMENT.effective * max(-math.log(self.factor), 0.0)
 
