@@ -206,21 +206,23 @@ def main() -> None:
         if stop.code in (130, 143):  # Ctrl-C and SIGTERM
             _leave(stop.code)
         raise
-    except Exception:  # what Ctrl-C breaks off fails elsewhere: "initialization failed", "no compiled object yet"
-        if not _interrupted:
+    except (
+        Exception
+    ):  # what a request to end breaks off fails elsewhere: "initialization failed", "no compiled object yet"
+        if not _asked:
             raise
-        _leave(130)
+        _leave(128 + _asked[-1])
     if code == 130:  # Ctrl-C, as Typer passes it on
         _leave(130)
     sys.exit(code if isinstance(code, int) else 0)
 
 
-_interrupted: list[int] = []
-"""Signals of Ctrl-C that came."""
+_asked: list[int] = []
+"""Signals that asked to end."""
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:
-    _interrupted.append(number)
+    _asked.append(number)
     raise KeyboardInterrupt
 
 
@@ -228,8 +230,8 @@ _unraised = sys.unraisablehook
 
 
 def _unraisable(unraisable: Any) -> None:
-    """Raise Ctrl-C again where it fell into a call from compiled code, which loses it; anything else as Python does."""
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+    """Ask to end again where that fell into a call from compiled code, which loses it; anything else as Python does."""
+    if not _asked or not issubclass(unraisable.exc_type, (KeyboardInterrupt, SystemExit)):
         _unraised(unraisable)
         return
     again = threading.Timer(0.02, _ask_to_end)  # not here, where it would be lost as well
@@ -238,11 +240,11 @@ def _unraisable(unraisable: Any) -> None:
 
 
 def _ask_to_end() -> None:
-    """Ctrl-C from within; on POSIX as a signal, which ends what waits as well."""
+    """The same signal from within; on POSIX it ends what waits as well."""
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        signal.pthread_kill(threading.main_thread().ident or 0, _asked[-1])
     else:
-        _thread.interrupt_main()
+        _thread.interrupt_main(_asked[-1])
 
 
 _otherwise = warnings.showwarning
@@ -267,7 +269,8 @@ def _notice(
     )
 
 
-def _end(number: int, frame: Any) -> None:
+def _end(number: int, frame: Any) -> NoReturn:
+    _asked.append(number)
     raise SystemExit(128 + number)
 
 

@@ -127,7 +127,7 @@ class Scenario(Strict):
         Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
     ] = None
     duration: Annotated[float, Field(gt=0, le=3600, description="s")]
-    timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
+    timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream."""
     locked_rotor: bool = False
@@ -208,9 +208,10 @@ class Scenario(Strict):
         for symbol in self.plant:
             if symbol not in SYMBOLS:
                 raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
-        if self.transient >= self.duration:
+        if self.transient > self.duration - 1.999 * CONTROL_PERIOD:
             raise ValueError(
-                f"transient: expected less than the duration {self.duration:g} s, got {self.transient:g} s"
+                f"transient: expected less than the duration {self.duration:g} s by two control periods of {CONTROL_PERIOD:g} s, "
+                f"got {self.transient:g} s"
             )
         return self
 

@@ -77,12 +77,13 @@ def test_ctrl_c_in_the_first_second_is_silent(tmp_path, after):
 @pytest.mark.parametrize(
     "after", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"], ids=["fails", "goes_on"]
 )
-def test_ctrl_c_that_falls_into_compiled_code_is_not_lost(after):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_request_to_end_that_falls_into_compiled_code_is_not_lost(after, number):
     """A call from C cannot raise: Python only prints what came, and what was broken off fails elsewhere or goes on."""
     program = f"""
 import ctypes, os, signal, time
 from flexspline import commands
-called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT) or time.sleep(0.01))
+called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), {number:d}) or time.sleep(0.01))
 def app(**options):
     called()
     {after}
@@ -90,7 +91,7 @@ commands.app = app
 commands.main()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=15)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
