@@ -15,7 +15,7 @@ from pydantic import Field, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
-from ..models.files import Strict, find, parse, read_yaml, yaml_value
+from ..models.files import Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
@@ -348,7 +348,7 @@ def read_scenario(
     path = find(source, shipped_scenarios() | dict(further or {}), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
-        raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")
+        raise InputError(f"{path}: expected a mapping of keys, got {kind_of(data)}")
     for change in changes or []:
         _override(data, change)
     if seed is not None:
