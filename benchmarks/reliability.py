@@ -82,7 +82,7 @@ def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
                 yield kind, became, f"{kind} {number}: {' '.join(failure)}" if failure[0] else ""
                 begin = int(number) + 1
         if begin < end:
-            why = "hangs" if process.poll() is None else f"took its process down ({process.wait()})"
+            why = "hangs" if line is None else f"took its process down ({process.wait()})"
             yield "?", "failed", f"input {at}: {why}"
             begin = at + 1
         process.kill()
@@ -325,11 +325,12 @@ def main() -> None:
     parser.add_argument("--chosen", type=int, default=12, help="moments of each command, at most")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--hours", type=float, default=1.0, help="of recordings and runs whose memory is measured")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="that use inputs at a time")
     asked = parser.parse_args()
     parts = asked.parts or PARTS
     failed = False
     if "fuzz" in parts:
-        found = fuzz(asked.inputs, asked.seed, os.cpu_count() or 1)
+        found = fuzz(asked.inputs, asked.seed, asked.processes)
         print(f"inputs, seed {asked.seed}: {sum(found.outcomes.values())}, failed: {len(found.failures)}")
         for (kind, became), count in sorted(found.outcomes.items()):
             print(f"  {kind:10} {became:8} {count}")
