@@ -15,6 +15,7 @@ from pydantic_core import CoreSchema
 
 from ...models.errors import InputError
 from ...models.files import Strict, parse
+from ...models.joint import Joint
 from ...sim.loop import CONTROL_PERIOD
 from ...sim.plant import TIMESTEP
 from ..scenario import Scenario, put_all, read_scenario
@@ -100,6 +101,14 @@ class ArmScenario(Strict):
                 raise ValueError(f"arm.{i}.name: expected a name of its own, got {name!r} again")
         return self
 
+    def with_joints(self, joints: Mapping[str, Joint]) -> ArmScenario:
+        """The same with descriptions at hand, where its file has a name or a path: `arm.0.joint`, `arm.1.known_joint`."""
+        arm = list(self.arm)
+        for key, one in joints.items():
+            _, place, name = key.split(".")
+            arm[int(place)] = arm[int(place)].with_joints({name: one})
+        return self.model_copy(update={"arm": arm})
+
     def written(self) -> dict[str, Any]:
         """As plain data, as a person would write it: what all joints share stands once."""
         data = self.model_dump(mode="json", exclude_none=True)
@@ -153,3 +162,16 @@ def load_arm(
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a joint alone")
     return parse(data, ArmScenario, str(path)), path.parent
+
+
+def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | None = None) -> ArmScenario:
+    """A scenario of an arm with other values of dotted keys, and another seed where one is given.
+
+    Raises:
+      InputError: a key that leads nowhere, or a value that is wrong; one line.
+    """
+    where = f"scenario {scenario.name}"
+    data = scenario.written() | ({} if seed is None else {"seed": seed})
+    put_all(data, changes, where)
+    at_hand = {f"arm.{i}.{key}": one for i, j in enumerate(scenario.arm) for key, one in j.joints_at_hand.items()}
+    return parse(data, ArmScenario, where).with_joints({k: one for k, one in at_hand.items() if k not in changes})
