@@ -17,6 +17,7 @@ import pkgutil
 import signal
 import sys
 import threading
+import time
 import warnings
 from functools import cache
 from pathlib import Path
@@ -213,6 +214,7 @@ def main() -> None:
         _ending.append(True)
 
 
+_PATIENCE = 0.3  # s, for threads that are about to end
 _interrupted: list[int] = []
 """Signals of Ctrl-C that came."""
 _ending: list[bool] = []
@@ -281,13 +283,17 @@ def _end(number: int, frame: Any) -> None:
 
 
 def _leave(code: Any) -> NoReturn:
-    """End without waiting for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
+    """End without waiting long for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
     _ending.append(True)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    if threading.active_count() > 1:
-        os._exit(code)
+    until = time.monotonic() + _PATIENCE
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(max(until - time.monotonic(), 0.0))
+            if thread.is_alive():
+                os._exit(code)
     sys.exit(code)
 
 
