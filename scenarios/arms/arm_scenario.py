@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping
 from importlib import resources
@@ -31,6 +32,10 @@ class JointInArm(Scenario):
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*$")]
     """In the arm; of its folder and, in the others' recordings, of the column of its angle."""
     length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next one's, m")] = 0.4
+    turn: Annotated[
+        float,
+        Field(ge=-math.pi, le=math.pi, description="of its axis about the link before it, against that one's, rad"),
+    ] = 0.0
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -56,7 +61,7 @@ class JointInArm(Scenario):
 
 
 class ArmScenario(Strict):
-    """An experiment with joints in series, from the base to the tip, whose axes are parallel and horizontal."""
+    """An experiment with joints in series, from the base to the tip; with all angles at zero it hangs straight down."""
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -99,6 +104,12 @@ class ArmScenario(Strict):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"arm.{i}.name: expected a name of its own, got {name!r} again")
+        for i, joint in enumerate(self.arm):
+            if joint.disturbances and any(before.turn for before in self.arm[: i + 1]):
+                raise ValueError(
+                    f"arm.{i}.disturbances: expected none on a joint whose axis is turned, or stands on one that is (its torque "
+                    "on the joints before it would depend on where they are)"
+                )
         return self
 
     def with_joints(self, joints: Mapping[str, Joint]) -> ArmScenario:
