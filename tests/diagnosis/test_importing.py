@@ -392,6 +392,14 @@ def test_what_hung_there_by_its_name_in_the_description(tmp_path):
         layout(tmp_path, mounting="tilted")
 
 
+def test_a_mapping_may_be_called_as_the_log_beside_it(tmp_path, mapping):
+    layout(tmp_path)
+    log(tmp_path).rename(tmp_path / "mine.csv")
+    result = run(tmp_path / "mine.yaml", tmp_path / "mine.csv", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "mine.parquet").is_file()
+
+
 def test_an_arm_may_lie_beside_the_mapping(tmp_path):
     from flexspline.models.joint import shipped
 
