@@ -180,9 +180,11 @@ def main() -> None:
     warnings.showwarning = _notice
     sys.unraisablehook = _unraisable
     try:
-        app()
+        code = app(prog_name="flexspline", standalone_mode=False)
     except InputError as error:
         _refuse(error)
+    except _UsageError as error:
+        _explain(error)
     except ArithmeticError as error:
         from ..estimator.errors import FilterDiverged
 
@@ -201,13 +203,16 @@ def main() -> None:
     except KeyboardInterrupt:
         _leave(130)
     except SystemExit as stop:
-        if stop.code in (130, 143):  # Ctrl-C, as Typer passes it on, and SIGTERM
+        if stop.code in (130, 143):  # Ctrl-C and SIGTERM
             _leave(stop.code)
         raise
     except Exception:  # what Ctrl-C breaks off fails elsewhere: "initialization failed", "no compiled object yet"
         if not _interrupted:
             raise
         _leave(130)
+    if code == 130:  # Ctrl-C, as Typer passes it on
+        _leave(130)
+    sys.exit(code if isinstance(code, int) else 0)
 
 
 _interrupted: list[int] = []
@@ -274,6 +279,57 @@ def _leave(code: Any) -> NoReturn:
     if threading.active_count() > 1:
         os._exit(code)
     sys.exit(code)
+
+
+_UsageError: Any = typer.BadParameter.__base__
+"""What Typer raises where a command is not called as it wants to be; its own class has no public name."""
+
+
+def _explain(error: Any) -> NoReturn:
+    """Say in one line what is wrong with a call; help where it was called without anything."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        error.show()
+        sys.exit(error.exit_code)
+    where = _called()
+    message = error.format_message().strip().removesuffix(".")
+    given = _given(getattr(error, "param", None))
+    if message.startswith("Invalid value for"):
+        name, _, expected = message.removeprefix("Invalid value for ").partition(": ")
+        message = (
+            f"{name.strip(chr(39))}: {expected.replace('Input should be', 'expected', 1).split(', unable to parse')[0]}"
+        )
+        message += "" if given is None or repr(given) in message else f", got {given!r}"
+    else:
+        message = message[:1].lower() + message[1:]
+    help_words = " ".join(["flexspline", *where, "-h"])
+    _refuse(
+        InputError(f"{': '.join(filter(None, (' '.join(where), message)))}; `{help_words}` has options and examples")
+    )
+
+
+def _called() -> list[str]:
+    """The command that was called, with its group; empty where it is none."""
+    words, folder = [], ""
+    for word in sys.argv[1:]:
+        module = _files(folder).get(word)
+        if module is None:
+            break
+        words.append(word)
+        if folder or not (Path(__file__).parent / module).is_dir():
+            break
+        folder = module
+    return words
+
+
+def _given(parameter: Any) -> str | None:
+    """The value that was given for an option, as it was written."""
+    for name in getattr(parameter, "opts", ()):
+        for word, following in zip(sys.argv, [*sys.argv[1:], None], strict=True):
+            if word == name:
+                return following
+            if word.startswith(f"{name}="):
+                return word.removeprefix(f"{name}=")
+    return None
 
 
 def _refuse(error: Exception) -> NoReturn:

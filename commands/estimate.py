@@ -55,11 +55,11 @@ def command(
     stems = [recording.name for recording in data.recordings]
     written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
+    require_sound(data, described)
     if all(s.stop - s.start < SHORTEST for recording in data.recordings for s in recording.segments):
         raise InputError(
             f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got none: too short to estimate"
         )
-    require_sound(data, described)
     terminal = console()
     report: dict[str, dict[str, Any]] = {}
     with output_folder(out, maker) as folder:

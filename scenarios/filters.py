@@ -138,7 +138,7 @@ def _default(name: Any) -> Estimator:
 
 def _of_rule(rule: Any) -> str:
     rules = {getattr(registry.get(name), "rule", None): name for name in PAPER}
-    if rule not in rules:
+    if not isinstance(rule, str) or rule not in rules:
         raise ValueError(f"rule: expected one of {list(rules)}, got {rule!r}{nearest(str(rule), map(str, rules))}")
     return rules[rule]
 

@@ -55,26 +55,43 @@ class Disturbance(Strict):
     ] = 0.4
     cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
 
-    def signal(self, time: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Torque [N·m] at the times [s]; `seed` is that of the scenario, for a walk."""
+    def acts(self, time: np.ndarray) -> np.ndarray:
+        """Whether it acts at the times [s], shape (n,)."""
         u = (time - self.start) / self.duration
-        inside = (u >= 0) & (u < 1)
+        return (u >= 0) & (u < 1)
+
+    def signal(self, time: np.ndarray, seed: int = 0, walk: Walk | None = None) -> np.ndarray:
+        """Torque [N·m] at the times [s]; for a walk, `seed` is that of the scenario, and `walk` one that goes on with them."""
+        u = (time - self.start) / self.duration
+        inside = self.acts(time)
         shape = {
             "push": lambda: np.sin(np.pi * u),
             "step": lambda: np.ones_like(u),
             "triangle": lambda: 1 - np.abs(2 * u - 1),
             "sine": lambda: np.sin(2 * np.pi * self.cycles * u),
-            "walk": lambda: _walk(inside, seed, self.start),
+            "walk": lambda: (walk or Walk(seed, self.start, int(np.count_nonzero(inside)))).next(inside),
         }[self.kind]()
         return np.where(inside, self.torque * shape, 0.0)
 
 
-def _walk(inside: np.ndarray, seed: int, start: float) -> np.ndarray:
-    """A random walk that is zero where it begins and has unit standard deviation where it ends."""
-    steps = stream(seed, f"walk at {start:g} s").standard_normal(len(inside)) * inside
-    first = np.argmax(inside)
-    steps[first] = 0.0
-    return np.cumsum(steps) / math.sqrt(max(int(np.count_nonzero(inside)), 1))
+class Walk:
+    """A random walk that is zero where it begins and has unit standard deviation where it ends, a part at a time."""
+
+    def __init__(self, seed: int, start: float, count: int):
+        """Before the first sample; `start`: of the disturbance [s], `count`: samples in which it acts."""
+        self._rng = stream(seed, f"walk at {start:g} s")
+        self._size = math.sqrt(max(count, 1))
+        self._begun, self._at = False, np.empty(0)
+
+    def next(self, inside: np.ndarray) -> np.ndarray:
+        """Its next samples, shape (n,); `inside`: whether it acts, likewise."""
+        steps = self._rng.standard_normal(len(inside)) * inside
+        if not self._begun and np.any(inside):
+            steps[np.argmax(inside)] = 0.0
+            self._begun = True
+        sums = np.cumsum(np.concatenate([self._at, steps]))[len(self._at) :]
+        self._at = sums[-1:]
+        return sums / self._size
 
 
 class Temperature(Strict):
@@ -126,7 +143,7 @@ class Scenario(Strict):
     link: Annotated[
         Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
     ] = None
-    duration: Annotated[float, Field(gt=0, le=3600, description="s")]
+    duration: Annotated[float, Field(gt=0, le=86_400, description="s")]
     timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream."""
@@ -215,16 +232,24 @@ class Scenario(Strict):
         return self
 
     @property
+    def ticks(self) -> int:
+        """How many control instants there are."""
+        return round(self.duration / CONTROL_PERIOD)
+
+    @property
     def time(self) -> np.ndarray:
         """Control instants [s], shape (n,)."""
-        return np.arange(round(self.duration / CONTROL_PERIOD)) * CONTROL_PERIOD
+        return np.arange(self.ticks) * CONTROL_PERIOD
 
-    def commands(self) -> tuple[np.ndarray, np.ndarray]:
-        """Commanded link position [rad] and velocity [rad/s], shape (n,): held before and after the waypoints."""
-        time = self.time
+    def commands(self, time: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Commanded link position [rad] and velocity [rad/s] at all control instants, or at times [s], increasing, shape (n,):
+        held before and after the waypoints."""
+        time = self.time if time is None else time
         position = np.full_like(time, self.trajectory[0].position)
         velocity = np.zeros_like(time)
-        for a, b in itertools.pairwise(self.trajectory):
+        ways = [(a, b) for a, b in itertools.pairwise(self.trajectory) if a.time <= time[-1]]
+        over = sum(a.time <= time[0] for a, _ in ways) - 1  # those before the last that has begun count for nothing
+        for a, b in ways[max(over, 0) :]:
             T, A = b.time - a.time, b.position - a.position
             u = np.clip((time - a.time) / T, 0, 1)
             inside = (time >= a.time) & (time < b.time)
@@ -251,6 +276,13 @@ class Scenario(Strict):
         time = self.time
         forces = [d.signal(time, self.seed) / d.lever for d in self.disturbances if d.lever > 0.0]
         return sum(forces, np.zeros_like(time))
+
+    @property
+    def lever(self) -> float | None:
+        """Lever [m] of the force at the link where the wrench is recorded and all forces have that one, so that both can be
+        compared; None otherwise."""
+        levers = {d.lever for d in self.disturbances}
+        return levers.pop() or None if "force_x" in self.record and len(levers) == 1 else None
 
     def estimators(self) -> dict[str, Estimator]:
         """Its filters by name."""

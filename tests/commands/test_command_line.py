@@ -41,7 +41,7 @@ def test_a_terminal_that_only_knows_ascii(tmp_path):
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device", "x"), MemoryError(), OSError("?")])
 def test_what_the_system_refuses_is_one_line(monkeypatch, capsys, error):
-    def fails():
+    def fails(**options):
         raise error
 
     monkeypatch.setattr(commands, "app", fails)
@@ -83,7 +83,7 @@ def test_ctrl_c_that_falls_into_compiled_code_is_not_lost(after):
 import ctypes, os, signal, time
 from flexspline import commands
 called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT) or time.sleep(0.01))
-def app():
+def app(**options):
     called()
     {after}
 commands.app = app
@@ -202,3 +202,44 @@ def test_streams_that_are_closed_change_nothing_but_what_is_said(tmp_path, close
             ["sh", "-c", f'exec "$@" {closed}', "sh", *PROGRAM, *words], capture_output=True, timeout=60
         )
         assert done.returncode == code and b"Traceback" not in done.stderr, done
+
+
+COMMANDS = [
+    *([name] for name in commands._files() if name != "joint"), *(["joint", name] for name in commands._files("joint"))
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_an_unknown_option_of_any_command_is_one_line(flexspline, words):
+    code, out, err = flexspline(*words, "--no-such-option")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"flexspline: {' '.join(words)}: no such option: --no-such-option") and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["run"], "run: missing argument 'scenarios'"),
+        (["run", "no_load", "--out"], "run: option '--out' requires an argument"),
+        (["run", "no_load", "--seed", "x"], "run: --seed: expected a valid integer"),
+        (["run", "no_load", "--seed=-1"], "got '-1'"),
+        (["sweep", "x", "--seeds=0"], "got '0'"),
+        (["run", "no_load", "--outt", "x"], "no such option: --outt"),
+        (["runn"], "no such command 'runn'"),
+        (["joint", "nope"], "joint: no such command 'nope'"),
+        (["scenarios", "x"], "x"),
+        (["run", "no_load", "--x\x1b[31m\n"], "no such option: --x"),
+        (["--nope"], "flexspline: no such option: --nope"),
+    ],
+    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+)  # fmt: skip
+def test_a_mistake_in_the_call_is_one_line_with_where_help_is(flexspline, words, expected):
+    code, out, err = flexspline(*words)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert err.startswith("flexspline: ") and expected in err and "-h`" in err and "\x1b" not in err
+
+
+def test_the_program_alone_and_a_group_show_help(flexspline):
+    for words, line in (([], "Commands"), (["joint"], "Commands")):
+        code, out, err = flexspline(*words)
+        assert code in (0, 2) and line in out + err
