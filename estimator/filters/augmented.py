@@ -82,7 +82,7 @@ _FIELDS = (
     "link_variance", "torsion_variance", "rotor_walk", "torque_variance", "mesh_walk", "bristle_walk", "presliding",
     "spring_walk", "loose",
     "external_quiet", "external_loud", "level", "level_time", "level_loud", "free", "gate", "memory", "low", "high", "wander",
-    "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest", "period",
+    "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest",
 )  # fmt: skip
 SETTINGS = np.dtype(
     [(name, np.float64) for name in _FIELDS] + [("prior", np.float64, SIZE), ("order", np.float64, ORDERS)]
@@ -94,19 +94,22 @@ MEMORY = np.dtype(
         ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
         *((name, np.float64) for name in (
             "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
-            "motor_torque", "ripple",
+            "motor_torque", "ripple", "period", "beats",
         )),
     ]
 )  # fmt: skip
 """What `measure` remembers; state, covariance, scratch; last reading of the motor encoder; mean NIS of torsion and link
 encoder; times [s] of calm, of sliding in it, and since the link encoder was loud; whether nobody seemed to touch the joint at
-the last sample; how far time stamps are believed, and on how much evidence."""
+the last sample; how far time stamps are believed, and on how much evidence; motor torque of the last sample [N·m, motor
+side], mean square of its changes; mean interval [s], and of how many."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "weight_error", "friction_error", "constant_error",
 )])  # fmt: skip
 _LEVEL_TIME = 5.0
 """Time [s] after which friction has forgotten what it did beyond its model."""
+_BEATS = 1e4
+"""Intervals of which their mean is taken."""
 _STAMPS = 30.0
 """Evidence [variances of the link encoder] that time stamps are right, before there is any."""
 _START = 1.0
@@ -348,6 +351,21 @@ def _new_count(m, c):
 
 
 @kernel
+def _off_beat(m, interval):
+    """Deviation of an interval [s] from the mean one; nothing where it is off by half a period: then samples are missing."""
+    if interval == 0.0:
+        return 0.0
+    if m.beats == 0.0:
+        m.period = interval
+    off = interval - m.period
+    if abs(off) > 0.5 * m.period:
+        return 0.0
+    m.beats = min(m.beats + 1.0, _BEATS)
+    m.period += off / m.beats
+    return off
+
+
+@kernel
 def _believe(m, e, moved, c):
     """How far the stamps of samples that should be evenly spaced are to be believed: regression of the link encoder's
     innovation e [rad] on what the link `moved` [rad] in a stamp's deviation from the period. A clock that jitters while the
@@ -363,8 +381,7 @@ def _believe(m, e, moved, c):
 def _step(memory, sample, record, settings, out):
     m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
     c, o, h = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0], s.interval
-    # A stamp off by less than half a period is that of a sample at its place, or of one that is not.
-    off = h - c.period if abs(h - c.period) < 0.5 * c.period else 0.0
+    off = _off_beat(m, h)
     h -= (1.0 - m.belief) * off
     x, P, H = m.x, m.P, m.H
     found = measure(m.torsion, s, p)
@@ -524,7 +541,6 @@ class Augmented(CausalEstimator):
         c["wander"], c["half"] = joint.link_wander, 0.5 * noise.motor_resolution
         c["stiffest"] = min(_BEYOND * p["Cw"] * joint.rated_torque / p["N"], -math.log(laws.LOGARITHM_END))
         c["sliding"] = 2.5 * p["vs"]
-        c["period"] = interval
         c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
         c["pause"], c["every"], c["wait"] = self.pause, self.every, self.wait
         prior = c["prior"]
