@@ -108,6 +108,8 @@ OUT = np.dtype([(n, np.float64) for n in (
 )])  # fmt: skip
 _LEVEL_TIME = 5.0
 """Time [s] after which friction has forgotten what it did beyond its model."""
+_DOUBT = 2.0
+"""Mean NIS from which on it is more than scatter, 0.5 about 1."""
 _BEATS = 1e4
 """Intervals of which their mean is taken."""
 _STAMPS = 30.0
@@ -452,7 +454,9 @@ def _step(memory, sample, record, settings, out):
         for j in range(MOVING):
             variance += H[i] * P[i, j] * H[j]
     o.torque = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE]) - p.bl * x[LINK_RATE]
-    o.variance, o.external_torque = variance, x[EXTERNAL]
+    # As long as innovations contradict, a touch that has just begun, it is as much larger as they are.
+    doubt = max(m.torsion_ratio, m.link_ratio)
+    o.variance, o.external_torque = variance * (doubt if doubt > _DOUBT else 1.0), x[EXTERNAL]
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
     o.weight_error, o.friction_error, o.constant_error = x[WEIGHT], x[FRICTION], x[CONSTANT]
     return 0 if math.isfinite(o.torque + o.variance) else 1
