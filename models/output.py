@@ -100,6 +100,7 @@ def output_folder(
             staging = path / f"{_NEW}{secrets.token_hex(4)}"
             staging.mkdir()
             owner = _own(staging)
+            _being_written[staging] = made
     except OSError as error:
         _unmake(made)
         raise InputError(f"{path}: cannot be written: {described(error)}") from error
@@ -116,10 +117,24 @@ def output_folder(
                 raise
             raise InputError(f"{path}: cannot be written: {described(error)}") from error
     finally:
+        _being_written.pop(staging, None)
         if staging.exists():
             shutil.rmtree(staging, ignore_errors=True)
         if owner is not None:
             os.close(owner)
+        _unmake(made)
+
+
+_being_written: dict[Path, list[Path]] = {}
+"""Folders that this process writes to at the moment, and those that were made for them."""
+
+
+def abandon() -> None:
+    """Remove what is being written: for a process that ends without waiting for its threads. What is complete stays."""
+    for staging, made in list(_being_written.items()):
+        with suppress(OSError), _locked(staging.parent):
+            if staging.exists():  # else it is being moved into place
+                shutil.rmtree(staging, ignore_errors=True)
         _unmake(made)
 
 
