@@ -266,7 +266,7 @@ def _ask_to_end() -> None:
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, _asked[-1])
     else:
-        _thread.interrupt_main(_asked[-1])
+        _thread.interrupt_main(signal.Signals(_asked[-1]))
 
 
 _otherwise = warnings.showwarning
