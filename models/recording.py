@@ -486,6 +486,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         if not units.same(unit, expected):
             raise InputError(f"{path}: column {field.name!r}: expected unit {expected!r}, got {unit!r}")
         columns[field.name] = _parquet_column(path, file, field.name)
+    pa.default_memory_pool().release_unused()  # of an hour, 40 MB
     return columns
 
 
