@@ -15,6 +15,8 @@ from .streams import BLOCK
 if TYPE_CHECKING:
     import pyarrow as pa
 
+ROWS = 1 << 20
+"""Rows that Parquet puts into a group."""
 Notes = Mapping[str, Mapping[str, str]]
 
 

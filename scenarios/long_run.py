@@ -26,7 +26,7 @@ from ..models.errors import InputError
 from ..models.joint import AnalogSpec
 from ..models.signals import CHANNELS, SENSED
 from ..models.streams import PairwiseSum, parts
-from ..models.tables import read_parts
+from ..models.tables import ROWS, read_parts
 from ..sim.loop import CONTROL_PERIOD, ClosedLoop
 from ..sim.sensors import NoiseCourse
 from . import course
@@ -37,8 +37,8 @@ from .run import BeyondCount, Run, Thinned, at_limit, notes_of
 from .run_folder import View, save_stretches
 from .scenario import Scenario
 
-LONG = 1 << 20
-"""Samples from which on a run is written in stretches where it can be; as many as Parquet has in a group of rows."""
+LONG = ROWS
+"""Samples from which on a run is written in stretches where it can be: up to there its tables are the same file either way."""
 STRETCH = 1 << 15
 """Samples of a stretch: with four filters, and all that is made of them on the way, 100 MB."""
 BINS = 1500

@@ -8,14 +8,14 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_serializer, model_validator
+from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
-from ..models.files import Strict, find, parse, read_yaml, yaml_value
+from ..models.files import Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
@@ -144,7 +144,7 @@ class Scenario(Strict):
         Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
     ] = None
     duration: Annotated[float, Field(gt=0, le=86_400, description="s")]
-    timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
+    timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream."""
     locked_rotor: bool = False
@@ -177,6 +177,7 @@ class Scenario(Strict):
         list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
     ] = []
     transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
+    _at_hand: dict[str, Joint] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod
@@ -225,9 +226,10 @@ class Scenario(Strict):
         for symbol in self.plant:
             if symbol not in SYMBOLS:
                 raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
-        if self.transient >= self.duration:
+        if self.transient > self.duration - 1.999 * CONTROL_PERIOD:
             raise ValueError(
-                f"transient: expected less than the duration {self.duration:g} s, got {self.transient:g} s"
+                f"transient: expected less than the duration {self.duration:g} s by two control periods of {CONTROL_PERIOD:g} s, "
+                f"got {self.transient:g} s"
             )
         return self
 
@@ -288,10 +290,25 @@ class Scenario(Strict):
         """Its filters by name."""
         return {entry.name: entry.build() for entry in self.filters}
 
+    @property
+    def joints_at_hand(self) -> dict[str, Joint]:
+        """Descriptions that were given as such and stand in no file, by the key that they stand for."""
+        return dict(self._at_hand)
+
+    def with_joints(self, joints: Mapping[str, Joint]) -> Self:
+        """The same with descriptions at hand, where its file has a name or a path: `joint`, `known_joint`."""
+        copy = self.model_copy(update={key: one.name for key, one in joints.items()})
+        copy._at_hand = self._at_hand | dict(joints)
+        return copy
+
     def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
         """The plant's joint and the one that the estimators know, with the scenario's sensors."""
-        joint = self._with_sensors(load_joint(self.joint, folder))
-        known = self._with_sensors(load_joint(self.known_joint, folder)) if self.known_joint else joint
+
+        def described(key: str) -> Joint:
+            return self._with_sensors(self._at_hand.get(key) or load_joint(getattr(self, key), folder))
+
+        joint = described("joint")
+        known = described("known_joint") if self.known_joint else joint
         if self.plant:
             numbers = dict(joint.numbers)
             for symbol, value in self.plant.items():
@@ -379,7 +396,7 @@ def read_scenario(
     path = find(source, shipped_scenarios() | dict(further or {}), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
-        raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")
+        raise InputError(f"{path}: expected a mapping of keys, got {kind_of(data)}")
     for change in changes or []:
         _override(data, change)
     if seed is not None:
@@ -412,7 +429,7 @@ def from_here(key: str, value: Any) -> Any:
         and Path(str(value)).is_file()
     ):
         return str(Path(str(value)).resolve())
-    return value
+    return str(value) if isinstance(value, Path) else value
 
 
 def _override(data: dict[str, Any], change: str) -> None:
