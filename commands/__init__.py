@@ -17,6 +17,7 @@ import pkgutil
 import signal
 import sys
 import threading
+import time
 import warnings
 from functools import cache
 from pathlib import Path
@@ -171,6 +172,7 @@ def main() -> None:
 
     What is being written when it is asked to end (Ctrl-C, SIGTERM) is not left behind.
     """
+    _ending.clear()
     with contextlib.suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, _interrupt)
         signal.signal(signal.SIGTERM, _end)
@@ -210,35 +212,49 @@ def main() -> None:
         if not _interrupted:
             raise
         _leave(130)
+    finally:
+        _ending.append(True)
     if code == 130:  # Ctrl-C, as Typer passes it on
         _leave(130)
     sys.exit(code if isinstance(code, int) else 0)
 
 
+_PATIENCE = 0.3  # s, for threads that are about to end
 _interrupted: list[int] = []
 """Signals of Ctrl-C that came."""
+_ending: list[bool] = []
+"""Not empty from when the command line has ended, however it did."""
+
+
+class _Interrupt(KeyboardInterrupt):
+    """Ctrl-C that comes again where it is lost: calls from compiled code, and what libraries do while they are imported, drop
+    what is raised in them."""
+
+    def __del__(self) -> None:
+        if not _ending:
+            again = threading.Timer(0.02, _ask_to_end)  # not here, where it would be lost as well
+            again.daemon = True
+            again.start()
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:
     _interrupted.append(number)
-    raise KeyboardInterrupt
+    raise _Interrupt
 
 
 _unraised = sys.unraisablehook
 
 
 def _unraisable(unraisable: Any) -> None:
-    """Raise Ctrl-C again where it fell into a call from compiled code, which loses it; anything else as Python does."""
+    """Say what could not be raised as Python does, but for Ctrl-C, which comes again."""
     if not issubclass(unraisable.exc_type, KeyboardInterrupt):
         _unraised(unraisable)
-        return
-    again = threading.Timer(0.02, _ask_to_end)  # not here, where it would be lost as well
-    again.daemon = True
-    again.start()
 
 
 def _ask_to_end() -> None:
     """Ctrl-C from within; on POSIX as a signal, which ends what waits as well."""
+    if _ending:
+        return
     if hasattr(signal, "pthread_kill"):
         signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
     else:
@@ -272,12 +288,17 @@ def _end(number: int, frame: Any) -> None:
 
 
 def _leave(code: Any) -> NoReturn:
-    """End without waiting for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
+    """End without waiting long for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
+    _ending.append(True)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    if threading.active_count() > 1:
-        os._exit(code)
+    until = time.monotonic() + _PATIENCE
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(max(until - time.monotonic(), 0.0))
+            if thread.is_alive():
+                os._exit(code)
     sys.exit(code)
 
 

@@ -446,18 +446,6 @@ def fill_samples(
         samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
 
 
-def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Run a step over samples, records of `SAMPLE`, shape (n,); without the interpreter's lock.
-
-    Returns:
-      Its outputs, shape (n, outputs); the sample at which it failed and its status, (n, 0) where it did not.
-    """
-    arrays = step.arrays()
-    history = np.zeros((len(samples), len(arrays[-1])))
-    failed, status = go_on(arrays, samples, history)
-    return history, failed, status
-
-
 def go_on(
     arrays: tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray], samples: np.ndarray, history: np.ndarray
 ) -> tuple[int, int]:

@@ -272,6 +272,13 @@ def _described(one: Any, model: type[BaseModel]) -> str:
         return f"{field}: unknown key{close or few}"
     if kind == "missing":
         return f"{field}: missing"
+    if kind.startswith("union_tag"):  # which of several kinds of mapping it is
+        key = one["ctx"]["discriminator"].strip("'")
+        if kind == "union_tag_not_found":
+            return f"{field}.{key}: missing"
+        known = re.findall(r"'([^']*)'", one["ctx"]["expected_tags"])
+        tag = one["ctx"]["tag"]
+        return f"{field}.{key}: expected one of {', '.join(known)}, got {tag!r}{nearest(tag, known)}"
     if kind in ("model_type", "model_attributes_type", "dataclass_type"):
         keys = ", ".join(_siblings(model, one["loc"]))
         return f"{field}: expected a mapping of keys{keys and f' ({keys})'}, got {came}"

@@ -325,17 +325,19 @@ def read_recording(path: str | Path) -> Recording:
     return in_arm(recording, sidecar.arm, angles, sidecar_path)
 
 
-def in_arm(recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path) -> Recording:
+def in_arm(
+    recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path, folder: Path | None = None
+) -> Recording:
     """The recording with mounting and load from its arm.
 
     Args:
       recording: of one of the arm's joints; its own mounting does not count.
       spec: of the arm; angles: columns of its other joints, shape (n,) each [rad].
-      path: of the file that names the arm, whose MJCF is looked for beside it.
+      path: of the file that messages name; folder: where the arm's MJCF and the joint are looked for, that of `path` by default.
     """
     from .arm_dynamics import Arm
 
-    where = recording.source
+    where, folder = recording.source, path.parent if folder is None else folder
     for name, values in angles.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
@@ -343,12 +345,12 @@ def in_arm(recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray]
                 f"{where}: column {name!r}, {_row(where, int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
             )
     try:
-        arm = Arm(spec, path.parent)
+        arm = Arm(spec, folder)
         positions = {str(joint_of(name)): values for name, values in angles.items()}
         if "link_position" in recording:
             position = recording["link_position"]
         else:
-            position = recording["motor_position"] / load_joint(recording.joint, path.parent).numbers["N"].value
+            position = recording["motor_position"] / load_joint(recording.joint, folder).numbers["N"].value
         link, load = arm.of(recording.time, position, positions, recording.segments)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

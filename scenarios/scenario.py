@@ -8,10 +8,10 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_serializer, model_validator
+from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
@@ -177,6 +177,7 @@ class Scenario(Strict):
         list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
     ] = []
     transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
+    _at_hand: dict[str, Joint] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod
@@ -288,10 +289,25 @@ class Scenario(Strict):
         """Its filters by name."""
         return {entry.name: entry.build() for entry in self.filters}
 
+    @property
+    def joints_at_hand(self) -> dict[str, Joint]:
+        """Descriptions that were given as such and stand in no file, by the key that they stand for."""
+        return dict(self._at_hand)
+
+    def with_joints(self, joints: Mapping[str, Joint]) -> Self:
+        """The same with descriptions at hand, where its file has a name or a path: `joint`, `known_joint`."""
+        copy = self.model_copy(update={key: one.name for key, one in joints.items()})
+        copy._at_hand = self._at_hand | dict(joints)
+        return copy
+
     def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
         """The plant's joint and the one that the estimators know, with the scenario's sensors."""
-        joint = self._with_sensors(load_joint(self.joint, folder))
-        known = self._with_sensors(load_joint(self.known_joint, folder)) if self.known_joint else joint
+
+        def described(key: str) -> Joint:
+            return self._with_sensors(self._at_hand.get(key) or load_joint(getattr(self, key), folder))
+
+        joint = described("joint")
+        known = described("known_joint") if self.known_joint else joint
         if self.plant:
             numbers = dict(joint.numbers)
             for symbol, value in self.plant.items():
@@ -412,7 +428,7 @@ def from_here(key: str, value: Any) -> Any:
         and Path(str(value)).is_file()
     ):
         return str(Path(str(value)).resolve())
-    return value
+    return str(value) if isinstance(value, Path) else value
 
 
 def _override(data: dict[str, Any], change: str) -> None:

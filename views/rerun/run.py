@@ -240,5 +240,5 @@ def notes(run: Run) -> str:
     lines = [asked(run), *(f"* {note}" for note in run.notes)]
     if run.metrics.get("filters"):
         table = comparison_markdown({run.name: run.metrics}, keys=("rms", "max", "robust_share"))
-        lines += ["Errors against the noise-free joint torque:", "", table]
+        lines += ["", "Errors against the noise-free joint torque:", "", table]
     return "\n".join(lines)
