@@ -208,10 +208,10 @@ def main() -> None:
         if stop.code in (130, 143):  # Ctrl-C and SIGTERM
             _leave(stop.code)
         raise
-    except Exception:  # what Ctrl-C breaks off fails elsewhere: "initialization failed", "no compiled object yet"
-        if not _interrupted:
+    except Exception:
+        if not _asked:
             raise
-        _leave(130)
+        _leave(128 + _asked[-1])  # what a request to end breaks off fails elsewhere: "no compiled object yet"
     finally:
         _ending.append(True)
     if code == 130:  # Ctrl-C, as Typer passes it on
@@ -220,15 +220,15 @@ def main() -> None:
 
 
 _PATIENCE = 0.3  # s, for threads that are about to end
-_interrupted: list[int] = []
-"""Signals of Ctrl-C that came."""
+_asked: list[int] = []
+"""Signals that asked to end."""
 _ending: list[bool] = []
 """Not empty from when the command line has ended, however it did."""
 
 
-class _Interrupt(KeyboardInterrupt):
-    """Ctrl-C that comes again where it is lost: calls from compiled code, and what libraries do while they are imported, drop
-    what is raised in them."""
+class _Request:
+    """A request to end that comes again where it is lost: calls from compiled code, and what libraries do while they are
+    imported, drop what is raised in them."""
 
     def __del__(self) -> None:
         if not _ending:
@@ -237,8 +237,16 @@ class _Interrupt(KeyboardInterrupt):
             again.start()
 
 
+class _Interrupt(_Request, KeyboardInterrupt):
+    """Ctrl-C."""
+
+
+class _Termination(_Request, SystemExit):
+    """SIGTERM."""
+
+
 def _interrupt(number: int, frame: Any) -> NoReturn:
-    _interrupted.append(number)
+    _asked.append(number)
     raise _Interrupt
 
 
@@ -246,19 +254,19 @@ _unraised = sys.unraisablehook
 
 
 def _unraisable(unraisable: Any) -> None:
-    """Say what could not be raised as Python does, but for Ctrl-C, which comes again."""
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+    """Say what could not be raised as Python does, but for a request to end, which comes again."""
+    if not issubclass(unraisable.exc_type, _Request):
         _unraised(unraisable)
 
 
 def _ask_to_end() -> None:
-    """Ctrl-C from within; on POSIX as a signal, which ends what waits as well."""
+    """The same signal from within; on POSIX it ends what waits as well."""
     if _ending:
         return
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        signal.pthread_kill(threading.main_thread().ident or 0, _asked[-1])
     else:
-        _thread.interrupt_main()
+        _thread.interrupt_main(signal.Signals(_asked[-1]))
 
 
 _otherwise = warnings.showwarning
@@ -283,8 +291,9 @@ def _notice(
     )
 
 
-def _end(number: int, frame: Any) -> None:
-    raise SystemExit(128 + number)
+def _end(number: int, frame: Any) -> NoReturn:
+    _asked.append(number)
+    raise _Termination(128 + number)
 
 
 def _leave(code: Any) -> NoReturn:
@@ -298,6 +307,9 @@ def _leave(code: Any) -> NoReturn:
         if thread is not threading.current_thread() and not thread.daemon:
             thread.join(max(until - time.monotonic(), 0.0))
             if thread.is_alive():
+                from ..models.output import abandon
+
+                abandon()
                 os._exit(code)
     sys.exit(code)
 

@@ -132,7 +132,9 @@ def parameters_of(estimator: Estimator) -> list[str]:
 def _default(name: Any) -> Estimator:
     if name not in registry.names():
         known = registry.names()
-        raise ValueError(f"estimator: expected one of {list(known)}, got {name!r}{nearest(str(name), known)}")
+        raise ValueError(
+            f"estimator: expected one of {list(known)}, got {name!r}{nearest(str(name), known) or registry.OWN}"
+        )
     return registry.get(name)
 
 

@@ -15,7 +15,7 @@ from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
-from ..models.files import Strict, find, parse, read_yaml, yaml_value
+from ..models.files import Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
@@ -144,7 +144,7 @@ class Scenario(Strict):
         Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
     ] = None
     duration: Annotated[float, Field(gt=0, le=86_400, description="s")]
-    timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
+    timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream."""
     locked_rotor: bool = False
@@ -226,9 +226,10 @@ class Scenario(Strict):
         for symbol in self.plant:
             if symbol not in SYMBOLS:
                 raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
-        if self.transient >= self.duration:
+        if self.transient > self.duration - 1.999 * CONTROL_PERIOD:
             raise ValueError(
-                f"transient: expected less than the duration {self.duration:g} s, got {self.transient:g} s"
+                f"transient: expected less than the duration {self.duration:g} s by two control periods of {CONTROL_PERIOD:g} s, "
+                f"got {self.transient:g} s"
             )
         return self
 
@@ -395,7 +396,7 @@ def read_scenario(
     path = find(source, shipped_scenarios() | dict(further or {}), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
-        raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")
+        raise InputError(f"{path}: expected a mapping of keys, got {kind_of(data)}")
     for change in changes or []:
         _override(data, change)
     if seed is not None:

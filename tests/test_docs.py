@@ -207,7 +207,7 @@ def test_the_first_hour(flexspline, tmp_path, monkeypatch):
                 if words[0] != "view":
                     code, said, error = flexspline(*words)
                     assert code == 0, (words, error)
-    assert steps == {"commands": 6, "yaml": 1, "python": 1, "output": 2}
+    assert steps == {"commands": 7, "yaml": 1, "python": 1, "output": 2}
 
 
 SYNOPSIS = re.compile(r"FORMAT FILE…|tcp://")
@@ -225,7 +225,8 @@ SMALLER = {
     "--out …": "--out other",
 }
 """What takes long, with less of the same; and what a page leaves open."""
-NAMED = re.compile(r"`(\w+\.(?:py|yaml))`[^`]*$")
+NAMED = re.compile(r"`(\w+\.(?:py|yaml))`[^`\n]*\n\n$")
+"""The end of what stands before a file that is shown: its name is in the line before."""
 
 
 @pytest.fixture(scope="module")
@@ -286,6 +287,12 @@ def looked_at(words: list[str]) -> None:
         assert all(find_recording(Path(word)).is_file() for word in words)
 
 
+def file_of(before: str) -> str:
+    """What a snippet after some text is called; empty where it has no name."""
+    found = NAMED.search(before)
+    return found.group(1) if found else ""
+
+
 TYPED = [
     page
     for page in PAGES
@@ -305,15 +312,17 @@ def test_every_command_of_a_page_is_run(page, place, flexspline, tmp_path, monke
         for name in ("my_joint.yaml", "my_joint.xml"):
             Path(name).unlink()
     text, said = page.read_text(encoding="utf-8"), ""
-    for step in STEP.finditer(text):
-        kind, found = step.lastgroup, step.group(step.lastgroup)
-        named = NAMED.search(text[: step.start()])
-        for long, short in SMALLER.items():
-            found = found.replace(long, short)
+    for long, short in SMALLER.items():
+        text = text.replace(long, short)
+    steps = [
+        (step.lastgroup, step.group(step.lastgroup), file_of(text[: step.start()])) for step in STEP.finditer(text)
+    ]
+    for kind, found, name in steps:
+        if kind in ("yaml", "python") and name:
+            Path(name).write_text(found, encoding="utf-8")
+    for kind, found, name in steps:
         if kind in ("yaml", "python"):
-            if named and text[named.end() : step.start()].count("\n") <= 2:
-                Path(named.group(1)).write_text(found, encoding="utf-8")
-            elif kind == "python":
+            if kind == "python" and not name:
                 exec(found, {})
             continue
         if kind == "output":

@@ -153,6 +153,11 @@ def test_tables_of_what_there_is():
         (lambda: fs.compare(["no_load", "no_load"], duration=2), "got it twice"),
         (lambda: fs.load_joint("test-jont"), "did you mean 'test-joint'"),
         (lambda: fs.load_recording("nothing.parquet"), "no such file"),
+        (
+            lambda: fs.simulate("no_load", filters=["zz"]),
+            "got 'zz'; one of a file of yours is known by --plugin FILE.py",
+        ),
+        (lambda: fs.estimate("nothing.parquet", estimators="zz"), "is known by --plugin FILE.py"),
         (lambda: fs.simulate("no_load", joint=3), "joint: expected a valid string, got 3"),
         (
             lambda: fs.simulate_arm("two_joints", arm__7__joint=fs.load_joint("test-joint")),

@@ -69,7 +69,7 @@ class ArmScenario(Strict):
     description: str = ""
     """What it is for."""
     duration: Annotated[float, Field(gt=0, le=3600, description="s")]
-    timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
+    timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream; each joint has streams of its own."""
     arm: Annotated[list[JointInArm], Field(min_length=1, max_length=12)]

@@ -91,12 +91,13 @@ def test_ctrl_c_of_a_terminal_is_silent(tmp_path, after):
 @pytest.mark.parametrize(
     "after", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"], ids=["fails", "goes_on"]
 )
-def test_ctrl_c_that_falls_into_compiled_code_is_not_lost(after):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_request_to_end_that_falls_into_compiled_code_is_not_lost(after, number):
     """A call from C cannot raise: Python only prints what came, and what was broken off fails elsewhere or goes on."""
     program = f"""
 import ctypes, os, signal, time
 from flexspline import commands
-called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT) or time.sleep(0.01))
+called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), {number:d}) or time.sleep(0.01))
 def app(**options):
     called()
     {after}
@@ -104,7 +105,7 @@ commands.app = app
 commands.main()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=15)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -227,30 +228,32 @@ COMMANDS = [
 def test_an_unknown_option_of_any_command_is_one_line(flexspline, words):
     code, out, err = flexspline(*words, "--no-such-option")
     assert (code, out) == (2, "")
-    assert err.startswith(f"flexspline: {' '.join(words)}: no such option: --no-such-option") and err.count("\n") == 1
+    assert err.startswith(f"flexspline: {' '.join(words)}: no such option") and err.count("\n") == 1
+    assert "--no-such-option" in err  # the rest of the words are Typer's, and of its version
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["run"], "run: missing argument 'scenarios'"),
-        (["run", "no_load", "--out"], "run: option '--out' requires an argument"),
-        (["run", "no_load", "--seed", "x"], "run: --seed: expected a valid integer"),
-        (["run", "no_load", "--seed=-1"], "got '-1'"),
-        (["sweep", "x", "--seeds=0"], "got '0'"),
-        (["run", "no_load", "--outt", "x"], "no such option: --outt"),
-        (["runn"], "no such command 'runn'"),
-        (["joint", "nope"], "joint: no such command 'nope'"),
-        (["scenarios", "x"], "x"),
-        (["run", "no_load", "--x\x1b[31m\n"], "no such option: --x"),
-        (["--nope"], "flexspline: no such option: --nope"),
+        (["run"], ["run: missing argument", "scenarios"]),
+        (["run", "no_load", "--out"], ["run: option '--out' requires an argument"]),
+        (["run", "no_load", "--seed", "x"], ["run: --seed: ", " valid integer", "'x'"]),
+        (["run", "no_load", "--seed=-1"], ["run: --seed: ", "-1"]),
+        (["sweep", "x", "--seeds=0"], ["sweep: --seeds: ", "0"]),
+        (["run", "no_load", "--outt", "x"], ["run: no such option", "--outt"]),
+        (["runn"], ["flexspline: no such command 'runn'", "'run'"]),
+        (["joint", "nope"], ["joint: no such command 'nope'"]),
+        (["scenarios", "x"], ["scenarios: ", "x"]),
+        (["run", "no_load", "--x\x1b[31m\n"], ["run: no such option", "--x"]),
+        (["--nope"], ["flexspline: no such option", "--nope"]),
     ],
-    ids=lambda x: " ".join(x) if isinstance(x, list) else "",
+    ids=" ".join,
 )  # fmt: skip
 def test_a_mistake_in_the_call_is_one_line_with_where_help_is(flexspline, words, expected):
     code, out, err = flexspline(*words)
     assert (code, out) == (2, "") and err.count("\n") == 1
-    assert err.startswith("flexspline: ") and expected in err and "-h`" in err and "\x1b" not in err
+    assert err.startswith("flexspline: ") and "-h`" in err and "\x1b" not in err
+    assert all(part in err.lower() for part in expected), err
 
 
 def test_the_program_alone_and_a_group_show_help(flexspline):

@@ -221,3 +221,20 @@ def test_only_true_and_false_are_that(tmp_path, text):
     (tmp_path / "a.yaml").write_text(f"flag: {text}")
     with pytest.raises(InputError, match=r"flag: expected .*, got"):
         load(tmp_path / "a.yaml", _Numbers, "a file")
+
+
+def test_which_kind_of_mapping_it_is_is_asked_in_a_line():
+    """Where a key says of which kind something is, as the axes of a study do."""
+    from flexspline.scenarios.studies.study import Study
+
+    def study(**axis):
+        data = {"name": "s", "seeds": {"first": 1, "count": 2}, "scenarios": ["no_load"], "axes": [axis]}
+        with pytest.raises(InputError) as caught:
+            parse(data, Study, "the study")
+        return str(caught.value)
+
+    values = {"key": "plant.K1", "values": [1.0]}
+    assert study(**values) == "the study: axes.0.kind: missing"
+    assert study(kind="sett", **values).endswith(
+        "axes.0.kind: expected one of set, scale, load, cause, tolerance, got 'sett'; did you mean 'set'?"
+    )
