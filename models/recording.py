@@ -472,7 +472,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     import pyarrow.parquet
 
     with reading_parquet(path):
-        file = pa.parquet.ParquetFile(path, memory_map=False)
+        file = pa.parquet.ParquetFile(path, memory_map=False, pre_buffer=False)
         schema = file.schema_arrow
     fields = [field for field in schema if not field.name.startswith("__index_level")]
     _check_header(path, [field.name for field in fields])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -115,26 +115,38 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
     return columns, notes
 
 
-def read_parts(path: Path, names: Sequence[str]) -> Iterator[tuple[np.ndarray, ...]]:
-    """Columns of a Parquet file, part after part: of each name, shape (n,).
+class TableParts:
+    """A Parquet file whose columns are read part after part; what its groups of rows are is read once."""
 
-    Raises:
-      InputError: not a Parquet file.
-    """
-    import pyarrow.parquet as pq
+    def __init__(self, path: Path):
+        """Look at the file.
 
-    with reading_parquet(path), pq.ParquetFile(path, memory_map=False) as file:
-        for batch in file.iter_batches(BLOCK, columns=list(names)):
-            yield tuple(batch.column(name).to_numpy() for name in names)
+        Raises:
+          InputError: not a Parquet file.
+        """
+        import pyarrow.parquet as pq
 
+        self._path = path
+        with reading_parquet(path):
+            self._metadata = pq.read_metadata(path)
 
-def rows_of(path: Path) -> int:
-    """How many rows a Parquet file has.
+    @property
+    def rows(self) -> int:
+        """How many rows it has."""
+        return int(self._metadata.num_rows)
 
-    Raises:
-      InputError: not a Parquet file.
-    """
-    import pyarrow.parquet as pq
+    def column(self, name: str) -> Iterator[np.ndarray]:
+        """A column from its start on, part after part.
 
-    with reading_parquet(path):
-        return int(pq.read_metadata(path).num_rows)
+        Raises:
+          InputError: it cannot be read.
+        """
+        import pyarrow.parquet as pq
+
+        # Arrow's own reading ahead keeps all that was read until the end.
+        with (
+            reading_parquet(self._path),
+            pq.ParquetFile(self._path, metadata=self._metadata, memory_map=False, pre_buffer=False) as file,
+        ):
+            for batch in file.iter_batches(BLOCK, columns=[name]):
+                yield batch.column(0).to_numpy()

@@ -26,7 +26,7 @@ from ..models.errors import InputError
 from ..models.joint import AnalogSpec
 from ..models.signals import CHANNELS, SENSED
 from ..models.streams import PairwiseSum, parts
-from ..models.tables import ROWS, read_parts
+from ..models.tables import ROWS, TableParts
 from ..sim.loop import CONTROL_PERIOD, ClosedLoop
 from ..sim.sensors import NoiseCourse
 from . import course
@@ -228,14 +228,14 @@ class _Summary:
         shown = vars(run)  # where its cached properties keep what the whole has
         shown.update(beyond=self._beyond.shares, tip_force=None)
         shown["notes"] = notes_of(run, self._n, self._limited, self._off, self._missing)
-        signals, estimates = folder / "signals.parquet", folder / "estimates.parquet"
-        reading = partial(_column, signals, "joint_torque")
+        signals, estimates = (TableParts(folder / f"{name}.parquet") for name in ("signals", "estimates"))
+        reading = partial(signals.column, "joint_torque")
         reference = StreamedReference(
-            partial(_column, signals, "true_joint_torque"), reading, partial(_column, signals, "model_torque"),
-            partial(_column, signals, "external_torque"), self._n, CONTROL_PERIOD, scenario.transient,
+            partial(signals.column, "true_joint_torque"), reading, partial(signals.column, "model_torque"),
+            partial(signals.column, "external_torque"), self._n, CONTROL_PERIOD, scenario.transient,
         )  # fmt: skip
         reference.prepare()
-        columns = {name: partial(_column, estimates, f"torque_{name}") for name in run.estimates}
+        columns = {name: partial(estimates.column, f"torque_{name}") for name in run.estimates}
         with ThreadPoolExecutor(threads, thread_name_prefix="measure") as pool:
             model, sensor, *found = pool.map(reference.evaluate, (reference.raw, reading, *columns.values()))
         filters = {
@@ -259,10 +259,6 @@ class _Summary:
             "tip_force": None,
         }
         return run
-
-
-def _column(path: Path, name: str) -> Iterator[np.ndarray]:
-    return (values for (values,) in read_parts(path, (name,)))
 
 
 def _drawn(run: Run) -> Iterator[np.ndarray]:

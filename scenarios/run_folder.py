@@ -19,7 +19,7 @@ from ..models.files import json_text, load, yaml_text
 from ..models.output import check_output, output_folder, recover
 from ..models.recording import Recording, writing_recording
 from ..models.signals import READINGS, SENSED
-from ..models.tables import TableWriter, read_table, rows_of
+from ..models.tables import TableParts, TableWriter, read_table
 from ..sim.loop import CONTROL_PERIOD, TRUTH, Simulation
 from ..sim.sensors import time_stamps
 from .course import ever_pushed
@@ -156,7 +156,7 @@ def load_run(folder: Path) -> Run:
         if not (folder / name).is_file():
             raise InputError(f"{folder}: expected a run folder, found no {name}")
     scenario = load(folder / "scenario.yaml", Scenario, "a scenario")
-    seconds = rows_of(folder / "signals.parquet") * CONTROL_PERIOD
+    seconds = TableParts(folder / "signals.parquet").rows * CONTROL_PERIOD
     if seconds > LONGEST_HELD:
         raise InputError(
             f"{folder}: expected a run of at most {LONGEST_HELD:g} s, which is held in memory, got one of {seconds:g} s"

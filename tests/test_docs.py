@@ -207,7 +207,7 @@ def test_the_first_hour(flexspline, tmp_path, monkeypatch):
                 if words[0] != "view":
                     code, said, error = flexspline(*words)
                     assert code == 0, (words, error)
-    assert steps == {"commands": 6, "yaml": 1, "python": 1, "output": 2}
+    assert steps == {"commands": 7, "yaml": 1, "python": 1, "output": 2}
 
 
 SYNOPSIS = re.compile(r"FORMAT FILE…|tcp://")

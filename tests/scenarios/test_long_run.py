@@ -35,7 +35,7 @@ CASES = {
         "link_sweep",
         [
             "duration=3",
-            "filters=[dynamics_ekf, momentum, current, kalman]",
+            "filters=[dynamics_ekf, augmented, momentum, current]",
             "temperature={start: 20, end: 40, time_constant: 5}",
         ],
     ),
