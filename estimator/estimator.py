@@ -18,7 +18,7 @@ import numpy as np
 
 from ..models import causes
 from ..models.errors import InputError
-from ..models.joint import Joint, Mounting
+from ..models.joint import Joint, Mounting, Sensors
 from ..models.kernels import kernel
 from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS
@@ -29,19 +29,53 @@ from ..models.streams import BLOCK
 from .errors import FilterDiverged
 from .tuning_parameters import TuningParameter
 
+_LASTS = 0.01
+"""Time [s] for which an error of the current that is no white noise, its ripple above all, goes the same way."""
 _TORQUES = frozenset({"torque", "variance", "external_torque"})
 """Outputs that are estimates of torques, or say how good these are."""
 
 
 @dataclass(frozen=True)
 class SensorNoise:
-    """Resolution (one count) and noise (rms) of the sensors: [rad, motor side], [rad], [A]."""
+    """Resolution (one count), noise (rms) and other errors (rms) of the sensors: [rad, motor side], [rad], [A].
+
+    Attributes:
+      motor_error, link_error, current_error: what is no white noise: of encoders what returns with every line of the disc, of the
+        current its ripple over the motor's angle, flicker, vibration, and steps of the ADC.
+    """
 
     motor_resolution: float = 2 * math.pi / 4096
     motor_noise: float = 0.0
     link_resolution: float = 2 * math.pi / 2**20
     link_noise: float = 1.5e-6
     current_noise: float = 0.01
+    motor_error: float = 0.0
+    link_error: float = 0.0
+    current_error: float = 0.0
+
+    @classmethod
+    def of(cls, sensors: Sensors) -> SensorNoise:
+        """What a joint's description says of its sensors."""
+        motor, link, current = sensors.motor_encoder, sensors.link_encoder, sensors.motor_current
+        ripple = 0.0 if current.ripple is None else current.ripple.amplitude / math.sqrt(2.0)
+        vibration = 0.0 if current.vibration is None else current.vibration.amplitude
+        return cls(
+            motor.resolution, motor.noise, link.resolution, link.noise, current.noise,
+            motor.cyclic_error * motor.resolution / math.sqrt(2.0), link.cyclic_error * link.resolution / math.sqrt(2.0),
+            math.hypot(ripple, vibration, current.flicker, current.step / math.sqrt(12.0)),
+        )  # fmt: skip
+
+    def current_variance(self, interval: float) -> float:
+        """Variance [A²] of white noise that moves a rotor as far as the current sensor's errors do.
+
+        An error that lasts moves it as far as white noise of the same power density, which has as much more variance as it lasts
+        longer than a sample.
+
+        Args:
+          interval: between samples [s]; 0: nothing but the noise.
+        """
+        longer = max(_LASTS / interval, 1.0) if interval > 0.0 else 0.0
+        return self.current_noise**2 + longer * self.current_error**2
 
 
 @dataclass(frozen=True)
@@ -130,10 +164,7 @@ class KnownJoint:
         wander = [parameters["amplitude"].std or 0.0 for parameters in on_link if "amplitude" in parameters]
         return cls(
             joint.record(mounting) if record is None else record,
-            SensorNoise(
-                s.motor_encoder.resolution, s.motor_encoder.noise, s.link_encoder.resolution, s.link_encoder.noise,
-                s.motor_current.noise,
-            ),
+            SensorNoise.of(s),
             joint.numbers["rated_torque"].value, _relative(joint, "Fc"), _deviation(zero), sum(wander), _deviation(share),
             spread=Spread.of(joint),
         )  # fmt: skip

@@ -124,10 +124,10 @@ class ProcessNoise:
         walk[STIFFNESS], walk[CONSTANT] = 1e-8 * (self.stiffness > 0), 1e-8 * (self.motor_constant > 0)
         walk[DAHL] = (0.01 * p["hysteresis_extent"]) ** 2
         # A reading's noise is a torque, held from sample to sample.
-        n["current_walk"] = (p["Kt"] * noise.current_noise / p["Jm"]) ** 2 * interval
+        n["current_walk"] = (p["Kt"] / p["Jm"]) ** 2 * noise.current_variance(interval) * interval
         n["mesh_surge"], n["external_surge"] = (self.mesh_push * p["Fc"]) ** 2, (self.push * p["T2"]) ** 2
-        n["motor_variance"] = noise.motor_noise**2 + (self.floor * counts) ** 2
-        n["link_variance"] = noise.link_noise**2
+        n["motor_variance"] = noise.motor_noise**2 + noise.motor_error**2 + (self.floor * counts) ** 2
+        n["link_variance"] = noise.link_noise**2 + noise.link_error**2
         n["motor_step"], n["link_step"] = counts, noise.link_resolution
         n["mesh_time"], n["memory"], (n["low"], n["high"]) = self.mesh_time, self.memory, self.threshold
         active = [i for i in range(SIZE) if i not in (FLEXIBLE, FLEXIBLE_RATE, STIFFNESS, CONSTANT) or start[i] > 0.0]

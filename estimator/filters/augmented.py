@@ -523,14 +523,14 @@ class Augmented(CausalEstimator):
         scale, count = float(p["T2"]), noise.motor_resolution / p["N"]
         found = np.zeros(1, SETTINGS)
         c = found[0]
-        link = noise.link_noise**2 + noise.link_resolution**2 / 6.0
+        link = noise.link_noise**2 + noise.link_error**2 + noise.link_resolution**2 / 6.0
         c["link_variance"] = link
         if p["link_delay"] > 0.0:  # a line's end (`compliance`), and what happens meanwhile
             link += (_LATE * count) ** 2
             c["link_variance"] = link
-        c["torsion_variance"] = link + (noise.motor_noise / p["N"]) ** 2 + (0.1 * count) ** 2
+        c["torsion_variance"] = link + (noise.motor_noise**2 + noise.motor_error**2) / p["N"] ** 2 + (0.1 * count) ** 2
         Fc = float(p["Fc"])
-        c["rotor_walk"], c["torque_variance"] = float(p["Jm"]) ** -2, (p["Kt"] * noise.current_noise) ** 2
+        c["rotor_walk"], c["torque_variance"] = float(p["Jm"]) ** -2, p["Kt"] ** 2 * noise.current_variance(interval)
         c["mesh_walk"] = (self.mesh * Fc / p["Jw"]) ** 2
         c["bristle_walk"] = (self.bristle * Fc / p["s0"]) ** 2
         c["presliding"] = (self.presliding * joint.friction) ** 2 * 2.0 * Fc / p["s0"]
