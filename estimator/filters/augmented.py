@@ -457,6 +457,9 @@ def _step(memory, sample, record, settings, out):
     # As long as innovations contradict, a touch that has just begun, it is as much larger as they are.
     doubt = max(m.torsion_ratio, m.link_ratio)
     o.variance, o.external_torque = variance * (doubt if doubt > _DOUBT else 1.0), x[EXTERNAL]
+    # More than it would be by its uncertainty, less than a touch: it may be a push that lasts, or nothing at all.
+    if m.free > 0.0 and abs(x[EXTERNAL]) > sure:
+        o.variance += x[EXTERNAL] ** 2
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
     o.weight_error, o.friction_error, o.constant_error = x[WEIGHT], x[FRICTION], x[CONSTANT]
     return 0 if math.isfinite(o.torque + o.variance) else 1
