@@ -82,7 +82,7 @@ _FIELDS = (
     "link_variance", "torsion_variance", "rotor_walk", "torque_variance", "mesh_walk", "bristle_walk", "presliding",
     "spring_walk", "loose",
     "external_quiet", "external_loud", "level", "level_time", "level_loud", "free", "gate", "memory", "low", "high", "wander",
-    "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest",
+    "interval", "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest",
 )  # fmt: skip
 SETTINGS = np.dtype(
     [(name, np.float64) for name in _FIELDS] + [("prior", np.float64, SIZE), ("order", np.float64, ORDERS)]
@@ -94,14 +94,15 @@ MEMORY = np.dtype(
         ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
         *((name, np.float64) for name in (
             "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
-            "motor_torque", "ripple", "period", "beats",
+            "motor_torque", "ripple", "period", "beats", "phase",
         )),
     ]
 )  # fmt: skip
 """What `measure` remembers; state, covariance, scratch; last reading of the motor encoder; mean NIS of torsion and link
 encoder; times [s] of calm, of sliding in it, and since the link encoder was loud; whether nobody seemed to touch the joint at
 the last sample; how far time stamps are believed, and on how much evidence; motor torque of the last sample [N·m, motor
-side], mean square of its changes; mean interval [s], and of how many."""
+side], mean square of its changes; mean interval [s], and of how many; how far [s] the last stamp is behind the
+grid of samples."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "weight_error", "friction_error", "constant_error",
@@ -110,8 +111,10 @@ _LEVEL_TIME = 5.0
 """Time [s] after which friction has forgotten what it did beyond its model."""
 _DOUBT = 2.0
 """Mean NIS from which on it is more than scatter, 0.5 about 1."""
-_BEATS = 1e4
-"""Intervals of which their mean is taken."""
+_FIRST_BEATS, _BEATS = 100.0, 1e4
+"""Intervals that the nominal one counts for, and of which the mean is taken."""
+_FOLLOW = 0.02
+"""Share of a stamp's deviation by which the grid of samples follows it."""
 _STAMPS = 30.0
 """Evidence [variances of the link encoder] that time stamps are right, before there is any."""
 _START = 1.0
@@ -353,17 +356,20 @@ def _new_count(m, c):
 
 
 @kernel
-def _off_beat(m, interval):
-    """Deviation of an interval [s] from the mean one; nothing where it is off by half a period: then samples are missing."""
+def _off_beat(m, interval, c):
+    """Deviation of an interval [s] from that of an even grid which follows the stamps, and on which samples may be missing.
+
+    Of the grid and not of the last stamp: of two stamps that jitter, the interval may be off by most of a period.
+    """
     if interval == 0.0:
+        m.period, m.beats, m.phase = c.interval, _FIRST_BEATS, 0.0
         return 0.0
-    if m.beats == 0.0:
-        m.period = interval
-    off = interval - m.period
-    if abs(off) > 0.5 * m.period:
-        return 0.0
+    m.phase += interval - m.period
+    missing = max(math.floor(m.phase / m.period + 0.5), 0.0)
+    off = interval - (1.0 + missing) * m.period
+    m.phase = (1.0 - _FOLLOW) * (m.phase - missing * m.period)
     m.beats = min(m.beats + 1.0, _BEATS)
-    m.period += off / m.beats
+    m.period += off / ((1.0 + missing) * m.beats)
     return off
 
 
@@ -383,7 +389,7 @@ def _believe(m, e, moved, c):
 def _step(memory, sample, record, settings, out):
     m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
     c, o, h = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0], s.interval
-    off = _off_beat(m, h)
+    off = _off_beat(m, h, c)
     h -= (1.0 - m.belief) * off
     x, P, H = m.x, m.P, m.H
     found = measure(m.torsion, s, p)
@@ -549,6 +555,7 @@ class Augmented(CausalEstimator):
         c["stiffest"] = min(_BEYOND * p["Cw"] * joint.rated_torque / p["N"], -math.log(laws.LOGARITHM_END))
         c["sliding"] = 2.5 * p["vs"]
         c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
+        c["interval"] = interval
         c["pause"], c["every"], c["wait"] = self.pause, self.every, self.wait
         prior = c["prior"]
         prior[[LINK, LINK_RATE, ROTOR, WAVE_RATE]] = math.sqrt(link), 1.0 / p["N"], 1.0, 1.0
