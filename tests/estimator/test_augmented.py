@@ -108,15 +108,12 @@ def test_still_at_rest():
 
 
 def test_time_stamps_that_jitter_are_no_touch():
-    """Sensors as they are, nobody touches the joint: not even the widest of 16 000 intervals, most of a period off, is a collision."""
+    """Sensors as they are, nobody touches the joint: not even the widest of 16 000 intervals, 0.5 ms off and more, is a touch."""
     scenario, folder = load_scenario("collision", ["sensors=realistic", "duration=16"])
     quiet = draw(scenario.model_copy(update={"disturbances": []}), folder, 3, 0.2)
     found = registry.get("augmented").estimate(quiet.signals, quiet.known)
     widest = np.abs(np.diff(quiet.signals.time) - 1e-3).max()
-    error = (found.mean - quiet.truth)[quiet.kept]
+    error, largest = (found.mean - quiet.truth)[quiet.kept], np.abs(found.external[quiet.kept]).max()
     nees = np.mean(error**2 / found.variance[quiet.kept])
-    print(
-        f"seed 3: interval off by {1e3 * widest:.2f} ms, external torque up to {np.abs(found.external).max():.2f} N·m, NEES {nees:.2f}"
-    )
-    assert widest > 5e-4
-    assert np.abs(found.external[quiet.kept]).max() < 5.0 and nees < 1.2
+    print(f"seed 3: interval off by {1e3 * widest:.2f} ms, external torque up to {largest:.2f} N·m, NEES {nees:.2f}")
+    assert widest > 5e-4 and largest < 5.0 and nees < 1.2
