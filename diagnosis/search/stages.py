@@ -19,8 +19,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...models import causes
+from ...models.calibration import WITHIN
 from ..fit.coordinates import Hypothesis
-from ..fit.noise import learn, normalised_rms, whiten
+from ..fit.noise import Noise, learn, normalised_rms, whiten
 from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter, Point, huber_loss, losses_of, prior_cost, tamed, with_dispersion
 from ..fit.tare import roughness, tared
@@ -54,7 +55,10 @@ class AcceptSettings:
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
         noise and the linear model no good judge; per_cause: at most of one cause.
-      general: part of a cause's gain that a more general one must add to it.
+      general: log evidence that a more general cause must add to a special case of it, under one noise; temper: log evidence
+        by which the replay's own errors let it differ.
+      edge: standard deviations of its tolerance within which an effect's value is near its edge: whether the joint at the edge
+        would do is then asked of fits without the noise's share (`_at_the_edge`), of `polish` iterations.
       lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps may have gone
         astray, or slow discrepancy holds what the numbers would: it is then fitted both ways, to the end.
       most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
@@ -78,7 +82,10 @@ class AcceptSettings:
     far_finalists: int = 6
     far: float = 10.0
     per_cause: int = 2
-    general: float = 0.05
+    general: float = 30.0
+    temper: float = 8.0
+    edge: float = 6.0
+    polish: int = 8
     lost: float = 2.25
     most: int = 5
     rounds: int = 3
@@ -353,9 +360,11 @@ def search(
         if more:
             progress("settling all causes", 0.8)
             at = _together(problem, fitter, at, library, more)
-        at, rivals, simpler = _simplified(problem, fitter, at, rivals, hypotheses, accept)
+        at, rivals, simpler = _as_general_as_needed(problem, fitter, at, rivals, hypotheses, accept)
         decisions += simpler
-        if more or len(at.model) > 1:
+        if more or len(at.model) > 1 or any(
+            _is_calibration(problem, at, i, accept.edge) for i in range(len(at.model))
+        ):
             at, rivals, dropped = _prune(problem, fitter, at, rivals, accept)
             decisions += dropped
     elif pending is not None:
@@ -622,12 +631,12 @@ def _together(problem: Problem, fitter: Fitter, at: Fit, library: Library, chose
     return f
 
 
-def _is_calibration(problem: Problem, f: Fit, index: int) -> bool:
+def _is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN) -> bool:
     """Whether tolerances can express what one of a fit's effects makes of the joint that the others make."""
     order = [*(j for j in range(len(f.model)) if j != index), index]
     parts = problem.split(f.theta, f.model)
     theta = np.concatenate([f.theta[: problem.size], *(parts[j] for j in order)])
-    return problem.is_calibration(theta, tuple(f.model[j] for j in order))
+    return problem.is_calibration(theta, tuple(f.model[j] for j in order), within)
 
 
 def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
@@ -649,7 +658,36 @@ def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings)
     return ""
 
 
-def _simplified(
+def _at_the_edge(problem: Problem, fitter: Fitter, f: Fit, without: Fit, settings: AcceptSettings) -> str:
+    """Why an effect that is just beyond tolerance is not named: the joint at the edge of its tolerances explains about as much.
+
+    Fits that are compared by evidence leave the noise's share of the derivatives in, which holds an inertia where it is: both are
+    polished first.
+    """
+    here, there = (
+        float(np.sum(unexplained(problem, fitter.polish(x, settings.polish).point))) ** 0.5 for x in (f, without)
+    )
+    if there**2 > (1 + settings.worth) * here**2:
+        return ""
+    return (
+        f"a little beyond the joint's tolerances; at their edge {there:.2g} N·m RMS of the simulation's error is not "
+        f"explained, with it {here:.2g}"
+    )
+
+
+def added_under_one_noise(fitter: Fitter, general: Fit, special: Fit) -> float:
+    """Log evidence that a more general model adds, both under one noise: the mean over that learned with either.
+
+    Noise learned for each of two models that leave next to nothing differs by chance, and with it the evidence by hundreds.
+    """
+
+    def evidence(f: Fit, noise: Noise) -> float:
+        return fitter.finish(f.model, f.theta, f.point, f.jacobian, None, noise).log_evidence
+
+    return 0.5 * sum(evidence(general, f.noise) - evidence(special, f.noise) for f in (general, special))
+
+
+def _as_general_as_needed(
     problem: Problem,
     fitter: Fitter,
     f: Fit,
@@ -657,38 +695,35 @@ def _simplified(
     hypotheses: Sequence[Hypothesis],
     settings: AcceptSettings,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
-    """Causes that are special cases of accepted ones in their places, where the data do not ask for more."""
+    """Of a cause and its special cases the special one where the data do not plainly ask for more; how sure that is."""
     decisions: list[Decision] = []
-    for i, h in enumerate(f.model):
+    for i in range(len(f.model)):
         for g in hypotheses:
-            if g.cause.name not in h.cause.generalises or any(o.cause.name == g.cause.name for o in f.model):
+            h = f.model[i]
+            simpler = g.cause.name in h.cause.generalises
+            if not (simpler or h.cause.name in g.cause.generalises) or any(o.key == g.key for o in f.model):
                 continue
             parts = problem.split(f.theta, f.model)
-            values = h.values(parts[i])
+            model = tuple(g if j == i else o for j, o in enumerate(f.model))
+            values = h.values(parts[i]) if simpler else g.cause.present(problem.records(f.theta, f.model)[0][0])
             u = g.confine(g.coordinates({q.name: values[q.name] for q in g.cause.parameters}))
             theta = np.concatenate([f.theta[: problem.size], *(u if j == i else p for j, p in enumerate(parts))])
-            model = tuple(g if j == i else o for j, o in enumerate(f.model))
-            other = fitter.fit(model, theta, f if len(theta) == len(f.theta) else None, 4)
-            more = f.log_evidence - other.log_evidence
-            gain = rivals[i].gain if i < len(rivals) else 0.0
-            asked = more > max(settings.threshold, settings.general * gain)
-            reason = f"{h.cause.name.replace('_', ' ')}, which is more general, adds {more:.0f} to the log evidence"
+            other = fitter.fit(model, theta, None, 6)
+            general, special = (f, other) if simpler else (other, f)
+            more = added_under_one_noise(fitter, general, special)
+            asked = more > settings.general
+            sure = 1.0 / (1.0 + np.exp(-abs(more - settings.general) / settings.temper))
+            reason = f"{general.model[i].cause.name.replace('_', ' ')}, which is more general, adds {more:.0f} to the log evidence"
+            taken = asked != simpler
+            size, gain = size_of(problem, other, i), -more if simpler else more
             decisions.append(
-                Decision(
-                    "settle",
-                    g.cause.name,
-                    g.fixed,
-                    -more,
-                    float("nan"),
-                    size_of(problem, other, i),
-                    True,
-                    not asked,
-                    reason,
-                )
+                Decision("settle", g.cause.name, g.fixed, gain, float("nan"), size, True, taken, reason)
             )
-            if not asked:
+            if taken:
                 f = other
-                rivals = [replace(r, cause=g.cause.name) if j == i else r for j, r in enumerate(rivals)]
+            if i < len(rivals):
+                rivals = list(rivals)
+                rivals[i] = replace(rivals[i], cause=f.model[i].cause.name, share=rivals[i].share * float(sure))
     return f, rivals, decisions
 
 
@@ -698,7 +733,8 @@ def _prune(
     """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
     dropped: list[Decision] = []
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
-    for _ in range(2 * len(f.model)):
+    asked: set[int] = set()  # effects near the edge of tolerance that are needed
+    for _ in range(3 * len(f.model)):
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
         left, near = float(np.sum(unexplained(problem, f.point))), quiet_rms(problem, f) < settings.far
         verdicts = []
@@ -724,7 +760,20 @@ def _prune(
             verdicts.append((w, size, reason))
         bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
         if not bad:
-            break
+            near_edge = [
+                i for i, h in enumerate(f.model) if id(h) not in asked and _is_calibration(problem, f, i, settings.edge)
+            ]
+            if not near_edge:
+                break
+            i = min(near_edge, key=lambda i: verdicts[i][0].rms)
+            w, size, _ = verdicts[i]
+            h, other = f.model[i], without_effect(problem, fitter, f, i, settings)
+            asked.add(id(h))
+            if reason := _at_the_edge(problem, fitter, f, other, settings):
+                dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
+                rivals = [r for j, r in enumerate(rivals) if j != i]
+                f = other
+            continue
         # Of those, the one without which the rest is most probable.
         trials = [
             (i, without_effect(problem, fitter, f, i, settings))
