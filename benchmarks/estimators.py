@@ -176,7 +176,9 @@ def overall_table(results: Results) -> str:
             return "–"
         return "1" if name == REFERENCE else text(results.overall(tolerance, name))
 
-    rows = [(n, *(cell(t, n) for t in results.tolerances)) for n in results.at(results.tolerances[0])]
+    names = results.at(results.tolerances[0])
+    names += [n for n in results.names if n not in names]
+    rows = [(n, *(cell(t, n) for t in results.tolerances)) for n in names]
     return markdown(("estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)), rows)
 
 
@@ -216,7 +218,8 @@ def nees_table(results: Results) -> str:
     """Mean NEES with its interval over draws: 1 where an estimator knows its own error."""
     rows = []
     for n in results.names:
-        if np.all(np.isnan(results.values(SCENARIOS[0], results.tolerances[0], n, "nees"))):
+        ran = [t for t in results.tolerances if results.has(t, n)]
+        if np.all(np.isnan(results.values(SCENARIOS[0], ran[0], n, "nees"))):
             continue
         row = [n]
         for t in results.tolerances:

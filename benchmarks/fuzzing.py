@@ -7,14 +7,16 @@ Every input is made of (seed, number) alone, so that any of them can be made aga
 from __future__ import annotations
 
 import copy
+import json
 import os
 import random
 import shutil
+import sqlite3
 import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import closing, contextmanager, redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -26,10 +28,13 @@ import pyarrow.csv
 import pyarrow.parquet as pq
 import yaml
 
+from flexspline.diagnosis.data.exporting import write_mcap
 from flexspline.diagnosis.data.importing import Layout, import_recording, known_layouts, load_layout
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Joint, known_joints, load_joint, shipped
 from flexspline.models.recording import Recording, Sidecar, read_measurement, write_recording
+from flexspline.scenarios.arms.arm_run import run_arm
+from flexspline.scenarios.arms.arm_scenario import ArmScenario, load_any, shipped_arms
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Scenario, load_scenario, shipped_scenarios
 from flexspline.scenarios.studies.design import Design
@@ -84,8 +89,10 @@ def cases() -> dict[str, Case]:
         Case("study", list(shipped_studies().values()), _use_study, Study),
         Case("layout", list(known_layouts().values()), _use_layout, Layout),
         Case("mjcf", sorted(shipped().glob("*joint*.xml")), _use_mjcf),
+        Case("arm", list(shipped_arms().values()), _use_arm, ArmScenario),
         Case("sidecar", [], _use_sidecar, Sidecar),
         Case("table", [], _use_table),
+        Case("messages", [], _use_messages),
     ]
     return {case.name: case for case in found}
 
@@ -104,6 +111,12 @@ def _use_scenario(path: Path, rng: random.Random) -> None:
         experiment = Experiment.of(scenario, folder)
         if scenario.duration <= 6:
             experiment.simulate()
+
+
+def _use_arm(path: Path, rng: random.Random) -> None:
+    scenario, path = load_any(path)
+    if isinstance(scenario, ArmScenario) and scenario.duration <= 6 and rng.random() < 0.3:
+        run_arm(scenario, path.parent)
 
 
 def _use_study(path: Path, rng: random.Random) -> None:
@@ -143,6 +156,10 @@ def _use_table(path: Path, rng: random.Random) -> None:
     _use_measurement(path, rng)
 
 
+def _use_messages(path: Path, rng: random.Random) -> None:
+    import_recording(load_layout(path.with_name("mapping.yaml")), path)
+
+
 def _use_measurement(path: Path, rng: random.Random) -> None:
     from flexspline.commands import check, estimate
 
@@ -150,9 +167,9 @@ def _use_measurement(path: Path, rng: random.Random) -> None:
     data.load_joint()
     with redirect_stdout(StringIO()):
         if rng.random() < 0.5:
-            check.command(path)
+            check.command(measurement=path)
         if rng.random() < 0.1:
-            estimate.command(path, path.parent / "estimates", filter_=["model", "EKF", "lowpass"])
+            estimate.command(measurement=path, out=path.parent / "estimates", filter_=["model", "EKF", "lowpass"])
 
 
 # --- what is made of them ---------------------------------------------------------------------------------------------
@@ -275,7 +292,7 @@ def measurement(rng: random.Random, folder: Path) -> Path:
         if kind == 0:
             columns[name] = np.zeros(n)
         elif kind == 1:
-            columns[name] = np.full(n, rng.choice([1.0, 1e300, -1e-300]))
+            columns[name] = np.full(n, rng.choice([1.0, 1e29, -1e-300]))  # the largest that a recording holds is 1e30
         elif kind == 2:
             columns[name] = -columns[name]
         elif kind == 3:
@@ -325,8 +342,82 @@ def table_damaged(path: Path, rng: random.Random) -> Path:
     return text
 
 
+_COLUMNS = {
+    "time": "/joint_states/stamp", "motor_position": "/joint_states/position/motor",
+    "link_position": "/joint_states/position/link", "motor_current": "/motor_current/data",
+}  # fmt: skip
+
+
+def messages_damaged(rng: random.Random, folder: Path) -> Path:
+    """An MCAP file of ROS 2 or of JSON, or a bag as a database, of which bytes or values are wrong; its mapping beside it."""
+    units = ("s", "rad", "rad", "A")
+    columns = {k: {"column": v, "unit": u} for (k, v), u in zip(_COLUMNS.items(), units, strict=True)}
+    mapping = {"format": 1, "name": "log", "joint": "test-joint", "link": {"inertia": 0.35, "gravity_moment": 9.0}}
+    (folder / "mapping.yaml").write_text(yaml.safe_dump(mapping | {"columns": columns}), encoding="utf-8")
+    t = np.arange(rng.choice([2, 30, 100])) * 1e-3 + rng.choice([0.0, 1e9])
+    if rng.random() < 0.4:
+        made = {"motor_position": 100 * t, "link_position": t, "motor_current": np.cos(t)}
+        write_mcap(Recording("m", t, made), folder / "log.mcap")
+        (folder / "log.mcap").write_bytes(bytes_mutated((folder / "log.mcap").read_bytes(), rng))
+        return folder / "log.mcap"
+    told = []
+    for k, seconds in enumerate(t):
+        stamp = {"sec": int(seconds // 1), "nanosec": int(1e9 * (seconds % 1))}
+        states = {"header": {"stamp": stamp}, "name": ["motor", "link"], "position": [100.0 * k, 1.0 * k]}
+        for topic, message in (("/joint_states", states), ("/motor_current", {"data": 0.1 * k})):
+            told.append((topic, structure_mutated(message, rng) if rng.random() < 0.02 else message))
+    if rng.random() < 0.5:
+        return _json_mcap(told, folder / "log.mcap")
+    return _bag(told, folder / "bag", rng)
+
+
+def _json_mcap(told: list[tuple[str, Any]], path: Path) -> Path:
+    from mcap.writer import Writer
+
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channels = {topic: writer.register_channel(topic, "json", schema) for topic in dict(told)}
+        for k, (topic, message) in enumerate(told):
+            writer.add_message(channels[topic], 1_000_000 * k, json.dumps(message).encode(), 1_000_000 * k)
+        writer.finish()
+    return path
+
+
+def _bag(told: list[tuple[str, Any]], folder: Path, rng: random.Random) -> Path:
+    """A bag whose database holds whatever SQLite takes: text for numbers, nothing, blobs."""
+
+    def odd(value: Any) -> Any:
+        return rng.choice([None, "x", b"\xff\x00", -1, 2**62, 1.5, "", "../x"]) if rng.random() < 0.003 else value
+
+    folder.mkdir()
+    with closing(sqlite3.connect(folder / "log.db3")) as file:
+        file.execute("CREATE TABLE topics(id, name, type, serialization_format)")
+        file.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data)")
+        file.execute("CREATE TABLE message_definitions(topic_type, encoding, encoded_message_definition)")
+        topics = list(dict(told))
+        for number, topic in enumerate(topics):
+            file.execute("INSERT INTO topics VALUES (?, ?, ?, ?)", (odd(number), odd(topic), odd("any"), odd("json")))
+        if rng.random() < 0.9:
+            file.execute("INSERT INTO message_definitions VALUES (?, ?, ?)", (odd("any"), odd("ros2msg"), odd("x y")))
+        rows = [
+            (odd(topics.index(n)), odd(1_000_000 * k), odd(json.dumps(m).encode())) for k, (n, m) in enumerate(told)
+        ]
+        file.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
+        file.commit()
+    if rng.random() < 0.2:
+        (folder / "log.db3").write_bytes(bytes_mutated((folder / "log.db3").read_bytes(), rng))
+    about: Any = {"rosbag2_bagfile_information": {"relative_file_paths": ["log.db3"], "compression_mode": ""}}
+    about = structure_mutated(about, rng) if rng.random() < 0.1 else about
+    (folder / "metadata.yaml").write_text(yaml.dump(about), encoding="utf-8")
+    return folder
+
+
 def make(case: Case, rng: random.Random, folder: Path) -> Path:
     """An input of a kind in a folder of its own."""
+    if case.name == "messages":
+        return messages_damaged(rng, folder)
     if case.name in ("sidecar", "table"):
         path = measurement(rng, folder)
         if case.name == "table":

@@ -79,6 +79,15 @@ def _scaled(column: str, factor: float, whole: bool = False) -> Spoil:
     return spoil
 
 
+def _all(*several: Spoil) -> Spoil:
+    def spoil(r: Recording, joint: Joint, rng: np.random.Generator) -> Recording:
+        for one in several:
+            r = one(r, joint, rng)
+        return r
+
+    return spoil
+
+
 def _speed(column: str, factor: float) -> Spoil:
     def spoil(r: Recording, joint: Joint, rng: np.random.Generator) -> Recording:
         from flexspline.estimator.motion import smooth
@@ -202,6 +211,10 @@ def hidden_mistakes() -> Iterator[Hidden]:
     yield Hidden(
         "unit", ("position_command",), _scaled("position_command", 1 / deg), "unit position_command degrees", deg
     )
+    for angles in ((link, motor), (link, motor, "position_command")):  # which agree with each other
+        for said, factor in (("degrees", deg), ("turns", turn)):
+            label = f"unit {' '.join(angles)} {said}"
+            yield Hidden("unit", (link,), _all(*(_scaled(name, 1 / factor) for name in angles)), label, factor)
     yield Hidden("unit", ("time",), _time(1e3), "unit time ms", 1e-3)
     yield Hidden("unit", ("time",), _time(1e6), "unit time µs", 1e-6)
     for column in (motor, link, current, torque, "position_command"):

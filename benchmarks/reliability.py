@@ -82,7 +82,7 @@ def _batch(seed: int, begin: int, end: int) -> Iterator[tuple[str, str, str]]:
                 yield kind, became, f"{kind} {number}: {' '.join(failure)}" if failure[0] else ""
                 begin = int(number) + 1
         if begin < end:
-            why = "hangs" if process.poll() is None else f"took its process down ({process.wait()})"
+            why = "hangs" if line is None else f"took its process down ({process.wait()})"
             yield "?", "failed", f"input {at}: {why}"
             begin = at + 1
         process.kill()
@@ -268,23 +268,29 @@ def _generation(out: Path, number: int) -> None:
 
 def memory(hours: float, commands: Sequence[str] = ("check", "estimate", "run")) -> list[tuple[str, float, float]]:
     """Largest memory [MB, 10⁶ bytes] and time [s] of commands: `check` and `estimate` over a recording of so many hours at 1 kHz,
-    `run` over ten minutes. Compiling, which happens once and takes 100 MB more, is done before."""
+    `run` over ten minutes and over so many hours. Compiling, which happens once and takes 100 MB more, is done before."""
     found = []
     with _folder() as folder:
         write_recording(recording(3600 * hours), folder / "m")
         write_recording(recording(6.0), folder / "short")
         estimators = [word for name in ("EKF", "model", "current") for word in ("--filter", name)]
-        run = ["run", "no_load", "--set", "duration=600", "--no-figures", "--no-recording"]
+        plain, out = ["--no-figures", "--no-recording"], ["--out", str(folder / "r")]
         for name, words in (
             ("check", ["check", str(folder / "m")]),
             ("estimate, three filters", ["estimate", str(folder / "m"), "--out", str(folder / "e"), *estimators]),
-            ("run, 600 s", [*run, "--out", str(folder / "r")]),
+            ("estimate, all", ["estimate", str(folder / "m"), "--out", str(folder / "a")]),
+            ("run, 600 s", ["run", "external_push", "--set", "duration=600", *plain, *out]),
+            (f"run, {3600 * hours:g} s", ["run", "external_push", "--set", f"duration={3600 * hours:g}", *plain, *out]),
+            (
+                f"run with views, {3600 * hours:g} s",
+                ["run", "external_push", "--set", f"duration={3600 * hours:g}", *out],
+            ),
         ):
             if words[0] not in commands:
                 continue
-            _call(
-                [word.replace(str(folder / "m"), str(folder / "short")) for word in words]
-            )  # compiled once and for all
+            # Compiled once and for all.
+            first = [word.replace(str(folder / "m"), str(folder / "short")) for word in words]
+            _call([*first, "--set", "duration=5"] if words[0] == "run" else first)
             began = time.monotonic()
             process = subprocess.Popen(
                 [sys.executable, "-m", "flexspline", *words],
@@ -318,11 +324,13 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=100, help="at random moments")
     parser.add_argument("--chosen", type=int, default=12, help="moments of each command, at most")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--hours", type=float, default=1.0, help="of recordings and runs whose memory is measured")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="that use inputs at a time")
     asked = parser.parse_args()
     parts = asked.parts or PARTS
     failed = False
     if "fuzz" in parts:
-        found = fuzz(asked.inputs, asked.seed, os.cpu_count() or 1)
+        found = fuzz(asked.inputs, asked.seed, asked.processes)
         print(f"inputs, seed {asked.seed}: {sum(found.outcomes.values())}, failed: {len(found.failures)}")
         for (kind, became), count in sorted(found.outcomes.items()):
             print(f"  {kind:10} {became:8} {count}")
@@ -346,7 +354,7 @@ def main() -> None:
             print(*(f"  {line}" for line in wrong), sep="\n")
             failed |= bool(wrong)
     if "memory" in parts:
-        for name, size, seconds in memory(1.0):
+        for name, size, seconds in memory(asked.hours):
             print(f"memory: {name}: {size:.0f} MB, {seconds:.0f} s")
     sys.exit(failed)
 

@@ -17,6 +17,7 @@ import pkgutil
 import signal
 import sys
 import threading
+import time
 import warnings
 from functools import cache
 from pathlib import Path
@@ -171,6 +172,7 @@ def main() -> None:
 
     What is being written when it is asked to end (Ctrl-C, SIGTERM) is not left behind.
     """
+    _ending.clear()
     with contextlib.suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, _interrupt)
         signal.signal(signal.SIGTERM, _end)
@@ -180,9 +182,11 @@ def main() -> None:
     warnings.showwarning = _notice
     sys.unraisablehook = _unraisable
     try:
-        app()
+        code = app(prog_name="flexspline", standalone_mode=False)
     except InputError as error:
         _refuse(error)
+    except _UsageError as error:
+        _explain(error)
     except ArithmeticError as error:
         from ..estimator.errors import FilterDiverged
 
@@ -201,43 +205,68 @@ def main() -> None:
     except KeyboardInterrupt:
         _leave(130)
     except SystemExit as stop:
-        if stop.code in (130, 143):  # Ctrl-C, as Typer passes it on, and SIGTERM
+        if stop.code in (130, 143):  # Ctrl-C and SIGTERM
             _leave(stop.code)
         raise
-    except Exception:  # what Ctrl-C breaks off fails elsewhere: "initialization failed", "no compiled object yet"
-        if not _interrupted:
+    except Exception:
+        if not _asked:
             raise
+        _leave(128 + _asked[-1])  # what a request to end breaks off fails elsewhere: "no compiled object yet"
+    finally:
+        _ending.append(True)
+    if code == 130:  # Ctrl-C, as Typer passes it on
         _leave(130)
+    sys.exit(code if isinstance(code, int) else 0)
 
 
-_interrupted: list[int] = []
-"""Signals of Ctrl-C that came."""
+_PATIENCE = 0.3  # s, for threads that are about to end
+_asked: list[int] = []
+"""Signals that asked to end."""
+_ending: list[bool] = []
+"""Not empty from when the command line has ended, however it did."""
+
+
+class _Request:
+    """A request to end that comes again where it is lost: calls from compiled code, and what libraries do while they are
+    imported, drop what is raised in them."""
+
+    def __del__(self) -> None:
+        if not _ending:
+            again = threading.Timer(0.02, _ask_to_end)  # not here, where it would be lost as well
+            again.daemon = True
+            again.start()
+
+
+class _Interrupt(_Request, KeyboardInterrupt):
+    """Ctrl-C."""
+
+
+class _Termination(_Request, SystemExit):
+    """SIGTERM."""
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:
-    _interrupted.append(number)
-    raise KeyboardInterrupt
+    _asked.append(number)
+    raise _Interrupt
 
 
 _unraised = sys.unraisablehook
 
 
 def _unraisable(unraisable: Any) -> None:
-    """Raise Ctrl-C again where it fell into a call from compiled code, which loses it; anything else as Python does."""
-    if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+    """Say what could not be raised as Python does, but for a request to end, which comes again."""
+    if not issubclass(unraisable.exc_type, _Request):
         _unraised(unraisable)
-        return
-    again = threading.Timer(0.02, _ask_to_end)  # not here, where it would be lost as well
-    again.daemon = True
-    again.start()
 
 
 def _ask_to_end() -> None:
-    """Ctrl-C from within; on POSIX as a signal, which ends what waits as well."""
+    """The same signal from within; on POSIX it ends what waits as well."""
+    if _ending:
+        return
     if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
+        signal.pthread_kill(threading.main_thread().ident or 0, _asked[-1])
     else:
-        _thread.interrupt_main()
+        _thread.interrupt_main(signal.Signals(_asked[-1]))
 
 
 _otherwise = warnings.showwarning
@@ -262,18 +291,78 @@ def _notice(
     )
 
 
-def _end(number: int, frame: Any) -> None:
-    raise SystemExit(128 + number)
+def _end(number: int, frame: Any) -> NoReturn:
+    _asked.append(number)
+    raise _Termination(128 + number)
 
 
 def _leave(code: Any) -> NoReturn:
-    """End without waiting for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
+    """End without waiting long for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
+    _ending.append(True)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):
             stream.flush()
-    if threading.active_count() > 1:
-        os._exit(code)
+    until = time.monotonic() + _PATIENCE
+    for thread in threading.enumerate():
+        if thread is not threading.current_thread() and not thread.daemon:
+            thread.join(max(until - time.monotonic(), 0.0))
+            if thread.is_alive():
+                from ..models.output import abandon
+
+                abandon()
+                os._exit(code)
     sys.exit(code)
+
+
+_UsageError: Any = typer.BadParameter.__base__
+"""What Typer raises where a command is not called as it wants to be; its own class has no public name."""
+
+
+def _explain(error: Any) -> NoReturn:
+    """Say in one line what is wrong with a call; help where it was called without anything."""
+    if type(error).__name__ == "NoArgsIsHelpError":
+        error.show()
+        sys.exit(error.exit_code)
+    where = _called()
+    message = error.format_message().strip().removesuffix(".")
+    given = _given(getattr(error, "param", None))
+    if message.startswith("Invalid value for"):
+        name, _, expected = message.removeprefix("Invalid value for ").partition(": ")
+        message = (
+            f"{name.strip(chr(39))}: {expected.replace('Input should be', 'expected', 1).split(', unable to parse')[0]}"
+        )
+        message += "" if given is None or repr(given) in message else f", got {given!r}"
+    else:
+        message = message[:1].lower() + message[1:]
+    help_words = " ".join(["flexspline", *where, "-h"])
+    _refuse(
+        InputError(f"{': '.join(filter(None, (' '.join(where), message)))}; `{help_words}` has options and examples")
+    )
+
+
+def _called() -> list[str]:
+    """The command that was called, with its group; empty where it is none."""
+    words, folder = [], ""
+    for word in sys.argv[1:]:
+        module = _files(folder).get(word)
+        if module is None:
+            break
+        words.append(word)
+        if folder or not (Path(__file__).parent / module).is_dir():
+            break
+        folder = module
+    return words
+
+
+def _given(parameter: Any) -> str | None:
+    """The value that was given for an option, as it was written."""
+    for name in getattr(parameter, "opts", ()):
+        for word, following in zip(sys.argv, [*sys.argv[1:], None], strict=True):
+            if word == name:
+                return following
+            if word.startswith(f"{name}="):
+                return word.removeprefix(f"{name}=")
+    return None
 
 
 def _refuse(error: Exception) -> NoReturn:

@@ -42,6 +42,7 @@ def progress(counting: bool = False, remaining: bool = False) -> Progress:
     columns += [TimeElapsedColumn()]
     columns += [TimeRemainingColumn()] if remaining else []
     terminal = Console(stderr=True)
+    terminal.quiet = not terminal.is_terminal  # where nothing is shown Rich 13 ends it with an empty line
     return Progress(*columns, console=terminal, transient=True, disable=not terminal.is_terminal)
 
 

@@ -10,7 +10,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -54,16 +54,40 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
         first = (f"{_PACKAGE}.{_ROOM}._server", __name__, f"{_PACKAGE}.scenarios.run")
         context.set_forkserver_preload([*first, *(module for view in views for module in _MODULES[view])])
     count = min(os.cpu_count() or 1, runs * len(views) * _SHARES)
-    with ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),)) as pool:
-        starting = threading.Thread(target=lambda: [pool.submit(_ready, ()) for _ in range(count)])
-        starting.start()
-        try:
-            yield [lambda run, folder: _begin(pool, views, run, folder)]
-        except BaseException:
-            starting.join()
-            pool.shutdown(cancel_futures=True)
-            raise
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),))
+    starting = threading.Thread(target=_start, args=(pool, count))
+    starting.start()
+    try:
+        yield [lambda run, folder: _begin(pool, views, run, folder)]
+    except BaseException as error:
+        if (
+            not isinstance(error, Exception) and starting.is_alive()
+        ):  # asked to end while they load, which takes seconds
+            _stop_loading()
         starting.join()
+        pool.shutdown(cancel_futures=True)
+        raise
+    starting.join()
+    pool.shutdown()
+
+
+def _start(pool: ProcessPoolExecutor, count: int) -> None:
+    """Begin the processes, deaf to Ctrl-C from their first moment: a terminal sends it to all, and they may be loading still."""
+    if hasattr(signal, "pthread_sigmask"):  # of this thread; what it begins inherits it
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    with suppress(EOFError, OSError):  # what `_stop_loading` leaves
+        for _ in range(count):
+            pool.submit(_ready, ())
+
+
+def _stop_loading() -> None:
+    """End the server from which the processes begin; nothing is drawn yet."""
+    from multiprocessing import forkserver
+
+    server = getattr(forkserver._forkserver, "_forkserver_pid", None)
+    if server is not None:
+        with suppress(OSError):
+            os.kill(server, signal.SIGTERM)
 
 
 def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Path) -> Callable[[], object]:

@@ -50,7 +50,7 @@ def command(
     except InputError:  # nothing would be left of it
         data = given
     summaries = [summarise(recording, described) for recording in data.recordings]
-    missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described)
+    missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]
     if as_json:
         report = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated
 
@@ -85,6 +86,11 @@ def command(
     if not as_json:
         for title, at_rate in texts:
             terminal.print(contact_views.contact_table(at_rate, title))
+        if any(math.isnan(point.threshold) for _, at_rate in texts for point in at_rate.values()):
+            terminal.print(
+                f"–: too few seconds for a threshold of {rate:g} false alarms per hour: half of --hours gives it, which takes "
+                f"at least {2 / rate:.2g} h, and runs that do not diverge"
+            )
     if out is not None:
         with output_folder(out, "contact") as new:
             contact_views.write_curves(rows, new / "contact.csv")

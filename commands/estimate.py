@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError
@@ -39,7 +41,7 @@ def command(
     from ..estimator.offline import SHORTEST, beyond_range, estimate_recording, score, write_estimates
     from ..models.files import json_text
     from ..models.joint import beyond_sentence
-    from ..models.memory import give_back_large_arrays
+    from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
     from ..models.recording import read_measurement
     from ._console import console
@@ -55,16 +57,18 @@ def command(
     stems = [recording.name for recording in data.recordings]
     written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
+    require_sound(data, described)
+    give_back_free_pages()
     if all(s.stop - s.start < SHORTEST for recording in data.recordings for s in recording.segments):
         raise InputError(
             f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got none: too short to estimate"
         )
-    require_sound(data, described)
     terminal = console()
     report: dict[str, dict[str, Any]] = {}
-    with output_folder(out, maker) as folder:
+    bands = described.uncertainty is not None
+    with output_folder(out, maker) as folder, tempfile.TemporaryDirectory(dir=folder, prefix=".estimates") as spool:
         for recording in data.recordings:
-            found = estimate_recording(recording, described, filter_, bands=described.uncertainty is not None)
+            found = estimate_recording(recording, described, filter_, bands, Path(spool))
             beyond = beyond_range(recording, described)
             for name in filter_ or ():
                 if name in found.left_out:

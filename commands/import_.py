@@ -153,8 +153,19 @@ def _is_table(path: str) -> bool:
     """Whether a path is that of a recording: a table, or the YAML file beside one."""
     found = Path(path)
     return found.is_file() and (
-        found.suffix == ".parquet" or (found.suffix in (".csv", ".yaml", ".yml") and _has_other_half(found))
+        found.suffix == ".parquet"
+        or (found.suffix in (".csv", ".yaml", ".yml") and _has_other_half(found) and not _is_mapping(found))
     )
+
+
+def _is_mapping(path: Path) -> bool:
+    """Whether a YAML file is a mapping, which may be called as the log beside it."""
+    from ..models.files import read_yaml
+
+    if path.suffix == ".csv":
+        return False
+    data = read_yaml(path, "a mapping file, or the YAML file of a recording")
+    return isinstance(data, dict) and "columns" in data
 
 
 def _has_other_half(path: Path) -> bool:

@@ -93,8 +93,19 @@ def _page(folders: list[Path]) -> str:
         return _runs([folder])
     found = sorted(path.parent for path in folder.glob("*/scenario.yaml"))
     if found:
-        return _runs(found)
+        return _runs(_from_the_base(found, folder / "arm.yaml"))
     raise InputError(f"{folder}: expected a folder of {_HOLDS}, got something else")
+
+
+def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
+    """Runs of an arm's joints in its order, from the base to the tip; others as they are."""
+    if not arm.is_file():
+        return folders
+    from ..scenarios.arms.arm_scenario import load_any
+
+    scenario, _ = load_any(arm)
+    order = [joint.name for joint in getattr(scenario, "arm", ())]
+    return sorted(folders, key=lambda folder: order.index(folder.name) if folder.name in order else len(order))
 
 
 def _diagnosis(folder: Path) -> str:

@@ -8,7 +8,7 @@ in the regions of the measurement (`fit.regions`), there with the parameters of 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -138,7 +138,7 @@ def _sensed(measurement: Measurement, quantity: str) -> list[tuple[int, Recordin
     return [(i, r) for i, r in enumerate(measurement.recordings) if quantity in r]
 
 
-def _of(estimates: Estimates, quantity: str) -> dict[str, np.ndarray]:
+def _of(estimates: Estimates, quantity: str) -> Mapping[str, np.ndarray]:
     return estimates.torque if quantity == "joint_torque" else estimates.external_torque
 
 

@@ -95,7 +95,7 @@ class PlanSettings:
 
     def weight(self, q: Question) -> float:
         """What an answer is worth, in questions."""
-        return self.number if q.parameter == "value" else self.size if q.parameter else 1.0
+        return self.number if q.of_number else self.size if q.parameter else 1.0
 
 
 SETTINGS = PlanSettings()
@@ -116,6 +116,11 @@ class Question:
     now: float
     needed: float
     parameter: str = ""
+
+    @property
+    def of_number(self) -> bool:
+        """Whether it is about a number of the joint; some causes have a parameter of that name, too."""
+        return self.names[0] in _NUMBERS
 
     @property
     def subject(self) -> str:
@@ -368,7 +373,7 @@ def _representatives(
     present = {effect.name: effect.values for effect in joint.effects}
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     found: list[Hypothesis] = []
-    for name in dict.fromkeys(n for q in asked for n in q.names if n not in there and q.parameter != "value"):
+    for name in dict.fromkeys(n for q in asked for n in q.names if n not in there and not q.of_number):
         every = hypotheses(causes.get(name), record, present.get(name))
         chosen = np.unique(np.linspace(0, len(every) - 1, min(settings.variants, len(every))).astype(int))
         found += [every[i] for i in chosen]
@@ -432,7 +437,7 @@ class _State:
 
     def strength(self, q: Question, information: np.ndarray, before: np.ndarray) -> float:
         """Standard deviations by which a question is answered under some information; `before`: of the measurement alone."""
-        if q.parameter == "value":
+        if q.of_number:
             slope = _slope(self.problem, self.at, q.names[0])
             then, first = (float(slope @ self._covariance(one) @ slope) for one in (information, before))
             return q.now * float(np.sqrt(first / max(then, 1e-300)))

@@ -25,11 +25,10 @@ from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
 from ..models.step import SAMPLE, CompiledStep, Step
+from ..models.streams import BLOCK
 from .errors import FilterDiverged
 from .tuning_parameters import TuningParameter
 
-BLOCK = 1 << 16
-"""Samples of a long recording that an estimator reads at a time."""
 _TORQUES = frozenset({"torque", "variance", "external_torque"})
 """Outputs that are estimates of torques, or say how good these are."""
 
@@ -392,7 +391,7 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, read
     made: dict[tuple[float | None, bool], np.ndarray] = signals.__dict__.setdefault("_samples", {})
     key = (joint.start, reads_command)
     if key not in made:
-        made[key] = _samples(signals, joint, slice(0, len(signals.time)), reads_command)
+        made[key] = part_samples(signals, joint, slice(0, len(signals.time)), reads_command)
     return made[key]
 
 
@@ -412,10 +411,11 @@ def sample_blocks(
         signals[name]
     for begin in range(0, n, block):
         part = slice(begin, min(begin + block, n))
-        yield part, _samples(signals, joint, part, reads_command)
+        yield part, part_samples(signals, joint, part, reads_command)
 
 
-def _samples(signals: Signals, joint: KnownJoint, part: slice, reads_command: bool) -> np.ndarray:
+def part_samples(signals: Signals, joint: KnownJoint, part: slice, reads_command: bool) -> np.ndarray:
+    """Some of `as_samples`, shape (samples of the part,)."""
     time = signals.time
     # The command in force, and the interval, begin at the sample before.
     before = slice(max(part.start - 1, 0), part.stop)
@@ -444,18 +444,6 @@ def fill_samples(
     if reads_command and "current_command" in columns and part.stop > part.start:
         command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
         samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]
-
-
-def run_step(step: CompiledStep, samples: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Run a step over samples, records of `SAMPLE`, shape (n,); without the interpreter's lock.
-
-    Returns:
-      Its outputs, shape (n, outputs); the sample at which it failed and its status, (n, 0) where it did not.
-    """
-    arrays = step.arrays()
-    history = np.zeros((len(samples), len(arrays[-1])))
-    failed, status = go_on(arrays, samples, history)
-    return history, failed, status
 
 
 def go_on(

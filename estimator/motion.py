@@ -92,7 +92,7 @@ def _correct(y, offset, x, M, column):
 @kernel
 def _smooth(time, y, offset, q, scale, square, step, every, block, value, rate, acceleration):
     """Smooth channels y, shape (n, c), at `time`, shape (n,), and evaluate them every `step`: value and two derivatives, shape
-    (c, m) each.
+    (c, m) each; of the first channels alone where the derivatives' arrays have fewer.
 
     The filter runs forward once and keeps what it knows at the begin of every `block` of samples. From the last block to the
     first it then runs again, now keeping every sample, and back: the same numbers as with all samples kept, in a block's memory.
@@ -175,8 +175,9 @@ def _smooth(time, y, offset, q, scale, square, step, every, block, value, rate, 
                 b4 = (-15.0 * e0 + 7.0 * e1 * d - e2 * d * d) / d**4
                 b5 = (6.0 * e0 - 3.0 * e1 * d + 0.5 * e2 * d * d) / d**5
                 value[j, k] = p + u * (v + u * (0.5 * a + u * (b3 + u * (b4 + u * b5)))) + offset[j]
-                rate[j, k] = (v + u * (a + u * (3.0 * b3 + u * (4.0 * b4 + u * 5.0 * b5)))) * scale
-                acceleration[j, k] = (a + u * (6.0 * b3 + u * (12.0 * b4 + u * 20.0 * b5))) * square
+                if j < rate.shape[0]:
+                    rate[j, k] = (v + u * (a + u * (3.0 * b3 + u * (4.0 * b4 + u * 5.0 * b5)))) * scale
+                    acceleration[j, k] = (a + u * (6.0 * b3 + u * (12.0 * b4 + u * 20.0 * b5))) * square
         end = first
 
 
@@ -186,7 +187,8 @@ class Smooth:
 
     Attributes:
       time: grid [s], shape (n,).
-      value, rate, acceleration: shape (n, c), the channels and their first two derivatives in time.
+      value: shape (n, c), the channels.
+      rate, acceleration: their first two derivatives in time, shape (n, c), or of the first channels, as was asked for.
     """
 
     time: np.ndarray
@@ -206,7 +208,13 @@ def _interval(time: np.ndarray) -> float:
 
 
 def smooth(
-    time: np.ndarray, channels: np.ndarray, step: float, cutoff: float = CUTOFF, every: int = 1, block: int = BLOCK
+    time: np.ndarray,
+    channels: np.ndarray,
+    step: float,
+    cutoff: float = CUTOFF,
+    every: int = 1,
+    block: int = BLOCK,
+    moving: int | None = None,
 ) -> Smooth:
     """Smooth channels sampled at `time` and evaluate them on a uniform grid; each as it would be alone, to the bit.
 
@@ -215,13 +223,15 @@ def smooth(
       step: of the grid [s]. cutoff: passband [Hz].
       every: of the grid's points one is evaluated, the first among them.
       block: samples of which everything is kept at a time; the result does not depend on it.
+      moving: how many channels, the first ones, derivatives are wanted of; all by default.
     """
     interval = _interval(time)
     scale = 2 * np.pi * min(cutoff, 0.25 / interval)  # time in units of 1/ωc keeps the covariances near one
     since, y = (np.ascontiguousarray(x, dtype=np.float64) for x in (time, channels))
     # A last sample on the grid counts as such, whatever its time has lost by rounding.
     count = int((time[-1] - time[0]) / step + 1e-3) // every + 1
-    value, rate, acceleration = (np.empty((y.shape[1], count)) for _ in range(3))
+    c = y.shape[1]
+    value, rate, acceleration = (np.empty((size, count)) for size in (c, *[c if moving is None else moving] * 2))
     _smooth(since, y, y[0].copy(), scale * interval, scale, scale**2, step, every, block, value, rate, acceleration)
     grid = np.arange(count, dtype=np.float64)
     grid *= every

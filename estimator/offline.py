@@ -20,28 +20,29 @@ No estimator reads the columns `joint_torque` and `external_torque`.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
-from ..models import dynamics, laws
+from ..models import dynamics, laws, streams
 from ..models.errors import InputError
 from ..models.files import write_into_place
 from ..models.joint import Joint
 from ..models.kernels import kernel
 from ..models.recording import Recording
 from ..models.signals import Signals
-from ..models.tables import write_table
+from ..models.spool import Spool
+from ..models.tables import ROWS, TableWriter
 from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
 from .errors import FilterDiverged
-from .estimator import Estimator, KnownJoint, Posterior, sample_interval
+from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
-from .filters.payload import PayloadObserver, observe
+from .filters.payload import DECIMATION, PayloadObserver, observe
 from .motion import CUTOFF
 from .payload_model import MEMORY, NOISE, friction_error, slow_friction
 
@@ -113,7 +114,7 @@ class Estimates:
       name: of the recording.
       time: shape (n,) [s].
       torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments of fewer
-        than `SHORTEST` samples.
+        than `SHORTEST` samples. It may lie in files (`models.spool`).
       external_torque: torque on the link that its own gravity and inertia, and the motion of other joints of an arm, do not
         explain, by estimator, likewise.
       left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
@@ -123,26 +124,30 @@ class Estimates:
 
     name: str
     time: np.ndarray
-    torque: dict[str, np.ndarray]
-    external_torque: dict[str, np.ndarray]
+    torque: Mapping[str, np.ndarray]
+    external_torque: Mapping[str, np.ndarray]
     left_out: dict[str, str] = field(default_factory=dict)
     notes: list[dict[str, float]] = field(default_factory=list)
-    deviation: dict[str, np.ndarray] = field(default_factory=dict)
-    external_deviation: dict[str, np.ndarray] = field(default_factory=dict)
+    deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
+    external_deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
         """All columns as they are written: `time` [s], `torque_…` and `external_torque_…` [N·m], with their 95 % bands,
         `…_low` and `…_high`, where these are known."""
-        columns = {"time": self.time}
+        return self.part(slice(None))
+
+    def part(self, samples: slice) -> dict[str, np.ndarray]:
+        """Some samples of `columns`."""
+        columns = {"time": self.time[samples]}
         for what, found, deviation in (
             ("torque", self.torque, self.deviation), ("external_torque", self.external_torque, self.external_deviation),
         ):  # fmt: skip
             for name, values in found.items():
-                columns[f"{what}_{name}"] = values
+                some = columns[f"{what}_{name}"] = values[samples]
                 if name in deviation:
-                    half = SIGMAS * deviation[name]
-                    columns[f"{what}_{name}_low"], columns[f"{what}_{name}_high"] = values - half, values + half
+                    half = SIGMAS * deviation[name][samples]
+                    columns[f"{what}_{name}_low"], columns[f"{what}_{name}_high"] = some - half, some + half
         return columns
 
 
@@ -157,7 +162,11 @@ class Score:
 
 
 def estimate_recording(
-    recording: Recording, joint: Joint, names: Sequence[str] | None = None, bands: bool = False
+    recording: Recording,
+    joint: Joint,
+    names: Sequence[str] | None = None,
+    bands: bool = False,
+    spool: Path | None = None,
 ) -> Estimates:
     """Run estimators over a recording of a joint.
 
@@ -167,6 +176,7 @@ def estimate_recording(
       names: of the registry; all by default.
       bands: whether estimates are told how far they may be off (`bands`); those that simulate the joint's dynamics
         (`Estimator.costly`) only where they are named: some ten times their work.
+      spool: a folder whose files hold the estimates, for as long as they are read; by default they are in memory.
 
     Raises:
       InputError: a name that is none.
@@ -175,8 +185,10 @@ def estimate_recording(
     known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
     blind = recording.signals.without("joint_torque", "external_torque")
     n = len(recording.time)
-    found: dict[str, dict[str, np.ndarray]] = {what: {} for what in _QUANTITIES}
-    deviation: dict[str, dict[str, np.ndarray]] = {what: {} for what in _QUANTITIES}
+    found, deviation = (
+        {what: _Held(n) if spool is None else Spool(spool, f"{recording.name}_{kind}{what}", n) for what in _QUANTITIES}
+        for kind in ("", "deviation_")
+    )
     left_out: dict[str, str] = {}
     notes = []
     for segment in recording.segments:
@@ -187,36 +199,72 @@ def estimate_recording(
         notes.append(ready.note)
         chosen = {name: e for name, e in estimators.items() if name not in left_out}
         beliefs: dict[str, np.ndarray] = {}
-        estimates = _estimates(ready, chosen, left_out, beliefs, threads=_THREADS)
-        for (what, name), values in estimates.items():
-            known_torque = recording.torque_of_arm[segment] if what == "external_torque" else 0.0
-            found[what].setdefault(name, np.full(n, np.nan))[segment] = values - known_torque
+        estimates: dict[_Key, np.ndarray] = {}
+
+        def take(
+            what: str,
+            name: str,
+            values: np.ndarray,
+            segment: slice = segment,
+            estimates: dict[_Key, np.ndarray] = estimates,
+        ) -> None:
+            if bands:
+                estimates[what, name] = values
+            if what == "external_torque":
+                values = values - recording.torque_of_arm[segment]
+            found[what].put(name, segment, values)
+
+        _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS)
         if bands:
             # The dynamics simulated nine times more is for whoever asks for it by name.
             told = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
 
-            def again(
-                s: Signals, k: KnownJoint, told: dict[str, Estimator] = told
-            ) -> dict[tuple[str, str], np.ndarray]:
-                return _estimates(prepare(s, k), told, {})
+            def again(s: Signals, k: KnownJoint, told: dict[str, Estimator] = told) -> dict[_Key, np.ndarray]:
+                other: dict[_Key, np.ndarray] = {}
+
+                def keep(quantity: str, estimator: str, values: np.ndarray) -> None:
+                    other[quantity, estimator] = values
+
+                _estimate(prepare(s, k), told, {}, keep)
+                return other
 
             reference = reference_torque(ready.signals, ready.known)
             seen = {
                 "torque": ready.known.as_read(reference, signals.time),
                 "external_torque": ready.own_torque - reference,
             }
-            there = {key: values for key, values in estimates.items() if key[1] in told}
-            for (what, name), values in deviations(there, signals, known, joint, recording.link, again).items():
-                apart = disagreement(signals.time, estimates[what, name], seen[what])
-                own = np.sqrt(beliefs.get(name, 0.0))
-                together = np.sqrt(values**2 + apart**2 + own**2)
-                deviation[what].setdefault(name, np.full(n, np.nan))[segment] = together
+            there = {(what, name): estimates[what, name] for name in told for what in _QUANTITIES}
+            for key, spread in deviations(there, signals, known, joint, recording.link, again).items():
+                apart = disagreement(signals.time, estimates[key], seen[key[0]])
+                own = np.sqrt(beliefs.get(key[1], 0.0))
+                deviation[key[0]].put(key[1], segment, np.sqrt(spread**2 + apart**2 + own**2))
     kept = [name for name in estimators if name not in left_out]
-    empty = np.full(n, np.nan)
-    torque, external = ({name: found[what].get(name, empty) for name in kept} for what in _QUANTITIES)
+    for columns in found.values():
+        columns.keep(kept)
+    torque, external = (found[what] for what in _QUANTITIES)
     return Estimates(
         recording.name, recording.time, torque, external, left_out, notes, *(deviation[what] for what in _QUANTITIES)
     )
+
+
+class _Held(dict[str, np.ndarray]):
+    """Columns by name, shape (n,) each, in memory."""
+
+    def __init__(self, n: int):
+        super().__init__()
+        self._n = n
+
+    def put(self, name: str, part: slice, values: np.ndarray) -> None:
+        """As of `Spool`."""
+        if name not in self:
+            self[name] = np.full(self._n, np.nan)
+        self[name][part] = values
+
+    def keep(self, names: Sequence[str]) -> None:
+        """As of `Spool`."""
+        found = {name: self[name] if name in self else np.full(self._n, np.nan) for name in names}
+        self.clear()
+        self.update(found)
 
 
 def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
@@ -234,19 +282,31 @@ def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
     return joint.valid.beyond(*np.concatenate(motions, axis=1)) if motions else {}
 
 
+_Key = tuple[str, str]  # quantity and estimator
 _QUANTITIES = ("torque", "external_torque")
 _THREADS = min(os.cpu_count() or 1, 8)
+_LONG = 1 << 20
+"""Samples from which on memory counts: what looks at the whole runs alone, of all others two at a time."""
 
 
-def _estimates(
+def _estimate(
     ready: Prepared,
     estimators: Mapping[str, Estimator],
     left_out: dict[str, str],
+    take: Callable[[str, str, np.ndarray], None],
     beliefs: dict[str, np.ndarray] | None = None,
     threads: int = 1,
-) -> dict[tuple[str, str], np.ndarray]:
-    """Joint torque and external torque of a segment by quantity and estimator; adds to `left_out` why there is none, and to
-    `beliefs` what estimators believe their error variance to be."""
+) -> None:
+    """Estimate a segment's joint torque and external torque.
+
+    Args:
+      ready: the segment.
+      estimators: by name.
+      left_out: gets why there is no estimate, by name.
+      take: takes an estimate, of quantity, name and values, in any order.
+      beliefs: gets what estimators believe their error variance to be.
+      threads: estimators at a time.
+    """
     able: dict[str, Estimator] = {}
     for name, estimator in estimators.items():
         reason = ready.lacks(estimator)
@@ -255,28 +315,27 @@ def _estimates(
         else:
             able[name] = estimator
 
-    def one(name: str) -> Posterior | str:
+    def one(name: str) -> str | None:
         try:
-            return ready.ready(able[name]).torques(ready.signals, ready.known)
+            posterior = ready.ready(able[name]).torques(ready.signals, ready.known)
         except (FilterDiverged, InputError) as error:
             return str(error)
+        if beliefs is not None and posterior.variance is not None:
+            beliefs[name] = np.maximum(posterior.variance, 0.0)
+        take("torque", name, ready.known.as_read(posterior.mean, ready.signals.time))
+        external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
+        take("external_torque", name, external)
+        return None
 
     # The longest first: what is compiled holds no lock.
     order = sorted(able, key=lambda name: not able[name].costly)
-    with ThreadPoolExecutor(threads) as pool:
-        done = dict(zip(order, pool.map(one, order), strict=True))
-    found = {}
-    for name in able:
-        posterior = done[name]
-        if isinstance(posterior, str):
-            left_out[name] = posterior
-            continue
-        if beliefs is not None and posterior.variance is not None:
-            beliefs[name] = np.maximum(posterior.variance, 0.0)
-        found["torque", name] = ready.known.as_read(posterior.mean, ready.signals.time)
-        external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
-        found["external_torque", name] = external
-    return found
+    long = len(ready.signals.time) > _LONG
+    alone = [name for name in order if long and not able[name].causal]
+    failed = {name: one(name) for name in alone}
+    with ThreadPoolExecutor(min(threads, 2) if long else threads) as pool:
+        others = [name for name in order if name not in alone]
+        failed |= zip(others, pool.map(one, others), strict=True)
+    left_out |= {name: why for name in able if (why := failed[name]) is not None}
 
 
 def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str, dict[str, Score]]:
@@ -290,7 +349,7 @@ def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str,
     N = joint.numbers["N"].value
     motor = recording["motor_position"] if "motor_position" in recording else N * recording["link_position"]
     moving = np.abs(np.gradient(motor, recording.time)) > _MOVING * joint.numbers["vs"].value
-    truths: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
+    truths: dict[str, tuple[np.ndarray, Mapping[str, np.ndarray]]] = {}
     if "joint_torque" in recording:
         truths["joint_torque"] = (recording["joint_torque"], estimates.torque)
     if recording.external == "measured":
@@ -319,10 +378,11 @@ def _score(error: np.ndarray, moving: np.ndarray) -> Score:
 
 def write_estimates(estimates: Estimates, folder: Path) -> Path:
     """Write estimates as `<recording>.parquet`, units in the columns' metadata; return its path."""
-    columns = estimates.columns
     path = folder / f"{estimates.name}.parquet"
-    with write_into_place(path) as temporary:
-        write_table(temporary, columns, {name: "s" if name == "time" else "N·m" for name in columns})
+    units = {name: "s" if name == "time" else "N·m" for name in estimates.part(slice(0, 0))}
+    with write_into_place(path) as temporary, TableWriter(temporary, units) as table:
+        for part in streams.parts(len(estimates.time), ROWS, 1):
+            table.write(estimates.part(part))
     return path
 
 
@@ -361,7 +421,7 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     cutoff = smoothed.bandwidth(signals, joint)
     motion = smoothed.smooth_motion(signals, joint, cutoff)
     own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
-    payload = observe(signals, joint, motion, own)
+    payload = observe(signals, joint, motion.every(DECIMATION), own[::DECIMATION])
     joint = joint.told(back_driven_friction=payload.back_driven_friction)
     note |= {"bandwidth": cutoff} | payload._asdict()
     own = motion.at(signals.time, own)

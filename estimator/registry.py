@@ -18,6 +18,9 @@ from ..models.plugins import Offer, Origin
 from . import filters
 from .estimator import Estimator
 
+OWN = "; one of a file of yours is known by --plugin FILE.py"
+"""What a name that nothing resembles may be."""
+
 
 def names() -> tuple[str, ...]:
     """Names of all estimators, sorted."""
@@ -35,7 +38,7 @@ def get(name: str) -> Estimator:
     others = _others()
     if name in others:
         return _checked(others[name])
-    raise InputError(f"estimator {name!r}: expected one of {list(names())}{nearest(name, names())}")
+    raise InputError(f"estimator {name!r}: expected one of {list(names())}{nearest(name, names()) or OWN}")
 
 
 def check(offered: Iterable[str]) -> None:

@@ -72,7 +72,7 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int
       every: of the grid's points one is evaluated, the first among them.
     """
     time, p = signals.time, joint.p
-    s = smooth(time, _rotor_link_current(signals, joint), STEP, cutoff, every)
+    s = smooth(time, _rotor_link_current(signals, joint), STEP, cutoff, every, moving=2)
     position, velocity, acceleration = (np.ascontiguousarray(a.T) for a in (s.value, s.rate, s.acceleration))
     heat = np.full(len(s.time), p["reference_temperature"])
     if "temperature" in signals:

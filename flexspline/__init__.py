@@ -18,7 +18,7 @@ from __future__ import annotations
 import importlib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from .scenarios.arms.arm_scenario import ArmScenario
     from .scenarios.run import Run
     from .scenarios.scenario import Scenario
+
+Measured: TypeAlias = "str | Path | Recording | Measurement | Run | Sequence[Recording | Run]"
+"""A recording, a run, several of them, or the path of a recording or of a folder of several."""
 
 __version__ = "0.1.0"
 
@@ -152,7 +155,8 @@ def simulate(scenario: str | Path | Scenario, seed: int | None = None, **changes
       scenario: name of a shipped one (`no_load`, `link_sweep`, `external_push`, …), path of a YAML file, or a `Scenario`.
       seed: of every random stream, instead of the scenario's.
       changes: keys of the scenario with other values, SI: `duration=20` [s], `filters=["RAREKF", "dynamics_ekf"]`,
-        `temperature=40` [°C]; with two underscores for a dot where they lie inside: `controller__kp=6` [A/rad].
+        `temperature=40` [°C]; with two underscores for a dot where they lie inside: `controller__kp=6` [A/rad]. `joint` and
+        `known_joint` may be a `Joint`, too.
 
     Returns:
       The run over n control ticks: `run.truth("joint_torque")` and `run.reading("motor_current")`, shape (n,), SI, by name;
@@ -174,7 +178,7 @@ def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **
       scenario: name of a shipped one (`two_joints`), path of a YAML file, or an `ArmScenario`.
       seed: of every random stream, instead of the scenario's.
       changes: keys of the scenario with other values, SI: `duration=20` [s]; with two underscores for a dot where they lie
-        inside, joints counted from the base: `arm__0__length=0.5` [m].
+        inside, joints counted from the base: `arm__0__length=0.5` [m], `arm__1__joint=found.extended`.
 
     Returns:
       A run of every joint, by its name, from the base to the tip, as of `simulate`. Its recording says of the arm what its motion
@@ -184,17 +188,15 @@ def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **
       InputError: a scenario, joint or key that is wrong; torques under which the motion is no longer finite.
       FilterDiverged: an estimate that is no longer finite.
     """
-    from .models.files import parse
     from .scenarios.arms.arm_run import run_arm
-    from .scenarios.arms.arm_scenario import ArmScenario, load_arm
-    from .scenarios.scenario import put_all
+    from .scenarios.arms.arm_scenario import ArmScenario, changed_arm, load_arm
 
-    dotted = {key.replace("__", "."): value for key, value in changes.items()}
-    if not isinstance(scenario, ArmScenario):
-        return run_arm(*load_arm(scenario, seed, dotted), threads=_cores())
-    data = scenario.written() | ({} if seed is None else {"seed": seed})
-    put_all(data, dotted, f"scenario {scenario.name}")
-    return run_arm(parse(data, ArmScenario, f"scenario {scenario.name}"), threads=_cores())
+    dotted, at_hand = _changes(changes)
+    if isinstance(scenario, ArmScenario):
+        found, folder = changed_arm(scenario, dotted, seed), None
+    else:
+        found, folder = load_arm(scenario, seed, dotted)
+    return run_arm(found.with_joints(at_hand), folder, threads=_cores())
 
 
 def estimate(
@@ -226,9 +228,11 @@ def estimate(
     named = (estimators,) if isinstance(estimators, str) else tuple(estimators)
     for name in named:
         registry.get(name)
-    recording, described = _recording(data, joint)
-    require_sound(_measurement(recording), described)
-    found = estimate_recording(recording, described, named or None)
+    measurement, described = _measured(load_recording(data) if isinstance(data, (str, Path)) else data, joint)
+    if len(measurement.recordings) != 1:
+        raise InputError(f"data: expected one recording or run, got {len(measurement.recordings)}")
+    require_sound(measurement, described)
+    found = estimate_recording(measurement.recordings[0], described, named or None)
     for name in named:
         if name in found.left_out:
             raise InputError(f"estimator {name!r}: {found.left_out[name]}")
@@ -284,15 +288,16 @@ def compare(
 
 
 def diagnose(
-    measurement: str | Path | Recording | Measurement | Sequence[Recording],
+    measurement: Measured,
     joint: str | Path | Joint | None = None,
     seconds: float = float("inf"),
 ) -> Diagnosis:
     """What a joint's description gets wrong about a measurement, and why.
 
     Args:
-      measurement: a recording or a folder of several taken on the same joint, or its path.
-      joint: its description; by default the one that the recordings name.
+      measurement: a recording or a folder of several taken on the same joint, or its path; or a run, whose sensors are then
+        read, or several.
+      joint: its description; by default the one that the recordings name, or what the run's estimators knew.
       seconds: after which no further stage begins: the answer is the best by then [s].
 
     Returns:
@@ -304,20 +309,20 @@ def diagnose(
     """
     from .diagnosis.diagnose import diagnose as diagnose_measurement
 
-    data = _measurement(measurement)
-    return diagnose_measurement(data, _joint(data, joint), seconds=seconds)
+    return diagnose_measurement(*_measured(measurement, joint), seconds=seconds)
 
 
 def plan(
-    measurement: str | Path | Recording | Measurement | Sequence[Recording],
+    measurement: Measured,
     joint: str | Path | Joint | None = None,
     diagnosis: Diagnosis | None = None,
 ) -> Plan:
     """What to measure next: experiments that are simulated, and what each would tell about what a measurement left open.
 
     Args:
-      measurement: a recording or a folder of several taken on the same joint, or its path.
-      joint: its description; by default the one that the recordings name.
+      measurement: a recording or a folder of several taken on the same joint, or its path; or a run, whose sensors are then
+        read, or several.
+      joint: its description; by default the one that the recordings name, or what the run's estimators knew.
       diagnosis: of that measurement with that joint; made here where it is not given.
 
     Returns:
@@ -328,19 +333,17 @@ def plan(
     """
     from .diagnosis.planning import plan as plan_measurement
 
-    data = _measurement(measurement)
-    described = _joint(data, joint)
+    data, described = _measured(measurement, joint)
     return plan_measurement(data, described, diagnosis if diagnosis is not None else diagnose(data, described))
 
 
-def validate(
-    measurement: str | Path | Recording | Measurement | Sequence[Recording], joint: str | Path | Joint | None = None
-) -> Validation:
+def validate(measurement: Measured, joint: str | Path | Joint | None = None) -> Validation:
     """How well a joint's description predicts a measurement. Nothing is fitted.
 
     Args:
-      measurement: a recording or a folder of several taken on the same joint, or its path.
-      joint: its description; by default the one that the recordings name.
+      measurement: a recording or a folder of several taken on the same joint, or its path; or a run, whose sensors are then
+        read, or several.
+      joint: its description; by default the one that the recordings name, or what the run's estimators knew.
 
     Returns:
       Residuals of every channel in its unit: rms and the sensor's noise, and by region of angle, speed, load and direction.
@@ -350,8 +353,7 @@ def validate(
     """
     from .diagnosis.validate import validate as validate_measurement
 
-    data = _measurement(measurement)
-    return validate_measurement(data, _joint(data, joint))
+    return validate_measurement(*_measured(measurement, joint))
 
 
 def estimators() -> pd.DataFrame:
@@ -479,43 +481,54 @@ def _scenario(
     from .scenarios.scenario import Scenario, changed, load_scenario
 
     found, folder = (source, None) if isinstance(source, Scenario) else load_scenario(source)
-    dotted = {key.replace("__", "."): value for key, value in changes.items()}
+    dotted, at_hand = _changes(changes)
     if seed is not None:
         dotted["seed"] = seed
     if not dotted:
         return found, folder
-    return parse(changed(found, dotted), Scenario, f"scenario {found.name}"), folder
+    kept = {key: one for key, one in found.joints_at_hand.items() if key not in dotted}
+    return parse(changed(found, dotted), Scenario, f"scenario {found.name}").with_joints(kept | at_hand), folder
 
 
-def _recording(data: str | Path | Recording | Run, joint: str | Path | Joint | None) -> tuple[Recording, Joint]:
-    from .models.joint import Joint, load_joint
-    from .scenarios.run import Run
-
-    if isinstance(data, Run):
-        recording, own = data.as_recording(), data.known_joint
-    else:
-        recording = load_recording(data) if isinstance(data, (str, Path)) else data
-        own = None
-    if isinstance(joint, Joint):
-        return recording, joint
-    if joint is None and own is not None:
-        return recording, own
-    beside = Path(recording.source).parent if recording.source and joint is None else None
-    return recording, load_joint(joint or recording.joint, beside)
-
-
-def _measurement(given: str | Path | Recording | Measurement | Sequence[Recording]) -> Measurement:
-    from .models.recording import Measurement, Recording, read_measurement
-
-    if isinstance(given, Measurement):
-        return given
-    if isinstance(given, (str, Path)):
-        return read_measurement(Path(given))
-    recordings = (given,) if isinstance(given, Recording) else tuple(given)
-    return Measurement(recordings[0].name, Path(recordings[0].source or "."), recordings)
-
-
-def _joint(data: Measurement, joint: str | Path | Joint | None) -> Joint:
+def _changes(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Joint]]:
+    """Changes by dotted key, and the joints among them: a scenario's file would have their names."""
     from .models.joint import Joint
 
-    return joint if isinstance(joint, Joint) else data.load_joint(joint)
+    dotted = {key.replace("__", "."): value for key, value in given.items()}
+    at_hand = {
+        key: value
+        for key, value in dotted.items()
+        if isinstance(value, Joint) and key.rpartition(".")[2] in ("joint", "known_joint")
+    }
+    return dotted | {key: one.name for key, one in at_hand.items()}, at_hand
+
+
+def _measured(given: Measured, joint: str | Path | Joint | None) -> tuple[Measurement, Joint]:
+    """Recordings, and the description that they are held against."""
+    from .models.errors import InputError
+    from .models.joint import Joint
+    from .models.recording import Measurement, Recording, read_measurement
+    from .scenarios.run import Run
+
+    known = None
+    if isinstance(given, Measurement):
+        data = given
+    elif isinstance(given, (str, Path)):
+        data = read_measurement(given)
+    else:
+        several = [given] if isinstance(given, (Recording, Run)) or not isinstance(given, Iterable) else list(given)
+        for one in several:
+            if not isinstance(one, (Recording, Run)):
+                raise InputError(f"measurement: expected a path, recordings or runs, got {type(one).__name__}")
+        if not several:
+            raise InputError("measurement: expected recordings or runs, got none")
+        known = next((one.known_joint for one in several if isinstance(one, Run)), None)
+        recordings = tuple(one.as_recording() if isinstance(one, Run) else one for one in several)
+        data = Measurement(recordings[0].name, Path(recordings[0].source or "."), recordings)
+    if isinstance(joint, Joint):
+        return data, joint
+    if joint is None and known is not None:
+        return data, known
+    if joint is not None and not isinstance(joint, (str, Path)):
+        raise InputError(f"joint: expected a joint's name, a path or a Joint, got {type(joint).__name__}")
+    return data, data.load_joint(joint)

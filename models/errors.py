@@ -58,6 +58,8 @@ def read_text(path: Path, what: str) -> str:
         if is_there(path) and path.stat().st_size > LARGEST_TEXT:
             raise InputError(f"{path}: cannot read {what}: expected at most {LARGEST_TEXT} bytes")
         return path.read_text(encoding="utf-8-sig")
+    except InputError:
+        raise
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise InputError(f"{path}, line {line}: cannot read {what}: not UTF-8 text") from error

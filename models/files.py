@@ -12,17 +12,45 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
+from pydantic_core import PydanticCustomError, core_schema
 
-from .errors import InputError, is_there, nearest, read_text
+from .errors import InputError, first_line, is_there, nearest, read_text
 from .output import described, write_whole
 from .schema import documented
 
 
+def _strict(schema: Any, model: Any) -> Any:
+    """A schema of pydantic's in which numbers and truth values take nothing else; 1e3 is a whole number as 1000 is.
+
+    Models inside `model` have theirs already.
+    """
+    if isinstance(schema, (list, tuple)):
+        return type(schema)(_strict(part, model) for part in schema)
+    if not isinstance(schema, dict) or schema.get("cls", model) is not model:
+        return schema
+    if schema.get("type") in ("float", "bool"):
+        return {**schema, "strict": True}
+    if schema.get("type") == "int":
+        return core_schema.no_info_before_validator_function(_whole, schema)
+    return {key: part if key in ("metadata", "default") else _strict(part, model) for key, part in schema.items()}
+
+
+def _whole(value: Any) -> Any:
+    if isinstance(value, (bool, str)):
+        raise PydanticCustomError("whole_number", "a whole number")
+    return value
+
+
 class Strict(BaseModel):
-    """Base of everything that a person writes: unknown keys are errors, values are frozen."""
+    """Base of everything that a person writes: unknown keys are errors, values are frozen, and only numbers are numbers: neither
+    true nor '9'."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=documented)
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        return _strict(handler(source), cls)
 
 
 M = TypeVar("M", bound=BaseModel)
@@ -37,7 +65,8 @@ _DEEPEST, _LARGEST = 40, 1_000_000
 
 
 class _Loader(_SafeLoader):
-    """Safe YAML that reads 1e-6 as a number (YAML 1.1 asks for a dot) and refuses duplicate keys."""
+    """Safe YAML that refuses duplicate keys and reads numbers as people write them: 1e-6 is one (YAML 1.1 asks for a dot), 1:30
+    (there 90) and 010 (there 8) are none."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
@@ -55,10 +84,18 @@ class _Loader(_SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_Loader.yaml_implicit_resolvers = {k: list(v) for k, v in yaml.SafeLoader.yaml_implicit_resolvers.items()}
+_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, pattern) for tag, pattern in known if tag not in (_INT, _FLOAT)]
+    for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(_INT, re.compile(r"^[-+]?(?:0|[1-9][0-9_]*)$"), list("-+0123456789"))
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:[0-9][0-9_]*\.?[0-9_]*|\.[0-9]+)[eE][-+]?[0-9]+$"),
+    _FLOAT,
+    re.compile(
+        r"^[-+]?(?:(?:0|[1-9][0-9_]*)\.[0-9_]*(?:[eE][-+]?[0-9]+)?|\.[0-9]+(?:[eE][-+]?[0-9]+)?"
+        r"|(?:0|[1-9][0-9_]*)[eE][-+]?[0-9]+|\.(?:inf|Inf|INF))$|^\.(?:nan|NaN|NAN)$"
+    ),
     list("-+0123456789."),
 )
 
@@ -84,7 +121,7 @@ def read_yaml(path: Path, what: str) -> Any:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f", line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}{where}: not YAML: {getattr(error, 'problem', None) or error}") from error
+        raise InputError(f"{path}{where}: not YAML: {getattr(error, 'problem', None) or first_line(error)}") from error
     except (
         ValueError,
         TypeError,
@@ -178,6 +215,8 @@ def check_format(data: Any, path: Path, known: int = 1) -> None:
 
 _FEW = 12
 """So many keys fit into a message."""
+_WORD = re.compile(r"[\w .·²/+-]{1,60}")
+"""What a key may look like; what does not is not shown."""
 _CLOSE = 0.55
 """How like two keys are of which one was meant: `from` is not `zero`."""
 
@@ -185,11 +224,17 @@ _CLOSE = 0.55
 def parse(data: Any, model: type[M], where: str) -> M:
     """Check `data` against a pydantic model; the first thing wrong raises `InputError` in one line."""
     if not isinstance(data, dict):
-        raise InputError(f"{where}: expected a mapping of keys, got {shown(data)}")
+        raise InputError(f"{where}: expected a mapping of keys, got {kind_of(data)}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
         raise InputError(f"{where}: {describe(error, model, data)}") from error
+
+
+def kind_of(data: Any) -> str:
+    """What a whole file holds instead of what is wanted; not its content, which may be of somebody else's file."""
+    kinds = {str: "text", list: "a list", type(None): "nothing"}
+    return kinds.get(type(data), "a value")
 
 
 def load(path: Path, model: type[M], what: str) -> M:
@@ -227,17 +272,30 @@ def _described(one: Any, model: type[BaseModel]) -> str:
         return f"{field}: unknown key{close or few}"
     if kind == "missing":
         return f"{field}: missing"
+    if kind.startswith("union_tag"):  # which of several kinds of mapping it is
+        key = one["ctx"]["discriminator"].strip("'")
+        if kind == "union_tag_not_found":
+            return f"{field}.{key}: missing"
+        known = re.findall(r"'([^']*)'", one["ctx"]["expected_tags"])
+        tag = one["ctx"]["tag"]
+        return f"{field}.{key}: expected one of {', '.join(known)}, got {tag!r}{nearest(tag, known)}"
     if kind in ("model_type", "model_attributes_type", "dataclass_type"):
         keys = ", ".join(_siblings(model, one["loc"]))
         return f"{field}: expected a mapping of keys{keys and f' ({keys})'}, got {came}"
-    message = one["msg"].removeprefix("Value error, ").removeprefix("Input should be ")
+    message = re.sub(
+        r"^(?:Input|List|String|Dictionary|Tuple) should (?:be|have) ", "", one["msg"].removeprefix("Value error, ")
+    )
+    message = message.replace("String should match pattern", "text of the pattern").replace(" after validation", "")
     if kind == "value_error":  # of the whole, it names its field itself
         return f"{field}: {message}" if one["loc"] else message
     return f"{field}: expected {message}, got {came}"
 
 
 def _field(one: Any) -> str:
-    return ".".join(str(part) for part in one["loc"]) or "top level"
+    parts = [str(part) for part in one["loc"]]
+    if parts and one["type"] == "extra_forbidden" and not _WORD.fullmatch(parts[-1]):
+        parts[-1] = "a line that is no key"  # of a file that is none of ours, perhaps
+    return ".".join(parts) or "top level"
 
 
 def _siblings(model: type[BaseModel], path: tuple) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePosixPath
@@ -349,17 +350,29 @@ class ValidRange(Strict):
     ) -> dict[str, float]:
         """Shares of samples in motion, shape (n,) each, beyond the range: by variable those that are beyond by more than a
         twentieth of it, and by name those of a combination of motion and load that was not seen; empty where there are none."""
-        found = {}
+        return self.shares_beyond(self.count_beyond(link_position, link_velocity, joint_torque), len(link_position))
+
+    def count_beyond(
+        self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray
+    ) -> Counter[str]:
+        """How many of the samples in motion are beyond, by what `beyond` names, and how many are of each combination."""
+        found = Counter[str]()
         for name, x in (
             ("link_position", link_position), ("link_velocity", link_velocity), ("joint_torque", joint_torque),
         ):  # fmt: skip
-            share = float(np.mean(self._past(name, x) > _SLACK)) if len(x) else 0.0
-            if share > 0:
-                found[name] = share
+            found[name] = int(np.count_nonzero(self._past(name, x) > _SLACK)) if len(x) else 0
         sign = np.sign(np.asarray(link_velocity) * joint_torque)
         for name, which in (("driving", 1.0), ("driven", -1.0)):
-            share = float(np.mean(sign == which)) if len(sign) else 0.0
-            if self.loads and name not in self.loads and share > _SLACK:
+            found[name] = int(np.count_nonzero(sign == which))
+        return found
+
+    def shares_beyond(self, counts: Mapping[str, int], samples: int) -> dict[str, float]:
+        """`beyond` by the counts of so many samples in motion."""
+        found = {}
+        for name, count in counts.items():
+            share = count / samples if samples else 0.0
+            beyond = bool(self.loads) and name not in self.loads and share > _SLACK
+            if beyond if name in ("driving", "driven") else share > 0:
                 found[name] = share
         return found
 

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ValidationError
 from . import causes
 from .errors import InputError
 from .faults import Fault, Severity, contradictions
-from .files import descriptions, read_yaml, shown
+from .files import descriptions, kind_of, read_yaml
 from .joint import SYMBOLS, Effect, Joint, Mounting, Number, known_joints, load_joint, number_faults
 from .mjcf import check_mjcf
 from .parameters import GRAVITY
@@ -65,7 +65,7 @@ def check(source: str | Path) -> Checked:
     except InputError as error:
         return Checked(path, None, (Fault("error", "file", str(error).removeprefix(str(path)).lstrip(":, ")),))
     if not isinstance(data, dict):
-        return Checked(path, None, (Fault("error", "file", f"expected a mapping of keys, got {shown(data)}"),))
+        return Checked(path, None, (Fault("error", "file", f"expected a mapping of keys, got {kind_of(data)}"),))
     joint, faults = _read(data)
     found = [_problem("error", text) for text in faults]
     if joint is not None:

@@ -24,3 +24,13 @@ def give_back_large_arrays() -> None:
         return
     mallopt(_MMAP_THRESHOLD, _LARGE)
     mallopt(_TRIM_THRESHOLD, _KEPT)
+
+
+def give_back_free_pages() -> None:
+    """Give back to the system the heap's pages that nothing lies on any more, where that can be asked for (glibc)."""
+    if not sys.platform.startswith("linux"):
+        return
+    try:
+        ctypes.CDLL(None).malloc_trim(0)
+    except (OSError, AttributeError):
+        return

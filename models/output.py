@@ -100,6 +100,8 @@ def output_folder(
             staging = path / f"{_NEW}{secrets.token_hex(4)}"
             staging.mkdir()
             owner = _own(staging)
+            _being_written.append(staging)
+            _made.extend(reversed(made))
     except OSError as error:
         _unmake(made)
         raise InputError(f"{path}: cannot be written: {described(error)}") from error
@@ -116,11 +118,29 @@ def output_folder(
                 raise
             raise InputError(f"{path}: cannot be written: {described(error)}") from error
     finally:
+        _being_written.remove(staging)
         if staging.exists():
             shutil.rmtree(staging, ignore_errors=True)
         if owner is not None:
             os.close(owner)
         _unmake(made)
+
+
+_being_written: list[Path] = []
+"""Folders that this process writes to at the moment."""
+_made: list[Path] = []
+"""Folders that it has made for output, the outer first."""
+
+
+def abandon() -> None:
+    """Remove what is being written: for a process that ends without waiting for its threads. What is complete stays."""
+    for staging in list(_being_written):
+        with suppress(OSError), _locked(staging.parent):
+            if staging.exists():  # else it is being moved into place
+                shutil.rmtree(staging, ignore_errors=True)
+    for folder in reversed(_made):
+        with suppress(OSError):  # something is in it
+            folder.rmdir()
 
 
 def recover(path: Path) -> None:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import csv
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -30,7 +31,8 @@ from .notebook import html_table, paragraph
 from .output import recover
 from .own_sensors import channel
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
-from .tables import reading_parquet, write_table
+from .streams import BLOCK
+from .tables import TableWriter, reading_parquet
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -40,7 +42,6 @@ GAP = 0.1
 LARGEST = 1e30
 """A number that no sensor reads in any unit, and whose powers are still numbers."""
 SUFFIXES = (".parquet", ".csv")
-_BATCH = 1 << 16  # rows of a table that are read at a time
 
 External = Literal["none", "measured", "unmeasured"]
 
@@ -324,17 +325,19 @@ def read_recording(path: str | Path) -> Recording:
     return in_arm(recording, sidecar.arm, angles, sidecar_path)
 
 
-def in_arm(recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path) -> Recording:
+def in_arm(
+    recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path, folder: Path | None = None
+) -> Recording:
     """The recording with mounting and load from its arm.
 
     Args:
       recording: of one of the arm's joints; its own mounting does not count.
       spec: of the arm; angles: columns of its other joints, shape (n,) each [rad].
-      path: of the file that names the arm, whose MJCF is looked for beside it.
+      path: of the file that messages name; folder: where the arm's MJCF and the joint are looked for, that of `path` by default.
     """
     from .arm_dynamics import Arm
 
-    where = recording.source
+    where, folder = recording.source, path.parent if folder is None else folder
     for name, values in angles.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
@@ -342,12 +345,12 @@ def in_arm(recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray]
                 f"{where}: column {name!r}, {_row(where, int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
             )
     try:
-        arm = Arm(spec, path.parent)
+        arm = Arm(spec, folder)
         positions = {str(joint_of(name)): values for name, values in angles.items()}
         if "link_position" in recording:
             position = recording["link_position"]
         else:
-            position = recording["motor_position"] / load_joint(recording.joint, path.parent).numbers["N"].value
+            position = recording["motor_position"] / load_joint(recording.joint, folder).numbers["N"].value
         link, load = arm.of(recording.time, position, positions, recording.segments)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -363,21 +366,28 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     Raises:
       InputError: a name that is none of a file, or a folder that cannot be written to.
     """
-    folder = Path(folder)
-    check_name(recording.name, "recording: name")
-    known = [*CHANNELS, *(name for name in recording.columns if name not in CHANNELS)]
-    ordered = {"time": recording.time, **{n: recording.columns[n] for n in known if n in recording.columns}}
-    arm = recording.arm
-    if arm is not None:
-        ordered |= {arm_column(joint): angle for joint, angle in arm.positions.items()}
-    path = folder / f"{recording.name}.parquet"
+    with writing_recording(recording, folder) as write:
+        write(recording)
+    return Path(folder) / f"{recording.name}.parquet"
+
+
+@contextmanager
+def writing_recording(like: Recording, folder: str | Path) -> Iterator[Callable[[Recording], None]]:
+    """Write a recording as `write_recording` does, part after part: gives what takes the next part.
+
+    Args:
+      like: what all parts have in common: name, joint, columns, what is said of them. folder: where to.
+    """
+    folder, arm = Path(folder), like.arm
+    check_name(like.name, "recording: name")
+    path = folder / f"{like.name}.parquet"
     sidecar = Sidecar(
         format=1,
-        joint=recording.joint,
-        description=recording.description,
-        link=recording.link if arm is None else None,
-        arm=None if arm is None else arm.spec.model_copy(update={"model": f"{recording.name}_arm.xml"}),
-        external_torque=recording.external,
+        joint=like.joint,
+        description=like.description,
+        link=like.link if arm is None else None,
+        arm=None if arm is None else arm.spec.model_copy(update={"model": f"{like.name}_arm.xml"}),
+        external_torque=like.external,
     )
     data = sidecar.model_dump(mode="json", exclude_none=True)
     if sidecar.link is not None:
@@ -386,11 +396,23 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         with write_into_place(folder / sidecar.arm.model) as temporary:
             temporary.write_text(arm.mjcf, encoding="utf-8")
     text = yaml_text(data)
-    with write_into_place(path) as temporary:
-        write_table(temporary, ordered, {name: _unit(name) for name in ordered}, metadata={_WRITTEN: _digest(text)})
+    units_of = {name: _unit(name) for name in _ordered(like)}
+    with (
+        write_into_place(path) as temporary,
+        TableWriter(temporary, units_of, metadata={_WRITTEN: _digest(text)}) as table,
+    ):
+        yield lambda part: table.write(_ordered(part))
     with write_into_place(path.with_suffix(".yaml")) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    return path
+
+
+def _ordered(recording: Recording) -> dict[str, np.ndarray]:
+    """The columns of a recording's table in their order, shape (n,) each."""
+    known = [*CHANNELS, *(name for name in recording.columns if name not in CHANNELS)]
+    ordered = {"time": recording.time, **{n: recording.columns[n] for n in known if n in recording.columns}}
+    if recording.arm is not None:
+        ordered |= {arm_column(joint): angle for joint, angle in recording.arm.positions.items()}
+    return ordered
 
 
 _WRITTEN = "flexspline.yaml"
@@ -450,7 +472,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     import pyarrow.parquet
 
     with reading_parquet(path):
-        file = pa.parquet.ParquetFile(path, memory_map=False)
+        file = pa.parquet.ParquetFile(path, memory_map=False, pre_buffer=False)
         schema = file.schema_arrow
     fields = [field for field in schema if not field.name.startswith("__index_level")]
     _check_header(path, [field.name for field in fields])
@@ -464,6 +486,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         if not units.same(unit, expected):
             raise InputError(f"{path}: column {field.name!r}: expected unit {expected!r}, got {unit!r}")
         columns[field.name] = _parquet_column(path, file, field.name)
+    pa.default_memory_pool().release_unused()  # of an hour, 40 MB
     return columns
 
 
@@ -471,7 +494,7 @@ def _parquet_column(path: Path, file: pa.parquet.ParquetFile, name: str) -> np.n
     """A column of numbers, shape (n,), read in batches: what Arrow has once taken it does not give back."""
     found, begin = np.empty(file.metadata.num_rows), 0
     with reading_parquet(path):
-        for batch in file.iter_batches(_BATCH, columns=[name]):
+        for batch in file.iter_batches(BLOCK, columns=[name]):
             column = batch.column(0)
             if column.null_count:
                 i = begin + int(np.flatnonzero(column.is_null().to_numpy(zero_copy_only=False))[0])

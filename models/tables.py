@@ -10,10 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError, first_line
+from .streams import BLOCK
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
+ROWS = 1 << 20
+"""Rows that Parquet puts into a group."""
 Notes = Mapping[str, Mapping[str, str]]
 
 
@@ -28,6 +31,48 @@ def arrow_column(values: np.ndarray) -> pa.Array:
     return pa.Array.from_buffers(pa.float64(), len(numbers), [None, pa.py_buffer(numbers)])
 
 
+class TableWriter:
+    """A table that is written part after part, each a group of rows of its own; to be closed, as a context."""
+
+    def __init__(
+        self,
+        path: Path,
+        units: Mapping[str, str],
+        notes: Notes | None = None,
+        metadata: Mapping[str, str] | None = None,
+    ):
+        """Begin.
+
+        Args:
+          path: of the file.
+          units: of every column, in their order.
+          notes: what else a column's metadata says, by column. metadata: of the table.
+        """
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        fields = [
+            pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, **(notes or {}).get(name, {})})
+            for name, unit in units.items()
+        ]
+        self._schema = pa.schema(fields, dict(metadata or {}))
+        # Measured numbers hardly repeat: a dictionary of them costs time and saves nothing.
+        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd", use_dictionary=False)
+
+    def write(self, columns: Mapping[str, np.ndarray]) -> None:
+        """Write the next rows; columns by name, shape (n,) each."""
+        import pyarrow as pa
+
+        arrays = [arrow_column(columns[name]) for name in self._schema.names]
+        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+
+    def __enter__(self) -> TableWriter:
+        return self
+
+    def __exit__(self, *raised: object) -> None:
+        self._writer.close()
+
+
 def write_table(
     path: Path,
     columns: Mapping[str, np.ndarray],
@@ -35,25 +80,9 @@ def write_table(
     notes: Notes | None = None,
     metadata: Mapping[str, str] | None = None,
 ) -> None:
-    """Write columns, shape (n,) each, as Parquet.
-
-    Args:
-      path: of the file.
-      columns: by name. units: of every column.
-      notes: what else a column's metadata says, by column. metadata: of the table.
-    """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    fields = [
-        pa.field(name, pa.float64(), nullable=False, metadata={"unit": units[name], **(notes or {}).get(name, {})})
-        for name in columns
-    ]
-    table = pa.Table.from_arrays(
-        [arrow_column(values) for values in columns.values()], schema=pa.schema(fields, dict(metadata or {}))
-    )
-    # Measured numbers hardly repeat: a dictionary of them costs time and saves nothing.
-    pq.write_table(table, path, compression="zstd", use_dictionary=False)
+    """Write columns, shape (n,) each, as Parquet; units of every column, notes, metadata as of `TableWriter`."""
+    with TableWriter(path, {name: units[name] for name in columns}, notes, metadata) as table:
+        table.write(columns)
 
 
 @contextmanager
@@ -84,3 +113,40 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
     columns = {name: table.column(name).to_numpy() for name in table.column_names}
     notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}
     return columns, notes
+
+
+class TableParts:
+    """A Parquet file whose columns are read part after part; what its groups of rows are is read once."""
+
+    def __init__(self, path: Path):
+        """Look at the file.
+
+        Raises:
+          InputError: not a Parquet file.
+        """
+        import pyarrow.parquet as pq
+
+        self._path = path
+        with reading_parquet(path):
+            self._metadata = pq.read_metadata(path)
+
+    @property
+    def rows(self) -> int:
+        """How many rows it has."""
+        return int(self._metadata.num_rows)
+
+    def column(self, name: str) -> Iterator[np.ndarray]:
+        """A column from its start on, part after part.
+
+        Raises:
+          InputError: it cannot be read.
+        """
+        import pyarrow.parquet as pq
+
+        # Arrow's own reading ahead keeps all that was read until the end.
+        with (
+            reading_parquet(self._path),
+            pq.ParquetFile(self._path, metadata=self._metadata, memory_map=False, pre_buffer=False) as file,
+        ):
+            for batch in file.iter_batches(BLOCK, columns=[name]):
+                yield batch.column(0).to_numpy()

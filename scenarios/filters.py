@@ -132,13 +132,15 @@ def parameters_of(estimator: Estimator) -> list[str]:
 def _default(name: Any) -> Estimator:
     if name not in registry.names():
         known = registry.names()
-        raise ValueError(f"estimator: expected one of {list(known)}, got {name!r}{nearest(str(name), known)}")
+        raise ValueError(
+            f"estimator: expected one of {list(known)}, got {name!r}{nearest(str(name), known) or registry.OWN}"
+        )
     return registry.get(name)
 
 
 def _of_rule(rule: Any) -> str:
     rules = {getattr(registry.get(name), "rule", None): name for name in PAPER}
-    if rule not in rules:
+    if not isinstance(rule, str) or rule not in rules:
         raise ValueError(f"rule: expected one of {list(rules)}, got {rule!r}{nearest(str(rule), map(str, rules))}")
     return rules[rule]
 

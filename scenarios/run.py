@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -50,6 +52,29 @@ class Place:
 
 
 @dataclass(frozen=True)
+class Thinned:
+    """What is known of all samples of a run that keeps some of them only; b bins of the time.
+
+    Attributes:
+      start: of the bins [s], shape (b,).
+      robust: share of a bin in robust mode, shape (b,), by filter, of those that have modes.
+      sizes: of errors, increasing, shape (s,) [N·m].
+      errors: errors up to each size after the transient, shape (s + 1,), by filter and `"raw model"`.
+    """
+
+    start: np.ndarray
+    robust: Mapping[str, np.ndarray]
+    sizes: np.ndarray
+    errors: Mapping[str, np.ndarray]
+
+    def exceeded(self, name: str, shares: np.ndarray) -> np.ndarray:
+        """Sizes of a filter's error [N·m] that are exceeded in these shares of the time [%], shape (n,); the next of `sizes`."""
+        upto = self.errors[name]
+        rank = (1 - shares / 100) * max(upto[-1] - 1, 0)
+        return self.sizes[np.minimum(np.searchsorted(upto, rank, side="right"), len(self.sizes) - 1)]
+
+
+@dataclass(frozen=True)
 class Run:
     """A scenario that has been run: what was asked, what came out. n control ticks.
 
@@ -60,6 +85,8 @@ class Run:
       simulation: everything that happened at the control ticks: truth and readings as records, by name.
       estimates: what each of the scenario's filters said, by its name.
       place: where the joint was in an arm; None where it was alone.
+      thinned: of a run too long to be held (`long_run`): it has the samples at which something is smallest or largest, and the
+        measures and notes of all; None where it has all.
     """
 
     scenario: Scenario
@@ -69,6 +96,7 @@ class Run:
     simulation: Simulation
     estimates: dict[str, Posterior]
     place: Place | None = None
+    thinned: Thinned | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in _COPIES}
@@ -131,14 +159,9 @@ class Run:
     def beyond(self) -> dict[str, float]:
         """Shares of the motion beyond the range of validity of the plant's joint or of the one that the estimators know, the
         larger (`models.joint.ValidRange.beyond`); empty where neither states one."""
-        names = ("link_position", "link_velocity", "joint_torque")
-        moving = np.abs(self.truth("motor_velocity")) > 2.5 * self.joint.numbers["vs"].value
-        motion = [self.truth(name)[moving] for name in names]
-        found: dict[str, float] = {}
-        for joint in (self.joint, self.known_joint):
-            for name, share in (joint.valid.beyond(*motion) if joint.valid is not None else {}).items():
-                found[name] = max(share, found.get(name, 0.0))
-        return found
+        count = BeyondCount((self.joint, self.known_joint))
+        count.add(self)
+        return count.shares
 
     def reading(self, name: str) -> np.ndarray:
         """What a sensor gave, one of `models.signals.SENSED`, shape (n,)."""
@@ -156,51 +179,33 @@ class Run:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What whoever reads the measures should know: disturbances that do not act, a drive at its limit, no measures."""
-        end, late = self.scenario.duration, []
-        found = []
-        for i, d in enumerate(self.scenario.disturbances):
-            if d.start >= end:
-                late.append((f"disturbances.{i}", f"{d.start:g}"))
-            elif d.start + d.duration > end:
-                found.append(
-                    f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
-                )
-        if late:
-            names, starts = (", ".join(words) for words in zip(*late, strict=True))
-            start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
-            found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
         limit = self.joint.numbers["current_limit"].value
-        limited = float(np.mean(np.abs(self.simulation.command) >= (1 - 1e-9) * limit))
-        if limited > _LIMITED:
-            off = float(np.max(np.abs(self.position_command - self.truth("link_position"))))
-            found.append(
-                f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: the motion asks for more than "
-                f"it gives, and the link is up to {off:.2g} rad off its command"
-            )
-        for name, one in self.estimates.items():
-            missing = int(np.sum(~np.isfinite(one.mean)))
-            if missing:
-                found.append(f"{name} gives no estimate for {missing} of {len(one.mean)} samples and is not measured")
+        force = None
         if self.tip_force is not None:
             errors = self.tip_force.errors(self.reference.kept)
             shown = ", ".join(f"{name} {value:.2f}" for name, value in sorted(errors.items(), key=lambda item: item[1]))
-            found.append(
+            force = (
                 f"force at the link, RMS error [N]: {shown}; it acts at {self.tip_force.lever:.3f} m, says the wrench"
             )
-        if self.beyond:
-            found.append(beyond_sentence(self.beyond))
-        return tuple(found)
+        return notes_of(
+            self,
+            len(self.time),
+            int(np.count_nonzero(at_limit(self.simulation.command, limit))),
+            float(np.max(np.abs(self.position_command - self.truth("link_position")))),
+            {name: int(np.sum(~np.isfinite(one.mean))) for name, one in self.estimates.items()},
+            force,
+        )
 
     @cached_property
     def tip_force(self) -> TipForce | None:
         """The force at the link by the wrench and by every filter (`evaluation.tip_force`); None where the scenario records no
         wrench or its pushes have not one lever."""
-        levers = {d.lever for d in self.scenario.disturbances}
-        if "force_x" not in self.scenario.record or len(levers) != 1 or 0.0 in levers:
+        lever = self.scenario.lever
+        if lever is None:
             return None
         mass, _ = link_mass(self.joint.record(self.scenario.mount(self.joint))[0])
         force = self.scenario.tip_force()
-        return tip_force(self.simulation, self.signals, self.known, mass, force, levers.pop(), self.estimates)
+        return tip_force(self.simulation, self.signals, self.known, mass, force, lever, self.estimates)
 
     @cached_property
     def metrics(self) -> dict[str, Any]:
@@ -225,11 +230,11 @@ class Run:
             "tip_force": None if tip is None else {"rms": tip.errors(kept), "lever": tip.lever, "unit": "N, m"},
         }
 
-    def as_recording(self) -> Recording:
+    def as_recording(self, pushed: bool | None = None) -> Recording:
         """What a person would have measured: the sensors that the scenario's `record` names.
 
         Where it names none: encoders, current and torque sensor, and motor torque and temperature where the joint states such a
-        sensor's noise.
+        sensor's noise. `pushed`: whether there is ever a torque on the link, where this is a stretch of a run.
         """
         mounting = self.scenario.mount(self.joint)
         names = self.scenario.record
@@ -239,7 +244,7 @@ class Run:
         columns = {name: self.reading(name) for name in names} | {"position_command": self.position_command}
         columns |= self.simulation.further
         external = self.external_torque if self.place is None else self.place.external_torque
-        pushed = bool(np.any(external))
+        pushed = bool(np.any(external)) if pushed is None else pushed
         if pushed:
             columns["external_torque"] = external
         recording = Recording(
@@ -258,6 +263,78 @@ class Run:
             recording.time, self.reading("link_position"), arm.positions, recording.segments
         )
         return replace(recording, link=link, load=load, arm=arm)
+
+
+class BeyondCount:
+    """How much of a run's motion lies beyond its joints' ranges of validity, stretch after stretch."""
+
+    def __init__(self, joints: tuple[Joint, Joint]):
+        """Nothing yet; `joints`: the plant's, and the one that the estimators know."""
+        self._joints = joints
+        self._counts = [Counter[str]() for _ in joints]
+        self._moving = 0
+
+    def add(self, stretch: Run) -> None:
+        """Take up a stretch, or a whole run."""
+        if not any(joint.valid for joint in self._joints):
+            return
+        moving = np.abs(stretch.truth("motor_velocity")) > 2.5 * self._joints[0].numbers["vs"].value
+        motion = [stretch.truth(name)[moving] for name in ("link_position", "link_velocity", "joint_torque")]
+        self._moving += len(motion[0])
+        for joint, count in zip(self._joints, self._counts, strict=True):
+            if joint.valid is not None:
+                count.update(joint.valid.count_beyond(*motion))
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """`Run.beyond`."""
+        found: dict[str, float] = {}
+        for joint, count in zip(self._joints, self._counts, strict=True):
+            for name, share in (joint.valid.shares_beyond(count, self._moving) if joint.valid else {}).items():
+                found[name] = max(share, found.get(name, 0.0))
+        return found
+
+
+def at_limit(command: np.ndarray, limit: float) -> np.ndarray:
+    """Whether a current command [A], shape (n,), is at the drive's limit [A]."""
+    return np.abs(command) >= (1 - 1e-9) * limit
+
+
+def notes_of(
+    run: Run, samples: int, limited: int, off: float, missing: Mapping[str, int], force: str | None = None
+) -> tuple[str, ...]:
+    """What is to be known of a run's measures.
+
+    Args:
+      run: with `beyond` of all of it.
+      samples: of the whole; limited: of these at the drive's limit.
+      off: largest position error [rad].
+      missing: samples without an estimate, by filter.
+      force: what is said of the force at the link.
+    """
+    end, late, found = run.scenario.duration, [], []
+    for i, d in enumerate(run.scenario.disturbances):
+        if d.start >= end:
+            late.append((f"disturbances.{i}", f"{d.start:g}"))
+        elif d.start + d.duration > end:
+            found.append(f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off")
+    if late:
+        names, starts = (", ".join(words) for words in zip(*late, strict=True))
+        start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
+        found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
+    if limited / samples > _LIMITED:
+        found.append(
+            f"the drive is at its limit of {run.joint.numbers['current_limit'].value:g} A for {100 * limited / samples:.2g} % of "
+            f"the time: the motion asks for more than it gives, and the link is up to {off:.2g} rad off its command"
+        )
+    for name, count in missing.items():
+        if count:
+            found.append(f"{name} gives no estimate for {count} of {samples} samples and is not measured")
+    if force is not None:
+        found.append(force)
+    if run.beyond:
+        found.append(beyond_sentence(run.beyond))
+    return tuple(found)
 
 
 def reference_of(

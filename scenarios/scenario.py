@@ -8,14 +8,14 @@ import re
 from collections.abc import Mapping
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_serializer, model_validator
+from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
-from ..models.files import Strict, find, parse, read_yaml, yaml_value
+from ..models.files import Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
@@ -55,26 +55,43 @@ class Disturbance(Strict):
     ] = 0.4
     cycles: Annotated[float, Field(gt=0, description="periods of a sine within the duration")] = 1.0
 
-    def signal(self, time: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Torque [N·m] at the times [s]; `seed` is that of the scenario, for a walk."""
+    def acts(self, time: np.ndarray) -> np.ndarray:
+        """Whether it acts at the times [s], shape (n,)."""
         u = (time - self.start) / self.duration
-        inside = (u >= 0) & (u < 1)
+        return (u >= 0) & (u < 1)
+
+    def signal(self, time: np.ndarray, seed: int = 0, walk: Walk | None = None) -> np.ndarray:
+        """Torque [N·m] at the times [s]; for a walk, `seed` is that of the scenario, and `walk` one that goes on with them."""
+        u = (time - self.start) / self.duration
+        inside = self.acts(time)
         shape = {
             "push": lambda: np.sin(np.pi * u),
             "step": lambda: np.ones_like(u),
             "triangle": lambda: 1 - np.abs(2 * u - 1),
             "sine": lambda: np.sin(2 * np.pi * self.cycles * u),
-            "walk": lambda: _walk(inside, seed, self.start),
+            "walk": lambda: (walk or Walk(seed, self.start, int(np.count_nonzero(inside)))).next(inside),
         }[self.kind]()
         return np.where(inside, self.torque * shape, 0.0)
 
 
-def _walk(inside: np.ndarray, seed: int, start: float) -> np.ndarray:
-    """A random walk that is zero where it begins and has unit standard deviation where it ends."""
-    steps = stream(seed, f"walk at {start:g} s").standard_normal(len(inside)) * inside
-    first = np.argmax(inside)
-    steps[first] = 0.0
-    return np.cumsum(steps) / math.sqrt(max(int(np.count_nonzero(inside)), 1))
+class Walk:
+    """A random walk that is zero where it begins and has unit standard deviation where it ends, a part at a time."""
+
+    def __init__(self, seed: int, start: float, count: int):
+        """Before the first sample; `start`: of the disturbance [s], `count`: samples in which it acts."""
+        self._rng = stream(seed, f"walk at {start:g} s")
+        self._size = math.sqrt(max(count, 1))
+        self._begun, self._at = False, np.empty(0)
+
+    def next(self, inside: np.ndarray) -> np.ndarray:
+        """Its next samples, shape (n,); `inside`: whether it acts, likewise."""
+        steps = self._rng.standard_normal(len(inside)) * inside
+        if not self._begun and np.any(inside):
+            steps[np.argmax(inside)] = 0.0
+            self._begun = True
+        sums = np.cumsum(np.concatenate([self._at, steps]))[len(self._at) :]
+        self._at = sums[-1:]
+        return sums / self._size
 
 
 class Temperature(Strict):
@@ -126,8 +143,8 @@ class Scenario(Strict):
     link: Annotated[
         Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
     ] = None
-    duration: Annotated[float, Field(gt=0, le=3600, description="s")]
-    timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
+    duration: Annotated[float, Field(gt=0, le=86_400, description="s")]
+    timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream."""
     locked_rotor: bool = False
@@ -160,6 +177,7 @@ class Scenario(Strict):
         list[str], Field(description="what its recording holds of the sensors; where empty, what the joint states")
     ] = []
     transient: Annotated[float, Field(ge=0, description="s at the start that metrics leave out")] = 1.0
+    _at_hand: dict[str, Joint] = PrivateAttr(default_factory=dict)
 
     @model_validator(mode="before")
     @classmethod
@@ -208,23 +226,32 @@ class Scenario(Strict):
         for symbol in self.plant:
             if symbol not in SYMBOLS:
                 raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
-        if self.transient >= self.duration:
+        if self.transient > self.duration - 1.999 * CONTROL_PERIOD:
             raise ValueError(
-                f"transient: expected less than the duration {self.duration:g} s, got {self.transient:g} s"
+                f"transient: expected less than the duration {self.duration:g} s by two control periods of {CONTROL_PERIOD:g} s, "
+                f"got {self.transient:g} s"
             )
         return self
 
     @property
+    def ticks(self) -> int:
+        """How many control instants there are."""
+        return round(self.duration / CONTROL_PERIOD)
+
+    @property
     def time(self) -> np.ndarray:
         """Control instants [s], shape (n,)."""
-        return np.arange(round(self.duration / CONTROL_PERIOD)) * CONTROL_PERIOD
+        return np.arange(self.ticks) * CONTROL_PERIOD
 
-    def commands(self) -> tuple[np.ndarray, np.ndarray]:
-        """Commanded link position [rad] and velocity [rad/s], shape (n,): held before and after the waypoints."""
-        time = self.time
+    def commands(self, time: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Commanded link position [rad] and velocity [rad/s] at all control instants, or at times [s], increasing, shape (n,):
+        held before and after the waypoints."""
+        time = self.time if time is None else time
         position = np.full_like(time, self.trajectory[0].position)
         velocity = np.zeros_like(time)
-        for a, b in itertools.pairwise(self.trajectory):
+        ways = [(a, b) for a, b in itertools.pairwise(self.trajectory) if a.time <= time[-1]]
+        over = sum(a.time <= time[0] for a, _ in ways) - 1  # those before the last that has begun count for nothing
+        for a, b in ways[max(over, 0) :]:
             T, A = b.time - a.time, b.position - a.position
             u = np.clip((time - a.time) / T, 0, 1)
             inside = (time >= a.time) & (time < b.time)
@@ -252,14 +279,36 @@ class Scenario(Strict):
         forces = [d.signal(time, self.seed) / d.lever for d in self.disturbances if d.lever > 0.0]
         return sum(forces, np.zeros_like(time))
 
+    @property
+    def lever(self) -> float | None:
+        """Lever [m] of the force at the link where the wrench is recorded and all forces have that one, so that both can be
+        compared; None otherwise."""
+        levers = {d.lever for d in self.disturbances}
+        return levers.pop() or None if "force_x" in self.record and len(levers) == 1 else None
+
     def estimators(self) -> dict[str, Estimator]:
         """Its filters by name."""
         return {entry.name: entry.build() for entry in self.filters}
 
+    @property
+    def joints_at_hand(self) -> dict[str, Joint]:
+        """Descriptions that were given as such and stand in no file, by the key that they stand for."""
+        return dict(self._at_hand)
+
+    def with_joints(self, joints: Mapping[str, Joint]) -> Self:
+        """The same with descriptions at hand, where its file has a name or a path: `joint`, `known_joint`."""
+        copy = self.model_copy(update={key: one.name for key, one in joints.items()})
+        copy._at_hand = self._at_hand | dict(joints)
+        return copy
+
     def load_joint(self, folder: Path | None = None) -> tuple[Joint, Joint]:
         """The plant's joint and the one that the estimators know, with the scenario's sensors."""
-        joint = self._with_sensors(load_joint(self.joint, folder))
-        known = self._with_sensors(load_joint(self.known_joint, folder)) if self.known_joint else joint
+
+        def described(key: str) -> Joint:
+            return self._with_sensors(self._at_hand.get(key) or load_joint(getattr(self, key), folder))
+
+        joint = described("joint")
+        known = described("known_joint") if self.known_joint else joint
         if self.plant:
             numbers = dict(joint.numbers)
             for symbol, value in self.plant.items():
@@ -347,7 +396,7 @@ def read_scenario(
     path = find(source, shipped_scenarios() | dict(further or {}), "scenario")
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
-        raise InputError(f"{path}: expected a mapping of keys, got {type(data).__name__}")
+        raise InputError(f"{path}: expected a mapping of keys, got {kind_of(data)}")
     for change in changes or []:
         _override(data, change)
     if seed is not None:
@@ -380,7 +429,7 @@ def from_here(key: str, value: Any) -> Any:
         and Path(str(value)).is_file()
     ):
         return str(Path(str(value)).resolve())
-    return value
+    return str(value) if isinstance(value, Path) else value
 
 
 def _override(data: dict[str, Any], change: str) -> None:

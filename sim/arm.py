@@ -1,10 +1,10 @@
 """Joints in series: one MuJoCo model of several joints, each on the link of the one before.
 
-All axes are parallel and horizontal, as in a joint's own MJCF, so the arm moves in a vertical plane; with all angles at
-zero it hangs straight down. What is bolted to a joint's output, its `Mounting`, is its link with all that is fixed to it,
-housing and motor of the next joint included: rotors and wave generators of the joints have inertia about their axis and no
-mass. A mounting states inertia Jl and gravity moment Mg and no mass; the link's is `plant.link_mass`, which the joints
-before it feel.
+A joint's axis lies across its link, which hangs straight down at zero; `turn` puts it at another angle about the link
+before it than that one's axis. Axes that are all parallel keep the arm in a vertical plane. What is bolted to a joint's
+output, its `Mounting`, is its link with all that is fixed to it, housing and motor of the next joint included: rotors and
+wave generators of the joints have inertia about their axis and no mass. A mounting states inertia Jl and gravity moment Mg
+and no mass; the link's is `plant.link_mass`, which the joints before it feel.
 
 The rotors turn with the links that carry them, as real ones do. That couples the joints by Jm θ̈, a hundredth of what a rotor
 asks for when its own joint moves; the equations of a joint alone (`models.dynamics`) leave it out.
@@ -36,12 +36,14 @@ class ArmJoint:
       joint: its description.
       record: parameters with what is bolted to its output, shape (1,).
       length: from its axis to the next joint's, along its link [m].
+      turn: of its axis about the link before it, against that one's axis [rad].
     """
 
     name: str
     joint: Joint
     record: np.ndarray
     length: float
+    turn: float = 0.0
 
     @property
     def prefix(self) -> str:
@@ -79,7 +81,7 @@ def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_cu
                 spec.delete(light)
         place = [0.0, 0.0, -joints[i - 1].length] if i else [0.0, 0.0, 0.0]
         try:
-            arm.attach(spec, prefix=one.prefix, frame=at.add_frame(pos=place))
+            arm.attach(spec, prefix=one.prefix, frame=at.add_frame(pos=place, quat=_about_z(one.turn)))
         except ValueError as error:
             raise InputError(f"{one.joint.mjcf}: cannot be part of an arm: {' '.join(str(error).split())}") from error
         at = arm.body(one.prefix + "link")
@@ -104,7 +106,8 @@ def rigid(joints: Sequence[ArmJoint]) -> str:
         p = one.record[0]
         mass, lever = plant.link_mass(p)
         drop = joints[i - 1].length if i else 0.0
-        parent = ElementTree.SubElement(parent, "body", name=one.name, pos=_numbers(0.0, 0.0, -drop))
+        place = {"pos": _numbers(0.0, 0.0, -drop)} | ({"quat": _numbers(*_about_z(one.turn))} if one.turn else {})
+        parent = ElementTree.SubElement(parent, "body", place, name=one.name)
         ElementTree.SubElement(parent, "joint", name=one.name, axis="0 -1 0")
         angle, about_mass = float(p["gravity_angle"]), float(p["Jl"]) - mass * lever**2
         ElementTree.SubElement(
@@ -113,6 +116,11 @@ def rigid(joints: Sequence[ArmJoint]) -> str:
         )  # fmt: skip
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _about_z(angle: float) -> list[float]:
+    """Quaternion of a turn [rad] about the vertical."""
+    return [float(np.cos(0.5 * angle)), 0.0, 0.0, float(np.sin(0.5 * angle))]
 
 
 def _numbers(*values: float) -> str:

@@ -6,6 +6,9 @@ import importlib
 import inspect
 import re
 import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 from typing import get_args, get_type_hints
 
@@ -16,7 +19,7 @@ from flexspline import commands
 from flexspline.diagnosis.data.importing import Layout
 from flexspline.models.files import parse
 from flexspline.scenarios.arms.arm_scenario import ArmScenario
-from flexspline.scenarios.scenario import Scenario
+from flexspline.scenarios.scenario import Scenario, load_scenario
 from flexspline.scenarios.studies.study import Study
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -36,7 +39,8 @@ ROOMS = (
 MADE = {
     "joint.yaml", "diagnosis/joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv",
     "diagnosis.json", "DIR/NAME.yaml", "study.yaml", "cause.py", "models/causes/NAME.py", "my_filter.py",
-    "my_cause.py", "arm.yaml", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml",
+    "my_cause.py", "arm.yaml", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml", "my_push.yaml",
+    "my_study.yaml", "my_arm.yaml", "my_log.yaml", "my_log.csv",
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 BUILT = re.compile(r"(?:reference/\w+|examples)\.md")
@@ -203,7 +207,136 @@ def test_the_first_hour(flexspline, tmp_path, monkeypatch):
                 if words[0] != "view":
                     code, said, error = flexspline(*words)
                     assert code == 0, (words, error)
-    assert steps == {"commands": 6, "yaml": 1, "python": 1, "output": 2}
+    assert steps == {"commands": 7, "yaml": 1, "python": 1, "output": 2}
+
+
+SYNOPSIS = re.compile(r"FORMAT FILE…|tcp://")
+"""Lines that are no commands to type: what may stand where, and a cluster of somebody's (`tests/scenarios/studies` has one)."""
+SMALLER = {
+    "--seeds 10": "--seeds 1",
+    "--draws 24": "--draws 1",
+    "--draws 10": "--draws 1",
+    "1,0.3,0.1": "1",
+    "sweep my_study.yaml": "sweep my_study.yaml --seeds 1",
+    "values: [1, 3, 10]": "values: [1]",
+    "values: [3, 9, 12]": "values: [9]",
+    "sizes: [0, 0.5, 1]": "sizes: [1]",
+    "NEW_MEASUREMENT": "MEASUREMENT",
+    "--out …": "--out other",
+}
+"""What takes long, with less of the same; and what a page leaves open."""
+NAMED = re.compile(r"`(\w+\.(?:py|yaml))`[^`\n]*\n\n$")
+"""The end of what stands before a file that is shown: its name is in the line before."""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory, shared):
+    """A folder with what the pages take for there: runs, measurements, diagnoses, files of somebody's own."""
+    import flexspline as fs
+    from flexspline.models.joint import Effect, Estimate
+    from flexspline.models.recording import write_recording
+
+    top = tmp_path_factory.mktemp("place")
+    (top / "shared").symlink_to(shared)
+    here = top / "here"
+    here.mkdir()
+    asymmetry = Effect(name="friction_asymmetry", parameters={"ratio": Estimate(value=0.35)})
+    worn = fs.load_joint("test-joint").model_copy(update={"effects": [asymmetry]})
+    worn.write(here / "worn.yaml")
+    ways = [{"time": t, "position": x} for t, x in ((0.5, 0), (4, 1.2), (5, 1.2), (11, -1.2), (12, -1.2), (15, 0))]
+    motion = {"name": "motion", "duration": 16.0, "trajectory": ways, "filters": ["RAREKF", "current"]}
+    for name in ("mine.yaml", "my_motion.yaml"):
+        (here / name).write_text(yaml.safe_dump(motion), encoding="utf-8")
+    run = fs.simulate(here / "mine.yaml", joint=worn, known_joint="test-joint")
+    for name in ("MEASUREMENT", "measurement"):
+        (here / name).mkdir()
+        write_recording(run.as_recording(), here / name)
+    for name, sought in (("joint3_outbound.csv", "lara8"), ("shoulder_first_half.csv", "ur3e")):
+        (here / name).write_bytes((shared / "data" / sought / name).read_bytes())
+    lines = (here / "shoulder_first_half.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    (here / "first.csv").write_text("".join(lines[:2466]), encoding="utf-8")
+    (here / "last.csv").write_text("".join([lines[0], *lines[-1237:]]), encoding="utf-8")
+    for words in (
+        ["run", "external_push", "no_load", "--set", "duration=3", "--no-figures", "--no-recording"],
+        ["run", "two_joints", "--set", "duration=3", "--no-figures", "--no-recording"],
+        ["diagnose", "MEASUREMENT", "--out", "before"],
+        ["diagnose", "MEASUREMENT", "--joint", "worn.yaml", "--out", "after"],
+        ["diagnose", "MEASUREMENT", "--out", "diagnosis"],
+        ["contact", "--hours", "0.05", "--filter", "RAREKF", "--set", "duration=20", "--rate", "400", "--out", "contact"],
+        ["joint", "new", "--gear", "CSG-17-80", "--torque-constant", "0.05", "--resistance", "0.3", "--inductance", "3e-4",
+         "--rotor-inertia", "8e-5", "--motor-encoder", "4096", "--link-encoder", "20 bit", "--out", "my_joint.yaml"],
+    ):  # fmt: skip
+        done = subprocess.run([sys.executable, "-m", "flexspline", *words], cwd=here, capture_output=True, text=True)
+        assert done.returncode == 0, (words, done.stderr)
+    study = {"name": "few", "seeds": {"first": 1, "count": 2}, "scenarios": ["no_load"], "filters": ["RAREKF", "EKF"]}
+    (here / "few.yaml").write_text(yaml.safe_dump(study | {"set": {"duration": 3}}), encoding="utf-8")
+    done = subprocess.run([sys.executable, "-m", "flexspline", "sweep", "few.yaml", "--out", "sweep"], cwd=here)
+    assert done.returncode == 0
+    return top
+
+
+def looked_at(words: list[str]) -> None:
+    """What `view` would open is there, and what runs live begins."""
+    from flexspline.commands.view import find_recording
+    from flexspline.scenarios.live import LiveRun
+
+    if "--live" in words:
+        changes = [words[i + 1] for i, word in enumerate(words) if word == "--set"]
+        assert LiveRun(*load_scenario(words[words.index("--live") + 1], changes)).advance(0.02).estimates
+    else:
+        assert all(find_recording(Path(word)).is_file() for word in words)
+
+
+def file_of(before: str) -> str:
+    """What a snippet after some text is called; empty where it has no name."""
+    found = NAMED.search(before)
+    return found.group(1) if found else ""
+
+
+TYPED = [
+    page
+    for page in PAGES
+    if page.name not in ("README.md", "first_hour.md") and OWN.search(page.read_text(encoding="utf-8"))
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", TYPED, ids=ids(TYPED))
+def test_every_command_of_a_page_is_run(page, place, flexspline, tmp_path, monkeypatch):
+    """In the order of the page, beside the files that it shows; `README.md` and the first hour have tests of their own."""
+    shutil.copytree(place, tmp_path / "place", symlinks=True)
+    monkeypatch.chdir(tmp_path / "place" / "here")
+    if page.name in ("cluster.md", "scenarios.md"):
+        shutil.rmtree("sweep")
+    if page.name == "joints.md":
+        for name in ("my_joint.yaml", "my_joint.xml"):
+            Path(name).unlink()
+    text, said = page.read_text(encoding="utf-8"), ""
+    for long, short in SMALLER.items():
+        text = text.replace(long, short)
+    steps = [
+        (step.lastgroup, step.group(step.lastgroup), file_of(text[: step.start()])) for step in STEP.finditer(text)
+    ]
+    for kind, found, name in steps:
+        if kind in ("yaml", "python") and name:
+            Path(name).write_text(found, encoding="utf-8")
+    for kind, found, name in steps:
+        if kind in ("yaml", "python"):
+            if kind == "python" and not name:
+                exec(found, {})
+            continue
+        if kind == "output":
+            assert_shown(found, said)
+            continue
+        for line in filter(None, found.replace("\\\n", " ").splitlines()):
+            _, *words = shlex.split(line, comments=True)
+            if SYNOPSIS.search(line):
+                continue
+            if words[0] == "view":
+                looked_at(words[1:])
+                continue
+            code, said, error = flexspline(*words)
+            assert code == 0, (words, error)
 
 
 def test_public_functions_say_what_they_take_and_give():

@@ -18,6 +18,7 @@ from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.diagnosis.validate import ChannelError
 from flexspline.estimator import registry
 from flexspline.models import causes
+from flexspline.models.joint import Effect, Estimate
 from flexspline.models.recording import read_recording, write_recording
 from flexspline.scenarios.scenario import load_scenario
 
@@ -69,6 +70,46 @@ def test_a_joints_file_is_looked_for_where_one_stands(tmp_path, monkeypatch):
     assert run.joint.name == "mine"
 
 
+@pytest.fixture(scope="module")
+def worn() -> fs.Joint:
+    """The test joint with another friction forward than backward: a description that stands in no file."""
+    asymmetry = Effect(name="friction_asymmetry", parameters={"ratio": Estimate(value=0.35)})
+    return fs.load_joint("test-joint").model_copy(update={"name": "worn", "effects": [asymmetry]})
+
+
+def test_a_joint_at_hand_stands_where_a_name_or_a_path_does(worn, run, tmp_path):
+    """In every function that takes one; what it gives is what the same joint gives from its file."""
+    worn.write(tmp_path / "worn.yaml")
+    few = {**SHORT, "filters": ["RAREKF"]}
+    nominal = fs.load_joint("test-joint")
+    for key, here, there in (("joint", worn, tmp_path / "worn.yaml"), ("known_joint", nominal, "test-joint")):
+        a, b = (fs.simulate("link_sweep", **few, **{key: one}) for one in (here, there))
+        assert a.estimate("RAREKF").tobytes() == b.estimate("RAREKF").tobytes()
+        assert a.joint.effects == b.joint.effects
+    both = fs.simulate("link_sweep", joint=worn, known_joint=nominal, **few)
+    assert both.joint.effects and not both.known_joint.effects
+    # It stays what it is where only something else changes, and goes where it is replaced.
+    again = fs.simulate(both.scenario, seed=5)
+    assert again.joint.effects and again.scenario.seed == 5 and not again.known_joint.effects
+    assert not fs.simulate(both.scenario, joint="test-joint").joint.effects
+    table = fs.compare("link_sweep", joint=worn, known_joint=nominal, **few)
+    assert table.loc[("link_sweep", "RAREKF"), "rms"] == both.metrics["filters"]["RAREKF"]["rms"]
+    from_object, from_file = (fs.estimate(run, one, "current") for one in (worn, tmp_path / "worn.yaml"))
+    pd.testing.assert_frame_equal(from_object, from_file)
+    one, other = (fs.validate(run, joint=j).residual for j in (worn, str(tmp_path / "worn.yaml")))
+    assert one == other
+    arm = fs.simulate_arm("two_joints", duration=2, arm__1__joint=worn, arm__1__known_joint=nominal)
+    assert arm["elbow"].joint.effects and not arm["elbow"].known_joint.effects and not arm["shoulder"].joint.effects
+
+
+def test_a_run_is_a_measurement(run, worn):
+    """A run is diagnosed, validated and planned from as its recording is, told what its estimators were."""
+    recording = run.as_recording()
+    assert fs.validate(run).residual == fs.validate(recording, joint=run.known_joint).residual
+    assert fs.validate([run, recording], joint=worn).joint == "worn"
+    assert fs.diagnose(run, seconds=0).to_json() == fs.diagnose(recording, run.known_joint, seconds=0).to_json()
+
+
 def test_estimate(run, tmp_path):
     table = fs.estimate(run, estimators=["lowpass", "dynamics_ekf"])
     assert list(table.columns) == ["lowpass", "dynamics_ekf"] and table.index.name == "time [s]"
@@ -112,6 +153,18 @@ def test_tables_of_what_there_is():
         (lambda: fs.compare(["no_load", "no_load"], duration=2), "got it twice"),
         (lambda: fs.load_joint("test-jont"), "did you mean 'test-joint'"),
         (lambda: fs.load_recording("nothing.parquet"), "no such file"),
+        (
+            lambda: fs.simulate("no_load", filters=["zz"]),
+            "got 'zz'; one of a file of yours is known by --plugin FILE.py",
+        ),
+        (lambda: fs.estimate("nothing.parquet", estimators="zz"), "is known by --plugin FILE.py"),
+        (lambda: fs.simulate("no_load", joint=3), "joint: expected a valid string, got 3"),
+        (
+            lambda: fs.simulate_arm("two_joints", arm__7__joint=fs.load_joint("test-joint")),
+            "expected a number from 0 to 1",
+        ),
+        (lambda: fs.diagnose([]), "expected recordings or runs, got none"),
+        (lambda: fs.validate([3]), "expected a path, recordings or runs, got int"),
         (lambda: fs.estimate("nothing.parquet"), "no such file"),
     ],
 )

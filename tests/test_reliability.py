@@ -20,8 +20,10 @@ def test_inputs_made_at_random_are_used_or_refused_in_one_line():
     seed = secrets.randbelow(2**31)
     print(f"seed {seed}")
     outcomes: Counter[str] = Counter()
-    for number in range(60):
-        _, became, failure = fuzzing.one(seed, number, ("joint", "scenario", "study", "layout", "mjcf"))
+    for number in range(80):
+        _, became, failure = fuzzing.one(
+            seed, number, ("joint", "scenario", "arm", "study", "layout", "mjcf", "messages")
+        )
         outcomes[became] += 1
         assert failure is None, (seed, failure)
     assert outcomes["refused"] > 10

@@ -43,8 +43,9 @@ def told(value: Interval, digits: int, scale: float = 1.0) -> str:
 def contact_rows(points: Mapping[str, OperatingPoint]) -> Iterator[tuple[str, ...]]:
     """A row of text per estimator, `HEADS`; the smallest push first."""
     for name, point in sorted(points.items(), key=lambda item: item[1].smallest.mean):
+        threshold = "–" if math.isnan(point.threshold) else f"{point.threshold:.3f}"
         yield (
-            name, f"{point.threshold:.3f}", told(point.alarms, 1), told(point.smallest, 2), told(point.share, 0, 100.0),
+            name, threshold, told(point.alarms, 1), told(point.smallest, 2), told(point.share, 0, 100.0),
             told(point.delay, 0, 1e3),
         )  # fmt: skip
 

@@ -74,13 +74,13 @@ def _stacked(value: str, interval: str) -> tuple[str]:
 def tuned_rows(found: Sequence[Tuned]) -> list[tuple[str, ...]]:
     """A row of text per filter, `TUNED_HEADS`; the smallest tuned error first."""
     rows = []
-    for one in sorted(found, key=lambda one: _overall(one.test_tuned)):
+    for one in sorted(found, key=lambda one: one.tuned_score):
         change = one.difference
         interval = f" [{change.low:+.4f}, {change.high:+.4f}]" if math.isfinite(change.low) else ""
         values = ", ".join(
             f"{k.split('.')[-1]} {v:.3g}" + ("!" if k in one.at_bound else "") for k, v in one.values.items()
         )
-        errors = (*one.train, _overall(one.test_default), _overall(one.test_tuned))
+        errors = (*one.train, one.default_score, one.tuned_score)
         rows.append((one.name, *(number(e, 4) for e in errors), f"{change.mean:+.4f}{interval}", values or "–"))
     return rows
 
@@ -100,11 +100,6 @@ def tuned_table(found: Sequence[Tuned], title: str) -> Table:
         pairs = ("\n".join(errors[:2]), "\n".join(errors[2:]), difference.replace(" [", "\n["))
         table.add_row(*(Text(cell) for cell in (name, *pairs, values.replace(", ", "\n"))))
     return table
-
-
-def _overall(rms: np.ndarray) -> float:
-    """One number of RMS errors (scenarios, seeds): root mean square over seeds, geometric mean of these, as tuning has it."""
-    return float(np.exp(np.mean(np.log(np.sqrt(np.mean(rms**2, axis=1))))))
 
 
 def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

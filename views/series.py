@@ -10,7 +10,7 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
 
     Args:
       values: shape (n,); samples that are not finite are gaps, and a column that has one keeps one.
-      columns: of pixels that the line is drawn on; at most about two samples of each stay.
+      columns: of pixels that the line is drawn on, at least one; at most about two samples of each stay.
       keep: samples that stay whatever they are (the interesting parts) and count among them, shape (n,), bool.
 
     Returns:
@@ -21,6 +21,7 @@ def envelope(values: np.ndarray, columns: int, keep: np.ndarray | None = None) -
     if n <= 2 * columns:
         return np.arange(n)
     kept = np.zeros(n, dtype=bool) if keep is None else np.array(keep, dtype=bool)
+    columns = max(columns, 1)
     left = max(columns - int(np.count_nonzero(kept)) // 2, min(columns, 32))
     kept[[0, -1]] = True
     size = -(-n // left)

@@ -95,8 +95,13 @@ class ColumnChange:
 
     @property
     def shrinkage(self) -> float:
-        """What it costs in each recording that smaller torques look like nothing, whatever they are."""
-        if self.name != "unit" or self.column not in (*DRIVING, "external_torque") or self.factor is None:
+        """What it costs in each recording that smaller torques, or smaller angles all together, look like nothing, whatever they
+        are."""
+        if (
+            self.name != "unit"
+            or self.factor is None
+            or not (self.also or self.column in (*DRIVING, "external_torque"))
+        ):
             return 0.0
         return 0.5 * AGREEMENT.effective * max(-math.log(self.factor), 0.0)
 
@@ -279,6 +284,10 @@ class Suspicions:
                 yield _sign(column)
                 yield from _angles(column)
                 yield from self._counts(column, encoder)
+        angles = [name for name in ("link_position", "motor_position", "position_command") if name in there]
+        for count in range(2, len(angles) + 1):  # the encoders, or all: nothing between them shows it
+            for first, *others in zip(*map(_angles, angles[:count]), strict=True):
+                yield replace(first, also=tuple(others))
         if "position_command" in there:
             yield _sign("position_command")
             yield from _angles("position_command")

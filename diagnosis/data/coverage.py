@@ -7,7 +7,7 @@ cause (`models.causes`: `needs`, `requires`, `torsion`), or follows from the law
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,9 +157,12 @@ def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
             yield "joint_torque", "joint torque against the link's inertia and gravity"
 
 
-def undetermined(measurement: Measurement, joint: Joint) -> dict[str, str]:
-    """Causes that this measurement cannot show at ordinary size, each with the first reason found."""
-    found = _Extent.of(measurement, joint)
+def undetermined(
+    measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary] | None = None
+) -> dict[str, str]:
+    """Causes that this measurement cannot show at ordinary size, each with the first reason found; `summaries` of its recordings,
+    where they are there."""
+    found = _Extent.of(measurement, joint, summaries or [summarise(r, joint) for r in measurement.recordings])
     reasons: dict[str, str] = {}
     for name in causes.of(joint):
         reason = next(_lacking(causes.get(name), found), None)
@@ -201,9 +204,8 @@ class _Extent:
     gravity: bool
 
     @classmethod
-    def of(cls, measurement: Measurement, joint: Joint) -> _Extent:
+    def of(cls, measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary]) -> _Extent:
         recordings = measurement.recordings
-        summaries = [summarise(r, joint) for r in recordings]
         N, rated = joint.numbers["N"].value, joint.numbers["rated_torque"].value
         ends = [_link_range(s, N) for s in summaries]
         turns = [_rotor_range(s, N) for s in summaries]

@@ -21,6 +21,7 @@ from ...models.recording import Recording
 from ...models.signals import WRENCH
 from .messages import DEFINITIONS
 
+_LAST = 2.0**31  # s, of a stamp
 _JOINTS = {"motor_position": "motor", "link_position": "link"}
 
 
@@ -32,7 +33,7 @@ def write_mcap(recording: Recording, path: Path) -> None:
       path: of the file.
 
     Raises:
-      InputError: the packages are not installed, or the file cannot be written.
+      InputError: the packages are not installed, times before 1970 or past 2038, or the file cannot be written.
     """
     try:
         from mcap_ros2.writer import Writer
@@ -40,6 +41,11 @@ def write_mcap(recording: Recording, path: Path) -> None:
         raise InputError(
             "writing MCAP: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
         ) from error
+    if recording.time[0] < 0 or recording.time[-1] >= _LAST:
+        raise InputError(
+            f"{recording.source or recording.name}: time: expected 0 s to {_LAST:g} s, which messages can say, got "
+            f"{recording.time[0]:g} s to {recording.time[-1]:g} s"
+        )
     columns = dict(recording.columns)
     angles = {name: columns.pop(channel) for channel, name in _JOINTS.items() if channel in columns}
     angles |= recording.arm.positions if recording.arm is not None else {}

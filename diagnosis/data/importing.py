@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field, PrivateAttr, model_validator
 
 from ...models.arm import ArmSpec, joint_of
 from ...models.errors import InputError, nearest
 from ...models.files import Strict, load
-from ...models.joint import Mounting
+from ...models.joint import Mounting, load_joint
 from ...models.parameters import GRAVITY
 from ...models.recording import External, Recording, check_channels, in_arm
 from ...models.signals import CHANNELS
@@ -191,11 +191,13 @@ class PayloadSpec(Strict):
 
 
 class LogLoad(Strict):
-    """What differs in some logs: what hung on the joint (`link` instead of the mapping's, `payload` beside it), its arm, whether
-    it was pushed."""
+    """What differs in some logs: what hung on the joint (`link` or `mounting` instead of the mapping's, `payload` beside it), its
+    arm, whether it was pushed."""
 
     link: Mounting | None = None
     """What hung on the output, instead of the mapping's."""
+    mounting: str | None = None
+    """The same by its name in the joint's description."""
     payload: PayloadSpec | None = None
     """A mass beside it."""
     arm: ArmSpec | None = None
@@ -218,9 +220,11 @@ class Layout(Strict):
     joint: str
     """Name of a shipped joint, or path of its file."""
     link: Mounting | None = None
-    """What hung on the output; or else `arm`."""
+    """What hung on the output; or else `mounting` or `arm`."""
+    mounting: str | None = None
+    """The same by its name among the `mountings` of the joint's description."""
     arm: ArmSpec | None = None
-    """The arm that the joint is part of; or else `link`."""
+    """The arm that the joint is part of; or else `link` or `mounting`."""
     external_torque: External = "none"
     """Whether the link was pushed, and whether that was measured."""
     separator: Annotated[str, Field(min_length=1, max_length=1)] | None = None
@@ -231,11 +235,13 @@ class Layout(Strict):
     """Channels of the recording by name, each from the log's."""
     logs: dict[str, LogLoad] = {}
     """What differs, by patterns of file names."""
+    _folder: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
     def _complete(self) -> Layout:
-        if (self.link is None) == (self.arm is None):
-            raise ValueError(f"expected either link or arm, got {'none' if self.link is None else 'both'}")
+        loads = [name for name in ("link", "mounting", "arm") if getattr(self, name) is not None]
+        if len(loads) != 1:
+            raise ValueError(f"expected one of link, mounting and arm, got {' and '.join(loads) or 'none'}")
         for name in self.columns:
             if name not in CHANNELS and (joint_of(name) is None or self.arm is None):
                 raise ValueError(f"columns.{name}: unknown key{nearest(name, CHANNELS)}")
@@ -246,12 +252,18 @@ class Layout(Strict):
         if measured != (self.external_torque == "measured"):
             raise ValueError("external_torque: expected 'measured' where columns has external_torque and only there")
         for pattern, other in self.logs.items():
-            if (other.link or other.payload) and self.arm is not None:
+            own = other.model_fields_set - {"external_torque"}
+            if self.arm is not None and own - {"arm"}:
                 raise ValueError(
-                    f"logs.{pattern}: expected arm, as the mapping has it (a payload stands in its MJCF), got link or payload"
+                    f"logs.{pattern}: expected arm, as the mapping has it (a payload stands in its MJCF), got "
+                    f"{' and '.join(sorted(own))}"
                 )
-            if other.arm and self.arm is None:
-                raise ValueError(f"logs.{pattern}: expected link or payload, as the mapping has link, got arm")
+            if self.arm is None and other.arm:
+                raise ValueError(
+                    f"logs.{pattern}: expected link, mounting or payload, as the mapping has {loads[0]}, got arm"
+                )
+            if other.link and other.mounting:
+                raise ValueError(f"logs.{pattern}: expected either link or mounting, got both")
             if other.external_torque is not None and measured != (other.external_torque == "measured"):
                 raise ValueError(
                     f"logs.{pattern}.external_torque: expected 'measured' where columns has external_torque and only there"
@@ -265,25 +277,31 @@ class Layout(Strict):
                     )
         return self
 
-    def of(self, log: Path) -> Layout:
-        """The mapping as it holds for one log.
+    def of(self, log: Path, joint: str | None = None) -> Layout:
+        """The mapping as it holds for one log, with what hung on the joint as `link` or `arm`.
+
+        Args:
+          log: its path.
+          joint: name of, or path to, the joint whose mountings are meant; the mapping's by default, beside it.
 
         Raises:
-          InputError: several patterns fit its name.
+          InputError: several patterns fit its name; a joint that there is not, or that has no such mounting.
         """
         fitting = [pattern for pattern in self.logs if fnmatchcase(log.name, pattern)]
         if len(fitting) > 1:
             raise InputError(
                 f"{log}: expected one pattern of `logs` to fit (format {self.name!r}), got {', '.join(map(repr, fitting))}"
             )
-        if not fitting:
-            return self
-        other = self.logs[fitting[0]]
-        link = other.link or self.link
+        other = self.logs[fitting[0]] if fitting else LogLoad()
+        link, mounting = (other.link, other.mounting) if other.link or other.mounting else (self.link, self.mounting)
+        if mounting is not None:
+            described = load_joint(self.joint, self._folder) if joint is None else load_joint(joint)
+            link = described.mount(mounting)
         if other.payload is not None and link is not None:
             link = other.payload.on(link)
         external = other.external_torque or self.external_torque
-        return self.model_copy(update={"link": link, "arm": other.arm or self.arm, "external_torque": external})
+        update = {"link": link, "mounting": None, "arm": other.arm or self.arm, "external_torque": external}
+        return self.model_copy(update=update)
 
 
 def _check_unit(unit: str) -> None:
@@ -306,7 +324,9 @@ def load_layout(source: str | Path) -> Layout:
             f"format {str(source)!r}: expected a mapping file or one of {sorted(known)}, "
             f"found neither{nearest(str(source), known)}"
         )
-    return load(path, Layout, "a mapping file")
+    layout = load(path, Layout, "a mapping file")
+    layout._folder = path.parent
+    return layout
 
 
 def import_recording(layout: Layout, path: str | Path, name: str | None = None, joint: str | None = None) -> Recording:
@@ -325,7 +345,7 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
     path = Path(path)
     if not (path.is_file() or path.is_dir()):  # nor a pipe, which may never end
         raise InputError(f"{path}: cannot read a log of format {layout.name!r}: no such file")
-    layout = layout.of(path)
+    layout = layout.of(path, joint)
     sources = dict.fromkeys(column for channel in layout.columns.values() for column in channel.sources)
     log = open_log(path, sources, layout.separator, layout.decimal)
     names = log.names
@@ -371,4 +391,5 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
     )
     if layout.arm is None:
         return recording
-    return in_arm(recording, layout.arm, angles, path)
+    beside_log = (path.parent / layout.arm.model).is_file()
+    return in_arm(recording, layout.arm, angles, path, path.parent if beside_log else layout._folder)

@@ -14,19 +14,21 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing
+from contextlib import closing, redirect_stdout
 from dataclasses import dataclass, field
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from ...models.errors import InputError, first_line
+from ...models.files import read_yaml, shown
 from ...models.recording import GAP
 
 STAMP = "stamp"
 _NAMES = ("name", "names", "joint_names", "interface_names", "actuator_names")
+_FARTHEST = 2**62  # ns, so that differences of times fit into 64 bits
 _LISTED = 50
 """Messages of a topic in which names of columns are looked for."""
 
@@ -158,7 +160,11 @@ def open_messages(path: Path, sources: Iterable[str]) -> Messages:
     for file in _files(path):
         reader = _mcap if file.suffix == ".mcap" else _database
         for topic, logged, message in reader(file, lambda topic: _is_wanted(topic, wanted, others)):
-            _add(topics.setdefault(topic, _Topic()), topic, logged, message, wanted)
+            one = topics.setdefault(topic, _Topic())
+            try:
+                _add(one, topic, logged, message, wanted)
+            except ValueError as error:
+                raise InputError(f"{file}: topic {topic}, message {len(one.times) + 1}: {error}") from error
     if not topics:
         known = f"; it has {', '.join(others)}" if others else ""
         raise InputError(f"{path}: expected messages of the topics that the mapping names, got none{known}")
@@ -174,13 +180,7 @@ def _is_wanted(topic: str, wanted: list[str], others: dict[str, None]) -> bool:
 
 def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: list[str]) -> None:
     """Take a message's wanted numbers."""
-    stamp = _inside(_inside(message, "header"), "stamp") or _inside(message, "timestamp")
-    seconds, rest = (
-        _inside(stamp, "sec"),
-        next((x for n in ("nanosec", "nsec") if (x := _inside(stamp, n)) is not None), None),
-    )
-    at = 0 if seconds is None or rest is None else int(seconds) * 10**9 + int(rest)
-    one.times.append(at or logged)
+    one.times.append(_time(message, logged))
     if len(one.times) <= _LISTED:
         one.names.update(dict.fromkeys(_numbers(message)))
     for column in wanted:
@@ -189,6 +189,25 @@ def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: list[str]) 
             continue
         values = one.values.setdefault(name, [np.nan] * (len(one.times) - 1))
         values.append(_number(message, name.split("/")))
+
+
+def _time(message: Any, logged: Any) -> int:
+    """When a message was stamped, or else logged [ns]; `ValueError` where that is no such number."""
+    stamp = _inside(_inside(message, "header"), "stamp") or _inside(message, "timestamp")
+    parts = [
+        _inside(stamp, "sec"),
+        next((x for n in ("nanosec", "nsec") if (x := _inside(stamp, n)) is not None), None),
+    ]
+    if None in parts:
+        parts = [0, logged]
+    try:
+        whole = [int(x) for x in parts]
+        at = whole[0] * 10**9 + whole[1]
+    except (TypeError, ValueError, OverflowError):
+        whole, at = [], _FARTHEST
+    if whole != parts or abs(at) >= _FARTHEST:
+        raise ValueError(f"expected a stamp in whole seconds and nanoseconds, got {shown(parts)}")
+    return at or int(logged)
 
 
 def _inside(message: Any, name: str) -> Any:
@@ -210,7 +229,10 @@ def _number(message: Any, parts: list[str], names: list[str] | None = None) -> f
         found = _inside(message, part)
         names = _names_of(message, found)
         message = found
-    return float(message) if isinstance(message, (int, float)) else np.nan
+    try:
+        return float(message) if isinstance(message, (int, float)) else np.nan
+    except OverflowError:  # of JSON, which has whole numbers of any size
+        return np.nan
 
 
 def _is_list(found: Any) -> bool:
@@ -263,15 +285,19 @@ def _files(path: Path) -> list[Path]:
     if not told.is_file():
         raise InputError(f"{path}: expected a ROS 2 bag with its metadata.yaml, found none")
     try:
-        about = yaml.safe_load(told.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+        about = read_yaml(told, "what a ROS 2 bag says of itself")["rosbag2_bagfile_information"]
         files, compressed = [path / name for name in about["relative_file_paths"]], about.get("compression_mode", "")
-    except (OSError, ValueError, KeyError, TypeError, yaml.YAMLError) as error:
+    except InputError:
+        raise
+    except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{told}: expected what a ROS 2 bag says of itself, got none of that") from error
     if compressed and str(compressed).lower() != "none":
         raise InputError(
             f"{told}: expected a bag without compression (`ros2 bag convert` takes it off), got {compressed}"
         )
     for file in files:
+        if not file.resolve().is_relative_to(path.resolve()):
+            raise InputError(f"{told}: expected files in the bag's folder, got {str(file)!r}")
         if file.suffix not in (".mcap", ".db3") or not file.is_file():
             raise InputError(f"{file}: expected a file of the bag, .mcap or .db3, found none")
     return files
@@ -303,7 +329,8 @@ def _decoder(factory: Any, path: Path, topic: str, encoding: str, schema: Any) -
             text = DEFINITIONS.get(schema.name, "")
             if schema.encoding != "ros2msg" and text:
                 schema = Schema(data=text.encode(), encoding="ros2msg", id=schema.id, name=schema.name)
-            found = factory.decoder_for(encoding, schema)
+            with redirect_stdout(StringIO()):  # it prints what it cannot read
+                found = factory.decoder_for(encoding, schema)
             if found is not None:
                 return found
     except Exception as error:  # whatever a strange definition does to it
@@ -314,7 +341,6 @@ def _decoder(factory: Any, path: Path, topic: str, encoding: str, schema: Any) -
 
 def _mcap(path: Path, wanted: Wanted) -> Found:
     factory = _ros2()
-    from mcap.exceptions import McapError
     from mcap.reader import make_reader
 
     with path.open("rb") as stream:
@@ -337,9 +363,9 @@ def _mcap(path: Path, wanted: Wanted) -> Found:
                 decode = decoders[channel.id]
                 if decode is not None:
                     yield channel.topic, message.log_time, _decoded(path, channel.topic, decode, message.data)
-        except (McapError, EOFError, OSError, ValueError, RuntimeError) as error:
-            if isinstance(error, InputError):
-                raise
+        except InputError:
+            raise
+        except Exception as error:  # whatever damaged bytes do to it
             raise InputError(f"{path}: not a readable MCAP file: {first_line(error)}") from error
 
 
@@ -368,11 +394,11 @@ def _database(path: Path, wanted: Wanted) -> Found:
             for number, topic, kind, encoding in bag.execute(
                 "SELECT id, name, type, serialization_format FROM topics"
             ).fetchall():
-                if not wanted(topic):
+                if not isinstance(topic, str) or not wanted(topic):
                     continue
                 written, text = told.get(kind, ("ros2msg", ""))
                 text = text or DEFINITIONS.get(kind, "")
-                if not text:
+                if not text or not all(isinstance(x, str) for x in (text, written, kind, encoding)):
                     raise InputError(
                         f"{path}: topic {topic}: expected a bag that holds the definition of {kind}, got none"
                     )

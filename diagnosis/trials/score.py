@@ -9,11 +9,13 @@ from __future__ import annotations
 import itertools
 import multiprocessing
 import os
+import signal
 import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -279,12 +281,30 @@ def run(
             yield attempt(*task)
         return
     with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin, initargs=(plugins.files(),)) as pool:
-        pending = [pool.submit(attempt, *task) for task in tasks]
+        with _no_interrupts():  # a terminal's Ctrl-C goes to all processes, and these may be loading still
+            pending = [pool.submit(attempt, *task) for task in tasks]
         try:
             for future in as_completed(pending):
                 yield future.result()
+        except BaseException:
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def _no_interrupts() -> Iterator[None]:
+    """Put off Ctrl-C; processes that begin meanwhile are deaf to it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _begin(known: Sequence[Path]) -> None:

@@ -1,39 +1,48 @@
-"""Augmented Kalman filter: joint torque, external torque, and what is not known of the joint, as one state.
+"""Augmented Kalman filter: the joint's motion, joint torque, external torque, and what is not known of the joint, as one state.
 
 A joint's numbers are known within tolerances. The torque that torsion means is fast, and wrong by whatever stiffness, zero,
-kinematic error and wave generator's compliance are off; the torque that current and friction mean is right within a few per
-cent while the joint slides, and unknown at rest; the link's own weight and inertia say what torque it takes as long as nobody
-touches it. Errors of these three have different shapes, so that each of them shows in the two others where, and only where, it
-can be told from them. The state carries them with the tolerances as prior (a Schmidt–Kalman filter where nothing is
-observable: what does not show keeps its variance, and the variance of the torque says so):
+kinematic error and wave generator's compliance are off; the torque that current, friction and the drive's motion mean is
+right within a few per cent while the joint slides, and unknown at rest; the link's own weight and inertia say what torque it
+takes as long as nobody touches it. Errors of these three have different shapes, so that each of them shows in the two others
+where, and only where, it can be told from them. The state carries them with the tolerances as prior (a Schmidt–Kalman filter
+where nothing is observable: what does not show keeps its variance, and the variance of the torque says so):
 
-    θl, ωl    link                                       ωl' = (T + τ + (1 + μ)·link torques)/Jl
-    T         joint torque Ts                            random walk beside what weight, or in contact the spring, does
+    θl, ωl    link                                       Jl ωl' = T + df·(r·ωw − ωl) − bl·ωl + τ + (1 + μ)·link torques
+    ωm, ωw    rotor, wave generator                      by the joint's equations, driven by the current
+    Tw, z     wave generator's torque, bristle           Tw' = Kw(Tw)·(ωm − ωw); z by the LuGre law
+    T         the spring's torque                        T' = (1 + κ)·K·(r·ωw − ωl), and a small walk
+    φ, φ'     what hangs on the link by a spring         by its equations (`laws.flexible_torque`); nothing on a rigid link
     τ         external torque                            random walk, quiet or loud; nothing most of the time
+    d         what friction does beyond its model        Ornstein–Uhlenbeck
     ε         place within the motor encoder's count     kept while the count stays, new with every count
+    f, κt     friction, torque constant [1]              constant
+    μ         weight [1]                                 constant
     κ, ζ      stiffness [1], zero of the link encoder    constant
     β, χ      Kw0, Cw of the wave generator [1]          constant
-    μ         weight [1]                                 constant
-    f, κt     friction, torque constant [1]              constant
     a_k, b_k  quadratures of kinematic error             constant, of the largest orders
 
-Measurements are scalar, one after the other, with Δθf, Tw and the wave generator's torsion δ as they come from the readings:
+with r = 1/N − θerr'. The joint torque is T + df·(r·ωw − ωl) − bl·ωl. Measurements are scalar, one after the other, with the
+torsion Δθf as it comes from the readings:
 
     θl        link encoder
-    k(Δθf) =  T + bl·ωl − κ·k(Δθf) − K·(ζ + ε − Σ(a_k sin kθw + b_k cos kθw) + (β·δ + χ·(δ − Tw·exp(−Cw|Tw|)/Kw0))/N)
-    T_i    =  T − N·(f·friction·sgn ωm − κt·Kt·i)        from the current (`current`), while friction slides one way
+    k(Δθf) =  T − κ·T − K·(ζ + ε − Σ(a_k sin kθw + b_k cos kθw) + r·(β·δ + χ·(δ − Tw·exp(−Cw|Tw|)/Kw0)))
     0      =  τ                                          while τ is within its own uncertainty of nothing
 
-Regressors are predictions (κ·T, not κ·k(Δθf)): one that shares its noise with the innovation would be learned from noise
-(errors in variables). Constants are learned only in calm, and not from every sample: what the laws leave out is no white noise.
-In between they are considered, not estimated (Schmidt 1966).
+δ, the wave generator's torsion, is that of Tw. Regressors are predictions (κ·T, not κ·k(Δθf)): one that shares its noise with the
+innovation would be learned from noise (errors in variables). Constants are learned only in calm motion that nobody disturbs, and
+not from every sample: what the laws leave out is no white noise, and at rest it is always the same. At rest they are learned from
+torsion alone, as long as it says more than they were known by. In between they are considered, not estimated (Schmidt 1966).
+
+Time stamps of samples that are even may jitter: a velocity by an interval that is off by 0.14 ms is off by 14 %. How far stamps
+are believed is learned from the link encoder: what it moved in a stamp's deviation from the period shows in its innovation, or
+does not (`_believe`).
 
 Times since something happened are sums of intervals, and readings of one count may differ by rounding: both are compared half
 a sample or half a count beside where they fall, so that no rounding decides.
 
 Counts are cells, not noise: at rest a count says the same thing again and again, which ε has learned once. Contacts are rare:
-τ and T walk loudly only while the innovations of encoder or torsion are larger than their variance (adaptive process noise,
-Mehra 1972, as in `dynamics_filter`).
+τ walks loudly only while the innovations of the link encoder are larger than their variance, d while those of torsion are
+(adaptive process noise, Mehra 1972, as in `dynamics_filter`).
 """
 
 from __future__ import annotations
@@ -51,49 +60,79 @@ from ...models.pointers import pointer_to, record_at
 from ...models.step import Step, sample_at
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint, fields_of
-from ..sensing import LOWPASS, lowpass, temperature
+from ..sensing import temperature
 from ..tuning_parameters import TuningParameter
-from .current import MEMORY as CURRENT
-from .current import SETTINGS as CURRENT_SETTINGS
-from .current import torque_of_current
 
 ORDERS = 3
 """Orders of kinematic error whose error is estimated."""
-LINK, RATE, TORQUE, EXTERNAL, COUNT, STIFFNESS, ZERO, WAVE, CURVE, WEIGHT, FRICTION, CONSTANT, KINEMATIC = range(13)
+(
+    LINK, LINK_RATE, ROTOR, WAVE_RATE, WOUND, BRISTLE, SPRING, SWING, SWING_RATE, EXTERNAL, MESH, COUNT,
+    FRICTION, CONSTANT, WEIGHT, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
+) = range(20)  # fmt: skip
 SIZE = KINEMATIC + 2 * ORDERS
+MOVING, INPUTS, FIXED = MESH + 1, CONSTANT + 1, FRICTION
+"""Behind the states that move; behind those that act within a substep; from here on states are constant."""
+_TURN = 0.7
+"""Angle [rad] by which the fastest spring may turn in a substep."""
+_MOST = 200
+"""Substeps of a sample."""
+_BEYOND = 1.25
+"""Torque [rated torque] beyond which the wave generator gets no stiffer: where it is wrong, it shall not be stiff besides."""
 _FIELDS = (
-    "link_variance", "torsion_variance", "ripple", "torque_quiet", "torque_loud", "external_quiet", "external_loud", "free",
-    "gate", "current_variance", "sliding", "settled", "memory", "low", "high", "wander", "cutoff", "back", "pause", "every",
-    "wait", "least", "drive", "ringing", "half",
+    "link_variance", "torsion_variance", "rotor_walk", "torque_variance", "mesh_walk", "bristle_walk", "presliding",
+    "spring_walk", "loose",
+    "external_quiet", "external_loud", "level", "level_time", "level_loud", "free", "gate", "memory", "low", "high", "wander",
+    "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest",
 )  # fmt: skip
 SETTINGS = np.dtype(
-    [(name, np.float64) for name in _FIELDS]
-    + [("prior", np.float64, SIZE), ("order", np.float64, ORDERS), ("current", CURRENT_SETTINGS)]
+    [(name, np.float64) for name in _FIELDS] + [("prior", np.float64, SIZE), ("order", np.float64, ORDERS)]
 )
 MEMORY = np.dtype(
     [
-        ("torsion", TORSION), ("current", CURRENT), ("motor_torque", LOWPASS), ("drive", LOWPASS),
+        ("torsion", TORSION),
         ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
+        ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
         *((name, np.float64) for name in (
-            "motor_reading", "torsion_ratio", "link_ratio", "calm", "loud", "untouched", "slid", "direction",
+            "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
+            "motor_torque", "ripple", "period", "beats",
         )),
     ]
 )  # fmt: skip
-"""What `measure` and `torque_of_current` remember; motor torque and drive behind low-passes; state, covariance, scratch; last
-reading of the motor encoder; mean NIS of torsion and link encoder; times [s] since either was loud, and of sliding one way."""
+"""What `measure` remembers; state, covariance, scratch; last reading of the motor encoder; mean NIS of torsion and link
+encoder; times [s] of calm, of sliding in it, and since the link encoder was loud; whether nobody seemed to touch the joint at
+the last sample; how far time stamps are believed, and on how much evidence; motor torque of the last sample [N·m, motor
+side], mean square of its changes; mean interval [s], and of how many."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "weight_error", "friction_error", "constant_error",
 )])  # fmt: skip
+_LEVEL_TIME = 5.0
+"""Time [s] after which friction has forgotten what it did beyond its model."""
+_DOUBT = 2.0
+"""Mean NIS from which on it is more than scatter, 0.5 about 1."""
+_BEATS = 1e4
+"""Intervals of which their mean is taken."""
+_STAMPS = 30.0
+"""Evidence [variances of the link encoder] that time stamps are right, before there is any."""
+_START = 1.0
+"""Velocity [rad/s] with which a recording may begin."""
+_STIFFENS = 2e-3
+"""Time [s] in which the wave generator may become e times as stiff."""
+_HELD, _RIPPLE = 1e-3, 0.1
+"""Time [s] for which a drive holds its current at least; over which the mean square of its changes is taken."""
+_UNSEEN = 0.5
+"""Time [s] after which what the readings do not show between them has moved the spring as far as a walk of `_LOOSE`."""
+_LOOSE = 2.0
+"""Intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]."""
 _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
 _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
 @kernel
-def _update(m, e, variance, learn):
-    """Update with a scalar innovation along `m.H`; returns its variance S. Without `learn` what is constant is considered and
-    not changed (Schmidt 1966)."""
+def _update(m, e, variance, least):
+    """Update with a scalar innovation along `m.H`; returns its variance S. Where S is below `least`, what is constant is
+    considered and not changed (Schmidt 1966)."""
     x, P, H, PH = m.x, m.P, m.H, m.PH
     S = variance
     for i in range(SIZE):
@@ -104,14 +143,15 @@ def _update(m, e, variance, learn):
         PH[i] = total
     for i in range(SIZE):
         S += H[i] * PH[i]
+    learn = S >= least
     for i in range(SIZE):
         gain = PH[i] / S
         if gain == 0.0:
             continue
-        changed = learn or i < STIFFNESS
+        changed = learn or i < FIXED
         if changed:
             x[i] += gain * e
-        for j in range(i + 1 if changed else STIFFNESS):
+        for j in range(i + 1 if changed else FIXED):
             P[i, j] -= gain * PH[j]
             P[j, i] = P[i, j]
     return S
@@ -123,47 +163,177 @@ def _share(ratio, c):
 
 
 @kernel
-def _start(m, reading, link, p, c):
-    """Begin at rest at the first readings."""
-    m.x[:] = 0.0
-    m.P[:] = 0.0
-    m.x[LINK] = link
+def _start(m, reading, link, torque, motor_torque, p, c):
+    """Begin at the first readings in equilibrium: elastic torque [N·m], motor torque [N·m, motor side]; the whole joint at rest
+    or in motion."""
+    x, P = m.x, m.P
+    x[:] = 0.0
+    P[:] = 0.0
+    x[LINK], x[SPRING], x[WOUND] = link, torque, motor_torque
+    x[BRISTLE] = min(max((motor_torque - torque / p.N) / p.s0, -p.Fs / p.s0), p.Fs / p.s0)
     for i in range(SIZE):
-        m.P[i, i] = c.prior[i] ** 2
+        P[i, i] = c.prior[i] ** 2
+    for i in (LINK_RATE, ROTOR, WAVE_RATE):
+        for j in (LINK_RATE, ROTOR, WAVE_RATE):
+            P[i, j] += (1.0 if i == LINK_RATE else p.N) * (1.0 if j == LINK_RATE else p.N) * _START**2
     m.motor_reading, m.torsion_ratio, m.link_ratio = reading, 1.0, 1.0
+    m.belief, m.evidence = 1.0, _STAMPS
 
 
 @kernel
-def _predict(m, weight, slope, stiffness, driven, h, p, c):
-    """Move on by `h` [s], torque first, then velocity, then angle: stable as long as the spring turns less than 2 rad.
+def _predict(m, s, found, h, p, c):
+    """Move on by `h` [s] through the joint's own equations.
 
-    Args:
-        weight: link torques [N·m] at x; slope: of them over the link's angle [N·m/rad].
-        stiffness: of transmission and wave generator in series [N·m/rad]; driven: velocity of the drive [rad/s, output side].
+    In substeps, semi-implicitly: springs and bristle by the velocities, velocities by the torques, the link's angle; stable as
+    long as no spring turns by 2 rad in one. Every part is linearised where it stands, and the Jacobian is their product.
     """
-    x, P = m.x, m.P
-    loud, touched = _share(m.torsion_ratio, c), _share(m.link_ratio, c)
-    loud = max(loud, touched)
-    m.loud = loud if loud > m.loud else m.loud + (1.0 - math.exp(-h / c.ringing)) * (loud - m.loud)
-    spring, a = m.loud * h * min(stiffness, p.Jl / (h * h)), h / p.Jl
-    creep = (1.0 - m.loud) * h * slope
-    x[TORQUE] += spring * (driven - x[RATE]) - creep * x[RATE]
-    x[RATE] += a * (x[TORQUE] + x[EXTERNAL] + (1.0 + x[WEIGHT]) * weight)
-    x[LINK] += h * x[RATE]
-    for j in range(SIZE):  # F P
-        P[TORQUE, j] -= (spring + creep) * P[RATE, j]
-        P[RATE, j] += a * (P[TORQUE, j] + P[EXTERNAL, j] + slope * P[LINK, j] + weight * P[WEIGHT, j])
-        P[LINK, j] += h * P[RATE, j]
-    for j in range(SIZE):  # (F P) Fᵀ
-        P[j, TORQUE] -= (spring + creep) * P[j, RATE]
-        P[j, RATE] += a * (P[j, TORQUE] + P[j, EXTERNAL] + slope * P[j, LINK] + weight * P[j, WEIGHT])
-        P[j, LINK] += h * P[j, RATE]
-    for i in range(SIZE):
-        for j in range(i):
-            P[i, j] = P[j, i]
-    P[TORQUE, TORQUE] += h * (c.torque_quiet**2 + loud * c.torque_loud**2)
+    x, F = m.x, m.F
+    theta, warm = found.wave_generator_position, temperature(s, p)
+    ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
+    K = (1.0 + x[STIFFNESS]) * laws.flexspline_stiffness(found.torsion, p)
+    F[:] = 0.0
+    for i in range(MOVING):
+        F[i, i] = 1.0
+    for k in range(ORDERS):
+        n = c.order[k]
+        if n != 0.0:
+            at, sine, cosine = KINEMATIC + 2 * k, math.sin(n * theta), math.cos(n * theta)
+            ratio -= n * (x[at] * cosine - x[at + 1] * sine)
+            F[SPRING, at], F[SPRING, at + 1] = -h * K * n * cosine * x[WAVE_RATE], h * K * n * sine * x[WAVE_RATE]
+    still = _state(x, found, s.time, warm)
+    weight = dynamics.link_torque(still, x[SPRING], p)
+    x[LINK] += 1e-4
+    slope = (dynamics.link_torque(_state(x, found, s.time, warm), x[SPRING], p) - weight) / 1e-4
+    x[LINK] -= 1e-4
+    weight -= slope * x[LINK]
+    F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
+    F[LINK_RATE, WEIGHT] = h / (p.Jl - laws.flexible_inertia(p)) * (weight + slope * x[LINK])
+    hanging = laws.flexible_inertia(p)
+    rigid = p.Jl - hanging
+    drive, damped = (1.0 + x[CONSTANT]) * found.motor_torque, ratio * p.df
+    # The wave generator stiffens on the way: the longer the interval, the more.
+    most = min(p.Cw * abs(x[WOUND]) + max(h - _HELD, 0.0) / _STIFFENS, c.stiffest)
+    fastest = max(
+        p.Kw0 * math.exp(most) * (1.0 / p.Jm + 1.0 / p.Jw),
+        max(K * (1.0 / rigid + 1.0 / (p.N * p.N * p.Jw)), p.s0 / p.Jw),
+    )
+    steps = min(max(math.ceil(h * math.sqrt(fastest) / _TURN), 1), _MOST)
+    d, bent = h / steps, x[BRISTLE]
+    for _ in range(steps):
+        w = x[WAVE_RATE]
+        rate = ratio * w - x[LINK_RATE]
+        spring = K
+        if p.hysteresis_torque != 0.0:
+            state = m.torsion.dahl / p.hysteresis_extent
+            spring += p.hysteresis_torque / p.hysteresis_extent * max(1.0 - math.copysign(state, state * rate), 0.0)
+        x[SPRING] += d * spring * rate
+        stiff = p.Kw0 * math.exp(min(p.Cw * abs(x[WOUND]), c.stiffest))
+        x[WOUND] += d * stiff * (x[ROTOR] - w)
+        g = (1.0 + x[FRICTION]) * dynamics.sliding_friction(_state(x, found, s.time, warm), x[SPRING], p)
+        sign = 1.0 if w > 0.0 else -1.0
+        slack = max(1.0 - sign * p.s0 * x[BRISTLE] / g, 0.0)
+        decay = math.exp(-min(p.s0 * abs(w) / g * d, 40.0))
+        x[BRISTLE] = laws.bristle_step(x[BRISTLE], w, g, d, p)
+        friction = dynamics.mesh_torque(_state(x, found, s.time, warm), x[SPRING], g, p)
+        for j in range(INPUTS):
+            F[SPRING, j] += d * spring * (ratio * F[WAVE_RATE, j] - F[LINK_RATE, j])
+            F[WOUND, j] += d * stiff * (F[ROTOR, j] - F[WAVE_RATE, j])
+            F[BRISTLE, j] = decay * (F[BRISTLE, j] + d * slack * F[WAVE_RATE, j])
+        F[BRISTLE, FRICTION] += sign * g / p.s0 * (1.0 - decay)
+        x[ROTOR] += d / p.Jm * (drive - p.bm * x[ROTOR] - x[WOUND] - p.dw * (x[ROTOR] - x[WAVE_RATE]))
+        for j in range(INPUTS):
+            F[ROTOR, j] += d / p.Jm * (p.dw * F[WAVE_RATE, j] - (p.dw + p.bm) * F[ROTOR, j] - F[WOUND, j])
+        F[ROTOR, CONSTANT] += d / p.Jm * found.motor_torque
+        load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
+        turning = x[WOUND] + p.dw * (x[ROTOR] - x[WAVE_RATE]) - friction + x[MESH]
+        x[WAVE_RATE] += d / p.Jw * (turning - ratio * load)
+        against = p.dw + p.s1 * slack + p.bw + damped * ratio
+        for j in range(INPUTS):
+            F[WAVE_RATE, j] += d / p.Jw * (
+                F[WOUND, j] + p.dw * F[ROTOR, j] - against * F[WAVE_RATE, j] - p.s0 * F[BRISTLE, j] + F[MESH, j]
+                - ratio * F[SPRING, j] + damped * F[LINK_RATE, j]
+            )  # fmt: skip
+        load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
+        own = (1.0 + x[WEIGHT]) * (weight + slope * x[LINK])
+        kick = d / rigid * (load - p.bl * x[LINK_RATE] + own + x[EXTERNAL])
+        if hanging > 0.0:
+            pull = laws.flexible_torque(x[SWING], x[SWING_RATE], p)
+            kick += d / rigid * pull
+            x[SWING_RATE] -= d / hanging * pull + kick
+            x[SWING] += d * x[SWING_RATE]
+        x[LINK_RATE] += kick
+        x[LINK] += d * x[LINK_RATE]
+        for j in range(INPUTS):
+            kick = d / rigid * (
+                F[SPRING, j] + damped * F[WAVE_RATE, j] - (p.df + p.bl) * F[LINK_RATE, j] + slope * F[LINK, j]
+                + F[EXTERNAL, j]
+            )  # fmt: skip
+            if hanging > 0.0:
+                pull = laws.flexible_torque(F[SWING, j], F[SWING_RATE, j], p)
+                kick += d / rigid * pull
+                F[SWING_RATE, j] -= d / hanging * pull + kick
+                F[SWING, j] += d * F[SWING_RATE, j]
+            F[LINK_RATE, j] += kick
+            F[LINK, j] += d * F[LINK_RATE, j]
+    forget = math.exp(-h / c.level_time)
+    x[MESH] *= forget
+    F[MESH, MESH] = forget
+    _propagate(F, m.P, m.A)
+    m.P[BRISTLE, BRISTLE] += c.presliding * abs(x[BRISTLE] - bent)  # its stiffness is not known
+    if K == 0.0:  # where in the dead zone is not known any better than the torsion
+        m.P[SPRING, SPRING] += c.loose * h
+    _add_noise(m, h, forget, c)
+
+
+@kernel
+def _state(x, found, time, warm):
+    """The drive's state as `dynamics.State`: friction is the wave generator's."""
+    return dynamics.drive_state(found.motor_position, x[WAVE_RATE], x[LINK], x[LINK_RATE], x[BRISTLE], 0.0, time, warm)
+
+
+@kernel
+def _add_noise(m, h, forget, c):
+    P, loud = m.P, _share(m.torsion_ratio, c)
+    touched = max(loud, _share(m.link_ratio, c))
+    # Between readings that are further apart than the drive's own steps it gave other currents, too.
+    beyond = max(h - _HELD, 0.0)
+    P[ROTOR, ROTOR] += c.rotor_walk * (c.torque_variance * h * h + m.ripple * beyond * beyond)
+    P[WAVE_RATE, WAVE_RATE] += c.mesh_walk * h
+    P[BRISTLE, BRISTLE] += c.bristle_walk * h
+    P[SPRING, SPRING] += (c.spring_walk + loud * c.loose) * h + c.loose * beyond * beyond / _UNSEEN
     P[EXTERNAL, EXTERNAL] += h * (c.external_quiet**2 + touched * c.external_loud**2)
-    P[ZERO, ZERO] += c.wander**2 * h * abs(x[RATE])
+    P[MESH, MESH] += c.level**2 * (1.0 - forget * forget) + h * loud * c.level_loud**2
+    P[ZERO, ZERO] += c.wander**2 * h * abs(m.x[LINK_RATE])
+
+
+@kernel
+def _propagate(F, P, A):
+    """P ← F P Fᵀ in place: F of the moving states; the others stay."""
+    for i in range(MOVING):
+        for j in range(SIZE):
+            A[i, j] = 0.0
+        for l in range(SIZE):
+            f = F[i, l]
+            if f != 0.0:
+                for j in range(SIZE):
+                    A[i, j] += f * P[l, j]
+    for i in range(MOVING):
+        for j in range(MOVING, SIZE):
+            P[i, j] = A[i, j]
+            P[j, i] = A[i, j]
+        for j in range(i + 1):
+            total = 0.0
+            for l in range(SIZE):
+                total += A[i, l] * F[j, l]
+            P[i, j] = total
+            P[j, i] = total
+
+
+@kernel
+def _flank(torsion, p):
+    """Stiffness [N·m/rad] by which an error of the torsion counts: inside a dead zone that of its flanks, which may be near."""
+    K = laws.flexspline_stiffness(torsion, p)
+    return K if K > 0.0 else p.K1
 
 
 @kernel
@@ -182,35 +352,59 @@ def _new_count(m, c):
     m.P[COUNT, COUNT] = c.prior[COUNT] ** 2
 
 
+@kernel
+def _off_beat(m, interval):
+    """Deviation of an interval [s] from the mean one; nothing where it is off by half a period: then samples are missing."""
+    if interval == 0.0:
+        return 0.0
+    if m.beats == 0.0:
+        m.period = interval
+    off = interval - m.period
+    if abs(off) > 0.5 * m.period:
+        return 0.0
+    m.beats = min(m.beats + 1.0, _BEATS)
+    m.period += off / m.beats
+    return off
+
+
+@kernel
+def _believe(m, e, moved, c):
+    """How far the stamps of samples that should be evenly spaced are to be believed: regression of the link encoder's
+    innovation e [rad] on what the link `moved` [rad] in a stamp's deviation from the period. A clock that jitters while the
+    samples are even shows nothing there, samples that are not even show all of it."""
+    if moved != 0.0:
+        seen = min(max(m.belief + e / moved, -1.0), 2.0)
+        m.evidence += (moved * moved) / c.link_variance
+        m.belief += (seen - m.belief) * moved * moved / (c.link_variance * m.evidence)
+        m.belief = min(max(m.belief, 0.0), 1.0)
+
+
 @Step
 def _step(memory, sample, record, settings, out):
     m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
     c, o, h = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0], s.interval
+    off = _off_beat(m, h)
+    h -= (1.0 - m.belief) * off
     x, P, H = m.x, m.P, m.H
     found = measure(m.torsion, s, p)
-    by_current = torque_of_current(m.current, s, c.current, p)
-    lowpass(m.drive, found.motor_position, h, c.drive)
-    lowpass(m.motor_torque, found.motor_torque, h, c.cutoff)
-    theta, w = found.wave_generator_position, m.current.motor.rate
-    # Calm for a while, and not at every sample: what the laws leave is no white noise.
-    calm = m.torsion_ratio < c.low and m.link_ratio < c.low
+    theta = found.wave_generator_position
+    # In calm that nobody disturbs, and not at every sample: what the laws leave is no white noise.
+    calm = m.torsion_ratio < c.high and m.link_ratio < c.high and m.free > 0.0
     m.calm = m.calm + h if calm else 0.0
-    learn = m.calm > c.pause - 0.5 * h
-    if learn:
+    m.slid = m.slid + h if calm and abs(x[WAVE_RATE]) > c.sliding else 0.0
+    due = m.calm > c.pause - 0.5 * h
+    if due:
         m.calm -= c.every
-    if h == 0.0:
-        _start(m, s.motor_position, found.link_position, p, c)
-        x[TORQUE] = found.torque
-    still = dynamics.drive_state(found.motor_position, w, x[LINK], x[RATE], 0.0, 0.0, s.time, temperature(s, p))
-    weight = dynamics.link_torque(still, x[TORQUE], p)
-    if h > 0.0:
-        ahead = dynamics.drive_state(
-            found.motor_position, w, x[LINK] + 1e-4, x[RATE], 0.0, 0.0, s.time, temperature(s, p)
-        )
-        slope = (dynamics.link_torque(ahead, x[TORQUE], p) - weight) / 1e-4
-        ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
-        yielding = 1.0 / laws.flexspline_stiffness(found.torsion, p) + _softness(m.motor_torque.value, p) / p.N**2
-        _predict(m, weight, slope, 1.0 / yielding, m.drive.rate * ratio, h, p, c)
+    # At rest it is always the same, and tells what stands out.
+    learn = 0.0 if due and m.slid > c.settled - 0.5 * h else math.inf
+    learn_torsion = min(learn, c.coarse if due else math.inf)
+    change = 0.0 if s.interval == 0.0 else found.motor_torque - m.motor_torque
+    m.motor_torque = found.motor_torque
+    m.ripple += (0.5 * change * change - m.ripple) * -math.expm1(-s.interval / _RIPPLE)
+    if s.interval == 0.0:
+        _start(m, s.motor_position, found.link_position, found.torque, found.motor_torque, p, c)
+    else:
+        _predict(m, s, found, h, p, c)
         if not abs(s.motor_position - m.motor_reading) <= c.half:
             _new_count(m, c)
         m.motor_reading = s.motor_position
@@ -219,17 +413,18 @@ def _step(memory, sample, record, settings, out):
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
         S = _update(m, e, c.link_variance, learn)
+        _believe(m, e, off * x[LINK_RATE], c)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
     # Torsion.
-    Tw = m.motor_torque.value
-    wound, asked = laws.wave_generator_torsion(Tw, p), laws.wave_generator_torsion(found.motor_torque, p)
-    torsion = found.torsion + (asked - wound) / p.N
+    ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
+    wound, asked = laws.wave_generator_torsion(x[WOUND], p), laws.wave_generator_torsion(found.motor_torque, p)
+    torsion = found.torsion + (asked - wound) * ratio
     seen = found.torque + laws.flexspline_spring(torsion, p) - laws.flexspline_spring(found.torsion, p)
-    K = laws.flexspline_stiffness(torsion, p)
-    soft = _softness(Tw, p)
+    K = _flank(torsion, p)
+    soft = _softness(x[WOUND], p)
     H[:] = 0.0
-    H[TORQUE], H[RATE], H[STIFFNESS], H[ZERO], H[COUNT] = 1.0, p.bl, -x[TORQUE], -K, -K
-    H[WAVE], H[CURVE] = -K * wound / p.N, -K * (wound - Tw * soft) / p.N
+    H[SPRING], H[STIFFNESS], H[ZERO], H[COUNT] = 1.0, -x[SPRING], -K, -K
+    H[WAVE], H[CURVE] = -K * wound * ratio, -K * (wound - x[WOUND] * soft) * ratio
     for k in range(ORDERS):
         if c.order[k] != 0.0:
             H[KINEMATIC + 2 * k] = K * math.sin(c.order[k] * theta)
@@ -237,34 +432,31 @@ def _step(memory, sample, record, settings, out):
     e = seen
     for i in range(SIZE):
         e -= H[i] * x[i]
+    H[WOUND] = K * soft * ratio
     o.innovation = e
-    unsteady = found.motor_torque - Tw
-    noise = c.torsion_variance * K * K + (K * soft / p.N) ** 2 * (c.ripple**2 + unsteady**2)
-    o.innovation_variance = _update(m, e, noise, learn)
+    o.innovation_variance = _update(m, e, c.torsion_variance * K * K, learn_torsion)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance
-    # Current, while friction slides one way.
-    direction = 1.0 if w > 0.0 else -1.0
-    m.slid = m.slid + h if abs(w) > c.sliding and direction == m.direction else 0.0
-    m.direction = direction
-    if m.slid > c.settled + 0.5 * h:
-        state = dynamics.drive_state(
-            found.motor_position, w, x[LINK], x[RATE], m.current.bristle, 0.0, s.time, temperature(s, p)
-        )
-        friction = p.N * dynamics.sliding_friction(state, x[TORQUE], p)
-        H[:] = 0.0
-        H[TORQUE], H[FRICTION], H[CONSTANT] = 1.0, direction * friction, -p.N * m.current.drive.value
-        e = by_current - x[TORQUE] - H[FRICTION] * x[FRICTION] - H[CONSTANT] * x[CONSTANT]
-        _update(m, e, c.current_variance, learn)
     # Nobody touches it.
     m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
     sure = c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2)
+    m.free = 0.0
     if m.untouched > c.wait + 0.5 * h and abs(x[EXTERNAL]) < max(sure, c.least):
+        m.free = 1.0
         H[:] = 0.0
         H[EXTERNAL] = 1.0
         # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
         spread = c.free**2 if abs(x[EXTERNAL]) < sure else c.free**2 + x[EXTERNAL] ** 2
         _update(m, -x[EXTERNAL], spread * c.back / h, learn)
-    o.torque, o.variance, o.external_torque = x[TORQUE], P[TORQUE, TORQUE], x[EXTERNAL]
+    H[:] = 0.0
+    H[SPRING], H[WAVE_RATE], H[LINK_RATE] = 1.0, p.df * ratio, -p.df - p.bl
+    variance = 0.0
+    for i in range(MOVING):
+        for j in range(MOVING):
+            variance += H[i] * P[i, j] * H[j]
+    o.torque = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE]) - p.bl * x[LINK_RATE]
+    # As long as innovations contradict, a touch that has just begun, it is as much larger as they are.
+    doubt = max(m.torsion_ratio, m.link_ratio)
+    o.variance, o.external_torque = variance * (doubt if doubt > _DOUBT else 1.0), x[EXTERNAL]
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
     o.weight_error, o.friction_error, o.constant_error = x[WEIGHT], x[FRICTION], x[CONSTANT]
     return 0 if math.isfinite(o.torque + o.variance) else 1
@@ -272,48 +464,52 @@ def _step(memory, sample, record, settings, out):
 
 @dataclass(frozen=True)
 class Augmented(CausalEstimator):
-    """Augmented Kalman filter; see the module. Torques are relative to T2, of the joint's own size.
+    """Augmented Kalman filter; see the module. Torques are relative to T2 or to Fc, of the joint's own size.
 
     Attributes:
-        torque: intensity of the joint torque's walk [T2/√s]; torque_loud: while innovations contradict.
+        torque: intensity of what moves the spring's torque beside its ends [T2/√s].
         external: intensity of the external torque's walk [T2/√s]; push: while the link encoder contradicts.
+        mesh: white noise of torque at the mesh [Fc·√s]; bristle: noise of the friction's bristle [Fc/s0 per √s].
+        presliding: relative error of the bristle's stiffness [relative error of the friction model].
+        level: standard deviation of what friction does beyond its model [Fc]; unsure: likewise, for every relative error of
+            that model [Fc]; surge: intensity of it while torsion contradicts [Fc/√s].
         free: external torque [T2] that a joint has all the same while nobody touches it; back: over which time [s] that
             counts; wait: after the last contradiction [s].
         gate: standard deviations of the external torque from nothing beyond which somebody touches the joint, if it is more
             than `least` [T2].
-        ripple: noise of the motor torque that stands for the wave generator's [Kt·A].
-        cutoff: of that motor torque's low-pass [Hz]; drive: of the drive's velocity [Hz], which counts during contacts and for
-            `ringing` [s] after.
-        current: noise of the torque that the current means, in one sample [T2].
-        pause: calm [s] before constants are learned; every: between samples from which they are [s].
+        pause: calm [s] before constants are learned, and settled: of it in motion; every: between samples from which they
+            are [s].
+        coarse: standard deviation of the torsion's innovation [T2] from which on they are learned at rest, too.
         memory: share of the mean NIS that is kept per sample.
         low, high: mean NIS from which on the noise grows, and where it has grown in full.
     """
 
     name: str = "augmented"
-    torque: float = 0.025
-    torque_loud: float = 2.0
+    torque: float = 0.004
     external: float = 0.0004
-    push: float = 4.0
+    push: float = 8.0
+    mesh: float = 9e-4
+    bristle: float = 5.5e-3
+    presliding: float = 2.0
+    level: float = 0.017
+    unsure: float = 3.0
+    surge: float = 1.1
     free: float = 0.001
     back: float = 0.05
     gate: float = 4.0
     least: float = 0.03
-    ripple: float = 0.03
-    cutoff: float = 100.0
-    drive: float = 150.0
-    ringing: float = 0.3
-    current: float = 0.1
+    coarse: float = 0.01
+    settled: float = 0.1
     pause: float = 0.5
     every: float = 0.02
-    wait: float = 0.05
+    wait: float = 0.2
     memory: float = 0.8
-    low: float = 3.0
-    high: float = 6.0
+    low: float = 5.0
+    high: float = 12.0
     innovation_unit: ClassVar[str] = "N·m"
     tuning: ClassVar[tuple[TuningParameter, ...]] = (
-        TuningParameter("torque", 1e-3, 1.0), TuningParameter("torque_loud", 0.02, 20.0), TuningParameter("push", 0.05, 100.0),
-        TuningParameter("free", 1e-4, 0.1),
+        TuningParameter("torque", 1e-4, 1.0), TuningParameter("push", 0.05, 100.0), TuningParameter("free", 1e-4, 0.1),
+        TuningParameter("mesh", 1e-5, 1e-2), TuningParameter("level", 1e-4, 0.5),
     )  # fmt: skip
     description: ClassVar[str] = (
         "Kalman filter of joint torque, contact and the errors of torsion, current and weight; for joints known within tolerance"
@@ -333,20 +529,31 @@ class Augmented(CausalEstimator):
             link += (_LATE * count) ** 2
             c["link_variance"] = link
         c["torsion_variance"] = link + (noise.motor_noise / p["N"]) ** 2 + (0.1 * count) ** 2
-        c["ripple"] = p["Kt"] * self.ripple
-        c["torque_quiet"], c["torque_loud"] = self.torque * scale, self.torque_loud * scale
+        Fc = float(p["Fc"])
+        c["rotor_walk"], c["torque_variance"] = float(p["Jm"]) ** -2, (p["Kt"] * noise.current_noise) ** 2
+        c["mesh_walk"] = (self.mesh * Fc / p["Jw"]) ** 2
+        c["bristle_walk"] = (self.bristle * Fc / p["s0"]) ** 2
+        c["presliding"] = (self.presliding * joint.friction) ** 2 * 2.0 * Fc / p["s0"]
+        c["spring_walk"] = (self.torque * scale) ** 2
+        c["loose"] = (_LOOSE * scale) ** 2
         c["external_quiet"], c["external_loud"] = self.external * scale, self.push * scale
+        c["level"], c["level_loud"] = math.hypot(self.level, self.unsure * joint.friction) * Fc, self.surge * Fc
+        c["level_time"] = _LEVEL_TIME
         c["free"], c["gate"], c["back"] = self.free * scale, self.gate, self.back
-        c["current_variance"] = (self.current * scale) ** 2
-        c["sliding"], c["settled"] = 2.5 * p["vs"], 0.05
         c["memory"], c["low"], c["high"] = self.memory, self.low, self.high
         c["least"] = self.least * scale
         c["wander"], c["half"] = joint.link_wander, 0.5 * noise.motor_resolution
-        c["cutoff"] = 2 * math.pi * self.cutoff
-        c["drive"], c["ringing"] = 2 * math.pi * self.drive, self.ringing
+        c["stiffest"] = min(_BEYOND * p["Cw"] * joint.rated_torque / p["N"], -math.log(laws.LOGARITHM_END))
+        c["sliding"] = 2.5 * p["vs"]
+        c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
         c["pause"], c["every"], c["wait"] = self.pause, self.every, self.wait
         prior = c["prior"]
-        prior[[LINK, RATE, TORQUE]] = math.sqrt(link), 1.0 / p["N"], scale
+        prior[[LINK, LINK_RATE, ROTOR, WAVE_RATE]] = math.sqrt(link), 1.0 / p["N"], 1.0, 1.0
+        prior[[WOUND, BRISTLE, SPRING, MESH]] = 0.1 / p["Cw"], p["Fs"] / p["s0"], scale, c["level"]
+        if p["flexible_share"] > 0.0:
+            pulsation = 2.0 * math.pi * p["flexible_frequency"]
+            prior[SWING] = 0.1 * scale / (p["flexible_share"] * p["Jl"] * pulsation**2)
+            prior[SWING_RATE] = pulsation * prior[SWING]
         prior[EXTERNAL], prior[COUNT] = 0.2 * scale, count / math.sqrt(12.0)
         prior[STIFFNESS], prior[ZERO] = spread.stiffness, joint.link_zero
         prior[WAVE], prior[CURVE] = spread.wave_generator, spread.wave_generator_curve
@@ -356,8 +563,6 @@ class Augmented(CausalEstimator):
             if spread.kinematic[i] > 0.0:
                 c["order"][k] = p["order"][i]
                 prior[KINEMATIC + 2 * k : KINEMATIC + 2 * k + 2] = spread.kinematic[i]
-        cutoff = 2 * math.pi * 20.0
-        c["current"]["cutoff"], c["current"]["lead"] = cutoff, 0.0
         return found
 
 

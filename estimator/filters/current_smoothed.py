@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
+import numpy as np
+
 from ...models.signals import Signals
 from .. import smoothed
 from ..estimator import Estimator, KnownJoint, Posterior
@@ -33,8 +35,12 @@ class CurrentSmoothed(Estimator):
         for name in self.needs:
             signals[name]
         motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
-        torque = smoothed.torque_from_current(motion, joint) - joint.p["bl"] * motion.link_velocity
-        return Posterior(self.name, signals.time, motion.at(signals.time, torque))
+        torque = smoothed.torque_from_current(motion, joint)
+        grid, velocity = motion.time, motion.link_velocity.copy()
+        del motion  # of an hour, 350 MB
+        velocity *= joint.p["bl"]
+        torque -= velocity
+        return Posterior(self.name, signals.time, np.interp(signals.time, grid, torque))
 
 
 ESTIMATORS = (CurrentSmoothed(),)

@@ -10,7 +10,7 @@ construction.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -28,7 +28,8 @@ from ..payload_model import INTERVAL, MEMORY, SIZE, KnownPayload, Seen, external
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
-_DECIMATION = 4  # grid steps per sample
+DECIMATION = 4
+"""Grid steps per sample of the regression."""
 _ITERATIONS = 10
 _SECOND = 1.5  # cutoff of the second low-pass in that of the first: less lag for what acceleration still must lose
 
@@ -121,35 +122,44 @@ class PayloadSmoothed(Estimator):
     )
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        found, x = self._observed(signals, joint)
+        return replace(found, columns={name: np.full(len(signals.time), value) for name, value in x._asdict().items()})
+
+    def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        return self._observed(signals, joint)[0]
+
+    def _observed(self, signals: Signals, joint: KnownJoint) -> tuple[Posterior, KnownPayload]:
         for name in self.needs:
             signals[name]
         motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
-        load = smoothed.torque_from_current(motion, joint)
-        own = smoothed.own_torque(motion, joint, load)
-        x = observe(signals, joint, motion, own)
-        angle, whole = motion.link_position, np.ones(len(signals.time))
+        own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
+        few = motion.every(DECIMATION)
+        grid, angle, acceleration = motion.time, motion.link_position.copy(), motion.link_acceleration.copy()
+        del motion  # of an hour, 350 MB
+        x = observe(signals, joint, few, own[::DECIMATION])
         external = x.payload_sin * np.sin(angle) + x.payload_cos * np.cos(angle)
-        external -= x.payload_inertia * motion.link_acceleration
-        columns = {name: value * whole for name, value in x._asdict().items()}
-        torque, external = motion.at(signals.time, own - external), motion.at(signals.time, external)
-        return Posterior(self.name, signals.time, torque, columns=columns, external=external)
+        external -= x.payload_inertia * acceleration
+        torque, external = (np.interp(signals.time, grid, values) for values in (own - external, external))
+        return Posterior(self.name, signals.time, torque, external=external), x
 
 
 def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray) -> KnownPayload:
     """What a recording's part shows of the payload in the end.
 
     Args:
-        motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque`, shape (n,) [N·m].
+        motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque`, shape (n,) [N·m]; at every `DECIMATION`-th point of
+            the grid.
     """
-    current = smooth(signals.time, signals["motor_current"][:, None], smoothed.STEP, CUTOFF, _DECIMATION).value[:, 0]
+    read = signals["motor_current"][:, None]
+    current = smooth(signals.time, read, smoothed.STEP, CUTOFF, DECIMATION).value[:, 0]
     columns = [
         motion.since, motion.motor_position, motion.motor_velocity, motion.motor_acceleration, motion.link_position,
         motion.link_velocity, motion.link_acceleration, motion.temperature, own,
     ]  # fmt: skip
-    *given, own = (np.ascontiguousarray(c[::_DECIMATION]) for c in columns)
+    *given, own = (np.ascontiguousarray(c) for c in columns)
     given += [np.ascontiguousarray(current), own]
     sigma, first = noise(joint), prior(joint)
-    share = math.exp(-smoothed.STEP * _DECIMATION / MEMORY)
+    share = math.exp(-smoothed.STEP * DECIMATION / MEMORY)
     x = _filter(*given, joint.record, first, sigma, share, np.empty(0))
     # Again, linearised about what was known in the end.
     for _ in range(_ITERATIONS):

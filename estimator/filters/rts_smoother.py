@@ -12,12 +12,14 @@ from typing import ClassVar
 
 import numpy as np
 
+from ...models import streams
 from ...models.kernels import kernel
 from ...models.signals import Signals
 from ..dynamics_filter import FILTER, OUT, filter_step, tell
 from ..errors import FilterDiverged
-from ..estimator import Estimator, KnownJoint, Posterior, as_samples, fields_of, sample_interval
+from ..estimator import Estimator, KnownJoint, Posterior, fields_of, part_samples, sample_interval
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
+from ..motion import BLOCK
 from ..smoothed import in_time
 from ..tuning_parameters import TuningParameter
 from .dynamics_ekf import DynamicsEKF
@@ -44,11 +46,12 @@ def forward(samples, settings, record, memory, out, F, predicted, covariance, fi
 
 @kernel
 def backward(time, states, record, settings, F, predicted, covariance, filtered, torque, variance):
-    """Smooth states, shape (n, SIZE), and `filtered`, shape (n, m, m), in place; torque, variance: outputs, shape (n,)."""
+    """Smooth states, shape (n, SIZE), and `filtered`, shape (n, m, m), in place; torque, variance: outputs, shape (k,). Of n = k
+    + 1 states the last one is smoothed already."""
     p, noise = record[0], settings[0].noise
-    n, m = len(time), filtered.shape[1]
+    n, m = len(states), filtered.shape[1]
     H, shift = np.zeros(SIZE), np.zeros(m)
-    for k in range(n - 1, -1, -1):
+    for k in range(len(time) - 1, -1, -1):
         P = filtered[k]
         if k < n - 1:
             # Scaled to unit diagonal: the states' units span ten decades.
@@ -68,7 +71,11 @@ def backward(time, states, record, settings, F, predicted, covariance, filtered,
 
 @dataclass(frozen=True)
 class RTSSmoother(Estimator):
-    """RTS smoother on the joint's dynamics; not causal. Keeps 3 m² + SIZE numbers a sample: 2 MB per second at 1 kHz.
+    """RTS smoother on the joint's dynamics; not causal.
+
+    The way back needs 3 m² + SIZE numbers a sample, 2 MB per second at 1 kHz. The filter runs forward once and keeps what it
+    knows at the begin of every `BLOCK` of samples; from the last block to the first it then runs again, now keeping every
+    sample, and back: the same numbers as with all samples kept, in a block's memory.
 
     Attributes:
         process: how far the joint departs from its equations.
@@ -85,26 +92,83 @@ class RTSSmoother(Estimator):
     )
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        return self._smoothed(signals, joint, fields_of(OUT))
+
+    def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
+        return self._smoothed(signals, joint, ("torque", "variance", "external_torque"))
+
+    def _smoothed(self, signals: Signals, joint: KnownJoint, names: tuple[str, ...]) -> Posterior:
+        """Some of the filter's outputs, smoothed."""
         signals, joint = in_time(signals, joint)
-        samples = as_samples(signals, self.needs, joint)
+        for name in self.needs:
+            signals[name]
         filtered = DynamicsEKF(self.name, self.process)
         settings = filtered.settings(joint, sample_interval(signals))
-        n, m = len(samples), int(settings[0]["noise"]["count"])
-        out, predicted = np.zeros((n, len(fields_of(OUT)))), np.zeros((n, SIZE))
-        F, covariance, P = np.zeros((n, m, m)), np.zeros((n, m, m)), np.zeros((n, m, m))
-        done = forward(samples, settings, joint.record, np.zeros(1, FILTER), out, F, predicted, covariance, P)
-        if done < n:
-            raise FilterDiverged(
-                self.name, done, float(signals.time[done]), "the estimate is no longer a finite number"
-            )
-        states = out[:, fields_of(OUT).index(STATES[0]) :].copy()
-        torque, variance = out[:, 0].copy(), out[:, 1].copy()
-        try:
-            backward(samples["time"], states, joint.record, settings, F, predicted, covariance, P, torque, variance)
-        except np.linalg.LinAlgError as error:  # a covariance that is finite and whose inverse is not
-            raise FilterDiverged(self.name, n - 1, float(signals.time[-1]), f"its smoother: {error}") from error
-        out[:, 0], out[:, 1], out[:, fields_of(OUT).index(STATES[0]) :] = torque, variance, states
-        return filtered.posterior(signals.time, {name: out[:, i].copy() for i, name in enumerate(fields_of(OUT))})
+        n, parts = len(signals.time), list(streams.parts(len(signals.time), BLOCK, 1))
+        memory, known = np.zeros(1, FILTER), np.zeros(len(parts), FILTER)
+        kept = _Kept(min(n, BLOCK) + 1, int(settings[0]["noise"]["count"]))
+
+        def run(part: slice) -> np.ndarray:
+            samples = part_samples(signals, joint, part, False)
+            done = kept.forward(samples, settings, joint.record, memory)
+            if done < len(samples):
+                at = part.start + done
+                why = "the estimate is no longer a finite number"
+                raise FilterDiverged(self.name, at, float(signals.time[at]), why)
+            return samples
+
+        for i, part in enumerate(parts):
+            known[i] = memory[0]
+            samples = run(part)
+        column = {name: np.empty(n) for name in names}
+        for i, part in reversed(list(enumerate(parts))):
+            if part.stop < n:
+                kept.first_of_the_next(part.stop - part.start)
+                memory[0] = known[i]
+                samples = run(part)
+            try:
+                out = kept.backward(samples, joint.record, settings, part.stop < n)
+            except np.linalg.LinAlgError as error:  # a covariance that is finite and whose inverse is not
+                raise FilterDiverged(self.name, n - 1, float(signals.time[-1]), f"its smoother: {error}") from error
+            for name, values in column.items():
+                values[part] = out[:, fields_of(OUT).index(name)]
+        return filtered.posterior(signals.time, column)
+
+
+class _Kept:
+    """What the way back needs of the samples of a block, and of the first one after it."""
+
+    def __init__(self, size: int, m: int):
+        """Room for so many samples of m states that move."""
+        self._out, self._predicted = np.zeros((size, len(fields_of(OUT)))), np.zeros((size, SIZE))
+        self._states = np.zeros((size, SIZE))
+        self._F, self._covariance, self._P = (np.zeros((size, m, m)) for _ in range(3))
+
+    def forward(self, samples: np.ndarray, settings: np.ndarray, record: np.ndarray, memory: np.ndarray) -> int:
+        """Filter a block, whose samples come first, in place of what was there."""
+        n = len(samples)
+        return int(forward(
+            samples, settings, record, memory, self._out[:n], self._F, self._predicted, self._covariance, self._P
+        ))  # fmt: skip
+
+    def first_of_the_next(self, n: int) -> None:
+        """Take the first sample, which is smoothed, as the one after a block of n samples."""
+        for kept in (self._states, self._predicted, self._F, self._covariance, self._P):
+            kept[n] = kept[0]
+
+    def backward(self, samples: np.ndarray, record: np.ndarray, settings: np.ndarray, goes_on: bool) -> np.ndarray:
+        """Smooth a block; `goes_on`: whether there is one after it. Gives its outputs, shape (n, outputs)."""
+        n = len(samples)
+        end, first = n + goes_on, fields_of(OUT).index(STATES[0])
+        out, states = self._out[:n], self._states[:end]
+        states[:n] = out[:, first:]
+        torque, variance = np.empty(n), np.empty(n)
+        backward(
+            samples["time"], states, record, settings, self._F[:end], self._predicted[:end], self._covariance[:end],
+            self._P[:end], torque, variance,
+        )  # fmt: skip
+        out[:, 0], out[:, 1], out[:, first:] = torque, variance, states[:n]
+        return out
 
 
 ESTIMATORS = (RTSSmoother(),)

@@ -54,9 +54,8 @@ def run_arm(
     alone = [Experiment.of(joint, folder) for joint in scenario.arm]
     alone = [replace(e, record=(records or {}).get(e.scenario.name, e.record)) for e in alone]
     names = [joint.name for joint in scenario.arm]
-    lengths = [joint.length for joint in scenario.arm]
     joints = [
-        ArmJoint(*of) for of in zip(names, (e.joint for e in alone), (e.record for e in alone), lengths, strict=True)
+        ArmJoint(one.name, e.joint, e.record, one.length, one.turn) for one, e in zip(scenario.arm, alone, strict=True)
     ]
     bolted = [scenario_of.mount(e.known_joint) for scenario_of, e in zip(scenario.arm, alone, strict=True)]
     known = [replace(one, record=_links(mounting)) for one, mounting in zip(joints, bolted, strict=True)]

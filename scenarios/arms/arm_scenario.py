@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Mapping
 from importlib import resources
@@ -15,6 +16,7 @@ from pydantic_core import CoreSchema
 
 from ...models.errors import InputError
 from ...models.files import Strict, parse
+from ...models.joint import Joint
 from ...sim.loop import CONTROL_PERIOD
 from ...sim.plant import TIMESTEP
 from ..scenario import Scenario, put_all, read_scenario
@@ -30,6 +32,10 @@ class JointInArm(Scenario):
     name: Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9]*(_[A-Za-z0-9]+)*$")]
     """In the arm; of its folder and, in the others' recordings, of the column of its angle."""
     length: Annotated[float, Field(gt=0, le=10, description="from its axis to the next one's, m")] = 0.4
+    turn: Annotated[
+        float,
+        Field(ge=-math.pi, le=math.pi, description="of its axis about the link before it, against that one's, rad"),
+    ] = 0.0
 
     @classmethod
     def __get_pydantic_json_schema__(cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler) -> JsonSchemaValue:
@@ -55,7 +61,7 @@ class JointInArm(Scenario):
 
 
 class ArmScenario(Strict):
-    """An experiment with joints in series, from the base to the tip, whose axes are parallel and horizontal."""
+    """An experiment with joints in series, from the base to the tip; with all angles at zero it hangs straight down."""
 
     format: Literal[1] = 1
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -63,7 +69,7 @@ class ArmScenario(Strict):
     description: str = ""
     """What it is for."""
     duration: Annotated[float, Field(gt=0, le=3600, description="s")]
-    timestep: Annotated[float, Field(gt=0, le=CONTROL_PERIOD, description="s")] = TIMESTEP
+    timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream; each joint has streams of its own."""
     arm: Annotated[list[JointInArm], Field(min_length=1, max_length=12)]
@@ -98,7 +104,21 @@ class ArmScenario(Strict):
         for i, name in enumerate(names):
             if name in names[:i]:
                 raise ValueError(f"arm.{i}.name: expected a name of its own, got {name!r} again")
+        for i, joint in enumerate(self.arm):
+            if joint.disturbances and any(before.turn for before in self.arm[: i + 1]):
+                raise ValueError(
+                    f"arm.{i}.disturbances: expected none on a joint whose axis is turned, or stands on one that is (its torque "
+                    "on the joints before it would depend on where they are)"
+                )
         return self
+
+    def with_joints(self, joints: Mapping[str, Joint]) -> ArmScenario:
+        """The same with descriptions at hand, where its file has a name or a path: `arm.0.joint`, `arm.1.known_joint`."""
+        arm = list(self.arm)
+        for key, one in joints.items():
+            _, place, name = key.split(".")
+            arm[int(place)] = arm[int(place)].with_joints({name: one})
+        return self.model_copy(update={"arm": arm})
 
     def written(self) -> dict[str, Any]:
         """As plain data, as a person would write it: what all joints share stands once."""
@@ -153,3 +173,16 @@ def load_arm(
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a joint alone")
     return parse(data, ArmScenario, str(path)), path.parent
+
+
+def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | None = None) -> ArmScenario:
+    """A scenario of an arm with other values of dotted keys, and another seed where one is given.
+
+    Raises:
+      InputError: a key that leads nowhere, or a value that is wrong; one line.
+    """
+    where = f"scenario {scenario.name}"
+    data = scenario.written() | ({} if seed is None else {"seed": seed})
+    put_all(data, changes, where)
+    at_hand = {f"arm.{i}.{key}": one for i, j in enumerate(scenario.arm) for key, one in j.joints_at_hand.items()}
+    return parse(data, ArmScenario, where).with_joints({k: one for k, one in at_hand.items() if k not in changes})

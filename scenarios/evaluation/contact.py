@@ -127,7 +127,9 @@ class OperatingPoint:
 
 
 def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> OperatingPoint:
-    """A detector at a threshold, with 95 % bootstrap intervals over runs; none with `resamples` 0."""
+    """A detector at a threshold, with 95 % bootstrap intervals over runs; none with `resamples` 0. All is NaN where that is."""
+    if math.isnan(threshold):
+        return OperatingPoint(threshold, *(Interval(math.nan, math.nan, math.nan, 0) for _ in range(4)))
     alarms, found, delays = detector.alarms(threshold), detector.found(threshold), detector.delays(threshold)
     large = detector.size >= LARGE
     rng = np.random.default_rng(seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,10 @@ from ...estimator.estimator import Posterior
 from ...models.kernels import kernel
 
 _WINDOW = 0.2  # s: slower than this is signal, faster is noise
-_STEADY_RATE = 0.5  # N·m/s: slower than this is steady
+STEADY_RATE = 0.5
+"""N·m/s: slower than this is steady."""
+LEAST_SWING = 0.5
+"""N·m by which the torque must change for a delay to show."""
 _LONGEST_DELAY = 0.1  # s
 _EARLIEST = 5  # samples by which an estimate may be early
 _RESPONSE = 0.9
@@ -31,9 +35,9 @@ def errors(estimate: np.ndarray, truth: np.ndarray, reading: np.ndarray, kept: n
 
 def steady(truth: np.ndarray, dt: float, kept: np.ndarray) -> np.ndarray:
     """Where the torque has been changing by less than 0.5 N·m/s for 0.2 s, shape (n,)."""
-    width = round(_WINDOW / dt)
+    width = window(dt)
     rate = np.abs(np.gradient(moving_mean(truth, width), dt))
-    fast = (rate > _STEADY_RATE).astype(float)
+    fast = (rate > STEADY_RATE).astype(float)
     return kept & (moving_mean(fast, 2 * width) < 0.5 / (2 * width))
 
 
@@ -42,7 +46,7 @@ def noise(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
     if np.count_nonzero(where) < 2:
         return float("nan")
     e = estimate - truth
-    return float(np.std((e - moving_mean(e, round(_WINDOW / dt)))[where]))
+    return float(np.std((e - moving_mean(e, window(dt)))[where]))
 
 
 def moving_mean(x: np.ndarray, width: int) -> np.ndarray:
@@ -59,40 +63,64 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
 
     None where the torque does not change enough for a delay to show, or none up to 0.1 s explains the estimate.
     """
-    if np.count_nonzero(where) < 2 or np.ptp(truth[where]) < 0.5:
+    if np.count_nonzero(where) < 2 or np.ptp(truth[where]) < LEAST_SWING:
         return None
-    longest = round(_LONGEST_DELAY / dt)
-    indices = np.flatnonzero(where)
-    indices = indices[(indices >= longest) & (indices < len(truth) - longest)]
-    if len(indices) < 2:
+    shifts = Shifts(dt, len(truth))
+    shifts.add(np.ascontiguousarray(estimate), np.ascontiguousarray(truth), 0, lambda begin, end: where[begin:end])
+    return shifts.delay
+
+
+class Shifts:
+    """How well the truth explains an estimate at every shift, taken up a part of the samples after the other."""
+
+    def __init__(self, dt: float, count: int):
+        """Before the first sample of `count`, `dt` apart [s]."""
+        self._dt, self._longest = dt, round(_LONGEST_DELAY / dt)
+        self._next, self._last = self._longest, count - self._longest
+        self._used, self._total = 0, np.zeros(_EARLIEST + self._longest)
+
+    def add(self, estimate: np.ndarray, truth: np.ndarray, since: int, where: Callable[[int, int], np.ndarray]) -> None:
+        """Take up samples.
+
+        Args:
+          estimate, truth: shape (n,) each [N·m]: what is new, and `reach` samples before it.
+          since: the first of them, counted from the start.
+          where: the samples that count, from one to another.
+        """
+        end = max(min(since + len(truth) - _EARLIEST, self._last), self._next)
+        indices = np.flatnonzero(where(self._next, end)) + self._next - since
+        _shift_costs(estimate, truth, indices, _EARLIEST, self._total)
+        self._used, self._next = self._used + len(indices), end
+
+    @property
+    def delay(self) -> float | None:
+        """The shift of the least square [s], by a parabola; None where there is none up to 0.1 s."""
+        if self._used < 2:
+            return None
+        shifts, cost = np.arange(-_EARLIEST, self._longest), self._total[::-1] / self._used
+        best = int(np.argmin(cost))
+        if 0 < best < len(cost) - 1:
+            left, middle, right = cost[best - 1 : best + 2]
+            curvature = left - 2 * middle + right
+            if curvature > 0:
+                return float((shifts[best] + 0.5 * (left - right) / curvature) * self._dt)
         return None
-    shifts = np.arange(-_EARLIEST, longest)
-    cost = np.zeros(len(shifts))
-    _shift_costs(np.ascontiguousarray(estimate), np.ascontiguousarray(truth), indices, _EARLIEST, cost)
-    best = int(np.argmin(cost))
-    if 0 < best < len(cost) - 1:
-        left, middle, right = cost[best - 1 : best + 2]
-        curvature = left - 2 * middle + right
-        if curvature > 0:
-            return float((shifts[best] + 0.5 * (left - right) / curvature) * dt)
-    return None
 
 
 @kernel
-def _shift_costs(estimate: np.ndarray, truth: np.ndarray, indices: np.ndarray, earliest: int, cost: np.ndarray) -> None:
-    """Mean square of estimate[i] − truth[i − s] over `indices`, for shifts s = −earliest …; into cost, shape (shifts,).
+def _shift_costs(
+    estimate: np.ndarray, truth: np.ndarray, indices: np.ndarray, earliest: int, total: np.ndarray
+) -> None:
+    """Add squares of estimate[i] − truth[i − s] over `indices`, for shifts s from the latest to −earliest, to `total`.
 
     Compiled and without the interpreter's lock: many runs are measured side by side.
     """
-    count = len(cost)
-    total = np.zeros(count)
+    count = len(total)
     for i in indices:
         first = i + earliest - count + 1
         for j in range(count):  # of the latest shift first, so that memory is read forwards
             d = estimate[i] - truth[first + j]
             total[j] += d * d
-    for j in range(count):
-        cost[j] = total[count - 1 - j] / len(indices)
 
 
 def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
@@ -100,18 +128,46 @@ def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
     active = np.concatenate([[False], external_torque != 0, [False]])
     edges = np.flatnonzero(active[1:] != active[:-1])
     found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [(a, b) for a, b in found if (b - a) * dt <= _LONGEST_PUSH]
+    return [(a, b) for a, b in found if is_push(a, b, dt)]
+
+
+def is_push(begin: int, end: int, dt: float) -> bool:
+    """Whether an external torque from a tick to another is a push, not a load."""
+    return (end - begin) * dt <= _LONGEST_PUSH
+
+
+def window(dt: float) -> int:
+    """Samples of the window between signal and noise."""
+    return round(_WINDOW / dt)
+
+
+def end_of(push: int, dt: float) -> int:
+    """The sample to which a delay is measured of a push that ends with the sample `push`."""
+    return push + window(dt)
+
+
+def reach(dt: float) -> int:
+    """Samples back from the last that measures of the next ones need."""
+    return max(round(_LONGEST_DELAY / dt) + _EARLIEST, round(_LONGEST_PUSH / dt) + _before(dt)) + 2
 
 
 def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
     """Mean of `responses` [s] over the pushes that the estimate follows; None where there is none."""
-    times = responses(estimate, truth, dt, events)
+    return mean_response(responses(estimate, truth, dt, events))
+
+
+def mean_response(times: np.ndarray) -> float | None:
+    """Mean of `responses` that there are [s]; None where there is none."""
     return float(np.nanmean(times)) if np.isfinite(times).any() else None
 
 
 def missed(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
     """Share of the pushes that the estimate never follows (`responses`); None where there is none to follow."""
-    times = responses(estimate, truth, dt, events)
+    return share_missed(responses(estimate, truth, dt, events))
+
+
+def share_missed(times: np.ndarray) -> float | None:
+    """Share of `responses` that are none; None without any."""
     return float(np.mean(np.isnan(times))) if len(times) else None
 
 
@@ -125,18 +181,26 @@ def responses(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[t
     Returns:
       Shape (pushes,), of those that change the torque by 0.2 N·m or more; NaN where the estimate never gets there during one.
     """
-    times, before = [], max(round(_LEVEL / dt), 1)
-    for begin, end in events:
-        change = truth[begin:end] - truth[begin]
-        if len(change) < 3 or np.max(np.abs(change)) < 0.2:
-            continue
-        extremum = _first_peak(np.abs(change), 0.5 * float(np.max(np.abs(change))))
-        goal = _RESPONSE * change[extremum]
-        level = float(np.mean(estimate[max(begin - before, 0) : begin + 1]))
-        made = (estimate[begin:end] - level) * np.sign(goal) >= abs(goal)
-        itself = int(np.argmax(change * np.sign(goal) >= abs(goal)))
-        times.append((int(np.argmax(made)) - itself) * dt if np.any(made) else np.nan)
-    return np.array(times, dtype=np.float64)
+    found = [response(estimate, truth, dt, begin, end) for begin, end in events]
+    return np.array([time for time in found if time is not None], dtype=np.float64)
+
+
+def response(estimate: np.ndarray, truth: np.ndarray, dt: float, begin: int, end: int) -> float | None:
+    """One of `responses` [s]; None of a push that changes too little."""
+    change = truth[begin:end] - truth[begin]
+    if len(change) < 3 or np.max(np.abs(change)) < 0.2:
+        return None
+    extremum = _first_peak(np.abs(change), 0.5 * float(np.max(np.abs(change))))
+    goal = _RESPONSE * change[extremum]
+    level = float(np.mean(estimate[max(begin - _before(dt), 0) : begin + 1]))
+    made = (estimate[begin:end] - level) * np.sign(goal) >= abs(goal)
+    itself = int(np.argmax(change * np.sign(goal) >= abs(goal)))
+    return (int(np.argmax(made)) - itself) * dt if np.any(made) else np.nan
+
+
+def _before(dt: float) -> int:
+    """Samples before a push over which an estimate's level is taken."""
+    return max(round(_LEVEL / dt), 1)
 
 
 def _first_peak(x: np.ndarray, height: float) -> int:
@@ -196,7 +260,7 @@ class Reference:
             return self.kept
         during = np.zeros(len(self.truth), dtype=bool)
         for a, b in self.events:
-            during[a : min(b + round(_WINDOW / self.dt), len(self.truth))] = True
+            during[a : min(end_of(b, self.dt), len(self.truth))] = True
         return during
 
     def response_ms(self, estimate: np.ndarray) -> float | None:
@@ -210,8 +274,8 @@ class Reference:
         own_noise = noise(estimate, self.truth, self.dt, self.calm)
         return {
             **errors(estimate, self.truth, self.reading, self.kept),
-            "noise": _finite(own_noise),
-            "noise_ratio": _finite(own_noise / self.raw_noise) if self.raw_noise > 0 else None,
+            "noise": finite(own_noise),
+            "noise_ratio": finite(own_noise / self.raw_noise) if self.raw_noise > 0 else None,
             "delay_ms": None if lag is None else 1e3 * lag,
             "response_ms": self.response_ms(estimate),
             "missed": missed(estimate, self.truth, self.dt, self.events),
@@ -227,5 +291,6 @@ class Reference:
         }
 
 
-def _finite(value: float) -> float | None:
+def finite(value: float) -> float | None:
+    """The value; None where it is not finite."""
     return float(value) if np.isfinite(value) else None

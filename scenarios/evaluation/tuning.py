@@ -62,6 +62,16 @@ class Tuned:
     at_bound: tuple[str, ...]
 
     @property
+    def default_score(self) -> float:
+        """One number of the default's RMS errors on the test seeds [N·m], as tuning has it (`score`)."""
+        return score(self.test_default)
+
+    @property
+    def tuned_score(self) -> float:
+        """Likewise of the tuned estimator's [N·m]."""
+        return score(self.test_tuned)
+
+    @property
     def difference(self) -> Interval:
         """Tuned RMS less the default's on the same test runs [N·m], paired over seeds; below zero where tuning helps."""
         return interval((self.test_tuned - self.test_default).mean(axis=0))

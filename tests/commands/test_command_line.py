@@ -41,7 +41,7 @@ def test_a_terminal_that_only_knows_ascii(tmp_path):
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device", "x"), MemoryError(), OSError("?")])
 def test_what_the_system_refuses_is_one_line(monkeypatch, capsys, error):
-    def fails():
+    def fails(**options):
         raise error
 
     monkeypatch.setattr(commands, "app", fails)
@@ -74,23 +74,38 @@ def test_ctrl_c_in_the_first_second_is_silent(tmp_path, after):
     assert b"Traceback" not in err and process.returncode in (130, -signal.SIGINT, 0)
 
 
+@pytest.mark.skipif(not hasattr(os, "killpg"), reason="no process groups")
+@pytest.mark.parametrize("after", [0.2, 0.5, 0.9, 1.3])
+def test_ctrl_c_of_a_terminal_is_silent(tmp_path, after):
+    """It goes to all processes of the command, also to those that draw and may be loading still."""
+    process = subprocess.Popen(
+        [*PROGRAM, *(word for word in RUN if not word.startswith("--no-")), "--out", str(tmp_path / "o")],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, start_new_session=True,
+    )  # fmt: skip
+    time.sleep(after)
+    os.killpg(process.pid, signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert err == b"" and process.returncode in (130, -signal.SIGINT, 0)
+
+
 @pytest.mark.parametrize(
     "after", ["raise RuntimeError('no compiled object yet')", "time.sleep(20)"], ids=["fails", "goes_on"]
 )
-def test_ctrl_c_that_falls_into_compiled_code_is_not_lost(after):
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_request_to_end_that_falls_into_compiled_code_is_not_lost(after, number):
     """A call from C cannot raise: Python only prints what came, and what was broken off fails elsewhere or goes on."""
     program = f"""
 import ctypes, os, signal, time
 from flexspline import commands
-called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), signal.SIGINT) or time.sleep(0.01))
-def app():
+called = ctypes.CFUNCTYPE(None)(lambda: os.kill(os.getpid(), {number:d}) or time.sleep(0.01))
+def app(**options):
     called()
     {after}
 commands.app = app
 commands.main()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=15)
-    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -202,3 +217,46 @@ def test_streams_that_are_closed_change_nothing_but_what_is_said(tmp_path, close
             ["sh", "-c", f'exec "$@" {closed}', "sh", *PROGRAM, *words], capture_output=True, timeout=60
         )
         assert done.returncode == code and b"Traceback" not in done.stderr, done
+
+
+COMMANDS = [
+    *([name] for name in commands._files() if name != "joint"), *(["joint", name] for name in commands._files("joint"))
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
+def test_an_unknown_option_of_any_command_is_one_line(flexspline, words):
+    code, out, err = flexspline(*words, "--no-such-option")
+    assert (code, out) == (2, "")
+    assert err.startswith(f"flexspline: {' '.join(words)}: no such option") and err.count("\n") == 1
+    assert "--no-such-option" in err  # the rest of the words are Typer's, and of its version
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["run"], ["run: missing argument", "scenarios"]),
+        (["run", "no_load", "--out"], ["run: option '--out' requires an argument"]),
+        (["run", "no_load", "--seed", "x"], ["run: --seed: ", " valid integer", "'x'"]),
+        (["run", "no_load", "--seed=-1"], ["run: --seed: ", "-1"]),
+        (["sweep", "x", "--seeds=0"], ["sweep: --seeds: ", "0"]),
+        (["run", "no_load", "--outt", "x"], ["run: no such option", "--outt"]),
+        (["runn"], ["flexspline: no such command 'runn'", "'run'"]),
+        (["joint", "nope"], ["joint: no such command 'nope'"]),
+        (["scenarios", "x"], ["scenarios: ", "x"]),
+        (["run", "no_load", "--x\x1b[31m\n"], ["run: no such option", "--x"]),
+        (["--nope"], ["flexspline: no such option", "--nope"]),
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_mistake_in_the_call_is_one_line_with_where_help_is(flexspline, words, expected):
+    code, out, err = flexspline(*words)
+    assert (code, out) == (2, "") and err.count("\n") == 1
+    assert err.startswith("flexspline: ") and "-h`" in err and "\x1b" not in err
+    assert all(part in err.lower() for part in expected), err
+
+
+def test_the_program_alone_and_a_group_show_help(flexspline):
+    for words, line in (([], "Commands"), (["joint"], "Commands")):
+        code, out, err = flexspline(*words)
+        assert code in (0, 2) and line in out + err

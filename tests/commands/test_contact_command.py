@@ -33,6 +33,12 @@ def test_as_json_with_realistic_sensors(flexspline):
     assert rows["RAREKF"]["tolerance"] == 0.2 and rows["RAREKF"]["threshold"] > 0.0
 
 
+def test_too_little_time_for_a_threshold_is_said(flexspline):
+    code, out, err = flexspline("contact", *QUICK[:-1], 10, "--tolerance", 0)
+    assert code == 0, err
+    assert "nan" not in out and "which takes at least 0.2 h" in " ".join(out.split())
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [

@@ -101,6 +101,12 @@ def test_estimate_refuses_what_is_wrong_with_the_data(flexspline, sweep, tmp_pat
     assert code == 0
 
 
+def test_time_in_milliseconds_is_not_called_too_short(flexspline, sweep, tmp_path):
+    write_recording(replace(sweep, time=1000 * sweep.time), tmp_path / "ms")
+    code, _, err = flexspline("estimate", tmp_path / "ms", "--out", tmp_path / "out")
+    assert code == 2 and "time: milliseconds taken for seconds" in one_line(err)
+
+
 def test_estimate_does_not_overwrite_the_measurement(flexspline, measurement):
     before = (measurement / "slow.parquet").read_bytes()
     code, _, err = flexspline("estimate", measurement, "--out", measurement)

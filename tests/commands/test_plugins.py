@@ -227,6 +227,8 @@ BROKEN = {
     "import nowhere_at_all": "plugin {file}, line 1: ModuleNotFoundError: No module named 'nowhere_at_all'",
     "a = 1\nb = (": "plugin {file}, line 2: SyntaxError",
     "a = 1\n1 / 0": "plugin {file}, line 2: ZeroDivisionError: division by zero",
+    "a = 1\nraise SystemExit(0)": "plugin {file}, line 2: SystemExit: 0",
+    "import sys\nsys.exit('bye')": "plugin {file}, line 2: SystemExit: bye",
     "ESTIMATORS = (3,)": "estimator '3' of {file}: expected an Estimator, got int",
     "CAUSES = (3,)": "cause '3' of {file}: expected a Cause, got int",
 }

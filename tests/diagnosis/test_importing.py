@@ -368,11 +368,52 @@ def test_every_log_with_its_own_payload(tmp_path, mapping):
     assert "got '*_1.csv', 'empty*'" in str(result.exception)
 
 
+def test_what_hung_there_by_its_name_in_the_description(tmp_path):
+    """The joint's file may be one of somebody's own, beside the mapping; one log has another mounting, one a payload as well."""
+    joint = fs.load_joint("test-joint")
+    tilted = joint.mount().model_copy(update={"gravity_moment": 6.0, "gravity_angle": 0.4})
+    joint.model_copy(update={"mountings": {**joint.mountings, "tilted": tilted}}).write(tmp_path / "bench.yaml")
+    mass = {"payload": {"mass": 1.0, "distance": 0.5}}
+    mine = layout(
+        tmp_path,
+        link=None,
+        mounting="tilted",
+        joint="bench.yaml",
+        logs={"bare*": {"mounting": "no_load"}, "held*": mass},
+    )
+    for name in ("log", "bare", "held"):
+        (tmp_path / f"{name}.csv").write_text(LOG)
+    links = {name: import_recording(mine, tmp_path / f"{name}.csv").link for name in ("log", "bare", "held")}
+    assert links["log"] == tilted and links["bare"] == joint.mount("no_load")
+    assert links["held"].gravity_moment == pytest.approx(6.0 + 0.5 * 9.80665) and links["held"].gravity_angle == 0.4
+    with pytest.raises(InputError, match=r"mounting: expected one of .*, got 'tilted'"):
+        import_recording(mine, tmp_path / "log.csv", joint="test-joint")
+    with pytest.raises(InputError, match="expected one of link, mounting and arm, got link and mounting"):
+        layout(tmp_path, mounting="tilted")
+
+
+def test_a_mapping_may_be_called_as_the_log_beside_it(tmp_path, mapping):
+    layout(tmp_path)
+    log(tmp_path).rename(tmp_path / "mine.csv")
+    result = run(tmp_path / "mine.yaml", tmp_path / "mine.csv", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "out" / "mine.parquet").is_file()
+
+
+def test_an_arm_may_lie_beside_the_mapping(tmp_path):
+    from flexspline.models.joint import shipped
+
+    (tmp_path / "my_arm.xml").write_text(shipped("ur3e.xml").read_text())
+    (tmp_path / "logs").mkdir()
+    mine = layout(tmp_path, link=None, arm={"model": "my_arm.xml", "joint": "shoulder_lift"})
+    assert import_recording(mine, log(tmp_path / "logs")).link.gravity_moment > 5.0
+
+
 @pytest.mark.parametrize(
     ("logs", "words"),
     [
         ({"a": {"payload": {"mass": 1}}}, "logs.a.payload.distance: missing"),
-        ({"a": {"arm": {"model": "ur3e.xml", "joint": "elbow"}}}, "logs.a: expected link or payload"),
+        ({"a": {"arm": {"model": "ur3e.xml", "joint": "elbow"}}}, "logs.a: expected link, mounting or payload"),
         ({"a": {"external_torque": "measured"}}, "logs.a.external_torque: expected 'measured' where"),
     ],
 )

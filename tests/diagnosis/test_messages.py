@@ -237,6 +237,45 @@ def test_what_is_wrong_is_one_line(flexspline, tmp_path):
     assert "what a ROS 2 bag says of itself" in told(good)
 
 
+@pytest.mark.parametrize(
+    "stamp", ['{"sec": "x", "nanosec": 1}', '{"sec": [1], "nanosec": 1}', '{"sec": 1.5, "nanosec": 1}',
+              '{"sec": 1e300, "nanosec": 1}', '{"sec": 99999999999999999999, "nanosec": 1}']
+)  # fmt: skip
+def test_a_stamp_that_is_none_is_one_line(flexspline, tmp_path, stamp):
+    from mcap.writer import Writer
+
+    with (tmp_path / "log.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("any", "jsonschema", b"{}")
+        channel = writer.register_channel("/joint_states", "json", schema)
+        for k in range(3):
+            writer.add_message(channel, k, f'{{"header": {{"stamp": {stamp}}}, "position": [1, 2]}}'.encode(), k)
+        writer.finish()
+    line = one_line(flexspline("import", mapping(tmp_path), tmp_path / "log.mcap", "--out", tmp_path / "out"))
+    assert "log.mcap: topic /joint_states, message 1: expected a stamp in whole seconds and nanoseconds, got" in line
+
+
+def test_what_is_odd_in_a_bag_is_one_line_and_nothing_beside_it_is_read(flexspline, tmp_path):
+    good = bag(tmp_path / "log")
+    words = ("import", mapping(tmp_path), good, "--out", tmp_path / "out")
+    told = (good / "metadata.yaml").read_text()
+    for change, expected in (
+        (told.replace("bag_0.db3", "../log/bag_0.db3"), None),
+        (told.replace("bag_0.db3", "../bag_0.db3"), "expected files in the bag's folder"),
+        (told.replace("bag_0.db3", "/etc/passwd"), "expected files in the bag's folder"),
+        ("[" * 100_000, "expected at most 40 levels"),
+    ):
+        (good / "metadata.yaml").write_text(change)
+        if expected is not None:
+            assert expected in one_line(flexspline(*words))
+    (good / "metadata.yaml").write_text(told)
+    for change in ("UPDATE messages SET timestamp = 'x'", "UPDATE topics SET serialization_format = x'00ff'"):
+        with sqlite3.connect(good / "bag_0.db3") as file:
+            file.execute(change)
+        assert "bag_0.db3" in one_line(flexspline(*words))
+
+
 def test_without_the_packages_it_is_one_line(flexspline, tmp_path, monkeypatch):
     source = bag(tmp_path / "log")
     for name in ("mcap_ros2.decoder", "mcap_ros2.writer"):
@@ -304,3 +343,12 @@ def test_a_run_as_mcap(flexspline, tmp_path):
         tmp_path / "mcap" / "no_load.mcap",
     )
     assert len(recording.time) == 1500
+
+
+@pytest.mark.parametrize("start", [-1.0, 3e9])
+def test_times_that_no_stamp_can_say_are_one_line(flexspline, tmp_path, start):
+    t = start + np.arange(50) * 1e-2
+    columns = {"motor_position": 100 * np.sin(t), "link_position": np.sin(t), "motor_current": np.cos(t)}
+    write_recording(Recording("m", t, columns), tmp_path / "in")
+    code, _, err = flexspline("export", tmp_path / "in", "--out", tmp_path / "out")
+    assert code == 2 and err.count("\n") == 1 and "time: expected 0 s to" in err and not (tmp_path / "out").exists()

@@ -31,12 +31,15 @@ def measurement(*recordings: Recording) -> Measurement:
 
 JOINT = load_joint("test-joint")
 SAMPLE = [
-    "unit motor_position degrees", "unit link_position counts", "unit motor_current mA", "unit motor_current N·m output",
-    "unit joint_torque mN·m", "unit time ms", "sign motor_position", "sign motor_current", "sign joint_torque",
-    "gear_ratio 1.01", "gear_ratio 0.5", "swapped", "late link_position 50 ms", "late joint_torque 50 ms",
-    "late motor_current 50 ms", "wrapped motor_position 0.0", "wrapped link_position", "velocity link_position",
-    "velocity motor_position rpm", "angle_zero 1.57", "angle_zero 0.50", "stuck link_position 0.3", "stuck joint_torque 0.3",
-    "stuck motor_current 1", "glitch motor_position 6.3 × 1", "glitch joint_torque 1 × 5", "clipped joint_torque 0.6",
+    "unit motor_position degrees", "unit link_position counts", "unit motor_current mA",
+    "unit motor_current N·m output", "unit link_position motor_position degrees",
+    "unit link_position motor_position position_command degrees",
+    "unit link_position motor_position position_command turns", "unit joint_torque mN·m", "unit time ms",
+    "sign motor_position", "sign motor_current", "sign joint_torque", "gear_ratio 1.01", "gear_ratio 0.5", "swapped",
+    "late link_position 50 ms", "late joint_torque 50 ms", "late motor_current 50 ms", "wrapped motor_position 0.0",
+    "wrapped link_position", "velocity link_position", "velocity motor_position rpm", "angle_zero 1.57",
+    "angle_zero 0.50", "stuck link_position 0.3", "stuck joint_torque 0.3", "stuck motor_current 1",
+    "glitch motor_position 6.3 × 1", "glitch joint_torque 1 × 5", "clipped joint_torque 0.6",
 ]  # fmt: skip
 
 

@@ -137,6 +137,20 @@ def test_what_a_measurement_says_is_what_its_limits_say(joint, swing):
     assert 20.0 < state.strength(Question(("K1",), 20.0, 40.0, "value"), 4 * known, known) <= 40.0
 
 
+def test_how_large_a_cause_is_whose_parameter_is_called_value(joint, swing):
+    """As those of rotor inertia and torque constant are: it is no number of the joint."""
+    problem = Problem(*segments(list(swing.recordings), joint), joint)
+    record = problem.calibration.record(np.zeros(problem.calibration.size))
+    found = hypotheses(causes.get("rotor_inertia"), record)[:1]
+    at = Fitter(problem).fit(found, problem.start(None, found), iterations=2)
+    state = _State(problem, at, [])
+    known = state.information(problem, at.noise, at.jacobian, set())
+    question = Question(("rotor_inertia",), 5.0, 10.0, "value")
+    assert state.strength(question, known, known) == pytest.approx(5.0)
+    assert 5.0 < state.strength(question, 4 * known, known) <= 10.0
+    assert SETTINGS.weight(question) == SETTINGS.size != SETTINGS.weight(Question(("K1",), 5.0, 10.0, "value"))
+
+
 def test_proposals_in_plain_words():
     questions = (
         Question(("backlash",), 0.0, 3.7), Question(("hysteresis",), 1.24, 3.7),

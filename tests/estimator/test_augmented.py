@@ -33,6 +33,36 @@ def test_on_a_joint_within_tolerance(pushed):
     assert np.corrcoef(found.external[push], pushed.external_torque[push])[0, 1] > 0.9
 
 
+def test_on_an_exact_joint():
+    """What the current does to the drive is seen in the torque: less than half of what torsion alone leaves."""
+    scenario, folder = load_scenario("external_push")
+    few = [d for d in scenario.disturbances if d.start < 9.0]
+    one = draw(scenario.model_copy(update={"duration": 10.0, "disturbances": few}), folder, 203, tolerance=0.0)
+    found = registry.get("augmented").estimate(one.signals, one.known)
+    error = found.mean - one.truth
+    torsion = registry.get("RAREKF").estimate(one.signals, one.known).mean - one.truth
+    nees = np.mean(error[one.kept] ** 2 / found.variance[one.kept])
+    print(f"{rms(error, one.kept):.4f} N·m, RAREKF {rms(torsion, one.kept):.4f} N·m, NEES {nees:.2f}")
+    assert rms(error, one.kept) < 0.5 * rms(torsion, one.kept)
+    assert 0.3 < nees < 1.5
+
+
+def test_a_clock_that_jitters_is_found_out(pushed):
+    """Stamps that are off by 0.1 ms while the samples are even cost next to nothing; right stamps of uneven samples are used."""
+    rng = np.random.default_rng(6)
+    augmented = registry.get("augmented")
+    right = rms(augmented.estimate(pushed.signals, pushed.known).mean - pushed.truth, pushed.kept)
+    off = np.clip(1e-4 * rng.standard_normal(len(pushed.truth)), -4e-4, 4e-4)
+    jittered = Signals(pushed.signals.time + off, dict(pushed.signals.columns))
+    found = rms(augmented.estimate(jittered, pushed.known).mean - pushed.truth, pushed.kept)
+    some = np.sort(rng.permutation(len(pushed.truth))[: 3 * len(pushed.truth) // 4])
+    uneven = Signals(pushed.signals.time[some], {n: v[some] for n, v in pushed.signals.columns.items()})
+    thinned = rms(augmented.estimate(uneven, pushed.known).mean - pushed.truth[some], pushed.kept[some])
+    print(f"seed 6: {right:.4f} N·m, with jitter {found:.4f}, a quarter of the samples missing {thinned:.4f}")
+    assert found < 1.5 * right
+    assert thinned < 2.0 * right
+
+
 def test_rounding_decides_nothing(pushed):
     """What differs in the twelfth digit, as after another unit's conversion, changes an estimate by next to nothing: readings of
     one count stay one count, and no time that is a sum of intervals falls on an instant."""
@@ -71,3 +101,7 @@ def test_still_at_rest():
     print(f"means over 2 s: {np.round(means, 4)} N·m, standard deviation {np.sqrt(found.variance[-1]):.4f}")
     assert np.ptp(means) < 0.05
     assert np.sqrt(found.variance[-1]) > 0.01
+    spread = one.known.spread
+    known = {"stiffness": spread.stiffness, "weight": spread.gravity, "constant": spread.torque_constant}
+    for name, prior in {**known, "friction": one.known.friction}.items():
+        assert np.ptp(found.columns[f"{name}_error"][10000:]) < 0.1 * prior, "rest teaches little"

@@ -144,13 +144,14 @@ def test_joint_bound_is_the_information_recursion(record):
 def test_numbers_with_a_prior_are_constant_states(record):
     """Against the dense recursion of states and numbers together, with Jacobians of its own."""
     time, states, current, command, _, _ = walk(record, 3, 1.0, 81)
-    others = np.concatenate([record, record, record])
+    others = np.concatenate([record, record, record, record])
     others[0]["K1"] *= 1.07
     others[0]["K2"] *= 1.07
     others[1]["Mg"] *= 1.01
     others[2]["phase"][0] += 0.2
+    others[3]["link_zero"] += 3e-5
     active = np.r_[0:7, EXTERNAL]
-    n, scale = 11, np.r_[joint_model.STEPS[active], np.ones(3)]
+    n, scale = 12, np.r_[joint_model.STEPS[active], np.ones(4)]
 
     def after(x, k, p):
         y = x.copy()
@@ -167,7 +168,7 @@ def test_numbers_with_a_prior_are_constant_states(record):
         return np.array(found + [of(x, p) - of(x, record[0]) for p in others])
 
     start = ProcessNoise().record(KnownJoint(record, NOISE), 1e-3)[0]["start"][active]
-    P = np.diag(np.r_[start, 1.0, 1.0, 1.0] / scale**2)
+    P = np.diag(np.r_[start, np.ones(4)] / scale**2)
     ours = bound.joint_bound(time, states, current, command, record, NOISE, 1.0, others=others)
     exact = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)
     for k in range(1, 81):

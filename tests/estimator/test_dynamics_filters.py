@@ -257,3 +257,18 @@ def test_a_late_link_encoder_costs_the_smoother_nothing(record):
     assert np.sqrt(np.mean((found - expected)[200:-100] ** 2)) < 0.02
     blind = smoother.estimate(late, known).mean
     assert np.sqrt(np.mean((blind - expected)[200:-100] ** 2)) > 1.0
+
+
+def test_the_smoother_in_blocks_is_that_of_the_whole(record, monkeypatch):
+    (signals, _), known = sample(record, 7, 1500), KnownJoint(record, EXACT)
+    smoother = replace(get("rts_smoother"), process=MATCHED)
+    whole = smoother.estimate(signals, known)
+    n = len(signals.time)
+    for block in (n, n - 1, 333):
+        monkeypatch.setattr("flexspline.estimator.filters.rts_smoother.BLOCK", block)
+        found, torques = smoother.estimate(signals, known), smoother.torques(signals, known)
+        for name in ("mean", "variance", "external", "innovation", "innovation_covariance"):
+            assert getattr(found, name).tobytes() == getattr(whole, name).tobytes()
+        assert all(found.columns[name].tobytes() == values.tobytes() for name, values in whole.columns.items())
+        assert torques.mean.tobytes() == whole.mean.tobytes() and torques.external.tobytes() == whole.external.tobytes()
+        assert not torques.columns and torques.innovation is None

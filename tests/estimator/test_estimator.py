@@ -13,7 +13,7 @@ import pytest
 from known_effects import JOINT, MOUNTING
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
-from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, run_step, sample_blocks
+from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, go_on, sample_blocks
 from flexspline.estimator.tuning_parameters import value_of, with_values
 from flexspline.models import plugins
 from flexspline.models.errors import InputError
@@ -157,6 +157,13 @@ def test_samples(known, signals):
     assert np.isnan(as_samples(signals, (), known)["current_command"]).all()
 
 
+def stepped(step, samples):
+    """A step over records of samples: outputs, shape (n, outputs), the sample at which it failed, and its status."""
+    arrays = step.arrays()
+    history = np.zeros((len(samples), len(arrays[-1])))
+    return history, *go_on(arrays, samples, history)
+
+
 def test_a_long_recording_is_read_in_blocks_without_a_difference(known, signals, monkeypatch):
     """Records as of the whole, a command that counts from the next sample on at every seam, and all outputs of the filters."""
     whole = as_samples(signals, (), known, True)
@@ -166,7 +173,7 @@ def test_a_long_recording_is_read_in_blocks_without_a_difference(known, signals,
     monkeypatch.setattr("flexspline.estimator.estimator.BLOCK", 333)
     for name in ("EKF", "current", "momentum_torsion"):
         one = registry.get(name)
-        out, failed, _ = run_step(one.step(known, 1e-3), as_samples(signals, (), known, one.reads_command))
+        out, failed, _ = stepped(one.step(known, 1e-3), as_samples(signals, (), known, one.reads_command))
         assert failed == 2000
         found, torques = one.estimate(signals, known), one.torques(signals, known)
         assert np.array_equal(found.mean, out[:, 0]) and np.array_equal(torques.mean, out[:, 0])
@@ -223,7 +230,7 @@ def test_an_estimator_in_python(known, signals):
     assert np.array_equal(found.columns["count"], np.arange(2000))
     with pytest.raises(FilterDiverged, match=r"'plain' diverged at step 7, t = 0\.007 s"):
         Plain(fails_at=7).estimate(signals, known)
-    out, failed, status = run_step(Plain(fails_at=7).step(known, 1e-3), as_samples(signals, (), known, True))
+    out, failed, status = stepped(Plain(fails_at=7).step(known, 1e-3), as_samples(signals, (), known, True))
     assert (failed, status) == (7, 1) and (out[7:] == 0).all()
 
 

@@ -49,3 +49,12 @@ def test_blocks_change_no_bit_and_every_channel_is_smoothed_as_if_alone(irregula
         alone = smooth(time, y[:, 1:], 1e-3, 40.0, every=3)
         assert np.array_equal(alone.time, whole.time[::3])
         assert np.array_equal(alone.acceleration[:, 0], whole.acceleration[::3, 1])
+
+
+def test_derivatives_of_the_first_channels_alone_are_the_same():
+    rng = np.random.default_rng(4)
+    time, channels = 1e-3 * np.arange(300), rng.standard_normal((300, 3))
+    every, first = smooth(time, channels, 1e-3), smooth(time, channels, 1e-3, moving=2)
+    assert first.value.tobytes() == every.value.tobytes() and first.rate.shape == (300, 2)
+    assert np.array_equal(first.rate, every.rate[:, :2])
+    assert np.array_equal(first.acceleration, every.acceleration[:, :2])

@@ -10,11 +10,20 @@ import pytest
 
 from flexspline.estimator import get, names
 from flexspline.estimator.estimator import KnownJoint
-from flexspline.estimator.offline import WALKS, estimate_recording, prepare, score, track_zero, write_estimates
+from flexspline.estimator.offline import (
+    SHORTEST,
+    WALKS,
+    estimate_recording,
+    prepare,
+    score,
+    track_zero,
+    write_estimates,
+)
 from flexspline.estimator.smoothed import bandwidth, white_noise
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Effect, Estimate, load_joint
 from flexspline.models.recording import Recording, read_measurement
+from flexspline.models.tables import read_table
 
 CHEAP = tuple(name for name in names() if not get(name).costly)
 WITH_ONE_ENCODER = {"current", "current_smoothed", "payload", "payload_smoothed"}
@@ -107,6 +116,27 @@ def test_a_drive_that_tells_its_torque(free, joint):
     assert not found.left_out
     for name in CHEAP:
         np.testing.assert_allclose(found.torque[name], expected.torque[name], rtol=0, atol=1e-6)
+
+
+def test_estimates_in_files_are_those_in_memory(free, joint, tmp_path, monkeypatch):
+    """Of a recording with a gap and a part too short to be estimated, alone or side by side, in groups of rows."""
+    kept = np.r_[0:3000, 3300:5000, 5300 : 5300 + SHORTEST - 1]
+    cut = free.at(kept)
+    names = list(CHEAP)
+    held = estimate_recording(cut, joint, names)
+    monkeypatch.setattr("flexspline.estimator.offline._LONG", 100)
+    waiting = estimate_recording(cut, joint, names, spool=tmp_path)
+    assert list(waiting.torque) == list(held.torque) == names
+    for name, values in held.columns.items():
+        assert waiting.columns[name].tobytes() == values.tobytes()
+    assert score(cut, waiting, joint) == score(cut, held, joint) and waiting.notes == held.notes
+    (tmp_path / "whole").mkdir()
+    (tmp_path / "parts").mkdir()
+    whole = write_estimates(held, tmp_path / "whole")
+    assert write_estimates(waiting, tmp_path / "parts").read_bytes() == whole.read_bytes()
+    monkeypatch.setattr("flexspline.estimator.offline.ROWS", 999)
+    (found, notes), (expected, others) = read_table(write_estimates(waiting, tmp_path / "parts")), read_table(whole)
+    assert notes == others and all(found[name].tobytes() == values.tobytes() for name, values in expected.items())
 
 
 @pytest.mark.parametrize("missing", ["link_position", "motor_position"])

@@ -76,6 +76,17 @@ def test_defaults_follow_from_the_sensors():
     assert settings.k * 4.0**2 == 1.0
 
 
+def test_measurement_variance_of_each_sensor():
+    """A count of width w has the variance w²/12; the motor's side counts by the ratio, all by the stiffness."""
+    quiet = dict(stiffness=10.0, motor_resolution=0.0, link_resolution=0.0, link_noise=0.0, ratio=2.0)
+    assert measurement_variance(**quiet | {"link_resolution": 0.6}) == pytest.approx(100 * 0.36 / 12)
+    assert measurement_variance(**quiet | {"motor_resolution": 0.6}) == pytest.approx(25 * 0.36 / 12)
+    assert measurement_variance(**quiet | {"link_noise": 0.3}) == pytest.approx(9.0)
+    assert measurement_variance(**quiet, motor_noise=0.3) == pytest.approx(2.25)
+    of_torque = measurement_variance(**quiet, torque_noise=0.3, wave_generator_stiffness=5.0)
+    assert of_torque == pytest.approx((10 * 0.3 / (2 * 5)) ** 2)
+
+
 @pytest.mark.parametrize("change", [{"stiffness": 0.0}, {"ratio": -1.0}, {"link_noise": np.nan}])
 def test_measurement_variance_refuses(change):
     good = dict(stiffness=9400, motor_resolution=1e-3, link_resolution=1e-6, ratio=100)

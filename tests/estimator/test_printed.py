@@ -21,6 +21,9 @@ def test_printed_alpha_diverges_at_zero_load():
     for part in ("as printed", "step 40", "0.54 s", "Eq. (23)", "last estimate is 0 N·m"):
         assert part in str(error)
     assert "\n" not in str(error)
+    with pytest.raises(FilterDiverged) as caught:
+        run(PaperFilter(alpha="printed"), y)
+    assert caught.value.time == pytest.approx(0.04)  # at 1 kHz where no time is given
 
 
 def test_printed_alpha_diverges_on_the_no_load_reference(reference, calibration):

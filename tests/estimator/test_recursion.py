@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
 
-from flexspline.estimator import FilterModel, KnownJoint, PaperFilter, get, run, run_batch, run_extended
+from flexspline.estimator import (
+    FilterDiverged,
+    FilterModel,
+    KnownJoint,
+    PaperFilter,
+    get,
+    recursion,
+    run,
+    run_batch,
+    run_extended,
+)
 from flexspline.models.joint import load_joint
 from flexspline.models.signals import Signals
 
@@ -294,3 +304,21 @@ def test_step_by_address_is_run(rng, rule):
     np.testing.assert_array_equal(ours.innovation_covariance, history.innovation_covariance)
     np.testing.assert_array_equal(ours.robust, history.robust)
     np.testing.assert_array_equal(ours.columns["alpha"], history.alpha)
+
+
+def test_surprise_is_the_likelihood_of_the_innovations(rng):
+    """Σ log S + e²/S, no sample counting more than `most`; where the filter fails, the sample and why."""
+    y = np.cumsum(0.01 * rng.standard_normal(300))
+    y[100] += 5.0
+    settings = get("EKF")
+    found, end, status = recursion.surprise(y, settings.record(), 25.0)
+    history = run(settings, y)
+    S, e = history.innovation_covariance[:, 0, 0], history.innovation[:, 0]
+    assert (end, status) == (300, recursion.OK)
+    assert found == pytest.approx(float(np.sum(np.log(S[1:]) + np.minimum(e[1:] ** 2 / S[1:], 25.0))))
+    y[50:] = 0.0
+    settings = PaperFilter(alpha="printed")
+    with pytest.raises(FilterDiverged) as caught:
+        run(settings, y)
+    _, end, status = recursion.surprise(y, settings.record(), 25.0)
+    assert end == caught.value.step and status != recursion.OK

@@ -6,11 +6,13 @@ import itertools
 import os
 import time
 from contextlib import contextmanager
+from typing import Annotated, Literal
 
 import pytest
+from pydantic import Field
 
 from flexspline.models.errors import InputError
-from flexspline.models.files import Strict, check_name, parse, read_yaml, write_into_place
+from flexspline.models.files import Strict, check_name, load, parse, read_yaml, write_into_place
 from flexspline.models.output import output_folder
 
 NOBODY = 65534
@@ -162,3 +164,77 @@ def test_what_is_wrong_is_said_at_once(data, said):
     with pytest.raises(InputError) as caught:
         parse(data, _Outer, "it")
     assert str(caught.value) == said
+
+
+class _Numbers(Strict):
+    number: float = 0.0
+    count: Annotated[int, Field(ge=0)] = 0
+    flag: bool = False
+    several: list[float] = []
+    by_name: dict[str, float] = {}
+    perhaps: float | None = None
+    either: float | Literal["ideal"] = 0.0
+
+
+@pytest.mark.parametrize(
+    "text", ["true", "'9'", "1:30", "1:30.5", "010", "0b11", "0x1f", "no", "'1e3'", "1 000", "2024-01-01"]
+)
+@pytest.mark.parametrize(
+    "place", ["number: {}", "count: {}", "several: [1, {}]", "by_name: {{a: {}}}", "perhaps: {}", "either: {}"]
+)
+def test_only_numbers_are_numbers(tmp_path, text, place):
+    """YAML takes 1:30 for 90 and 010 for 8, and what reads it takes true for 1 and '9' for 9: nobody means that."""
+    path = tmp_path / "a.yaml"
+    path.write_text(place.format(text))
+    with pytest.raises(InputError) as caught:
+        load(path, _Numbers, "a file")
+    message = str(caught.value)
+    assert message.startswith(f"{path}: {place.split(':')[0]}") and "number" in message and ", got " in message
+
+
+@pytest.mark.parametrize(
+    "text, expected",
+    [
+        ("9", 9),
+        ("-3", -3),
+        ("+3", 3),
+        ("1_000", 1000),
+        ("1e3", 1000),
+        ("1.5E+3", 1500),
+        (".5e1", 5),
+        ("3.0", 3),
+        ("0", 0),
+    ],
+)
+def test_what_people_write_for_numbers(tmp_path, text, expected):
+    path = tmp_path / "a.yaml"
+    path.write_text(
+        f"number: {text}\nseveral: [{text}]\neither: {text}\n" + (f"count: {text}\n" if expected >= 0 else "")
+    )
+    found = load(path, _Numbers, "a file")
+    assert (found.number, found.several, found.either) == (expected, [expected], expected)
+    assert expected < 0 or (found.count == expected and type(found.count) is int)
+
+
+@pytest.mark.parametrize("text", ["1", "0", "'yes'", "'true'", "1.0"])
+def test_only_true_and_false_are_that(tmp_path, text):
+    (tmp_path / "a.yaml").write_text(f"flag: {text}")
+    with pytest.raises(InputError, match=r"flag: expected .*, got"):
+        load(tmp_path / "a.yaml", _Numbers, "a file")
+
+
+def test_which_kind_of_mapping_it_is_is_asked_in_a_line():
+    """Where a key says of which kind something is, as the axes of a study do."""
+    from flexspline.scenarios.studies.study import Study
+
+    def study(**axis):
+        data = {"name": "s", "seeds": {"first": 1, "count": 2}, "scenarios": ["no_load"], "axes": [axis]}
+        with pytest.raises(InputError) as caught:
+            parse(data, Study, "the study")
+        return str(caught.value)
+
+    values = {"key": "plant.K1", "values": [1.0]}
+    assert study(**values) == "the study: axes.0.kind: missing"
+    assert study(kind="sett", **values).endswith(
+        "axes.0.kind: expected one of set, scale, load, cause, tolerance, got 'sett'; did you mean 'set'?"
+    )

@@ -22,6 +22,7 @@ from flexspline.models.joint import (
     known_joints,
     load_joint,
 )
+from flexspline.models.joint_check import check
 from flexspline.models.parameters import as_floats
 
 TEXT = known_joints()["test-joint"].read_text(encoding="utf-8")
@@ -123,7 +124,7 @@ def test_unknown_joint_names_the_nearest():
 def test_empty_and_binary_files(tmp_path):
     empty = tmp_path / "empty.yaml"
     empty.write_text("")
-    with pytest.raises(InputError, match="expected a mapping of keys, got None"):
+    with pytest.raises(InputError, match="expected a mapping of keys, got nothing"):
         load_joint(empty)
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(bytes([0xFF, 0xFE, 0x00, 0x81]))
@@ -220,7 +221,7 @@ def effect(name, **values):
          "effects.2: backlash stands twice"),
         ([effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in range(2, 11)],
          "expected at most 8 orders of cogging, got one more"),
-        ([effect("stiffness", scale=1.1)] * 1000, "effects: expected List should have at most 32 items"),
+        ([effect("stiffness", scale=1.1)] * 1000, "effects: expected at most 32 items, not 1000, got"),
         ([effect("link_inertia", scale=20.0)] * 32, None),
     ],
 )  # fmt: skip
@@ -399,3 +400,28 @@ def test_mjcf_opens_in_plain_mujoco_and_agrees_with_the_yaml(name):
     mujoco.mj_step(model, data, nstep=200)
     assert np.isfinite(data.qpos).all()
     assert data.warning.number.sum() == 0
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "root:x:0:0:secret:/root:/bin/bash\ndaemon:x:1:1:secret\n",
+        "secret",
+        "- secret\n",
+        "root:*:secret:0:99999:7:::\n",
+    ],
+)
+def test_a_file_that_is_no_description_is_not_quoted(tmp_path, text):
+    """A recording may name /etc/passwd as its joint: the message does not show what is in it."""
+    path = tmp_path / "passwd"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"passwd: ") as caught:
+        load_joint(path)
+    assert "secret" not in str(caught.value)
+    assert all("secret" not in str(problem) for problem in check(path).problems)
+
+
+def test_a_folder_for_a_description_is_said_once(tmp_path):
+    with pytest.raises(InputError) as caught:
+        load_joint(tmp_path)
+    assert str(caught.value) == f"{tmp_path}: cannot read a joint description: not a file"

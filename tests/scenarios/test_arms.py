@@ -37,8 +37,11 @@ def test_every_joint_has_a_run_of_its_own(runs):
     assert abs(np.corrcoef(noise)[0, 1]) < 0.1  # streams of their own
 
 
-def test_the_load_of_one_comes_from_the_others_motion(runs):
+@pytest.mark.parametrize("turn", [0.0, 1.2])
+def test_the_load_of_one_comes_from_the_others_motion(runs, turn):
     """The recording's arm and the others' encoders give the torque that the joint holds; the joint's own link alone does not."""
+    if turn:
+        runs = fs.simulate_arm("two_joints", **SHORT, arm__1__turn=turn)
     for name, run in runs.items():
         r = run.as_recording()
         inside = slice(200, -200)
@@ -192,3 +195,15 @@ def test_a_diagnosis_survives_in_an_arm(place, cause, values):
         named = [one.name for one in found.causes]
         print(name, named)
         assert named[:1] == ([cause] if name == place else [])
+
+
+def test_a_push_on_a_turned_axis_is_refused():
+    push = [{"kind": "push", "start": 2, "duration": 0.3, "torque": 1}]
+    for pushed in (1, 0):
+        changes = {"arm__0__turn": 0.5} if pushed == 0 else {"arm__1__turn": 0.5}
+        with pytest.raises(
+            InputError, match=rf"arm\.{pushed}\.disturbances: expected none on a joint whose axis is turned"
+        ):
+            fs.simulate_arm("two_joints", **{**SHORT, **changes, f"arm__{pushed}__disturbances": push})
+    below = fs.simulate_arm("two_joints", **SHORT, arm__1__turn=0.5, arm__0__disturbances=push)
+    assert np.max(np.abs(below["shoulder"].as_recording()["external_torque"])) == pytest.approx(1, rel=1e-3)

@@ -69,6 +69,10 @@ BAD = {
     ("name=mine", "k=1"): "expected `estimator` (a name of the registry) or `rule`",
     ("name=mine", "estimater=lowpass"): "did you mean 'estimator'?",
     ("estimator=lowpass",): "name: missing",
+    ("name=mine", "rule=[ekf]"): "rule: expected one of",
+    ("name=mine", "rule={a: 1}"): "rule: expected one of",
+    ("name=mine", "rule="): "rule: expected one of",
+    ("name=mine", "estimator=[ekf]"): "estimator: expected one of",
     ("name=1st", "rule=ekf"): "name: expected",
 }
 

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+import flexspline as fs
 from flexspline.models.errors import InputError
 from flexspline.models.files import yaml_text
 from flexspline.models.joint import shipped
@@ -212,3 +213,8 @@ def test_a_run_folder_has_the_mjcf_of_a_joint_of_ones_own(tmp_path):
     before = load_run(tmp_path / "out")
     again = run_scenario(*load_scenario(tmp_path / "out" / "scenario.yaml"))
     assert again.metrics == before.metrics
+
+
+def test_two_samples_after_the_transient_are_enough():
+    run = fs.simulate("no_load", filters=["EKF"], duration=1.5, transient=1.498)
+    assert np.isfinite(run.metrics["filters"]["EKF"]["rms"])

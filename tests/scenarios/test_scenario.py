@@ -93,8 +93,11 @@ BAD = {
     ("duration=-1",): "duration: expected greater than 0",
     ("duration=long",): "duration: expected a valid number",
     ("duration=0.5",): "transient: expected less than the duration 0.5 s",
+    ("duration=3", "transient=2.9999"): "transient: expected less than the duration 3 s by two control periods",
+    ("duration=3", "transient=2.9985"): "transient: expected less than the duration 3 s by two control periods",
     ("timestep=0.0003",): "timestep: expected a whole fraction of 0.001 s",
     ("timestep=2e-3",): "timestep: expected less than or equal to 0.001",
+    ("timestep=1e-320",): "timestep: expected greater than or equal to 0.000001",
     ("durations=3",): "durations: unknown key; did you mean 'duration'?",
     ("controller.kpp=3",): "controller.kpp: unknown key; did you mean 'kp'?",
     ("filters.0.estimator=kalmann",): "filters.0: estimator: expected one of",
@@ -117,7 +120,7 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("changes", BAD, ids=lambda c: c[0])
+@pytest.mark.parametrize("changes", BAD, ids=" ".join)
 def test_bad_scenario_is_one_line(changes):
     with pytest.raises(InputError) as caught:
         load_scenario("external_push", list(changes))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import mujoco
 import numpy as np
 import pytest
@@ -147,6 +149,66 @@ def test_the_load_is_that_of_the_others_motion():
         print(f"{joints[k].name}: joint torque {error:.1e}, wrench {read:.1e} N·m")
         assert error < 2e-3 and read < 0.032  # the wrench's noise is 0.03 N·m
     assert relative(without[inside], expected[0][inside]) > 0.5
+
+
+def turned_pendulum(joints, q, v):
+    """The same of two rods of which the second's axis is turned about the first: from velocities of their masses."""
+    (m1, a1, J1), (m2, a2, J2) = (masses(one.record) for one in joints)
+    turn, mass, lever = joints[1].turn, np.array([m1, m2]), (a1, a2)
+    about_mass = np.array([J1, J2]) - mass * np.array([a1, a2]) ** 2
+
+    def jacobians(q):
+        R, origin, axes, origins, found = np.eye(3), np.zeros(3), [], [], []
+        for k, angle in enumerate(q):
+            if k:
+                R = R @ np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1]])
+            axes.append(-R[:, 1])
+            origins.append(origin)
+            c, s = np.cos(angle), np.sin(angle)
+            R = R @ np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+            at = origin - lever[k] * R[:, 2]
+            linear, angular = np.zeros((3, 2)), np.zeros((3, 2))
+            for j in range(k + 1):
+                linear[:, j], angular[:, j] = np.cross(axes[j], at - origins[j]), axes[j]
+            found.append((linear, angular))
+            origin = origin - joints[0].length * R[:, 2]
+        return found
+
+    def matrix(q):
+        return sum(
+            m * lin.T @ lin + J * ang.T @ ang for m, J, (lin, ang) in zip(mass, about_mass, jacobians(q), strict=True)
+        )
+
+    h = 1e-5
+    slope = np.stack([(matrix(q + d) - matrix(q - d)) / (2 * h) for d in h * np.eye(2)])  # ∂M/∂q_k, k first
+    bias = np.einsum("kij,j,k->i", slope, v, v) - 0.5 * np.einsum("ijk,j,k->i", slope, v, v)
+    bias += sum(G * m * lin[2] for m, (lin, _) in zip(mass, jacobians(q), strict=True))
+    return matrix(q), bias
+
+
+@pytest.mark.parametrize("turn", [0.0, 1.1, -0.5 * np.pi])
+def test_axes_that_are_not_parallel(turn):
+    """In the closed loop the joint torques are those of two rods whose axes are at an angle; parallel ones are the textbook's."""
+    shoulder, elbow = two(amplitude=0.0)
+    joints = [shoulder, dataclasses.replace(elbow, turn=turn)]
+    if turn == 0.0:
+        state = np.array([0.7, -1.1]), np.array([0.4, 0.9])
+        for ours, theirs in zip(turned_pendulum(joints, *state), double_pendulum(joints, *state), strict=True):
+            np.testing.assert_allclose(ours, theirs, rtol=1e-8)
+    runs = run(joints)
+    q = np.stack([s.truth["link_position"] for s in runs])
+    v = np.stack([s.truth["link_velocity"] for s in runs])
+    a = np.stack([rate(x) for x in v])
+    expected = np.stack(
+        [M @ a[:, k] + b for k, (M, b) in enumerate(map(turned_pendulum, [joints] * q.shape[1], q.T, v.T))], 1
+    )
+    for J, name in (("Jm", "motor"), ("Jw", "wave_generator")):  # they spin about the turned axis, and are carried
+        expected[0] += elbow.record[0][J] * (np.cos(turn) * rate(runs[1].truth[f"{name}_velocity"]) + a[0])
+    inside = slice(50, -50)
+    for k, s in enumerate(runs):
+        error = relative(s.truth["joint_torque"][inside], expected[k][inside])
+        print(f"{joints[k].name}, turned by {turn:.2f}: {error:.1e}")
+        assert error < 2e-3
 
 
 def locked(model, prefix, inertia=1e9):

@@ -91,6 +91,17 @@ def test_what_is_streamed_is_what_a_run_writes(tmp_path, rng):
     assert scene <= set(RrdReader(tmp_path / "live.rrd").store().schema().entity_paths())
 
 
+def test_a_slow_view_of_a_long_scenario_has_short_stretches():
+    """At half the speed a stretch is 20 ms, of which a panel has room for less than a point."""
+    live = LiveRun(*load_scenario("external_push", ["transient=0.2", "filters=[RAREKF]", "duration=300"]))
+    stream = rr.RecordingStream("test")
+    written = stream.binary_stream()
+    shown = LiveRecording(stream, live.start)
+    while live.done < 5.0:
+        shown.send(live.advance(0.02))
+    assert written.read()
+
+
 def test_it_keeps_pace(tmp_path):
     """At twice the speed 1 s of a scenario takes half a second, not less."""
     live = LiveRun(*load_scenario("no_load", ["duration=1", "transient=0.2", "filters=[RAREKF]"]))

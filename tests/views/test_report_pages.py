@@ -140,6 +140,10 @@ def contact_page(contact_folder) -> str:
     return contact_html(read_curves(contact_folder / "contact.csv"), contact_folder)
 
 
+def test_contact_proposes_the_same_for_longer(contact_page):
+    assert "flexspline contact --hours 0.8 --filter" in contact_page and "by the link --" not in contact_page
+
+
 def test_contact_names_the_most_sensitive_at_few_false_alarms(contact_page, contact_folder, flexspline, tmp_path):
     text = text_of(contact_page)
     assert (
@@ -304,6 +308,15 @@ def test_the_command_writes_a_page_and_only_over_pages(flexspline, pushed, repai
     ):  # fmt: skip
         code, _, err = flexspline("report", *words)
         assert code == 2 and err.count("\n") == 1, (words, err)
+
+
+def test_the_page_of_an_arm_goes_from_its_base_to_its_tip(flexspline, tmp_path):
+    short = ("--set", "duration=2", "--set", "arm.0.filters=[model]", "--set", "arm.1.filters=[model]")
+    assert flexspline("run", "two_joints", *short, "--no-figures", "--no-recording", "--out", tmp_path)[0] == 0
+    code, _, err = flexspline("report", tmp_path / "two_joints", "--out", tmp_path / "page.html")
+    assert code == 0, err
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert page.index("<h2>two_joints_shoulder") < page.index("<h2>two_joints_elbow")
 
 
 NEAR = """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +13,7 @@ from ..style import MODEL, filter_colors
 from .legends import legend
 from .ruling import decades, ruled
 from .sheet import sheet
-from .signals import line, peak, rms
+from .signals import line, peak
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -27,9 +28,8 @@ def error(run: Run) -> Figure:
     errors = {name: run.estimate(name) - truth for name in names}
     model = run.model_torque - truth
     caption = (
-        f"Estimate − truth after {run.scenario.transient:g} s, RMS (largest) in N·m: raw model "
-        f"{rms(model[kept]):.3f} ({peak(model[kept]):.3f}); "
-        + "; ".join(f"{n} {rms(e[kept]):.3f} ({peak(e[kept]):.3f})" for n, e in errors.items())
+        f"Estimate − truth after {run.scenario.transient:g} s, RMS (largest) in N·m: raw model {_said(run.metrics['model'])}; "
+        + "; ".join(f"{name} {_said(run.metrics['filters'][name])}" for name in errors)
         + "."
     )
     count = len(names)
@@ -43,12 +43,18 @@ def error(run: Run) -> Figure:
         panel.set(ylabel="[N·m]", ylim=(-limit, limit), xlim=(run.time[0], run.time[-1]))
         legend(panel)
     panels[-1].set_xlabel("time [s]")
-    shares = 100 * (1 - np.arange(1, 1001) / 1001)
+    thinned, shares = run.thinned, 100 * (1 - np.arange(1, 1001) / 1001)
     for name, values in {"raw model": model, **errors}.items():
-        size = np.quantile(np.abs(values[kept]), 1 - shares / 100)
+        size = (
+            np.quantile(np.abs(values[kept]), 1 - shares / 100) if thinned is None else thinned.exceeded(name, shares)
+        )
         last.plot(np.maximum(size, 1e-6), shares, color=colors.get(name, MODEL), label=name, lw=1.4)
     last.set(xlabel="size of the error [N·m]", ylabel="time above it [%]")
     decades(last.xaxis, last.yaxis)
     last.set_xlim(left=1e-3 * 10 ** np.floor(np.log10(max(limit, 1e-3))))
     legend(last)
     return figure
+
+
+def _said(measures: Mapping[str, float | None]) -> str:
+    return f"{measures['rms']:.3f} ({measures['max']:.3f})"

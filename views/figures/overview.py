@@ -11,7 +11,7 @@ from ..style import COMMAND, EXTERNAL, SENSOR, TRUTH
 from .legends import legend
 from .ruling import ruled
 from .sheet import sheet
-from .signals import against, line, main, peak, rms, settled, torques
+from .signals import against, line, main, peak, settled, torques
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -30,7 +30,7 @@ def overview(run: Run) -> Figure:
     kept = settled(run)
     caption = (
         f"{run.scenario.description.replace('`', '')} Feedback of the torque: {run.scenario.feedback}. Position error "
-        f"after {run.scenario.transient:g} s: RMS {rms(following[kept]):.3f}, "
+        f"after {run.scenario.transient:g} s: RMS {1e3 * run.metrics['position_error']['rms']:.3f}, "
         f"largest {peak(following[kept]):.3f} mrad. "
         f"{name} {against(run, name)}."
     )

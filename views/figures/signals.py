@@ -84,12 +84,11 @@ def peak(values: np.ndarray) -> float:
 
 def against(run: Run, name: str) -> str:
     """`after … s against the truth RMS …, largest … N·m; against the sensor …`."""
-    kept = settled(run)
-    truth = (run.estimate(name) - run.truth("joint_torque"))[kept]
-    sensor = (run.estimate(name) - run.reading("joint_torque"))[kept]
+    found = run.metrics["filters"][name]
+    sensor = (run.estimate(name) - run.reading("joint_torque"))[settled(run)]
     return (
-        f"after {run.scenario.transient:g} s against the truth RMS {rms(truth):.3f}, largest {peak(truth):.3f} N·m; "
-        f"against the sensor RMS {rms(sensor):.3f}, largest {peak(sensor):.3f} N·m"
+        f"after {run.scenario.transient:g} s against the truth RMS {found['rms']:.3f}, largest {found['max']:.3f} N·m; "
+        f"against the sensor RMS {found['rms_to_sensor']:.3f}, largest {peak(sensor):.3f} N·m"
     )
 
 

@@ -25,6 +25,9 @@ _NUMBERS = (
 )  # fmt: skip
 _DECADES = (0.1, 1, 10, 100, 1000, 10_000)
 
+_SENSOR = "torque sensor"
+"""A detector that is no estimator; nor are those whose name has more after a comma."""
+
 Row = Mapping[str, Any]
 
 
@@ -74,6 +77,7 @@ def contact_html(rows: Sequence[Row], folder: Path) -> str:
         "runs": int(max(row["runs"] for row in rows)),
         "entries": [(kinds[name], name) for name in names],
         "charts": [_charts(rows, tolerance, names, kinds) for tolerance, _ in tables],
+        "filters": "".join(f" --filter {shlex.quote(name)}" for name in names if name != _SENSOR and "," not in name),
         "place": shlex.quote(folder.as_posix()),
         "folder": str(folder),
         "digest": file_digest(folder / "contact.csv"),
