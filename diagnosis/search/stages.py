@@ -83,7 +83,7 @@ class AcceptSettings:
     far: float = 10.0
     per_cause: int = 2
     general: float = 30.0
-    temper: float = 8.0
+    temper: float = 12.0
     edge: float = 6.0
     polish: int = 8
     lost: float = 2.25
@@ -360,13 +360,8 @@ def search(
         if more:
             progress("settling all causes", 0.8)
             at = _together(problem, fitter, at, library, more)
-        at, rivals, simpler = _as_general_as_needed(problem, fitter, at, rivals, hypotheses, accept)
-        decisions += simpler
-        if more or len(at.model) > 1 or any(
-            _is_calibration(problem, at, i, accept.edge) for i in range(len(at.model))
-        ):
-            at, rivals, dropped = _prune(problem, fitter, at, rivals, accept)
-            decisions += dropped
+        at, rivals, settled = _settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
+        decisions += settled
     elif pending is not None:
         rivals.append(rivals_of(*pending, {}, accept))
     return Search(
@@ -724,6 +719,32 @@ def _as_general_as_needed(
             if i < len(rivals):
                 rivals = list(rivals)
                 rivals[i] = replace(rivals[i], cause=f.model[i].cause.name, share=rivals[i].share * float(sure))
+            break
+    return f, rivals, decisions
+
+
+def _settle(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: list[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+    *,
+    together: bool,
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """Of effects that were taken those that hold: beside the others, beyond the joint's tolerances, no more general than needed."""
+    decisions: list[Decision] = []
+    near_edge = any(_is_calibration(problem, f, i, settings.edge) for i in range(len(f.model)))
+    if together or near_edge or len(f.model) > 1:
+        f, rivals, decisions = _prune(problem, fitter, f, rivals, settings)
+    before = f
+    f, rivals, settled = _as_general_as_needed(problem, fitter, f, rivals, hypotheses, settings)
+    decisions += settled
+    if f is not before and len(f.model) > 1:
+        # Another may have stood for what the one that was replaced could not do.
+        f, rivals, settled = _prune(problem, fitter, f, rivals, settings)
+        decisions += settled
     return f, rivals, decisions
 
 
