@@ -184,7 +184,9 @@ class Problem:
         """
         records = self.records(theta, model)
         before = self.records(theta[: len(theta) - model[-1].size], model[:-1])
-        return all(self.calibration.expresses(*trio, within) for trio in zip(records, before, self.mountings, strict=True))
+        return all(
+            self.calibration.expresses(*trio, within) for trio in zip(records, before, self.mountings, strict=True)
+        )
 
     def spread(self, model: Model) -> np.ndarray:
         """Prior standard deviation of every unknown; of those that are held next to nothing."""

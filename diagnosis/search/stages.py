@@ -359,7 +359,8 @@ def search(
         rivals += others
         if more:
             progress("settling all causes", 0.8)
-            at = _together(problem, fitter, at, library, more)
+            at, rivals, seen = _together(problem, fitter, at, library, more, rivals)
+            decisions += seen
         at, rivals, settled = _settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
         decisions += settled
     elif pending is not None:
@@ -611,8 +612,10 @@ def worth_of(problem: Problem, f: Fit, linear: Fit, index: int) -> Worth:
     return worth(problem, f, linear.jacobian, effect, others, amount_of(problem, f, index)[h.magnitudes])
 
 
-def _together(problem: Problem, fitter: Fitter, at: Fit, library: Library, chosen: Sequence[Screened]) -> Fit:
-    """All causes fitted together through the replay, from where the linear model puts them."""
+def _together(
+    problem: Problem, fitter: Fitter, at: Fit, library: Library, chosen: Sequence[Screened], rivals: list[Rivals]
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """All causes fitted together through the replay, from where the linear model puts them; as before where that is no gain."""
     here, rest = tamed(problem, at), library
     for s in chosen:
         here = _with(problem, here, rest, s)
@@ -621,9 +624,28 @@ def _together(problem: Problem, fitter: Fitter, at: Fit, library: Library, chose
     found = problem.residuals(starts, [here.model] * len(starts))
     start = starts[int(np.nanargmin(losses_of(problem, here.noise, at, found)))]
     f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6)
-    if np.sum(unexplained(problem, f.point)) < 0.5 * np.sum(unexplained(problem, at.point)):
+
+    def left(x: Fit) -> float:
+        return float(np.sum(unexplained(problem, x.point)))
+
+    def no_gain(x: Fit) -> bool:
+        return x.log_evidence < at.log_evidence and left(x) > left(at)
+
+    if left(f) < 0.5 * left(at) or no_gain(f):
         f = fitter.fit(f.model, f.theta, None, 4)  # far from where the common derivatives were taken
-    return f
+    if not no_gain(f):
+        return f, rivals, []
+    first = len(at.model)
+    reason = (
+        f"fitted together {left(f) ** 0.5:.2g} N·m RMS of the simulation's error is not explained, "
+        f"without {left(at) ** 0.5:.2g}"
+    )
+    dropped = [
+        Decision("settle", h.cause.name, h.fixed, f.log_evidence - at.log_evidence, float("nan"),
+                 size_of(problem, f, first + i), True, False, reason)
+        for i, h in enumerate(f.model[first:])
+    ]  # fmt: skip
+    return at, rivals[:first], dropped
 
 
 def _is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN) -> bool:
@@ -708,12 +730,11 @@ def _as_general_as_needed(
             more = added_under_one_noise(fitter, general, special)
             asked = more > settings.general
             sure = 1.0 / (1.0 + np.exp(-abs(more - settings.general) / settings.temper))
-            reason = f"{general.model[i].cause.name.replace('_', ' ')}, which is more general, adds {more:.0f} to the log evidence"
+            name = general.model[i].cause.name.replace("_", " ")
+            reason = f"{name}, which is more general, adds {more:.0f} to the log evidence"
             taken = asked != simpler
             size, gain = size_of(problem, other, i), -more if simpler else more
-            decisions.append(
-                Decision("settle", g.cause.name, g.fixed, gain, float("nan"), size, True, taken, reason)
-            )
+            decisions.append(Decision("settle", g.cause.name, g.fixed, gain, float("nan"), size, True, taken, reason))
             if taken:
                 f = other
             if i < len(rivals):
@@ -733,7 +754,7 @@ def _settle(
     *,
     together: bool,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
-    """Of effects that were taken those that hold: beside the others, beyond the joint's tolerances, no more general than needed."""
+    """Of effects that were taken those that hold beside the others and beyond the joint's tolerances, no more general than needed."""
     decisions: list[Decision] = []
     near_edge = any(_is_calibration(problem, f, i, settings.edge) for i in range(len(f.model)))
     if together or near_edge or len(f.model) > 1:
@@ -791,7 +812,9 @@ def _prune(
             h, other = f.model[i], without_effect(problem, fitter, f, i, settings)
             asked.add(id(h))
             if reason := _at_the_edge(problem, fitter, f, other, settings):
-                dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
+                dropped.append(
+                    Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason)
+                )
                 rivals = [r for j, r in enumerate(rivals) if j != i]
                 f = other
             continue
