@@ -754,7 +754,7 @@ def _settle(
     *,
     together: bool,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
-    """Of effects that were taken those that hold beside the others and beyond the joint's tolerances, no more general than needed."""
+    """Of effects that were taken those that hold beside the others, beyond the joint's tolerances and as general as needed."""
     decisions: list[Decision] = []
     near_edge = any(_is_calibration(problem, f, i, settings.edge) for i in range(len(f.model)))
     if together or near_edge or len(f.model) > 1:
