@@ -209,9 +209,10 @@ def _told(outcome: _Outcome) -> Diagnosis:
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
     residual = _balances(problem, found.base, final)
-    verdict, reason = _verdict(problem, findings, residual, outcome.nearly_all, outcome.share < 1.0)
-    nothing = "the causes named leave no less unexplained than calibration alone" if useless else ""
-    reason = "; ".join(part for part in (reason, nothing, _holds_back(outcome)) if part)
+    verdict, reason = _verdict(
+        problem, findings, residual, outcome.nearly_all, outcome.share < 1.0, useless, found.complete
+    )
+    reason = "; ".join(part for part in (reason, _holds_back(outcome)) if part)
     extended_joint = joint
     if outcome.share > 0.0:
         extended_joint = extended(problem, final, joint, outcome.unknown)
@@ -507,11 +508,15 @@ def _verdict(
     residual: dict[str, BalanceResidual],
     nearly_all: bool,
     taken_back: bool,
+    useless: bool,
+    complete: bool,
 ) -> tuple[str, str]:
     """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent.
 
     Args:
       taken_back: whether not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
+      useless: whether the causes leave no less unexplained than calibration alone.
+      complete: whether there was time for all stages: nothing found is no answer otherwise.
     """
     rated = problem.joint.numbers["rated_torque"].value
     scale = dict(zip(BALANCES, problem.output_scale, strict=True))
@@ -524,10 +529,19 @@ def _verdict(
         f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise"
         for name, r in far
     )
+    late = "" if complete else "time was up before every stage was done: with more, more may be found"
+    if useless:
+        nothing = "the causes named leave no less unexplained than calibration alone"
+        return "inconclusive", "; ".join(part for part in (nothing, late, left) if part)
     if findings:
-        return "discrepancy", f"beside the causes named, {left}" if far else ""
+        beside = f"beside the causes named, {left}" if far else ""
+        return "discrepancy", "; ".join(part for part in (late, beside) if part)
     if nearly_all:
-        return "inconclusive", "nearly all causes could not have shown" + (f"; {left}" if far else "")
+        return "inconclusive", "; ".join(
+            part for part in ("nearly all causes could not have shown", late, left) if part
+        )
+    if late:
+        return "inconclusive", "; ".join(part for part in (late, left) if part)
     if far:
         return "inconclusive", left if taken_back else f"no known cause explains the residual; {left}"
     return "consistent", ""
