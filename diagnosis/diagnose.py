@@ -60,7 +60,8 @@ class AnswerSettings:
         joint, and told, but none of the causes.
       little: part of the rated torque that an unknown effect must be worth there, not to be a minor one.
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
-        that may then be small imperfections which look like it.
+        that may then be small imperfections which look like it; inexact_size: where only noise is left, part that may be the
+        reconstruction of the motion from counts.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
       diluted: part of the information about an inertia that may be the encoders' noise, for it to be sure.
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
@@ -84,6 +85,7 @@ class AnswerSettings:
     little: float = 0.01
     inflation: float = 5.0
     lookalike: float = 0.05
+    inexact_size: float = 0.01
     slight: float = 0.25
     far: float = 5.0
     near: float = 2.0
@@ -251,13 +253,13 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     like an effect (an encoder's eccentricity like a kinematic error) are part of its size, however well that is known.
     """
     ratio = quiet_rms(problem, f)
-    if ratio <= ANSWER.quiet:
-        return f
+    plain = ratio <= ANSWER.quiet
     inexact = np.zeros(len(f.theta))
     for i, h in enumerate(f.model):
         if h.free:
-            inexact[problem.place(f.model, i)] = ANSWER.lookalike
-    return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2 + np.diag(inexact**2))
+            inexact[problem.place(f.model, i)] = ANSWER.inexact_size if plain else ANSWER.lookalike
+    inflation = 1.0 if plain else min(ratio, ANSWER.inflation)
+    return replace(f, covariance=f.covariance * inflation**2 + np.diag(inexact**2))
 
 
 def _holds_back(outcome: _Outcome) -> str:

@@ -393,11 +393,17 @@ def _gains(screened: Sequence[Screened]) -> dict[str, float]:
 
 
 def others_than(problem: Problem, hypotheses: Sequence[Hypothesis], model: Model) -> list[Hypothesis]:
-    """Hypotheses that a model has room for and not already: of causes that add, those with other whole numbers."""
+    """Hypotheses that a model has room for and not already: of causes that add, those with other whole numbers.
+
+    Beside a cause there is none that is a special case of it, or of which it is one: either says all.
+    """
 
     def repeats(h: Hypothesis) -> bool:
         return any(
-            o.cause.name == h.cause.name and (not h.cause.adds or o.fixed == h.fixed or not h.fixed) for o in model
+            (o.cause.name == h.cause.name and (not h.cause.adds or o.fixed == h.fixed or not h.fixed))
+            or o.cause.name in h.cause.generalises
+            or h.cause.name in o.cause.generalises
+            for o in model
         )
 
     return problem.with_room(model, [h for h in hypotheses if not repeats(h)])
