@@ -50,7 +50,8 @@ class AcceptSettings:
       alike: part of the mean square that a cause takes away that another one must take away to be its rival.
       slight: part of the root mean square of what nothing explains that it must be worth, where that is not far above the noise
         (where it is, something is there that the library does not have).
-      little: part of the mean square of what is not explained that a cause must take away, for another one to be fitted after it.
+      little: part of the mean square of what is not explained that a cause must take away, for another one to be fitted after it;
+        where the best takes less and the residual is more than `plain` times the sensors' noise, further hypotheses are fitted.
       held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
       race: rivals that are worth more than this part of the best are fitted to the end.
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
@@ -76,6 +77,7 @@ class AcceptSettings:
     alike: float = 0.3
     slight: float = 0.25
     little: float = 0.1
+    plain: float = 1.6
     held_out_share: float = 0.2
     race: float = 0.6
     finalists: int = 3
@@ -231,10 +233,20 @@ class Finalist:
 
 
 def finalists_of(
-    problem: Problem, fitter: Fitter, base: Fit, screened: Sequence[Screened], settings: AcceptSettings
+    problem: Problem,
+    fitter: Fitter,
+    base: Fit,
+    screened: Sequence[Screened],
+    settings: AcceptSettings,
+    done: Sequence[Finalist] = (),
 ) -> list[Finalist]:
-    """The best hypotheses, fitted through the replay; a close race is decided by fits at their ends."""
-    good = [s for s in screened if s.noise and s.gain > 0.5 * settings.threshold and s.size > 0.5 * settings.smallest]
+    """The best hypotheses that are not done, fitted through the replay; a close race is decided by fits at their ends."""
+    names = {f.name for f in done}
+    good = [
+        s for s in screened
+        if s.noise and s.gain > 0.5 * settings.threshold and s.size > 0.5 * settings.smallest
+        and s.hypothesis.cause.name not in names
+    ]  # fmt: skip
     chosen: list[Screened] = []
     most = settings.finalists if quiet_rms(problem, base) < settings.far else settings.far_finalists
     for s in sorted(good, key=lambda s: -s.removed)[: most - 1 - most // 4] + good:
@@ -336,6 +348,13 @@ def search(
                 f = fitter.fit((h,), start, None, settings.calibrate.iterations, at.point.noise)
                 fitted = sorted([*fitted, as_finalist(problem, at, f)], key=lambda f: -f.gain)
         seen, chosen = _first(problem, at, screened, fitted, accept)
+        slight = chosen is not None and chosen.removed < accept.little * float(np.sum(unexplained(problem, at.point)))
+        if slight and quiet > accept.plain:
+            # What is likeliest explains next to nothing, and is not all that is there.
+            fitted = sorted(
+                [*fitted, *finalists_of(problem, fitter, at, screened, accept, fitted)], key=lambda f: -f.gain
+            )
+            seen, chosen = _first(problem, at, screened, fitted, accept)
         decisions += seen
         if chosen is None:
             if at.model or afreshed or not doubtful(problem, at, quiet, settings.calibrate):
