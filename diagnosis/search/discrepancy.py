@@ -61,6 +61,8 @@ class DiscrepancySettings:
       penalty: log prior odds of a known cause against an unknown effect; of a usual place against another.
       gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain
         that it must explain more, or it is the little that real joints have of everything.
+      lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need only be the
+        likelier: slow discrepancy holds in the noise what the effect would.
       likely: part of these shares that it must have in the linear model to be fitted through the replay.
       thin: every so-manieth residual is looked at first.
       refined: candidates that are fitted through the replay.
@@ -74,6 +76,7 @@ class DiscrepancySettings:
     penalty: float = 40.0
     gain: float = 0.25
     more: float = 0.03
+    lost: float = 2.25
     likely: float = 0.5
     thin: int = 3
     refined: int = 2
@@ -469,17 +472,22 @@ def _refined(
     start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
     near = replace(chosen, jacobian=[J[..., index] for J in chosen.jacobian])
     f = fitter.fit((*model, candidate.spline), start, near, 4, chosen.point.noise)  # type: ignore[arg-type]
-    gain = f.log_evidence - chosen.log_evidence
+    before = float(np.sum(unexplained(problem, chosen.point)))
     needed = settings.penalty
     if candidate.spline.place not in _USUAL[candidate.spline.variable]:
         needed += settings.penalty
     if candidate.without:
         # What takes the place of known causes must be clearly better than they are.
         needed += settings.penalty
-    if gain <= needed:
-        return None
-    before = float(np.sum(unexplained(problem, chosen.point)))
+    plainly = float(np.sum(unexplained(problem, f.point))) < (1 - settings.share) * before
+    if plainly and f.log_evidence - chosen.log_evidence <= needed:
+        f = fitter.fit(
+            f.model, f.theta, None, 6, chosen.point.noise
+        )  # far from where the common derivatives were taken
     after = float(np.sum(unexplained(problem, f.point)))
+    gain = f.log_evidence - chosen.log_evidence
+    if gain <= (0.0 if settings.lost * after < before else needed):
+        return None
     own = _own(problem, f, candidate.spline)
     if not candidate.without:
         share = (before - after) / max(before, 1e-30)
