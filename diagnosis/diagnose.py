@@ -21,24 +21,13 @@ from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
 from .search import discrepancy
+from .search.acceptance import AcceptSettings, Decision, quiet_rms, significance, size_of, worth_of
 from .search.described import as_described
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
+from .search.settle import why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
-from .search.stages import (
-    AcceptSettings,
-    Decision,
-    Progress,
-    Search,
-    SearchSettings,
-    quiet_rms,
-    search,
-    significance,
-    size_of,
-    why_needed,
-    without_effect,
-    worth_of,
-)
+from .search.stages import Progress, Search, SearchSettings, search
 from .search.worth import mean_squares, unexplained
 from .uncertainty import stated
 

@@ -24,22 +24,11 @@ from ..fit.regions import Region, held_out_regions, mean_ratio
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, with_dispersion
 from ..fit.tare import described, tared
+from .acceptance import Decision, Rivals, quiet_rms, significance, size_of
+from .finalists import Finalist, as_finalist, finalists_of, rivals_of
 from .screen import Library, screen
-from .stages import (
-    SETTINGS,
-    Decision,
-    Finalist,
-    Rivals,
-    Search,
-    SearchSettings,
-    as_finalist,
-    finalists_of,
-    others_than,
-    quiet_rms,
-    rivals_of,
-    significance,
-    size_of,
-)
+from .select import others_than
+from .stages import SETTINGS, Search, SearchSettings
 from .worth import unexplained
 
 

@@ -27,7 +27,7 @@ from .rendering import number, percent, render, squeezed, with_std
 if TYPE_CHECKING:
     from ...diagnosis.answer import Diagnosis, Finding
     from ...diagnosis.data.mistakes import Mistake
-    from ...diagnosis.search.stages import Decision
+    from ...diagnosis.search.acceptance import Decision
 
 UNIT = "N·m"
 NOISY = 1.6
