@@ -36,7 +36,7 @@ TESTS = {
     "estimator/filters/momentum.py": [f"{_E}torque_filters.py"],
     "estimator/quantised.py": [f"{_E}dynamics_filters.py"],
     "diagnosis/uncertainty.py": [f"{_D}uncertainty.py"],
-    "diagnosis/balance.py": [f"{_D}validate.py"],
+    "diagnosis/balance.py": [f"{_D}balance.py"],
 }
 """Files, and the fast tests that are to notice what is changed in them."""
 _OTHER: dict[type, type] = {
