@@ -216,6 +216,24 @@ def test_momentum_torsion_follows_torsion_at_rest(known):
     assert ours[-1] - ours[900] == pytest.approx(known.p["K1"] * 1e-4, rel=1e-6)
 
 
+@pytest.mark.parametrize("name", ["momentum", "momentum_torsion"])
+def test_momentum_takes_friction_off(name, known):
+    """At constant speed either way: N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, and no external torque but what gravity is short of."""
+    joint = told(known, amplitude=0.0)
+    q, time = joint.p, np.arange(3000) * 1e-3
+    for w in (20.0, -20.0):
+        i = 1.5 * np.sign(w)
+        signals = of(time, w * time, w / 100 * time, np.full(3000, i))
+        found = get(name).estimate(signals, joint)
+        g = np.sign(w) * laws.stribeck_friction(w, 0.2, 0.0, 1.0, 25.0, q)
+        expected = q["N"] * (q["Kt"] * i - (q["bm"] + q["bw"]) * w - g) - q["bl"] * w / q["N"]
+        assert found.columns["joint_torque_observed"][-1] == pytest.approx(expected, abs=1e-3)
+        late = time > 1.0
+        short = q["Mg"] * np.sin(w / 100 * time) - expected
+        lag = 1 / (2 * np.pi * 20.0) * q["Mg"] * abs(w) / 100
+        assert np.abs(found.external + found.mean - expected - short)[late].max() < 1.1 * lag + 0.01
+
+
 def test_momentum_observers_velocity_has_the_stated_cutoff(known):
     """A rotor that sets off at once: 1 − exp(−2π f t), f the cutoff."""
     time, w, cutoff = np.arange(1, 400) * 1e-3, 30.0, 8.0
