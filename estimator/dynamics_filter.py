@@ -6,8 +6,8 @@ Three things beyond the textbook:
 * **Contacts are rare**: τext walks quietly, and loudly only while the link encoder's innovations are larger than their
   variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
 * **A link encoder that is late** makes the whole filter late: it takes motor readings and commands of the instant that the
-  link reading shows, and its state then goes on to now through the commands since by the model, the external torque along a
-  line (`_catch_up`).
+  link reading shows, and its state then goes on to now by the model, through the commands and the motor encoder's readings
+  since, the external torque along a line (`_catch_up`).
 """
 
 from __future__ import annotations
@@ -35,15 +35,15 @@ FILTER = np.dtype(
         ("predicted", np.float64, SIZE), ("predicted_P", np.float64, (SIZE, SIZE)), ("F", np.float64, (SIZE, SIZE)),
         ("count", np.float64), ("done", np.float64), ("ring", SAMPLE, RING),
         ("times", np.float64, RING), ("external", np.float64, RING),
-        ("now", np.float64, SIZE), ("e", np.float64, 2), ("S", np.float64, 2),
+        ("now", np.float64, SIZE), ("now_P", np.float64, (SIZE, SIZE)), ("e", np.float64, 2), ("S", np.float64, 2),
         ("points", np.float64, (POINTS, SIZE)), ("A", np.float64, (SIZE, SIZE)), ("work", np.float64, (3, SIZE)),
         ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
     ]
 )  # fmt: skip
 """What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s];
 mean NIS of both encoders; the prediction with its covariance and Jacobian, for a smoother; for a link encoder that is late the
-samples so far, those that are done, a ring of them and of the external torque [N·m]; the state now; innovations [rad] and their
-variances [rad²]; the rest is scratch."""
+samples so far, those that are done, a ring of them and of the external torque [N·m]; state and covariance now; innovations
+[rad] and their variances [rad²]; the rest is scratch."""
 SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
 """What is random, and κ, which spreads the sigma points."""
 OUT = np.dtype(
@@ -70,8 +70,9 @@ def filter_step(m, s, c, p, unscented):
     else:
         _step(m, s, s.link_position, s.interval, c, p, unscented)
         m.now[:] = m.x
+        m.now_P[:] = m.P
     torque = model.joint_torque(m.now, s.time, p)
-    return torque, model.torque_variance(m.now, m.P, torque, s.time, p, c.noise, m.H)
+    return torque, model.torque_variance(m.now, m.now_P, torque, s.time, p, c.noise, m.H)
 
 
 @kernel
@@ -90,7 +91,7 @@ def _step(m, s, link_position, dt, c, p, unscented):
             predict_unscented(m, command, dt, heat, noise, c.kappa, p)
         else:
             predict_extended(m, command, dt, heat, noise, p)
-        add_noise(m, dt, noise)
+        add_noise(m, P, dt, noise)
         m.current = model.next_current(m.current, command, dt, p)
         m.predicted[:] = x
         m.predicted_P[:] = P
@@ -118,20 +119,41 @@ def _late_step(m, s, c, p, unscented):
         m.times[k % RING], m.external[k % RING] = then.time, m.x[EXTERNAL]
         k += 1
         m.done = k
-    _catch_up(m, k, n, c, p)
+    _catch_up(m, k, n, c, p, unscented)
 
 
 @kernel
-def _catch_up(m, k, n, c, p):
-    """The state now, from the filter's last one through the commands of samples k to n."""
-    x, current, time = m.now, m.current, m.time
+def _catch_up(m, k, n, c, p, unscented):
+    """State and covariance now, from the filter's last ones through the commands and motor readings of samples k to n.
+
+    The covariance goes by the Jacobian of the filter's last step: over so few samples another one for each would be eight
+    times the work.
+    """
+    x, P, noise, current, time = m.now, m.now_P, c.noise, m.current, m.time
+    active = int(noise.count)
     x[:] = m.x
+    P[:] = m.P
+    # By its walk the external torque could be anything by now, and motor readings would be taken for news of it: it is the line.
+    external = 0
+    while int(noise.active[external]) != EXTERNAL:
+        external += 1
+    P[external, :] = 0.0
+    P[:, external] = 0.0
+    if k <= n and (unscented or k == 1):  # nobody has linearised yet
+        s = m.ring[k % RING]
+        linearise(
+            m, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p), s.time - time, temperature(s, p), noise, p
+        )
     while k <= n:
         s = m.ring[k % RING]
         dt, command = s.time - time, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p)
         x[EXTERNAL] = line_in_ring(m.times, m.external, int(m.done) - 1, _AHEAD * p.link_delay, time + 0.5 * dt)
         steps, forget = model.substeps(x, dt, p), math.exp(-dt / c.noise.mesh_time)
         model.advance(x, current, command, time, dt, steps, forget, temperature(s, p), p, m.work)
+        propagate(m.F, P, m.A, active, active)
+        add_noise(m, P, dt, noise)
+        P[external, external] = 0.0
+        by_motor(m, x, P, s.motor_position, noise, p)
         current, time = model.next_current(current, command, dt, p), s.time
         k += 1
 
@@ -147,10 +169,19 @@ def tell(m, torque, variance, o):
 
 @kernel
 def predict_extended(m, command, dt, heat, noise, p):
-    """Predict state and covariance over `dt` [s].
+    """Predict state and covariance over `dt` [s]."""
+    n = int(noise.count)
+    linearise(m, command, dt, heat, noise, p)
+    m.x[:] = m.points[0]
+    propagate(m.F, m.P, m.A, n, n)
 
-    The Jacobian is by forward differences through the compiled step itself, so that friction's sticking and sliding, the knees
-    of the stiffness and every known effect are in it.
+
+@kernel
+def linearise(m, command, dt, heat, noise, p):
+    """Write what becomes of the state in `dt` [s] into `m.points[0]`, and the Jacobian into `m.F`.
+
+    By forward differences through the compiled step itself, so that friction's sticking and sliding, the knees of the stiffness
+    and every known effect are in it.
     """
     x, F, base, y = m.x, m.F, m.points[0], m.points[1]
     n = int(noise.count)
@@ -168,8 +199,6 @@ def predict_extended(m, command, dt, heat, noise, p):
         for i in range(n):
             b = int(noise.active[i])
             F[i, j] = (y[b] - base[b]) / STEPS[a]
-    x[:] = base
-    propagate(F, m.P, m.A, n, n)
 
 
 @kernel
@@ -245,9 +274,8 @@ def propagate(F, P, A, m, n):
 
 
 @kernel
-def add_noise(m, dt, noise):
-    """Add the process noise of `dt` [s]: more of it where the encoders' mean NIS is high; the rotor's is the current's."""
-    P = m.P
+def add_noise(m, P, dt, noise):
+    """Add the process noise of `dt` [s] to P: more of it where the encoders' mean NIS is high; the rotor's is the current's."""
     for i in range(int(noise.count)):
         s = int(noise.active[i])
         P[i, i] += noise.walk[s] * dt
@@ -269,12 +297,7 @@ def measure(m, motor_position, link_position, time, noise, p):
     """Update with both encoders in turn. The link's innovation is the one given the motor's, uncorrelated to it."""
     x, H, n = m.x, m.H, int(noise.count)
     P, active = m.P[:n, :n], noise.active
-    H[:] = 0.0
-    predicted = model.read_motor(x, p)
-    H[MOTOR] = _slope_of_motor(x, predicted, p)
-    m.e[0] = motor_position - predicted
-    m.S[0] = update(x, P, active, H[:n], m.e[0], noise.motor_variance, noise.motor_step, m.PH)
-    m.S[0] += noise.motor_step**2 / 12.0
+    m.e[0], m.S[0] = by_motor(m, x, m.P, motor_position, noise, p)
     m.motor_ratio = noise.memory * m.motor_ratio + (1.0 - noise.memory) * m.e[0] ** 2 / m.S[0]
     predicted = model.read_link(x, time, p)
     H[MOTOR], H[LINK] = 0.0, _slope_of_link(x, predicted, time, p)
@@ -282,6 +305,18 @@ def measure(m, motor_position, link_position, time, noise, p):
     m.S[1] = update(x, P, active, H[:n], m.e[1], noise.link_variance, noise.link_step, m.PH)
     m.S[1] += noise.link_step**2 / 12.0
     m.link_ratio = noise.memory * m.link_ratio + (1.0 - noise.memory) * m.e[1] ** 2 / m.S[1]
+
+
+@kernel
+def by_motor(m, x, P, reading, noise, p):
+    """Update x and P with a reading of the motor encoder [rad]; the innovation [rad] and its variance [rad²]."""
+    H, n = m.H, int(noise.count)
+    H[:] = 0.0
+    predicted = model.read_motor(x, p)
+    H[MOTOR] = _slope_of_motor(x, predicted, p)
+    e = reading - predicted
+    S = update(x, P[:n, :n], noise.active, H[:n], e, noise.motor_variance, noise.motor_step, m.PH)
+    return e, S + noise.motor_step**2 / 12.0
 
 
 @kernel

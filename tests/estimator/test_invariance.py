@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -55,6 +55,8 @@ def assert_alike(a, b, tolerance):
 
 @FEW
 @given(st.integers(0, 100), st.integers(-(2**20), 2**20))
+@example(8, 128)
+@example(52, 32768)
 def test_the_clocks_zero_says_nothing(seed, later):
     """Stamps and shift are binary fractions, so that not even the clock's resolution differs."""
     one = recording(seed)

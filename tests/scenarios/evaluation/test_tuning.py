@@ -18,7 +18,9 @@ from flexspline.estimator.tuning_parameters import TuningParameter
 from flexspline.models.errors import InputError
 from flexspline.models.signals import Signals
 from flexspline.scenarios.evaluation import tuning
+from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.evaluation.intervals import interval
+from flexspline.scenarios.run import Run, simulate_scenario
 from flexspline.scenarios.scenario import Scenario, load_scenario
 
 
@@ -100,14 +102,18 @@ def test_settings_without_a_solution_cost_but_do_not_stop(runs):
 
 @pytest.mark.slow
 def test_the_joints_dynamics_halve_the_error_of_a_tuned_rarekf():
-    """Against one tuning for the three experiments, on a seed that it has not seen."""
-    scenarios = [load_scenario(name) for name in ("no_load", "link_sweep", "external_push")]
-    train, test = tuning.simulated(scenarios, [1]), tuning.simulated(scenarios, [101])
+    """Against one tuning for the three experiments, on starts, paces and pushes that it has not seen: where a count happens to
+    lie at rest is worth a factor of three to either, so that one start says nothing."""
+
+    def runs_of(seeds: range) -> list[list[Run]]:
+        scenarios = [load_scenario(name) for name in ("no_load", "link_sweep", "external_push")]
+        return [[simulate_scenario(varied(s, seed), folder, seed) for seed in seeds] for s, folder in scenarios]
+
+    train, test = runs_of(range(1, 4)), runs_of(range(101, 105))
     rarekf = tuning.tune(registry.get("RAREKF"), train, test, 150)
-    found = [tuning.errors(registry.get(n), test, threads=2)[:, 0] for n in ("dynamics_ekf", "dynamics_ukf")]
-    ratios = np.min(found, axis=0) / rarekf.test_tuned[:, 0]
-    print(f"best of EKF and UKF on the joint's dynamics / tuned RAREKF: {ratios}; {rarekf.values}")
-    assert (ratios <= 0.5).all()
+    ratios = tuning.errors(registry.get("dynamics_ekf"), test, threads=2) / rarekf.test_tuned
+    print(f"EKF on the joint's dynamics / tuned RAREKF, seeds 101 to 104: {ratios}; {rarekf.values}")
+    assert (np.exp(np.mean(np.log(ratios), axis=1)) <= 0.5).all()
 
 
 def test_front_of_noise_against_delay(runs):
