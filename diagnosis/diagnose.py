@@ -470,12 +470,18 @@ def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -
         return 0.5
     others = [g for n, g in rivals.others if n != name and _superseded(found, n)]
     best = max([rivals.gain, *others])
-    temper = ANSWER.temper + ANSWER.inexact * min(rivals.gain, 500.0)
+    temper = _temper(found, rivals.gain)
     weights = [np.exp((g - best) / temper) for g in others]
     own = float(np.exp((rivals.gain - best) / temper))
-    none = float(np.exp(-(best - 3.5) / temper))
+    none = float(np.exp(-(best - 3.5) / (ANSWER.temper + ANSWER.inexact * min(rivals.gain, 500.0))))
     p = rivals.share * own / (own + sum(weights) + none)
     return float(min(p, ANSWER.surest if unknown is None else ANSWER.beside))
+
+
+def _temper(found: Search, gain: float) -> float:
+    """What differences of log evidence between rivals are divided by: what no description holds decides nothing between them."""
+    beside = float(np.clip(found.quiet[1], 1.0, ANSWER.inflation))
+    return beside * (ANSWER.temper + ANSWER.inexact * min(gain, 500.0 * beside**2))
 
 
 def _superseded(found: Search, name: str) -> bool:
@@ -488,7 +494,7 @@ def _close(found: Search) -> list[tuple[str, str]]:
     pairs = []
     for r in found.rivals:
         for name, gain in r.others:
-            if gain > r.gain - 3 * (ANSWER.temper + ANSWER.inexact * min(r.gain, 500.0)) and _superseded(found, name):
+            if gain > r.gain - 3 * _temper(found, r.gain) and _superseded(found, name):
                 pairs.append((r.cause, name))
     return pairs
 

@@ -36,7 +36,7 @@ class AcceptSettings:
       finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
         noise and the linear model no good judge; per_cause: at most of one cause.
       general: log evidence that a more general cause must add to a special case of it, under one noise; temper: log evidence
-        by which the replay's own errors let it differ.
+        by which the replay's own errors let it differ; both times the residual over the sensors' noise, `loosest` at most.
       edge: standard deviations of its tolerance within which an effect's value is near its edge: whether the joint at the edge
         would do is then asked of fits without the noise's share (`_at_the_edge`), of `polish` iterations.
       lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps may have gone
@@ -65,6 +65,7 @@ class AcceptSettings:
     per_cause: int = 2
     general: float = 30.0
     temper: float = 12.0
+    loosest: float = 5.0
     edge: float = 6.0
     polish: int = 8
     lost: float = 2.25

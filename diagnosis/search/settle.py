@@ -160,8 +160,10 @@ def _as_general_as_needed(
             other = fitter.fit(model, theta, None, 6)
             general, special = (f, other) if simpler else (other, f)
             more = added_under_one_noise(fitter, general, special)
-            asked = more > settings.general
-            sure = 1.0 / (1.0 + np.exp(-abs(more - settings.general) / settings.temper))
+            # What no description holds speaks for the more general one too.
+            loose = float(np.clip(quiet_rms(problem, f), 1.0, settings.loosest))
+            asked = more > loose * settings.general
+            sure = 1.0 / (1.0 + np.exp(-abs(more / loose - settings.general) / settings.temper))
             name = general.model[i].cause.name.replace("_", " ")
             reason = f"{name}, which is more general, adds {more:.0f} to the log evidence"
             taken = asked != simpler
