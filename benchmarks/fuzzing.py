@@ -16,7 +16,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, redirect_stdout
+from contextlib import closing, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
@@ -222,7 +222,9 @@ def structure_mutated(data: Any, rng: random.Random) -> Any:
         elif kind == 2 and isinstance(holder, list):
             holder.extend(copy.deepcopy(holder[key]) for _ in range(rng.choice([1, 40])))
         elif kind == 3 and isinstance(holder[key], (int, float)) and not isinstance(holder[key], bool):
-            holder[key] = holder[key] * rng.choice([-1, 0, 1e-9, 1e9, 1e30, 57.3, 1000, 0.001])
+            factor = rng.choice([-1, 0, 1e-9, 1e9, 1e30, 57.3, 1000, 0.001])
+            with suppress(OverflowError):  # 10⁴⁰⁰, put there before, is no float
+                holder[key] = holder[key] * factor
         else:
             holder[key] = copy.deepcopy(rng.choice(ODD))
     return data

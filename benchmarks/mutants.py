@@ -10,25 +10,27 @@ import argparse
 import ast
 import os
 import random
+import resource
 import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-LIMIT = 600.0
-"""Seconds after which a mutant counts as killed: it hangs."""
+LIMIT = 400
+"""Seconds of a processor after which a mutant counts as killed: it hangs, however busy the machine is."""
 WANTED = 0.85
 _E, _D = "tests/estimator/test_", "tests/diagnosis/test_"
 TESTS = {
     "estimator/consistency.py": [f"{_E}consistency.py"],
     "estimator/recursion.py": [f"{_E}recursion.py", f"{_E}invariance.py", f"{_E}printed.py"],
     "estimator/motion.py": [f"{_E}motion.py", f"{_E}torque_filters.py", f"{_E}invariance.py"],
-    "estimator/compliance.py": [f"{_E}compliance.py", f"{_E}printed.py"],
+    "estimator/compliance.py": [f"{_E}compliance.py", f"{_E}paper_filter.py", f"{_E}printed.py"],
     "estimator/arrays.py": [f"{_E}recursion.py", f"{_E}paper_filter.py"],
     "estimator/bound.py": [f"{_E}bound.py"],
     "estimator/filters/kalman.py": [f"{_E}torque_filters.py", f"{_E}invariance.py"],
@@ -36,7 +38,7 @@ TESTS = {
     "estimator/filters/momentum.py": [f"{_E}torque_filters.py"],
     "estimator/quantised.py": [f"{_E}dynamics_filters.py"],
     "diagnosis/uncertainty.py": [f"{_D}uncertainty.py"],
-    "diagnosis/balance.py": [f"{_D}validate.py"],
+    "diagnosis/balance.py": [f"{_D}balance.py"],
 }
 """Files, and the fast tests that are to notice what is changed in them."""
 _OTHER: dict[type, type] = {
@@ -84,7 +86,7 @@ def _changes(node: Any) -> Iterator[Callable[[Any], None]]:
 
 
 def _silent(tree: ast.AST) -> set[int]:
-    """Places of nodes that only say something: messages, types, decorators, numbers outside functions."""
+    """Places of nodes that only say something: messages, types, decorators, numbers outside functions, lengths of views."""
     inside: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.Lambda)):
@@ -93,6 +95,8 @@ def _silent(tree: ast.AST) -> set[int]:
     for node in ast.walk(tree):
         if isinstance(node, (ast.Raise, ast.JoinedStr, ast.Assert)):
             quiet |= {id(n) for n in ast.walk(node)}
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "carray":  # a record, or room for more
+            quiet |= {id(n) for n in node.args}
         if isinstance(node, ast.AnnAssign):
             quiet |= {id(n) for n in ast.walk(node.annotation)}
     return {k for k, n in enumerate(ast.walk(tree)) if id(n) not in inside or id(n) in quiet}
@@ -119,11 +123,8 @@ def _passes(file: str, sources: Path) -> bool:
         "FLEXSPLINE_SHARED": os.environ.get("FLEXSPLINE_SHARED", str(ROOT.parent / "shared")),
     }  # fmt: skip
     words = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", "-p", "no:xdist", *TESTS[file]]
-    try:
-        done = subprocess.run(words, cwd=sources, env=environment, capture_output=True, text=True, timeout=LIMIT)
-    except subprocess.TimeoutExpired:
-        return False
-    return done.returncode == 0
+    limited = partial(resource.setrlimit, resource.RLIMIT_CPU, (LIMIT, LIMIT))
+    return subprocess.run(words, cwd=sources, env=environment, capture_output=True, preexec_fn=limited).returncode == 0
 
 
 def main() -> None:

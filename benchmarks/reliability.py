@@ -288,8 +288,10 @@ def memory(hours: float, commands: Sequence[str] = ("check", "estimate", "run"))
         ):
             if words[0] not in commands:
                 continue
-            # Compiled once and for all.
+            # Compiled once and for all, into a folder of its own: another measurement's estimates are not replaced.
             first = [word.replace(str(folder / "m"), str(folder / "short")) for word in words]
+            if "--out" in first:
+                first[first.index("--out") + 1] += "-first"
             _call([*first, "--set", "duration=5"] if words[0] == "run" else first)
             began = time.monotonic()
             process = subprocess.Popen(

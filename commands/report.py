@@ -15,10 +15,11 @@ EXAMPLES = (
     "flexspline report runs/external_push",
     "flexspline report runs --out comparison.html",
     "flexspline report before after --out repair.html",
+    "flexspline report validation --out validation.html",
     "flexspline report sweep --out study.html",
     "flexspline report contact --out contact.html",
 )
-_HOLDS = "a run, a comparison, a diagnosis, a sweep or contact"
+_HOLDS = "a run, an arm's run, a comparison, a diagnosis, a validation, a sweep or contact"
 _MARK = '<meta name="generator" content="flexspline">'
 
 
@@ -36,7 +37,7 @@ def command(
     ),
     as_json: AsJson = False,
 ) -> None:
-    """Write one self-contained page of a run, a comparison, a diagnosis, a sweep or contact; or of two diagnoses side by side.
+    """Write one self-contained page of a run, a comparison, a diagnosis, a validation, a sweep or contact; or of two diagnoses.
 
     It starts with what was found, how sure that is and what to do now, and ends with where it comes from. Charts zoom, tell
     their values and hide their lines; it is made for light and dark, a phone and paper.
@@ -83,6 +84,10 @@ def _page(folders: list[Path]) -> str:
     (folder,) = folders
     if (folder / "diagnosis.json").is_file():
         return _diagnosis(folder)
+    if (folder / "validation.json").is_file():
+        from ..views.pages.validation import read_validation, validation_html
+
+        return validation_html(read_validation(folder))
     if (folder / "study.json").is_file():
         return _sweep(folder)
     if (folder / "contact.csv").is_file():
@@ -92,15 +97,15 @@ def _page(folders: list[Path]) -> str:
     if (folder / "scenario.yaml").is_file():
         return _runs([folder])
     found = sorted(path.parent for path in folder.glob("*/scenario.yaml"))
+    if found and (folder / "arm.yaml").is_file():
+        return _runs(_from_the_base(found, folder / "arm.yaml"), arm=folder)
     if found:
-        return _runs(_from_the_base(found, folder / "arm.yaml"))
+        return _runs(found)
     raise InputError(f"{folder}: expected a folder of {_HOLDS}, got something else")
 
 
 def _from_the_base(folders: list[Path], arm: Path) -> list[Path]:
-    """Runs of an arm's joints in its order, from the base to the tip; others as they are."""
-    if not arm.is_file():
-        return folders
+    """Runs of an arm's joints in its order, from the base to the tip."""
     from ..scenarios.arms.arm_scenario import load_any
 
     scenario, _ = load_any(arm)
@@ -116,11 +121,11 @@ def _diagnosis(folder: Path) -> str:
     return page.read_text(encoding="utf-8")
 
 
-def _runs(folders: list[Path]) -> str:
+def _runs(folders: list[Path], arm: Path | None = None) -> str:
     from ..scenarios.run_folder import load_run
     from ..views.pages.run import runs_html
 
-    return runs_html([(load_run(folder), folder) for folder in folders])
+    return runs_html([(load_run(folder), folder) for folder in folders], arm)
 
 
 def _sweep(folder: Path) -> str:

@@ -39,7 +39,8 @@ def command(
 
     found = validate(data, described)
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:
-        text = json_text(found.to_json())
+        of = {"measurement": str(measurement), "description": joint or data.recordings[0].joint}
+        text = json_text(found.to_json() | of)
         (folder / "validation.json").write_text(text + "\n", encoding="utf-8")
         for recording in found.recordings:
             write_table(folder / f"{recording.name}.parquet", recording.columns, recording.column_units)

@@ -285,6 +285,8 @@ def _described(one: Any, model: type[BaseModel]) -> str:
     message = re.sub(
         r"^(?:Input|List|String|Dictionary|Tuple) should (?:be|have) ", "", one["msg"].removeprefix("Value error, ")
     )
+    if kind == "int_parsing_size":
+        message = "an integer that is not as large"
     message = message.replace("String should match pattern", "text of the pattern").replace(" after validation", "")
     if kind == "value_error":  # of the whole, it names its field itself
         return f"{field}: {message}" if one["loc"] else message

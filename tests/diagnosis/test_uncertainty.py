@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -10,13 +11,13 @@ import pytest
 
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.extension import calibrated
-from flexspline.diagnosis.fit.regions import held_out_regions, valid_range
+from flexspline.diagnosis.fit.regions import Region, held_out_regions, region_masks, valid_range
 from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.fit.solver import Fitter, with_dispersion
+from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, with_dispersion
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
 from flexspline.diagnosis.trials import bands
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
-from flexspline.diagnosis.uncertainty import larger, stated
+from flexspline.diagnosis.uncertainty import growth, larger, stated
 from flexspline.diagnosis.validate import validate
 from flexspline.estimator.offline import beyond_range, estimate_recording, write_estimates
 from flexspline.models.joint import Joint, ValidRange, beyond_sentence, load_joint
@@ -28,13 +29,22 @@ SEED = 23
 
 
 @cache
-def known() -> tuple[Draw, Joint]:
-    """A joint within its tolerances, calibrated on one sweep that goes to one side, stating how well it is known."""
+def fitted() -> tuple[Draw, Problem, Fit]:
+    """A joint within its tolerances, calibrated on one sweep that goes to one side."""
     print(f"seed {SEED}")
     drawn = draw(Challenge(seed=SEED, hidden="none", scenarios=("link_sweep",)), 0)
     problem = Problem(*segments(list(drawn.measurement.recordings), drawn.nominal), drawn.nominal)
-    fitter = Fitter(problem)
-    fit = with_dispersion(problem, calibrate(problem, fitter, CalibrateSettings(iterations=4)))
+    return (
+        drawn,
+        problem,
+        with_dispersion(problem, calibrate(problem, Fitter(problem), CalibrateSettings(iterations=4))),
+    )
+
+
+@cache
+def known() -> tuple[Draw, Joint]:
+    """The same joint, stating how well it is known."""
+    drawn, problem, fit = fitted()
     found = calibrated(problem, fit, drawn.nominal)
     regions = held_out_regions(problem, fit)
     update = {"valid": valid_range(problem, fit), "uncertainty": stated(problem, fit, found, regions)}
@@ -49,6 +59,61 @@ def test_covariance_agrees_with_the_deviations_beside_the_numbers():
         assert deviation[name] == pytest.approx(joint.numbers[name].std, rel=0.5), name
     assert set(joint.uncertainty.discrepancy) == {"motor_current", "joint_torque", "link_balance"}
     assert joint.uncertainty.beyond >= 1
+
+
+def test_covariance_of_the_numbers_is_the_fits_by_their_derivatives():
+    """S C Sᵀ with derivatives S of the numbers by other differences; its root is a triangle with a diagonal above zero."""
+    _, problem, fit = fitted()
+    _, joint = known()
+    slots = problem.calibration.slots
+    assert joint.uncertainty.names == [slot.name for slot in slots]
+
+    def numbers(theta: np.ndarray) -> np.ndarray:
+        return np.array([problem.calibration.value(slot, theta[: problem.calibration.size]) for slot in slots])
+
+    step = 0.02 * np.eye(len(fit.theta))
+    S = np.stack([(numbers(fit.theta + d) - numbers(fit.theta - d)) / 0.04 for d in step], axis=1)
+    C = larger(*covariances(problem, fit))
+    root = joint.uncertainty.matrix
+    scale = np.sqrt(np.diag(S @ C @ S.T))
+    np.testing.assert_allclose(root @ root.T / scale[:, None] / scale, S @ C @ S.T / scale[:, None] / scale, atol=5e-3)
+    assert np.all(np.diag(root) >= 0) and np.all(root == np.tril(root))
+    assert [len(row) for row in joint.uncertainty.factor] == list(range(1, len(slots) + 1))
+
+
+def test_what_no_description_holds_adds_up_in_power():
+    """Processes of four correlation times, independent of each other: 3, 4 and 12 are 13 together."""
+    drawn, problem, fit = fitted()
+    levels = np.zeros_like(fit.noise.discrepancy)
+    levels[0, :2], levels[1, 1:4], levels[2, 3] = (3e-3, 4e-3), (0.3, 0.4, 1.2), 0.05
+    other = replace(fit, noise=replace(fit.noise, discrepancy=levels))
+    found = stated(problem, other, calibrated(problem, fit, drawn.nominal), ()).discrepancy
+    assert found == {"motor_current": 5e-3, "joint_torque": 1.3, "link_balance": 0.05}
+
+
+def test_growth_beyond_the_data_is_what_regions_lost_by_depth():
+    """Error gained by not having been seen, over the error, over how far a region's mean lies beyond the rest of the data."""
+    _, problem, fit = fitted()
+    (segment,), (mask,) = problem.segments, region_masks(problem)["the largest angles"]
+    use = segment.usable.any(axis=1) & ~segment.at_rest
+    rest = segment.link_position[segment.usable.any(axis=1) & ~mask]
+    depth = np.mean(segment.link_position[use & mask] - rest.max()) / np.ptp(rest)
+
+    def region(name: str, gained: float) -> Region:
+        return Region(name, False, 500, 10.0, 2.0, 2.0 * np.hypot(1.0, gained), 1.0)
+
+    for gained in (0.1, 0.5):
+        assert growth(problem, fit, [region("the largest angles", gained)]) == pytest.approx(
+            1 + gained / depth, rel=0.05
+        )
+    assert growth(problem, fit, [region("the largest angles", 100.0)]) == 31.0, "at most"
+    assert growth(problem, fit, [region("the largest angles", 0.0)]) == 1.0
+    assert growth(problem, fit, []) == 11.0, "where no region says"
+    three = [region(name, 0.2) for name in ("the largest angles", "the smallest angles", "the largest loads")]
+    alone = sorted(growth(problem, fit, [one]) for one in three)
+    assert growth(problem, fit, three) == alone[1]
+    better = Region("the largest angles", False, 500, 10.0, 2.0, 1.0, 1.0)
+    assert growth(problem, fit, [better]) == 1.0, "by chance an error is smaller"
 
 
 def test_written_and_read_again(tmp_path):
@@ -88,6 +153,11 @@ def test_larger_covariance_is_at_least_both(rng):
     both = larger(A, B)
     for one in (A, B):
         assert np.linalg.eigvalsh(both - one).min() > -1e-9
+    assert np.linalg.eigvalsh(A + B - both).min() > -1e-9, "no larger than need be"
+    a, b = np.diag([1.0, 4.0, 9.0]), np.diag([2.0, 3.0, 9.0])
+    np.testing.assert_allclose(larger(a, b), np.diag([2.0, 4.0, 9.0]), rtol=1e-9, atol=1e-9)
+    units = np.diag([1e-9, 1.0, 1e6])
+    np.testing.assert_allclose(larger(units @ a @ units, units @ b @ units), units @ larger(a, b) @ units, rtol=1e-9)
     np.testing.assert_allclose(larger(A, 0.5 * A), A, rtol=1e-9)
 
 

@@ -272,3 +272,10 @@ def test_bad_input(record):
         bound.posterior_information(np.ones((2, 1, 1)), [[1.0]], np.ones((2, 1, 1)), [[1.0]], [[1.0]])
     with pytest.raises(InputError, match="V > 0"):
         bound.random_walk_bound(1.0, np.zeros(3), 1.0)
+
+
+def test_the_walk_of_a_few_samples():
+    """Of a ramp over one second in five samples, over one second at a time: 2·(¼² + ½² + ¾²) + 1² in four steps of a quarter."""
+    time = np.linspace(0.0, 1.0, 5)
+    assert bound.walk_intensity(3.0 * time, time, 0.5) == pytest.approx(3.0 * np.sqrt(2.75 / 4))
+    assert bound.walk_intensity(3.0 * time, time, 2.0) == pytest.approx(3.0 * np.sqrt(4 / 16))

@@ -132,3 +132,44 @@ def test_a_late_link_encoder_is_held_against_motor_and_torque_as_they_were(known
     found = model.estimate(late, known.told(link_delay=delay)).mean
     np.testing.assert_allclose(found[50:], in_time[50:], atol=2e-3)
     assert np.abs(model.estimate(late, known).mean - in_time)[50:].min() > 0.1  # had nobody known
+
+
+def test_a_late_link_encoder_sees_the_motor_torque_of_its_own_time(known):
+    """A current that rises by the second turns the wave generator against the rotor: what it did then, not what it does now."""
+    time = np.arange(400) * 1e-3
+    delay, slope = 2.6e-3, 40.0
+    p = known.p
+    current = slope * (time - 0.2)
+    columns = {"motor_position": np.full(400, 1.0), "motor_current": current}
+
+    def link(t):  # no torque in the flexspline: the wave generator's angle through the gear, Eqs. (3) to (6)
+        torque = p["Kt"] * slope * (t - 0.2)
+        return compliance(np.full(len(t), 1.0), np.zeros(len(t)), torque, known.record).flexspline_torsion
+
+    model = get("model")
+    in_time = model.estimate(Signals(time, {**columns, "link_position": link(time)}), known).mean
+    late = Signals(time, {**columns, "link_position": link(time - delay)})
+    found = model.estimate(late, known.told(link_delay=delay)).mean
+    assert np.abs(in_time[5:]).max() < 1e-9
+    print("as known", np.abs(found[20:]).max(), "had nobody known", np.abs(model.estimate(late, known).mean)[20:].max())
+    np.testing.assert_allclose(found[20:], 0.0, atol=0.05 * np.abs(model.estimate(late, known).mean)[20:].max())
+
+
+def test_observers_read_a_late_link_encoder_as_it_will_be(known):
+    """While everything turns evenly: the link's velocity and torque are those of readings in time, not `delay` behind them."""
+    time = np.arange(600) * 1e-3
+    delay, speed = 4e-3, 30.0
+    joint = known.told(amplitude=0.0)
+    motor = speed * time**2  # it speeds up
+
+    def signals(t):
+        link = speed * t**2 / 100 - 3e-4
+        return Signals(time, {"motor_position": motor, "link_position": link, "motor_current": np.full(600, 1.0)})
+
+    in_time = get("momentum").estimate(signals(time), joint)
+    found = get("momentum").estimate(signals(time - delay), joint.told(link_delay=delay))
+    velocity = in_time.columns["link_velocity"]
+    np.testing.assert_allclose(found.columns["link_velocity"][100:], velocity[100:], rtol=1e-3)
+    np.testing.assert_allclose(found.mean[200:], in_time.mean[200:], atol=0.01)
+    unknown = get("momentum").estimate(signals(time - delay), joint).columns["link_velocity"]
+    assert np.abs(unknown - velocity)[100:].min() > 5e-4

@@ -51,6 +51,14 @@ def test_a_matched_filter_passes(rng):
     assert 0.3 < p.mean() < 0.7 and p.min() > 1e-5
 
 
+@pytest.mark.parametrize("runs, times, dof", [(5, 8000, 1), (60, 4000, 3)])
+def test_the_share_inside_is_the_intervals_level(runs, times, dof, rng):
+    """Of means over so many runs, at each of so many independent times."""
+    for level in (0.95, 0.6):
+        share = consistency.share_inside(chi2.rvs(dof, size=(runs, times), random_state=rng), dof, level)
+        assert abs(share - level) < 4 * np.sqrt(level * (1 - level) / times)
+
+
 @pytest.mark.parametrize("process, verdict", [(0.02, "overconfident"), (50.0, "conservative")])
 def test_a_mismatched_filter_fails_in_the_right_direction(process, verdict, rng):
     nis, nees, innovations = monte_carlo(rng, process)

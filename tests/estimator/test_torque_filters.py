@@ -216,6 +216,68 @@ def test_momentum_torsion_follows_torsion_at_rest(known):
     assert ours[-1] - ours[900] == pytest.approx(known.p["K1"] * 1e-4, rel=1e-6)
 
 
+@pytest.mark.parametrize("name", ["momentum", "momentum_torsion"])
+def test_momentum_takes_friction_off(name, known):
+    """At constant speed N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, and no external torque but what gravity is short of."""
+    joint = told(known, amplitude=0.0)
+    q, time = joint.p, np.arange(3000) * 1e-3
+    for w in (20.0, -20.0):
+        i = 1.5 * np.sign(w)
+        signals = of(time, w * time, w / 100 * time, np.full(3000, i))
+        found = get(name).estimate(signals, joint)
+        g = np.sign(w) * laws.stribeck_friction(w, 0.2, 0.0, 1.0, 25.0, q)
+        expected = q["N"] * (q["Kt"] * i - (q["bm"] + q["bw"]) * w - g) - q["bl"] * w / q["N"]
+        assert found.columns["joint_torque_observed"][-1] == pytest.approx(expected, abs=1e-3)
+        late = time > 1.0
+        short = q["Mg"] * np.sin(w / 100 * time) - expected
+        lag = 1 / (2 * np.pi * 20.0) * q["Mg"] * abs(w) / 100
+        assert np.abs(found.external + found.mean - expected - short)[late].max() < 1.1 * lag + 0.01
+
+
+def test_momentum_observers_velocity_has_the_stated_cutoff(known):
+    """A rotor that sets off at once: 1 − exp(−2π f t), f the cutoff."""
+    time, w, cutoff = np.arange(1, 400) * 1e-3, 30.0, 8.0
+    motor = w * (time - time[0])
+    columns = replace(get("momentum"), cutoff=cutoff).estimate(of(time, motor, motor / 100, 0 * time), known).columns
+    expected = 1.0 - np.exp(-2 * np.pi * cutoff * (time - time[0]))
+    assert np.allclose(columns["motor_velocity"], w * expected, rtol=0, atol=1e-9)
+    assert np.allclose(columns["link_velocity"], w / 100 * expected, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [0.5, 1.0, 4.0])
+def test_momentum_torsion_goes_over_to_the_observer(speed, known):
+    """At an even speed, in Stribeck velocities: the observer's weight settles on ω²/(ω² + ω₀²) with the stated time constant."""
+    joint = told(known, amplitude=0.0)
+    time, w, smoothing = np.arange(1500) * 1e-3, speed * joint.p["vs"], 0.15
+    signals = of(time, w * time, w * time / 100 - 1e-4, np.full(1500, 0.8))
+    settings = {"turning": 1.0, "smoothing": smoothing, "follow": 1e12, "cutoff": 1e6}
+    found = replace(get("momentum_torsion"), **settings).estimate(signals, joint)
+    torsion, observed = get("model").estimate(signals, joint).mean, found.columns["joint_torque_observed"]
+    apart = (np.abs(observed - torsion) > 0.5) & (time > 0.01)
+    weight = ((found.mean - torsion) / (observed - torsion))[apart]
+    expected = speed**2 / (speed**2 + 1.0) * (1.0 - np.exp(-time / smoothing))
+    assert apart.sum() > 1000
+    assert np.allclose(weight, expected[apart], rtol=0, atol=1e-6)
+
+
+def test_momentum_torsions_offset_follows_while_it_turns(known):
+    """Turning, the torsion's offset goes to what the observer says, slower where that counts for less; at rest it holds."""
+    joint = told(known, amplitude=0.0)
+    time, w, follow = np.arange(4000) * 1e-3, joint.p["vs"], 0.4
+    turning = np.minimum(time, 2.5)
+    signals = of(time, w * turning, w * turning / 100 - 1e-4, np.full(4000, 0.8))
+    settings = {"turning": 1.0, "smoothing": 1e-6, "bandwidth": 100.0, "cutoff": 1e6, "follow": follow}
+    found = replace(get("momentum_torsion"), **settings).estimate(signals, joint)
+    torsion, observed = get("model").estimate(signals, joint).mean, found.columns["joint_torque_observed"]
+    steady = (time > 0.5) & (time < 2.5)
+    off = 2.0 * (found.mean - 0.5 * observed) - torsion  # both count half
+    away = observed - torsion - off
+    rate = -np.diff(np.log(np.abs(away[steady][:500]))) / 1e-3
+    assert np.allclose(rate, 0.5 / follow, rtol=1e-3)
+    assert np.ptp(found.mean[time > 2.6] - torsion[time > 2.6]) < 1e-9  # the motor's current says nothing of rest
+    assert found.mean[-1] - torsion[-1] == pytest.approx(off[steady][-1], abs=0.02)
+
+
 def test_observers_find_a_payload(known):
     """A rigid payload that moves with the joint, its torque in the current: its moments, whatever the link's own."""
     q = known.p

@@ -8,11 +8,14 @@ import re
 from html import unescape
 from pathlib import Path
 
+import numpy as np
 import pytest
-from browser import assert_fits, look
+from browser import assert_fits, look, sheets
 
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
+from flexspline.models.recording import write_recording
+from flexspline.models.tables import write_table
 from flexspline.scenarios.run_folder import save_run
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
@@ -22,6 +25,7 @@ from flexspline.views.pages.rendering import TEMPLATES
 from flexspline.views.pages.run import line_kinds, runs_html
 from flexspline.views.pages.sweep import sweep_html
 from flexspline.views.pages.two_diagnoses import read_diagnosis, two_html
+from flexspline.views.pages.validation import charts_of, read_validation, validation_html
 
 HEAD = ("What was found", "How sure", "What to do now", "Where this page comes from")
 
@@ -136,6 +140,11 @@ def contact_folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
+def validation_page(tmp_path_factory) -> str:
+    return validation_html(read_validation(validated(tmp_path_factory.mktemp("pages") / "v", 0.5)))
+
+
+@pytest.fixture(scope="module")
 def contact_page(contact_folder) -> str:
     return contact_html(read_curves(contact_folder / "contact.csv"), contact_folder)
 
@@ -159,8 +168,10 @@ def test_contact_names_the_most_sensitive_at_few_false_alarms(contact_page, cont
     assert code == 2 and "expected the curves of flexspline contact" in err
 
 
-def test_pages_are_self_contained_and_begin_with_the_answer(run_page, sweep_page, repair_page, contact_page):
-    for page in (run_page, sweep_page, repair_page, contact_page):
+def test_pages_are_self_contained_and_begin_with_the_answer(
+    run_page, sweep_page, repair_page, contact_page, validation_page
+):
+    for page in (run_page, sweep_page, repair_page, contact_page, validation_page):
         assert not re.search(r"\b(?:src|href)=|@import|url\(", page)
         assert '<meta name="generator" content="flexspline">' in page
         text = text_of(page)
@@ -287,9 +298,18 @@ def test_charts_tell_zoom_and_hide(run_page, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("width", [360, 800, 1400])
-@pytest.mark.parametrize("which", ["run_page", "sweep_page", "repair_page", "contact_page"])
+@pytest.mark.parametrize("which", ["run_page", "sweep_page", "repair_page", "contact_page", "validation_page"])
 def test_nothing_is_wider_than_the_window(which, width, request, tmp_path):
     assert_fits(request.getfixturevalue(which), width, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "which, most", [("run_page", 4), ("sweep_page", 2), ("repair_page", 2), ("contact_page", 2), ("validation_page", 2)]
+)
+def test_printed_pages_are_full(which, most, request, tmp_path):
+    """Charts stand beside each other on paper and headings by what they head, so that no sheet is half empty."""
+    assert 1 <= sheets(request.getfixturevalue(which), tmp_path) <= most
 
 
 def test_the_command_writes_a_page_and_only_over_pages(flexspline, pushed, repair, tmp_path):
@@ -316,7 +336,115 @@ def test_the_page_of_an_arm_goes_from_its_base_to_its_tip(flexspline, tmp_path):
     code, _, err = flexspline("report", tmp_path / "two_joints", "--out", tmp_path / "page.html")
     assert code == 0, err
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
-    assert page.index("<h2>two_joints_shoulder") < page.index("<h2>two_joints_elbow")
+    assert page.index("<h2>shoulder") < page.index("<h2>elbow")
+    text = text_of(page)
+    assert "Run of the arm two_joints , from its base to its tip: shoulder (test-joint), elbow (test-joint)" in text
+    assert "geometric mean over 2 joints" in text and "alone" not in text
+    arm = tmp_path / "two_joints"
+    assert f"flexspline view {arm}/shoulder {arm}/elbow" in text and f"flexspline run {arm}/arm.yaml" in text
+    words = re.search(r"flexspline diagnose (\S+) ", text).group(1)
+    assert flexspline("check", words)[0] == 0, "what it proposes to diagnose is there"
+    assert re.search(r"link −?\d+° to −?\d+°, joint torque −?[\d.]+ to −?[\d.]+ N·m", text)
+
+
+TIME = np.arange(0.0, 8.0, 0.004)
+
+
+def validated(folder: Path, off: float = 0.0, mistakes: tuple[str, ...] = (), gap: bool = False) -> Path:
+    """A folder as `flexspline validate` leaves it: a current that is `off` by so many amperes while it moves forward."""
+    folder.mkdir()
+    simulated = np.sin(TIME)
+    measured = simulated + off * (np.cos(TIME) > 0)
+    if gap:
+        simulated = np.where(abs(TIME - 4) < 1, np.nan, simulated)
+    columns = {
+        "time": TIME, "motor_current": measured, "motor_current_simulated": simulated,
+        "motor_current_low": simulated - 0.1, "motor_current_high": simulated + 0.1,
+    }  # fmt: skip
+    write_table(folder / "sweep <1>.parquet", columns, {"time": "s"} | dict.fromkeys(list(columns)[1:], "A"))
+    inside = 1.0 if off < 0.1 else 0.5
+    error = {"rms": off / 2**0.5 + 0.01, "mean": off / 2, "noise": 0.01, "unit": "A", "inside": inside, "samples": 2000}
+    regions = [
+        {
+            "by": "direction",
+            "from": low,
+            "to": low + 1,
+            "unit": "",
+            "samples": 1000,
+            "rms": {"motor_current": rms},
+            "beyond": low + 1,
+        }
+        for low, rms in ((-1.0, 0.01), (0.0, off + 0.01))
+    ]
+    answer = {
+        "joint": "test-joint", "residual": {"motor_current": error}, "regions": regions,
+        "beyond": {"link_position": 0.25}, "mistakes": [{"description": m} for m in mistakes], "recordings": ["sweep <1>"],
+        "measurement": "bench log", "description": "test-joint",
+    }  # fmt: skip
+    (folder / "validation.json").write_text(json.dumps(answer), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize(
+    "off, mistakes, sentence, commands",
+    [
+        (0.0, (), "holds: at least 100 % of every channel lies in its 95 % band.", ["estimate"]),
+        (0.08, (), "all the same motor current is off by more than noise", ["estimate", "diagnose"]),
+        (0.5, (), "does not predict motor current: motor current is off by 0.36 A RMS", ["diagnose", "plan"]),
+        (0.5, ("mA taken for A",), "The data hold a mistake, so that they say nothing of test-joint: mA", ["check"]),
+    ],
+)
+def test_a_validation_says_whether_the_description_holds(off, mistakes, sentence, commands, tmp_path):
+    text = text_of(validation_html(read_validation(validated(tmp_path / "v", off, mistakes))))
+    assert sentence in text and all(f"{head} " in text for head in HEAD)
+    assert re.findall(r"flexspline (\w+) 'bench log' --joint test-joint", text) == commands
+    assert "25 %" in text and "link angle" in text, "what is beyond the range is told"
+    assert ("Largest at moving forward" in text) == (off > 0)
+    assert "moving forward *" in text and "moving backward *" not in text
+
+
+def test_bands_of_a_validation_leave_its_gaps(tmp_path):
+    (group,) = charts_of(read_validation(validated(tmp_path / "v", 0.02, gap=True)))
+    ((_, left),) = group.charts
+    band = next(mark for mark in left.marks if mark.kind == "area noise")
+    middle, inner = left.inner[0] / 2, left.inner[0]
+    places = np.array([float(x) for x in re.findall(r"M([\d.]+) ", band.d)])
+    assert not np.any(abs(places - middle) < inner / 8 - 5) and len(places) > 0.6 * inner / 2
+    assert left.y[0] == -left.y[1] and 0.02 < left.y[1] < 0.2, "the difference can be seen in it"
+
+
+def test_a_damaged_validation_is_refused_in_one_line(flexspline, tmp_path):
+    folder = validated(tmp_path / "v")
+    path, table = folder / "validation.json", folder / "sweep <1>.parquet"
+    good = path.read_text(encoding="utf-8")
+    for bad in (
+        "[]",
+        "{",
+        "3",
+        good.replace('"rms"', '"x"'),
+        good.replace('["sweep <1>"]', '["nowhere"]'),
+        good.replace("0.01", '"a"'),
+    ):
+        path.write_text(bad, encoding="utf-8")
+        code, _, err = flexspline("report", folder, "--out", tmp_path / "page.html")
+        assert code == 2 and err.count("\n") == 1, (bad, err)
+    path.write_text(good, encoding="utf-8")
+    write_table(table, {"time": TIME, "motor_current_simulated": TIME}, {"time": "s", "motor_current_simulated": "A"})
+    code, _, err = flexspline("report", folder, "--out", tmp_path / "page.html")
+    assert code == 2 and "expected the columns" in err and err.count("\n") == 1
+
+
+def test_what_validate_wrote_becomes_a_page(flexspline, pushed, tmp_path):
+    """From the run's recording to its page, by its commands."""
+    folder = save_run(pushed, tmp_path / pushed.name)
+    recording = write_recording(pushed.as_recording(), folder / "bench")
+    code, out, err = flexspline("validate", recording, "--out", tmp_path / "validation", "--json")
+    assert code == 0, err
+    assert json.loads(out)["measurement"] == str(recording) and json.loads(out)["description"] == "test-joint"
+    code, _, err = flexspline("report", tmp_path / "validation", "--out", tmp_path / "page.html")
+    assert code == 0, err
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "The description of test-joint holds" in page and f"flexspline estimate {recording}" in page
 
 
 NEAR = """

@@ -89,6 +89,17 @@ class Chart:
         """A horizontal band over the whole width."""
         self.boxes([(self.x[0], self.x[1], low, high)], kind)
 
+    def between(self, x: np.ndarray, low: np.ndarray, high: np.ndarray, kind: str) -> None:
+        """A band along a line, shape (k,) each: in every column of pixels from its lowest to its highest; gaps stay."""
+        edges = np.linspace(*self.x, self.inner[0] // 2 + 1)
+        column = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, len(edges) - 2)
+        bottom, top = np.full(len(edges) - 1, np.inf), np.full(len(edges) - 1, -np.inf)
+        there = np.isfinite(low) & np.isfinite(high)
+        np.minimum.at(bottom, column[there], low[there])
+        np.maximum.at(top, column[there], high[there])
+        drawn = np.flatnonzero(np.isfinite(bottom))
+        self.boxes([(edges[k], edges[k + 1], bottom[k], top[k]) for k in drawn], kind)
+
     def stripes(self, edges: Sequence[tuple[float, float]], kind: str) -> None:
         """Vertical stripes over the whole height, from x to x."""
         self.boxes([(a, b, *self.y) for a, b in edges], kind)

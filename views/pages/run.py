@@ -26,13 +26,14 @@ _NEAR = 1.25
 """As much larger an error is no better or worse on a single run, whose noise is drawn once."""
 
 
-def runs_html(runs: Sequence[tuple[Run, Path]]) -> str:
+def runs_html(runs: Sequence[tuple[Run, Path]], arm: Path | None = None) -> str:
     """The page as text: one file that refers to nothing outside itself.
 
     Args:
       runs: with the folders that they were read from, each of another scenario.
+      arm: folder of an arm's run, whose joints `runs` are, from the base to the tip.
     """
-    return squeezed(render("run.html.j2", _context(runs)))
+    return squeezed(render("run.html.j2", _context(runs, arm)))
 
 
 def line_kinds(names: Sequence[str]) -> dict[str, str]:
@@ -42,21 +43,23 @@ def line_kinds(names: Sequence[str]) -> dict[str, str]:
     return {name: own.get(name) or f"s{4 + spare.index(name) % 4}" for name in names}
 
 
-def _context(runs: Sequence[tuple[Run, Path]]) -> dict[str, Any]:
+def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, Any]:
     names = list(dict.fromkeys(name for run, _ in runs for name in run.estimates))
     kinds = line_kinds(names)
-    scenarios = [_scenario(run, folder, kinds) for run, folder in runs]
+    scenarios = [_scenario(run, folder, kinds, arm is not None) for run, folder in runs]
+    title = " and ".join(run.name for run, _ in runs) if len(runs) < 3 else f"{len(runs)} scenarios"
     return {
-        "title": " and ".join(run.name for run, _ in runs) if len(runs) < 3 else f"{len(runs)} scenarios",
+        "title": title if arm is None else arm.resolve().name,
+        "arm": arm is not None,
         "joints": list(dict.fromkeys(run.joint.name for run, _ in runs)),
-        "sentence": _verdict(runs, names),
+        "sentence": _verdict(runs, names, "scenarios" if arm is None else "joints"),
         "scenarios": scenarios,
         "means": _means(runs, names) if len(runs) > 1 else [],
         "seeds": sorted({run.scenario.seed for run, _ in runs}),
         "told": _told(runs),
-        "honest": _honest(runs),
-        "notes": [(run.name, note) for run, _ in runs for note in run.notes],
-        "commands": _commands(runs, names),
+        "honest": _honest(scenarios, runs),
+        "notes": [(s["name"], note) for s, (run, _) in zip(scenarios, runs, strict=True) for note in run.notes],
+        "commands": _commands(runs, names) if arm is None else _arm_commands(runs, arm),
         "columns": COLUMNS,
         "written": now(),
         "versions": versions(),
@@ -82,13 +85,13 @@ def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple
     return sorted(found, key=lambda one: one[1])
 
 
-def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> str:
+def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) -> str:
     """Which estimator is closest, in a sentence."""
     ranked = _means(runs, names)
     if not ranked:
-        return "No estimator has an error in all of these scenarios."
+        return f"No estimator has an error in all of these {of}."
     (best, error), rest = ranked[0], ranked[1:]
-    over = f" (geometric mean over {len(runs)} scenarios)" if len(runs) > 1 else ""
+    over = f" (geometric mean over {len(runs)} {of})" if len(runs) > 1 else ""
     text = f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS{over}"
     near = [name for name, other in rest if other < _NEAR * error]
     if near:
@@ -109,14 +112,16 @@ def _told(runs: Sequence[tuple[Run, Path]]) -> str:
     return "The estimators are told another joint than the one that is simulated."
 
 
-def _honest(runs: Sequence[tuple[Run, Path]]) -> dict[str, list[tuple[str, str, float]]]:
+def _honest(
+    scenarios: Sequence[dict[str, Any]], runs: Sequence[tuple[Run, Path]]
+) -> dict[str, list[tuple[str, str, float]]]:
     """Estimators whose own variance is not right: which way, then scenario, name, mean NIS."""
     found: dict[str, list[tuple[str, str, float]]] = {}
-    for run, _ in runs:
+    for s, (run, _) in zip(scenarios, runs, strict=True):
         for name, measures in run.metrics["filters"].items():
             nis = measures.get("mean_nis")
             if nis is not None and not _HONEST[0] <= nis <= _HONEST[1]:
-                found.setdefault("more" if nis > 1 else "less", []).append((run.name, name, float(nis)))
+                found.setdefault("more" if nis > 1 else "less", []).append((s["name"], name, float(nis)))
     return found
 
 
@@ -133,7 +138,19 @@ def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tu
     ]  # fmt: skip
 
 
-def _scenario(run: Run, folder: Path, kinds: dict[str, str]) -> dict[str, Any]:
+def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str, str]]:
+    """Likewise of an arm: with the other joints moving, which its joints' scenarios alone would not do."""
+    places = [shlex.quote(folder.as_posix()) for _, folder in runs]
+    own = shlex.quote((runs[-1][1] / f"{runs[-1][0].name}.yaml").as_posix())
+    again = shlex.quote((arm / "arm.yaml").as_posix())
+    return [
+        (f"flexspline view {' '.join(places)}", "looks at it: every joint's motion, estimates, innovations"),
+        (f"flexspline run {again} --seed 2 --out again", "moves the same arm with other noise"),
+        (f"flexspline diagnose {own} --out diagnosis", f"diagnoses {runs[-1][1].name} from what its own sensors read in the arm"),
+    ]  # fmt: skip
+
+
+def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dict[str, Any]:
     metrics = run.metrics
     entries = {RAW_MODEL: metrics["model"]} if metrics.get("model") else {}
     rows = []
@@ -146,8 +163,9 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str]) -> dict[str, Any]:
         if column.key in ("rms", "max", "noise_ratio") and all(row[2][k] != "–" for row in own) and len(own) > 1
     }
     return {
-        "name": run.name,
-        "description": run.scenario.description,
+        "name": folder.name if joint else run.name,
+        "description": "" if joint else run.scenario.description,
+        "span": _span(run),
         "joint": run.joint.name,
         "duration": run.scenario.duration,
         "seed": run.scenario.seed,
@@ -158,6 +176,15 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str]) -> dict[str, Any]:
         "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
         "charts": _charts(run, kinds),
     }
+
+
+def _span(run: Run) -> str:
+    """From where to where the link goes, and what torque the joint carries."""
+    angle, torque = np.degrees(run.truth("link_position")), run.truth("joint_torque")
+    return (
+        f"link {number(round(angle.min()) + 0.0)}° to {number(round(angle.max()) + 0.0)}°, "
+        f"joint torque {number(torque.min(), 2)} to {number(torque.max(), 2)} N·m"
+    )
 
 
 def _charts(run: Run, kinds: dict[str, str]) -> list[list[Chart]]:

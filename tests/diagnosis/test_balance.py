@@ -1,0 +1,126 @@
+"""Known causes fitted to one sweep with a known external torque: what was put into a simulated joint comes out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+import flexspline as fs
+from flexspline.diagnosis.balance import SENSOR_MEMORY, SENSOR_NOISE, extended, fit_current, fit_eccentricity
+from flexspline.estimator.smoothed import STEP
+from flexspline.models.errors import InputError
+from flexspline.models.joint import Effect, Estimate, Joint, load_joint
+from flexspline.models.recording import Recording
+
+HIDDEN = {
+    "load_dependent_friction": {"coefficient": (0.12, "1")}, "gravity_direction": {"angle": (0.15, "rad")},
+    "link_encoder_eccentricity": {"amplitude": (5e-4, "rad"), "phase": (0.7, "rad")},
+}  # fmt: skip
+CURRENT = ("load_dependent_friction", "gravity_direction")
+
+
+def nominal() -> Joint:
+    return load_joint("test-joint")
+
+
+def effects(*names: str) -> tuple[Effect, ...]:
+    return tuple(
+        Effect(name=n, parameters={k: Estimate(value=v, unit=u) for k, (v, u) in HIDDEN[n].items()}) for n in names
+    )
+
+
+@cache
+def sweep() -> Recording:
+    """A sweep from hanging to horizontal, pushed now and then, of a joint with all three effects."""
+    joint = extended(nominal(), effects(*HIDDEN), "hidden", "with what is to be found")
+    return fs.simulate("external_push", joint=joint, known_joint="test-joint", filters=["model"]).as_recording()
+
+
+@pytest.mark.parametrize("part", [1.0, 0.5])
+def test_two_causes_are_found_in_the_current(part):
+    """Of the whole sweep and of its first half, each within two of its standard deviations."""
+    recording = sweep()
+    use = recording.time < part * recording.time[-1]
+    found = fit_current(recording, nominal(), CURRENT, use)
+    assert [e.name for e in found.effects] == list(CURRENT)
+    for effect in found.effects:
+        for name, estimate in effect.parameters.items():
+            true, unit = HIDDEN[effect.name][name]
+            print(effect.name, name, estimate.value, "±", estimate.std, unit)
+            assert estimate.unit == unit and abs(estimate.value - true) < 2 * estimate.std < 0.9 * true
+    assert found.after < 0.1 < 1.0 < found.before
+
+
+def test_a_cause_that_is_not_there_is_found_to_be_small():
+    recording = fs.simulate("external_push", filters=["model"]).as_recording()
+    found = fit_current(recording, nominal(), CURRENT)
+    for effect in found.effects:
+        for estimate in effect.parameters.values():
+            assert abs(estimate.value) < estimate.std
+    assert found.before < 0.1
+
+
+def test_what_this_balance_does_not_tell_of_stays_as_open_as_it_was():
+    """The torque sensor is not in it: no gain of it but one is found, and up to its largest ordinary error may be there."""
+    found = fit_current(sweep(), nominal(), ("torque_sensor_gain",))
+    gain = found.effects[0].parameters["gain"]
+    assert gain.value == 1.0 and gain.std == pytest.approx(0.2) and found.after == found.before
+
+
+def test_the_deviation_is_what_the_sensors_vibration_allows():
+    """T = (torque of the current) − μ|T| changes by |T|/(1 + μ) with μ; the noise is one number every correlation time."""
+    recording = sweep()
+    known = extended(nominal(), effects("gravity_direction"), "known", "its direction of gravity")
+    found = fit_current(recording, known, ("load_dependent_friction",))
+    moving = np.abs(np.gradient(recording["link_position"], recording.time)) > 0.05
+    T = recording["joint_torque"][moving]
+    seconds = found.samples * STEP
+    coefficient = found.effects[0].parameters["coefficient"]
+    expected = (1 + coefficient.value) * SENSOR_NOISE / np.sqrt(np.mean(T**2) * seconds / SENSOR_MEMORY)
+    assert coefficient.std == pytest.approx(expected, rel=0.05)
+    assert found.samples == pytest.approx(moving.sum(), rel=0.03)
+
+
+def test_eccentricity_is_found_in_the_torsion():
+    """Given the load; its deviation is what the stiffness' tolerance makes of it, as both go with the angle's sine."""
+    joint, recording = nominal(), sweep()
+    known = extended(joint, effects(*CURRENT), "known", "but for the encoder")
+    effect = fit_eccentricity(recording, known)
+    (amplitude, _), (phase, _) = HIDDEN["link_encoder_eccentricity"].values()
+    a, phi = effect.parameters["amplitude"], effect.parameters["phase"]
+    print(f"{a.value} ± {a.std} rad, {phi.value} ± {phi.std}")
+    assert (a.unit, phi.unit) == ("rad", "rad")
+    assert a.value == pytest.approx(amplitude, rel=0.03) and phi.value == pytest.approx(phase, abs=0.03)
+    number = joint.numbers["K1"]
+    tolerance = np.hypot(number.tolerance, joint.shared_tolerances[number.shared])
+    windup = joint.mount("link").gravity_moment / number.value
+    assert a.std == pytest.approx(tolerance * windup, rel=0.2)
+    assert phi.std == pytest.approx(a.std / a.value, rel=0.02)
+    own = joint.model_copy(update={"numbers": joint.numbers | {"K1": number.model_copy(update={"shared": None})}})
+    alone = fit_eccentricity(recording, extended(own, effects(*CURRENT), "own", "no tolerance shared by the springs"))
+    assert alone.parameters["amplitude"].std == pytest.approx(number.tolerance * windup, rel=0.2)
+    half = fit_eccentricity(recording, known, recording["link_position"] > 0.5)
+    assert half.parameters["amplitude"].value == pytest.approx(amplitude, rel=0.2)
+
+
+def test_the_extended_joint_keeps_what_it_had():
+    one = extended(nominal(), effects("gravity_direction"), "one", "first")
+    both = extended(one, effects("load_dependent_friction"), "both", "second")
+    assert [e.name for e in both.effects] == ["gravity_direction", "load_dependent_friction"]
+    assert both.name == "both" and both.description == "second" and one.effects == list(effects("gravity_direction"))
+    assert both.record(both.mount("link")).dtype == nominal().bare_record().dtype
+
+
+def test_what_cannot_be_fitted_is_refused():
+    recording = sweep()
+    with pytest.raises(InputError, match="expected the column 'external_torque'"):
+        fit_current(recording.without("external_torque"), nominal(), CURRENT)
+    still = {name: 0 * x + x[0] for name, x in recording.columns.items()}
+    with pytest.raises(InputError, match="expected motion to fit to"):
+        fit_current(replace(recording, columns=still), nominal(), CURRENT)
+    late = replace(recording, time=recording.time + 5.0 * (recording.time > 10))
+    with pytest.raises(InputError, match="without gaps"):
+        fit_eccentricity(late, nominal())

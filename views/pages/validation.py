@@ -1,0 +1,225 @@
+"""The page of a validation: how well a description predicts a measurement, channel by channel, where it does not, what to do."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...models.errors import InputError
+from ...models.files import read_text
+from ...models.joint import beyond_sentence
+from ...models.tables import read_table
+from ..report import plain
+from .chart import Chart, limits
+from .provenance import file_digest, now
+from .rendering import number, percent, render, squeezed
+from .residual_charts import Group
+
+HELD = 0.9
+"""Share of the samples in motion inside a 95 % band from which on a description holds for a channel."""
+_CLEARLY = 2.0
+"""Times the sensors' noise from which on an error has a reason that could be found, band or no band."""
+_WORSE = 1.3
+"""Times the error over all motion that an error in a region must be, to be told as the place where it is largest."""
+
+
+@dataclass(frozen=True)
+class Validated:
+    """A validation as its folder holds it.
+
+    Attributes:
+      folder: where it lies.
+      answer: `validation.json`.
+      tables: columns of each recording by its name, shape (n,) each: `time`, and of every channel `<channel>`,
+        `<channel>_simulated`, `<channel>_low`, `<channel>_high`.
+    """
+
+    folder: Path
+    answer: dict[str, Any]
+    tables: dict[str, dict[str, np.ndarray]]
+
+
+def read_validation(folder: Path) -> Validated:
+    """A validation from its folder.
+
+    Raises:
+      InputError: a folder without one, or whose tables are not those that it names.
+    """
+    path = folder / "validation.json"
+    try:
+        answer = json.loads(read_text(path, "a validation"))
+        for e in answer["residual"].values():
+            e |= {key: float(e[key]) for key in ("rms", "mean", "noise", "inside")} | {"samples": int(e["samples"])}
+            e["unit"]
+        for region in answer["regions"]:
+            region |= {key: float(region[key]) for key in ("from", "to", "beyond")}
+            region |= {"rms": {name: float(x) for name, x in region["rms"].items()}}
+            region["by"], region["unit"]
+        answer["joint"], dict(answer["beyond"]), [m["description"] for m in answer["mistakes"]]
+        names = [str(name) for name in answer["recordings"]]
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: expected what flexspline validate writes, got something else") from error
+    tables = {name: read_table(folder / f"{name}.parquet")[0] for name in names}
+    for name, columns in tables.items():
+        wanted = {f"{channel}{end}" for channel in _channels(columns) for end in _ENDS}
+        if "time" not in columns or not wanted <= set(columns):
+            raise InputError(
+                f"{folder / name}.parquet: expected the columns that flexspline validate writes, got others"
+            )
+    return Validated(folder, answer, tables)
+
+
+_ENDS = ("", "_simulated", "_low", "_high")
+
+
+def _channels(columns: Mapping[str, np.ndarray]) -> list[str]:
+    """Channels that a table has simulated."""
+    return [name.removesuffix("_simulated") for name in columns if name.endswith("_simulated")]
+
+
+def validation_html(found: Validated) -> str:
+    """The page as text: one file that refers to nothing outside itself."""
+    answer = found.answer
+    beyond = beyond_sentence(answer["beyond"])
+    context = {
+        "joint": answer["joint"],
+        "holds": _holds(answer),
+        "sentence": _verdict(answer),
+        "channels": [(plain(name), e, _worst(answer, name)) for name, e in answer["residual"].items()],
+        "names": [(plain(name), e["unit"]) for name, e in answer["residual"].items()],
+        "mistakes": [m["description"] for m in answer["mistakes"]],
+        "beyond": beyond,
+        "regions": _regions(answer),
+        "commands": _commands(found),
+        "groups": charts_of(found),
+        "folder": str(found.folder),
+        "digest": file_digest(found.folder / "validation.json"),
+        "measurement": answer.get("measurement"),
+        "data": [(name, len(columns["time"])) for name, columns in found.tables.items()],
+        "written": now(),
+        "version": metadata.version("flexspline"),
+    }
+    return squeezed(render("validation.html.j2", context))
+
+
+def _holds(answer: dict[str, Any]) -> bool:
+    errors = answer["residual"].values()
+    return bool(errors) and not answer["mistakes"] and all(e["inside"] >= HELD for e in errors)
+
+
+def _verdict(answer: dict[str, Any]) -> str:
+    """Whether the description predicts what was measured, in a sentence."""
+    joint, errors = answer["joint"], answer["residual"]
+    if answer["mistakes"]:
+        return f"The data hold a mistake, so that they say nothing of {joint}: {answer['mistakes'][0]['description']}."
+    if not errors:
+        return f"Nothing moves in this measurement that {joint} could be held against."
+    out = {name: e for name, e in errors.items() if e["inside"] < HELD}
+    if not out:
+        least = min(e["inside"] for e in errors.values())
+        text = f"The description of {joint} holds: at least {percent(least)} of every channel lies in its 95 % band"
+        above = [plain(name) for name in _above_noise(answer)]
+        if above:
+            text += f"; all the same {_listed(above)} {'is' if len(above) == 1 else 'are'} off by more than noise"
+        return f"{text}."
+    worst = min(out, key=lambda name: out[name]["inside"])
+    e = out[worst]
+    return (
+        f"The description of {joint} does not predict {_listed([plain(name) for name in out])}: {plain(worst)} is off by "
+        f"{number(e['rms'], 2)} {e['unit']} RMS, and in its 95 % band {percent(e['inside'])} of the time."
+    )
+
+
+def _above_noise(answer: dict[str, Any]) -> list[str]:
+    """Channels whose error is clearly more than the sensors' noise, though what the description leaves open may be all of it."""
+    return [name for name, e in answer["residual"].items() if e["rms"] > _CLEARLY * e["noise"]]
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
+
+
+def _worst(answer: dict[str, Any], channel: str) -> dict[str, Any] | None:
+    """The region in which a channel's error is clearly largest, if any."""
+    regions = [r for r in answer["regions"] if channel in r["rms"]]
+    most = max(regions, key=lambda r: float(r["rms"][channel]), default=None)
+    if most is None or most["rms"][channel] < _WORSE * answer["residual"][channel]["rms"]:
+        return None
+    return {"where": _where(most), "rms": most["rms"][channel]}
+
+
+def _where(region: dict[str, Any]) -> str:
+    if region["by"] == "direction":
+        return "moving backward" if region["to"] <= 0 else "moving forward"
+    low, high, unit = number(region["from"], 2), number(region["to"], 2), region["unit"]
+    return f"{region['by']} {low} to {high} {unit}"
+
+
+def _regions(answer: dict[str, Any]) -> list[tuple[str, bool, list[str]]]:
+    """Every region: what it is, whether most of it lies beyond the range of validity, the error of each channel."""
+    return [
+        (_where(r), r["beyond"] > 0.5, [number(r["rms"][c], 3) if c in r["rms"] else "–" for c in answer["residual"]])
+        for r in answer["regions"]
+    ]
+
+
+def _commands(found: Validated) -> list[tuple[str, str]]:
+    """Command lines to go on with, and what they do."""
+    data = shlex.quote(str(found.answer.get("measurement") or "MEASUREMENT"))
+    joint = shlex.quote(str(found.answer.get("description") or "JOINT"))
+    if found.answer["mistakes"]:
+        return [(f"flexspline check {data} --joint {joint}", "names the mistake and what mends it")]
+    estimate = (
+        f"flexspline estimate {data} --joint {joint} --out estimates",
+        "estimates the joint torque with this description",
+    )
+    diagnose = (
+        f"flexspline diagnose {data} --joint {joint} --out diagnosis",
+        "says what the joint differs in, and writes one that fits",
+    )
+    if not _holds(found.answer):
+        return [diagnose, (f"flexspline plan {data} --joint {joint}", "says what to measure next")]
+    return [estimate, diagnose] if _above_noise(found.answer) else [estimate]
+
+
+def charts_of(found: Validated) -> list[Group]:
+    """A group per channel: of each recording the values, measured and simulated, above what is left of them."""
+    groups = []
+    for channel, error in found.answer["residual"].items():
+        of = {name: c for name, c in found.tables.items() if f"{channel}_simulated" in c}
+        left = {name: c[channel] - c[f"{channel}_simulated"] for name, c in of.items()}
+        half = {name: c[f"{channel}_high"] - c[f"{channel}_simulated"] for name, c in of.items()}
+        finite = [np.concatenate([x[np.isfinite(x)] for x in values.values()]) for values in (left, half)]
+        off, band = (float(np.percentile(abs(x), 99.5)) if len(x) else 0.0 for x in finite)
+        reach = 1.3 * max(off, min(band, 4 * off))  # of a wide band the middle, in which the difference can be seen
+        y = (-reach, reach) if reach > 0 else (-1.0, 1.0)
+        charts = [_chart(name, c, channel, error, y, left[name], half[name]) for name, c in of.items()]
+        if charts:
+            groups.append(Group(channel, error["unit"], charts))
+    return groups
+
+
+def _chart(
+    name: str, columns: Mapping[str, np.ndarray], channel: str, error: dict[str, Any], y: tuple[float, float],
+    left: np.ndarray, half: np.ndarray,
+) -> list[Chart]:  # fmt: skip
+    time, unit = columns["time"], error["unit"]
+    curves = columns[channel], columns[f"{channel}_simulated"]
+    x = (float(time[0]), float(time[-1]))
+    values = Chart(x, limits(np.concatenate(curves), 0.05), name, ylabel=unit, width=_WIDTH, height=190)
+    values.line(time, curves[0], "measured broad")
+    values.line(time, curves[1], "after")
+    below = Chart(x, y, "measured − simulated", "time [s]", unit, width=_WIDTH, height=170)
+    below.between(time, -half, half, "noise")
+    below.line(time, left, "before thin")
+    return [values, below]
+
+
+_WIDTH = 540
