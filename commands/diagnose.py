@@ -138,8 +138,6 @@ def show(
 
     page = _Page(terminal)
     page.say(found.verdict, verdict_sentence(found))
-    if not found.complete:
-        page.say("", "Time was up before every stage was done: with more, more may be found.")
     if found.mistakes:
         page.heading("Mistakes in the data")
         for m in found.mistakes:

@@ -13,7 +13,8 @@ from .data.mistakes import Mistake
 from .fit.regions import Region
 from .fit.residual import Problem
 from .fit.solver import Fit
-from .search.stages import Decision, Search
+from .search.acceptance import Decision
+from .search.stages import Search
 
 if TYPE_CHECKING:
     from .planning import Plan

@@ -21,24 +21,13 @@ from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
 from .search import discrepancy
+from .search.acceptance import AcceptSettings, Decision, quiet_rms, significance, size_of, worth_of
 from .search.described import as_described
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
+from .search.settle import why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
-from .search.stages import (
-    AcceptSettings,
-    Decision,
-    Progress,
-    Search,
-    SearchSettings,
-    quiet_rms,
-    search,
-    significance,
-    size_of,
-    why_needed,
-    without_effect,
-    worth_of,
-)
+from .search.stages import Progress, Search, SearchSettings, search
 from .search.worth import mean_squares, unexplained
 from .uncertainty import stated
 
@@ -60,7 +49,8 @@ class AnswerSettings:
         joint, and told, but none of the causes.
       little: part of the rated torque that an unknown effect must be worth there, not to be a minor one.
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
-        that may then be small imperfections which look like it.
+        that may then be small imperfections which look like it; inexact_size: where only noise is left, part that may be the
+        reconstruction of the motion from counts.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
       diluted: part of the information about an inertia that may be the encoders' noise, for it to be sure.
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
@@ -84,6 +74,7 @@ class AnswerSettings:
     little: float = 0.01
     inflation: float = 5.0
     lookalike: float = 0.05
+    inexact_size: float = 0.01
     slight: float = 0.25
     far: float = 5.0
     near: float = 2.0
@@ -209,9 +200,10 @@ def _told(outcome: _Outcome) -> Diagnosis:
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
     residual = _balances(problem, found.base, final)
-    verdict, reason = _verdict(problem, findings, residual, outcome.nearly_all, outcome.share < 1.0)
-    nothing = "the causes named leave no less unexplained than calibration alone" if useless else ""
-    reason = "; ".join(part for part in (reason, nothing, _holds_back(outcome)) if part)
+    verdict, reason = _verdict(
+        problem, findings, residual, outcome.nearly_all, outcome.share < 1.0, useless, found.complete
+    )
+    reason = "; ".join(part for part in (reason, _holds_back(outcome)) if part)
     extended_joint = joint
     if outcome.share > 0.0:
         extended_joint = extended(problem, final, joint, outcome.unknown)
@@ -250,13 +242,13 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     like an effect (an encoder's eccentricity like a kinematic error) are part of its size, however well that is known.
     """
     ratio = quiet_rms(problem, f)
-    if ratio <= ANSWER.quiet:
-        return f
+    plain = ratio <= ANSWER.quiet
     inexact = np.zeros(len(f.theta))
     for i, h in enumerate(f.model):
         if h.free:
-            inexact[problem.place(f.model, i)] = ANSWER.lookalike
-    return replace(f, covariance=f.covariance * min(ratio, ANSWER.inflation) ** 2 + np.diag(inexact**2))
+            inexact[problem.place(f.model, i)] = ANSWER.inexact_size if plain else ANSWER.lookalike
+    inflation = 1.0 if plain else min(ratio, ANSWER.inflation)
+    return replace(f, covariance=f.covariance * inflation**2 + np.diag(inexact**2))
 
 
 def _holds_back(outcome: _Outcome) -> str:
@@ -478,12 +470,18 @@ def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -
         return 0.5
     others = [g for n, g in rivals.others if n != name and _superseded(found, n)]
     best = max([rivals.gain, *others])
-    temper = ANSWER.temper + ANSWER.inexact * min(rivals.gain, 500.0)
+    temper = _temper(found, rivals.gain)
     weights = [np.exp((g - best) / temper) for g in others]
     own = float(np.exp((rivals.gain - best) / temper))
-    none = float(np.exp(-(best - 3.5) / temper))
+    none = float(np.exp(-(best - 3.5) / (ANSWER.temper + ANSWER.inexact * min(rivals.gain, 500.0))))
     p = rivals.share * own / (own + sum(weights) + none)
     return float(min(p, ANSWER.surest if unknown is None else ANSWER.beside))
+
+
+def _temper(found: Search, gain: float) -> float:
+    """What differences of log evidence between rivals are divided by: what no description holds decides nothing between them."""
+    beside = float(np.clip(found.quiet[1], 1.0, ANSWER.inflation))
+    return beside * (ANSWER.temper + ANSWER.inexact * min(gain, 500.0 * beside**2))
 
 
 def _superseded(found: Search, name: str) -> bool:
@@ -496,7 +494,7 @@ def _close(found: Search) -> list[tuple[str, str]]:
     pairs = []
     for r in found.rivals:
         for name, gain in r.others:
-            if gain > r.gain - 3 * (ANSWER.temper + ANSWER.inexact * min(r.gain, 500.0)) and _superseded(found, name):
+            if gain > r.gain - 3 * _temper(found, r.gain) and _superseded(found, name):
                 pairs.append((r.cause, name))
     return pairs
 
@@ -507,11 +505,15 @@ def _verdict(
     residual: dict[str, BalanceResidual],
     nearly_all: bool,
     taken_back: bool,
+    useless: bool,
+    complete: bool,
 ) -> tuple[str, str]:
     """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent.
 
     Args:
       taken_back: whether not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
+      useless: whether the causes leave no less unexplained than calibration alone.
+      complete: whether there was time for all stages: nothing found is no answer otherwise.
     """
     rated = problem.joint.numbers["rated_torque"].value
     scale = dict(zip(BALANCES, problem.output_scale, strict=True))
@@ -524,10 +526,19 @@ def _verdict(
         f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise"
         for name, r in far
     )
+    late = "" if complete else "time was up before every stage was done: with more, more may be found"
+    if useless:
+        nothing = "the causes named leave no less unexplained than calibration alone"
+        return "inconclusive", "; ".join(part for part in (nothing, late, left) if part)
     if findings:
-        return "discrepancy", f"beside the causes named, {left}" if far else ""
+        beside = f"beside the causes named, {left}" if far else ""
+        return "discrepancy", "; ".join(part for part in (late, beside) if part)
     if nearly_all:
-        return "inconclusive", "nearly all causes could not have shown" + (f"; {left}" if far else "")
+        return "inconclusive", "; ".join(
+            part for part in ("nearly all causes could not have shown", late, left) if part
+        )
+    if late:
+        return "inconclusive", "; ".join(part for part in (late, left) if part)
     if far:
         return "inconclusive", left if taken_back else f"no known cause explains the residual; {left}"
     return "consistent", ""

@@ -94,10 +94,15 @@ class Calibration:
             self.joint.apply_effects(record)
         return record
 
-    def expresses(self, record: np.ndarray, without: np.ndarray, mounting: Mounting | None = None) -> bool:
+    def expresses(
+        self, record: np.ndarray, without: np.ndarray, mounting: Mounting | None = None, within: float = WITHIN
+    ) -> bool:
         """Whether all that differs between two records, shape (1,) each, is within tolerance of nominal in the first.
 
         A stiffness 25 % up on a joint whose own is 15 % down is an ordinary joint: there is no cause to be found.
+
+        Args:
+          within: standard deviations that count as within tolerance.
         """
         nominal = self.record(np.zeros(self.size), mounting)
         allowed = np.zeros(1, record.dtype)
@@ -106,10 +111,10 @@ class Calibration:
             shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
             deviation = np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation)
             if slot.index >= 0:
-                allowed[0][slot.field][slot.index] = WITHIN * deviation
+                allowed[0][slot.field][slot.index] = within * deviation
             else:
                 scale = nominal[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
-                allowed[0][slot.field] = WITHIN * deviation * scale
+                allowed[0][slot.field] = within * deviation * scale
         now, before, described, limit = (as_floats(r) for r in (record, without, nominal, allowed))
         return not np.any((now != before) & (np.abs(now - described) > limit))
 

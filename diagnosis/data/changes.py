@@ -202,13 +202,16 @@ class Suspicions:
 
     Attributes:
       found: changes, in the order in which they mend.
+      misfit: of the relation that fits worst when they are made, as in `RelationFit`; 0 where there is none.
     """
 
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
         self.joint = joint
         self.recordings = tuple(recordings)
         self._plausible = [Plausibility(joint, r) for r in recordings]
-        self.found = self._search(self._state()).found
+        end = self._search(self._state())
+        self.found = end.found
+        self.misfit = min((fit.misfit for fits in end.fits for fit in fits.values()), default=0.0)
 
     def _state(self) -> _Progress:
         motions = tuple(motion_of(r) for r in self.recordings)

@@ -23,6 +23,7 @@ from .lateness import late_columns
 from .samples import SampleMistake, bridged, unwrapped, wrong_samples
 
 _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
+_WRONG = -1.2  # misfit of a relation after all changes from which on they are unsure: sound data keep above −0.9
 _TURN = 2 * np.pi
 _BESIDE = ("position_command", "temperature")  # columns that no balance takes
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
@@ -126,6 +127,9 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         where = [""] if len(one.recordings) == len(names) else [names[i] for i in one.recordings]
         text = f"{1e3 * one.seconds:.3g} ms late against the others"
         further += [Mistake("late", one.column, n, text, one.confidence, seconds=one.seconds) for n in where]
+    if not late and suspicions.misfit < _WRONG:
+        # What mends most leaves channels that cannot be of this joint: it may be something else.
+        further = [replace(m, confidence=min(m.confidence, 0.5)) for m in further]
     return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in (*found, *further))
 
 

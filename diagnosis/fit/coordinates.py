@@ -167,6 +167,9 @@ def hypotheses(cause: Cause, record: np.ndarray, present: dict[str, float] | Non
     grids = []
     for q in shape:
         low, high = q.ordinary[0]
+        if q.starts:
+            grids.append(np.array(q.starts))
+            continue
         count = 5 if high / max(low, 1e-12) < 2 and low > 0 else 3
         grids.append(np.geomspace(low, high, count) if low > 0 else np.linspace(low, high, count))
     found = []

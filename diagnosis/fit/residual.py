@@ -11,7 +11,7 @@ from copy import copy
 
 import numpy as np
 
-from ...models.calibration import Calibration
+from ...models.calibration import WITHIN, Calibration
 from ...models.errors import InputError
 from ...models.joint import Joint, Mounting
 from ..data.segments import BALANCES, CURRENT, TORQUE, Segment
@@ -176,11 +176,17 @@ class Problem:
             found.append(J)
         return found
 
-    def is_calibration(self, theta: np.ndarray, model: Model) -> bool:
-        """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause."""
+    def is_calibration(self, theta: np.ndarray, model: Model, within: float = WITHIN) -> bool:
+        """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause.
+
+        Args:
+          within: standard deviations that count as within tolerance.
+        """
         records = self.records(theta, model)
         before = self.records(theta[: len(theta) - model[-1].size], model[:-1])
-        return all(self.calibration.expresses(*trio) for trio in zip(records, before, self.mountings, strict=True))
+        return all(
+            self.calibration.expresses(*trio, within) for trio in zip(records, before, self.mountings, strict=True)
+        )
 
     def spread(self, model: Model) -> np.ndarray:
         """Prior standard deviation of every unknown; of those that are held next to nothing."""

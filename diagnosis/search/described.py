@@ -24,22 +24,11 @@ from ..fit.regions import Region, held_out_regions, mean_ratio
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, with_dispersion
 from ..fit.tare import described, tared
+from .acceptance import Decision, Rivals, quiet_rms, significance, size_of
+from .finalists import Finalist, as_finalist, finalists_of, rivals_of
 from .screen import Library, screen
-from .stages import (
-    SETTINGS,
-    Decision,
-    Finalist,
-    Rivals,
-    Search,
-    SearchSettings,
-    as_finalist,
-    finalists_of,
-    others_than,
-    quiet_rms,
-    rivals_of,
-    significance,
-    size_of,
-)
+from .select import others_than
+from .stages import SETTINGS, Search, SearchSettings
 from .worth import unexplained
 
 
@@ -55,6 +44,7 @@ class DescribedSettings:
       alike: ratio of these means up to which another cause that holds is as good: then neither is accepted.
       beside: part of the mean square that causes beside the first must take away; mean_beside: as `mean`, of errors with them
         over errors with the first alone.
+      margin: part of what an explanation adds to the log evidence by which others must differ from it to be told apart.
       finalists: causes that are fitted at each step, which costs little where nothing else moves.
     """
 
@@ -65,6 +55,7 @@ class DescribedSettings:
     alike: float = 1.5
     beside: float = 0.3
     mean_beside: float = 1.0
+    margin: float = 0.05
     finalists: int = 8
 
 
@@ -280,7 +271,7 @@ def _numbers(problem: Problem, effects: Sequence[Hypothesis]) -> int:
 
 def _margin(gain: float, settings: SearchSettings) -> float:
     """Log evidence by which explanations must differ to be told apart."""
-    return max(settings.accept.threshold, settings.accept.general * gain)
+    return max(settings.accept.threshold, DESCRIBED.margin * gain)
 
 
 def _objection_beside(

@@ -59,7 +59,10 @@ class DiscrepancySettings:
         without it (a real joint has a little of everything).
       noise: of the sensors' noise, in the same balance, where it is not.
       penalty: log prior odds of a known cause against an unknown effect; of a usual place against another.
-      gain: share by which it must be better than the causes that it takes the place of.
+      gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain
+        that it must explain more, or it is the little that real joints have of everything.
+      lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need only be the
+        likelier: slow discrepancy holds in the noise what the effect would.
       likely: part of these shares that it must have in the linear model to be fitted through the replay.
       thin: every so-manieth residual is looked at first.
       refined: candidates that are fitted through the replay.
@@ -72,6 +75,8 @@ class DiscrepancySettings:
     noise: float = 1.0
     penalty: float = 40.0
     gain: float = 0.25
+    more: float = 0.03
+    lost: float = 2.25
     likely: float = 0.5
     thin: int = 3
     refined: int = 2
@@ -417,7 +422,7 @@ def find(
         least_share = settings.likely * (settings.gain if without else settings.share)
         ranked = sorted((c for c in tried if c.without == without and c.share > least_share), key=lambda c: -c.score)
         for candidate in ranked[: settings.refined]:
-            found = _refined(problem, fitter, chosen, candidate, settings, least)
+            found = _refined(problem, fitter, chosen, candidate, settings, least, settings.more * explained)
             if found is not None and (best is None or found.fit.log_evidence > best.fit.log_evidence):
                 best = found
         if best is not None and not without:
@@ -447,9 +452,19 @@ def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
 
 
 def _refined(
-    problem: Problem, fitter: Fitter, chosen: Fit, candidate: Candidate, settings: DiscrepancySettings, least: float
+    problem: Problem,
+    fitter: Fitter,
+    chosen: Fit,
+    candidate: Candidate,
+    settings: DiscrepancySettings,
+    least: float,
+    more: float,
 ) -> Unknown | None:
-    """A candidate fitted through the replay; None where it is not worth naming."""
+    """A candidate fitted through the replay; None where it is not worth naming.
+
+    Args:
+      least: mean square that it must remove; more: that must be left less than with the causes in whose place it stands [N·m]².
+    """
     kept = [i for i in range(len(chosen.model)) if i not in candidate.without]
     places = [problem.place(chosen.model, i) for i in kept]
     index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
@@ -457,17 +472,22 @@ def _refined(
     start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
     near = replace(chosen, jacobian=[J[..., index] for J in chosen.jacobian])
     f = fitter.fit((*model, candidate.spline), start, near, 4, chosen.point.noise)  # type: ignore[arg-type]
-    gain = f.log_evidence - chosen.log_evidence
+    before = float(np.sum(unexplained(problem, chosen.point)))
     needed = settings.penalty
     if candidate.spline.place not in _USUAL[candidate.spline.variable]:
         needed += settings.penalty
     if candidate.without:
         # What takes the place of known causes must be clearly better than they are.
         needed += settings.penalty
-    if gain <= needed:
-        return None
-    before = float(np.sum(unexplained(problem, chosen.point)))
+    plainly = float(np.sum(unexplained(problem, f.point))) < (1 - settings.share) * before
+    if plainly and f.log_evidence - chosen.log_evidence <= needed:
+        f = fitter.fit(
+            f.model, f.theta, None, 6, chosen.point.noise
+        )  # far from where the common derivatives were taken
     after = float(np.sum(unexplained(problem, f.point)))
+    gain = f.log_evidence - chosen.log_evidence
+    if gain <= (0.0 if settings.lost * after < before else needed):
+        return None
     own = _own(problem, f, candidate.spline)
     if not candidate.without:
         share = (before - after) / max(before, 1e-30)
@@ -475,7 +495,7 @@ def _refined(
             return None
     else:
         share = own / max(own + after, 1e-30)
-        if before - after < settings.gain * before or own < least:
+        if before - after < max(settings.gain * before, more) or own < least:
             return None
     return Unknown(candidate.spline, f, float(gain), float(share))
 

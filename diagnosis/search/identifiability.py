@@ -8,8 +8,8 @@ from ..fit.noise import whiten
 from ..fit.residual import Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Fit, leverage_weight
+from .acceptance import AcceptSettings
 from .screen import Library
-from .stages import AcceptSettings
 
 ALIKE = 9.0
 """Two causes look alike where telling them apart at ordinary size gains less than this in χ²."""

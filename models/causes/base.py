@@ -35,6 +35,7 @@ class CauseParameter:
       integer: whether only whole numbers make sense.
       period: of an angle [rad], 0 for others.
       searched: smallest and largest whole number that diagnosis tries, where that is more than what is ordinary.
+      starts: values from which diagnosis searches, where a few over the ordinary interval would miss what is there.
     """
 
     name: str
@@ -47,6 +48,7 @@ class CauseParameter:
     integer: bool = False
     period: float = 0.0
     searched: tuple[int, int] | None = None
+    starts: tuple[float, ...] = ()
 
 
 TURN = 2 * np.pi

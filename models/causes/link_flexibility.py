@@ -19,8 +19,11 @@ class LinkFlexibility(Cause):
     description = "part of the link's inertia hangs on it by a spring: a second resonance"
     parameters = (
         CauseParameter("share", "1", (0.0, 0.9), ((0.15, 0.4),), magnitude=True),
-        CauseParameter("frequency", "Hz", (1.0, 200.0), ((10.0, 25.0),)),
-        CauseParameter("damping", "1", (1e-3, 0.5), ((0.01, 0.05),)),
+        # From damping that is broad enough for the next frequency to be within reach.
+        CauseParameter(
+            "frequency", "Hz", (1.0, 200.0), ((10.0, 25.0),), starts=(10.0, 11.7, 13.6, 15.8, 18.4, 21.4, 25.0)
+        ),
+        CauseParameter("damping", "1", (1e-3, 0.5), ((0.01, 0.05),), starts=(0.05,)),
     )
     sets = {"share": "flexible_share", "frequency": "flexible_frequency", "damping": "flexible_damping"}
     resonance = True

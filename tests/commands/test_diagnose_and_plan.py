@@ -91,13 +91,13 @@ def one_line(err: str) -> str:
 def test_the_answer_is_legible_in_80_columns():
     gained = Improvement("joint_torque", "RAREKF", {"payload_smoothed": (1.23, 0.109)}, (), 0.03, "the description", ())
     mistake = Mistake("unit", "motor_position", "sweep", "degrees taken for radians", 0.99, factor=0.0174533)
-    found = answered(mistakes=(replace(mistake, severe=False),), complete=False)
+    found = answered(mistakes=(replace(mistake, severe=False),))
     text = printed(found, gained)
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text
     flat = " ".join(text.split())
     for part in (
-        "discrepancy:", "Time was up",
+        "discrepancy:",
         "unit: sweep, motor_position: degrees taken for radians (99 % sure); mended by: × 0.0174533",
         "position dependent friction (transmission): 99 % sure, explains 90 %, worth 0.41 N·m",
         "amplitude = 0.008123 ± 0.00012 N·m", "motor current 0.0512 0.0104 0.01 A",

@@ -14,17 +14,18 @@ from numba import njit
 from flexspline.models import causes, laws
 from flexspline.models.calibration import Calibration
 from flexspline.models.joint import Joint
-from flexspline.models.parameters import REFERENCE_TEMPERATURE
 from flexspline.models.recording import Measurement, Recording
 
 SUBSTEPS = 20
 COUNT = 2 * math.pi / 4096
 LINK_COUNT = 2 * math.pi / 2**20
+WARM_UP = {"free": 22.0, "push": 25.0, "sweep": 29.0}
+"""Temperature [°C] at which each recording starts; it rises by 3 K."""
 _COLUMNS = ("motor_position", "link_position", "motor_current", "joint_torque")
 
 
 @njit(cache=True)
-def _simulate(p, command, push, bump, gains, noise):
+def _simulate(p, command, push, bump, gains, noise, temperature):
     """Readings at 1 kHz, shape (n, 4): motor encoder, link encoder, current, joint torque.
 
     `bump` is (height [N·m], angle [rad], width [rad]) of a torque on the link that no known cause explains.
@@ -32,13 +33,13 @@ def _simulate(p, command, push, bump, gains, noise):
     n = len(command)
     h = 1e-3 / SUBSTEPS
     out = np.empty((n, 4))
-    thm = thw = thl = vm = w = vl = z = dahl = 0.0
+    thm = thw = thl = vm = w = vl = z = dahl = swing = swing_rate = 0.0
     integral = last = derivative = 0.0
     past = np.zeros(int(0.1 / h) + 2)
     head = 0
     for k in range(n):
         time = k * 1e-3
-        encoder = round(thm / COUNT) * COUNT
+        encoder = round(laws.motor_reading(thm, p) / COUNT) * COUNT
         error = p.N * command[k] - encoder
         derivative += ((error - last) / 1e-3 * (k > 0) - derivative) * gains[3]
         last = error
@@ -59,15 +60,19 @@ def _simulate(p, command, push, bump, gains, noise):
                 out[k, 1] = round(reading / LINK_COUNT) * LINK_COUNT
                 out[k, 2] = laws.current_reading(current, p) + 0.01 * noise[k, 1]
                 out[k, 3] = laws.torque_reading(Ts, time, p) + 0.03 * noise[k, 2]
-            g = laws.stribeck_friction(w, thl, Tf, time + s * h, REFERENCE_TEMPERATURE, p)
+            g = laws.stribeck_friction(w, thl, Tf, time + s * h, temperature[k], p)
             z = laws.bristle_step(z, w, g, h, p)
-            friction = laws.mesh_friction(z, w, g, p) + laws.viscous_friction(w, REFERENCE_TEMPERATURE, p)
+            friction = laws.mesh_friction(z, w, g, p) + laws.viscous_friction(w, temperature[k], p)
             Tw = laws.wave_generator_spring(thm - thw, p) + p.dw * (vm - w)
             on_link = Ts + laws.gravity_torque(thl, p) + laws.link_torque(thl, p) + push[k]
             on_link += bump[0] * math.exp(-0.5 * ((thl - bump[1]) / bump[2]) ** 2)
             vm += h * (p.Kt * current - p.bm * vm - Tw + laws.cogging_torque(thm, p)) / p.Jm
             w += h * (Tw - friction - Tf * slope) / p.Jw
-            vl += h * on_link / p.Jl
+            al = (on_link + laws.flexible_torque(swing, swing_rate, p)) / (p.Jl - laws.flexible_inertia(p))
+            natural = 2.0 * math.pi * p.flexible_frequency
+            swing_rate -= h * (al + natural * (natural * swing + 2.0 * p.flexible_damping * swing_rate))
+            swing += h * swing_rate
+            vl += h * al
             thm += h * vm
             thw += h * w
             thl += h * vl
@@ -136,7 +141,8 @@ def measure(
         for cause, values in truth.items():
             causes.get(cause).apply(record[0], values)
         noise = rng.standard_normal((len(command), 3))
-        read = _simulate(record[0], command, push, np.array(bump), gains, noise)
+        temperature = WARM_UP[name] + np.linspace(0.0, 3.0, len(command))
+        read = _simulate(record[0], command, push, np.array(bump), gains, noise, temperature)
         kept = np.arange(len(command))
         if bare:
             kept = np.cumsum(4 + rng.integers(-1, 2, len(command) // 4) + 4 * (rng.random(len(command) // 4) < 0.02))
@@ -147,7 +153,8 @@ def measure(
                 time=1e-3 * kept,
                 columns={
                     name: read[kept, i] for i, name in enumerate(_COLUMNS) if not (bare and name == "joint_torque")
-                },
+                }
+                | ({"temperature": temperature[kept]} if "friction_temperature" in hidden else {}),
                 link=mounting,
                 external="unmeasured" if name == "push" else "none",
             )

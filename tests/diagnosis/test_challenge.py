@@ -108,6 +108,26 @@ def test_nothing_hidden_is_no_alarm(index):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("index", [14, 29])
+def test_a_cause_is_as_general_as_the_data_ask_for(index):
+    """Of load-dependent friction, and of one that is another when the load drives, the one that is there."""
+    drawn = draw(Challenge(seed=206, hidden="one"), index)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    hidden = [e.name for e in drawn.effects]
+    assert hidden[0] in ("load_dependent_friction", "back_driving")
+    assert [c.name for c in found.causes] == hidden
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", [4, 41])
+def test_no_inertia_just_beyond_its_tolerance_beside_the_cause(index):
+    """Noise in the derivatives pulls the wave generator's inertia; the rotor's must not be called another for that."""
+    drawn = draw(Challenge(seed=206, hidden="one"), index)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert [c.name for c in found.causes] == [e.name for e in drawn.effects]
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", [("cogging", "cable_spring"), ("friction_asymmetry", "torque_sensor_offset")])
 def test_two_causes_at_once(pair):
     drawn = draw(Challenge(seed=SEED, hidden="two", only=pair), 0)

@@ -114,6 +114,14 @@ def test_rows_of_a_glitch_are_told():
     assert found.to_json()["rows"] == [1000, 3000]
 
 
+@pytest.mark.parametrize(("column", "height"), [("motor_current", 1e5), ("joint_torque", 1.0)])
+def test_of_a_column_that_is_nothing_of_the_joint_no_unit_is_sure(column, height):
+    r = recording()
+    square = height * np.sign(np.sin(np.pi * r.time + 0.1))
+    found = find_mistakes(measurement(replace(r, columns={**r.columns, column: square})), JOINT)
+    assert all(m.confidence <= 0.5 for m in found if m.name not in ("stuck", "glitch", "clipped")), found
+
+
 def test_check_says_it_and_import_mends_it(tmp_path):
     r = recording()
     write_recording(

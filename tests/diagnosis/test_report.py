@@ -22,7 +22,7 @@ from flexspline.diagnosis.data.mistakes import Mistake
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.improvement import held_out, improvement, with_improvement
 from flexspline.diagnosis.planning import Plan, Proposal, Question
-from flexspline.diagnosis.search.stages import Decision
+from flexspline.diagnosis.search.acceptance import Decision
 from flexspline.models import causes
 from flexspline.models.joint import Effect, Estimate, load_joint
 from flexspline.models.recording import Measurement, read_measurement, write_recording

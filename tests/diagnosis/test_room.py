@@ -10,7 +10,7 @@ from swing import recording
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.search.stages import others_than
+from flexspline.diagnosis.search.select import others_than
 from flexspline.models import causes
 from flexspline.models.joint import as_joint, load_joint
 from flexspline.models.parameters import N_ORDERS

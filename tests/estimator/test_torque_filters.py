@@ -218,7 +218,7 @@ def test_momentum_torsion_follows_torsion_at_rest(known):
 
 @pytest.mark.parametrize("name", ["momentum", "momentum_torsion"])
 def test_momentum_takes_friction_off(name, known):
-    """At constant speed either way: N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, and no external torque but what gravity is short of."""
+    """At constant speed N·(Kt·i − (bm + bw)·ω − g(ω)) − bl·ω/N, and no external torque but what gravity is short of."""
     joint = told(known, amplitude=0.0)
     q, time = joint.p, np.arange(3000) * 1e-3
     for w in (20.0, -20.0):

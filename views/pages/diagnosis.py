@@ -27,7 +27,7 @@ from .rendering import number, percent, render, squeezed, with_std
 if TYPE_CHECKING:
     from ...diagnosis.answer import Diagnosis, Finding
     from ...diagnosis.data.mistakes import Mistake
-    from ...diagnosis.search.stages import Decision
+    from ...diagnosis.search.acceptance import Decision
 
 UNIT = "N·m"
 NOISY = 1.6
@@ -101,7 +101,6 @@ def context(report: Report) -> dict[str, Any]:
         "joint": report.joint.name,
         "verdict": d.verdict,
         "sentence": verdict_sentence(d),
-        "complete": d.complete,
         "mistakes": [_mistake(m) for m in d.mistakes],
         "computed": d.problem is not None,
         "recordings": [(r.name, float(r.time[-1] - r.time[0])) for r in report.measurement.recordings],

@@ -1,0 +1,167 @@
+"""When an effect is accepted: settings, what is told of every hypothesis, and what a fit says of one of its effects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..fit.noise import normalised_rms, whiten
+from ..fit.residual import Problem
+from ..fit.solver import Fit, huber_loss
+from .worth import Worth, worth
+
+
+@dataclass(frozen=True)
+class AcceptSettings:
+    """When a cause is accepted.
+
+    Attributes:
+      threshold: log evidence that it must add.
+      smallest: part of the ordinary size below which it is not named: the laws themselves are not better than that.
+      significant: standard deviations that it must be away from absent, by those that no noise model has to be right for too
+        (`solver.with_dispersion`); nearly: so many are enough where another one would be accepted that explains less and adds
+        less to the log evidence.
+      worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
+        one of many things that the description does not hold, and no answer to what the simulation gets wrong.
+      large, worth_large: from this part of the ordinary size on, so much is enough to be fitted beside the others; what holds
+        there is decided by `worth` again.
+      alike: part of the mean square that a cause takes away that another one must take away to be its rival.
+      slight: part of the root mean square of what nothing explains that it must be worth, where that is not far above the noise
+        (where it is, something is there that the library does not have).
+      little: part of the mean square of what is not explained that a cause must take away, for another one to be fitted after it;
+        where the best takes less and the residual is more than `plain` times the sensors' noise, further hypotheses are fitted.
+      held_out_share: of what it gains on the data of the fit, it must gain so much on as many held-out data.
+      race: rivals that are worth more than this part of the best are fitted to the end.
+      finalists: hypotheses fitted in the first round; far_finalists: where the residual is more than `far` times the sensors'
+        noise and the linear model no good judge; per_cause: at most of one cause.
+      general: log evidence that a more general cause must add to a special case of it, under one noise; temper: log evidence
+        by which the replay's own errors let it differ; both times the residual over the sensors' noise, `loosest` at most.
+      edge: standard deviations of its tolerance within which an effect's value is near its edge: whether the joint at the edge
+        would do is then asked of fits without the noise's share (`_at_the_edge`), of `polish` iterations.
+      lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps may have gone
+        astray, or slow discrepancy holds what the numbers would: it is then fitted both ways, to the end.
+      most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
+      gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
+        the linear model.
+    """
+
+    threshold: float = 7.0
+    smallest: float = 0.03
+    significant: float = 4.0
+    nearly: float = 3.0
+    worth: float = 0.5
+    large: float = 0.3
+    worth_large: float = 0.15
+    alike: float = 0.3
+    slight: float = 0.25
+    little: float = 0.1
+    plain: float = 1.6
+    held_out_share: float = 0.2
+    race: float = 0.6
+    finalists: int = 3
+    far_finalists: int = 6
+    far: float = 10.0
+    per_cause: int = 2
+    general: float = 30.0
+    temper: float = 12.0
+    loosest: float = 5.0
+    edge: float = 6.0
+    polish: int = 8
+    lost: float = 2.25
+    most: int = 5
+    rounds: int = 3
+    gross: float = 60.0
+    coarse: tuple[float, ...] = (-1.5, -0.7, 0.4, 0.7, 1.0, 1.5)
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What became of one hypothesis at one stage.
+
+    Attributes:
+      stage: `fit`, `select` (with the number of causes that were in the model), `settle` or `described`.
+      cause, fixed: its name and its whole-number parameters.
+      gain: log evidence that it adds.
+      worth: root mean square of the simulation's error that it removes [N·m at the output].
+      size: in ordinary sizes.
+      fitted: whether it was fitted through the replay, or judged in the linear model.
+      taken: whether it was accepted.
+      reason: why, or why not, for people.
+    """
+
+    stage: str
+    cause: str
+    fixed: dict[str, float]
+    gain: float
+    worth: float
+    size: float
+    fitted: bool
+    taken: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class Rivals:
+    """What else could stand where a cause was accepted.
+
+    Attributes:
+      cause: its name.
+      gain: log evidence that it added.
+      others: name and gain, at the same place, of causes that are not needed any more with it.
+      share: of the explanations between which the evidence does not decide, those that have it.
+    """
+
+    cause: str
+    gain: float
+    others: tuple[tuple[str, float], ...]
+    share: float = 1.0
+
+
+def quiet_rms(problem: Problem, f: Fit) -> float:
+    """Normalised RMS of a fit's residual against the sensors' noise alone: one where nothing but noise is left."""
+    bare = replace(f.noise, discrepancy=np.zeros_like(f.noise.discrepancy))
+    return max(1.0, normalised_rms(problem.segments, bare, f.point.residual))
+
+
+def size_of(problem: Problem, f: Fit, index: int = -1) -> float:
+    """Size of one of a fit's effects, in ordinary sizes from where the joint would be without it."""
+    return float(np.linalg.norm(amount_of(problem, f, index)[f.model[index].magnitudes]))
+
+
+def amount_of(problem: Problem, f: Fit, index: int) -> np.ndarray:
+    """Coordinates of one of a fit's effects less those at which it does nothing, shape (size,)."""
+    h = f.model[index]
+    parts = problem.split(f.theta, f.model)
+    if not h.free:
+        return parts[index]
+    kept = [i for i in range(len(f.model)) if i != index % len(f.model)]
+    theta = np.concatenate([f.theta[: problem.size], *(parts[i] for i in kept)])
+    before = problem.records(theta, tuple(f.model[i] for i in kept))[0][0]
+    return parts[index] - h.coordinates(h.cause.centre(before, h.fixed))
+
+
+def significance(problem: Problem, f: Fit, index: int = -1) -> float:
+    """How many of its standard deviations one of a fit's effects is away from absent."""
+    h = f.model[index]
+    block = problem.place(f.model, index % len(f.model))
+    where = block.start + np.asarray(h.magnitudes)
+    away = amount_of(problem, f, index)[h.magnitudes]
+    return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
+
+
+def held_out_cost(problem: Problem, f: Fit, under: Fit) -> float:
+    """Minus twice the log likelihood of held-out residuals of a fit, under the noise of another, less the noise's share."""
+    kept = [replace(s, usable=s.held_out) for s in problem.segments]
+    pairs = [np.stack([a, b], -1) for a, b in zip(f.point.residual, f.point.noise, strict=True)]
+    white = whiten(kept, under.noise, pairs)
+    rows = white.rows
+    return float(np.sum(huber_loss(rows[:, 0], 10.0)) - np.sum(huber_loss(rows[:, 1], 10.0))) + white.log_determinant
+
+
+def worth_of(problem: Problem, f: Fit, linear: Fit, index: int) -> Worth:
+    """What one of a fit's effects is worth; `linear`: the fit with `solver.tamed` derivatives."""
+    h, block = f.model[index], problem.place(f.model, index)
+    effect = block.start + np.asarray(h.magnitudes)
+    others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
+    return worth(problem, f, linear.jacobian, effect, others, amount_of(problem, f, index)[h.magnitudes])

@@ -1,0 +1,248 @@
+"""All causes fitted together: those are taken back that do not hold beside the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...models.calibration import WITHIN
+from ..fit.coordinates import Hypothesis
+from ..fit.noise import Noise
+from ..fit.residual import Problem
+from ..fit.solver import Fit, Fitter, losses_of, tamed, with_dispersion
+from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, significance, size_of, worth_of
+from .calibrate import better_of_both, hand_over
+from .screen import Library, Screened
+from .select import with_effect
+from .worth import unexplained
+
+
+def together(
+    problem: Problem, fitter: Fitter, at: Fit, library: Library, chosen: Sequence[Screened], rivals: list[Rivals]
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """All causes fitted together through the replay, from where the linear model puts them; as before where that is no gain."""
+    here, rest = tamed(problem, at), library
+    for s in chosen:
+        here = with_effect(problem, here, rest, s)
+    half = np.concatenate([0.5 * (at.theta + here.theta[: len(at.theta)]), here.theta[len(at.theta) :]])
+    starts = [here.theta, np.concatenate([at.theta, here.theta[len(at.theta) :]]), half]
+    found = problem.residuals(starts, [here.model] * len(starts))
+    start = starts[int(np.nanargmin(losses_of(problem, here.noise, at, found)))]
+    f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6)
+
+    def left(x: Fit) -> float:
+        return float(np.sum(unexplained(problem, x.point)))
+
+    def no_gain(x: Fit) -> bool:
+        return x.log_evidence < at.log_evidence and left(x) > left(at)
+
+    if left(f) < 0.5 * left(at) or no_gain(f):
+        f = fitter.fit(f.model, f.theta, None, 4)  # far from where the common derivatives were taken
+    if not no_gain(f):
+        return f, rivals, []
+    first = len(at.model)
+    reason = (
+        f"fitted together {left(f) ** 0.5:.2g} N·m RMS of the simulation's error is not explained, "
+        f"without {left(at) ** 0.5:.2g}"
+    )
+    dropped = [
+        Decision("settle", h.cause.name, h.fixed, f.log_evidence - at.log_evidence, float("nan"),
+                 size_of(problem, f, first + i), True, False, reason)
+        for i, h in enumerate(f.model[first:])
+    ]  # fmt: skip
+    return at, rivals[:first], dropped
+
+
+def settle(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: list[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+    *,
+    together: bool,
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """Of effects that were taken those that hold beside the others, beyond the joint's tolerances and as general as needed."""
+    decisions: list[Decision] = []
+    near_edge = any(_is_calibration(problem, f, i, settings.edge) for i in range(len(f.model)))
+    if together or near_edge or len(f.model) > 1:
+        f, rivals, decisions = _prune(problem, fitter, f, rivals, settings)
+    before = f
+    f, rivals, settled = _as_general_as_needed(problem, fitter, f, rivals, hypotheses, settings)
+    decisions += settled
+    if f is not before and len(f.model) > 1:
+        # Another may have stood for what the one that was replaced could not do.
+        f, rivals, settled = _prune(problem, fitter, f, rivals, settings)
+        decisions += settled
+    return f, rivals, decisions
+
+
+def _is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN) -> bool:
+    """Whether tolerances can express what one of a fit's effects makes of the joint that the others make."""
+    order = [*(j for j in range(len(f.model)) if j != index), index]
+    parts = problem.split(f.theta, f.model)
+    theta = np.concatenate([f.theta[: problem.size], *(parts[j] for j in order)])
+    return problem.is_calibration(theta, tuple(f.model[j] for j in order), within)
+
+
+def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
+    """A fit without one of its effects."""
+    block = problem.place(f.model, index)
+    kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
+    model = tuple(g for j, g in enumerate(f.model) if j != index)
+    other = fitter.fit(model, f.theta[kept], f, 4)
+    if np.sum(unexplained(problem, other.point)) < settings.lost * np.sum(unexplained(problem, f.point)):
+        return other
+    return better_of_both(fitter, model, f.theta[kept])
+
+
+def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
+    """Why an effect stays, however little is known of its size: without it the data are not explained. Empty where they are."""
+    here, there = (float(np.sum(unexplained(problem, x.point))) for x in (f, without))
+    if without.log_evidence < f.log_evidence - settings.threshold and there > (1 + settings.worth) * here:
+        return f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
+    return ""
+
+
+def _at_the_edge(problem: Problem, fitter: Fitter, f: Fit, without: Fit, settings: AcceptSettings) -> str:
+    """Why an effect that is just beyond tolerance is not named: the joint at the edge of its tolerances explains about as much.
+
+    Fits that are compared by evidence leave the noise's share of the derivatives in, which holds an inertia where it is: both are
+    polished first.
+    """
+    here, there = (
+        float(np.sum(unexplained(problem, fitter.polish(x, settings.polish).point))) ** 0.5 for x in (f, without)
+    )
+    if there**2 > (1 + settings.worth) * here**2:
+        return ""
+    return (
+        f"a little beyond the joint's tolerances; at their edge {there:.2g} N·m RMS of the simulation's error is not "
+        f"explained, with it {here:.2g}"
+    )
+
+
+def added_under_one_noise(fitter: Fitter, general: Fit, special: Fit) -> float:
+    """Log evidence that a more general model adds, both under one noise: the mean over that learned with either.
+
+    Noise learned for each of two models that leave next to nothing differs by chance, and with it the evidence by hundreds.
+    """
+
+    def evidence(f: Fit, noise: Noise) -> float:
+        return fitter.finish(f.model, f.theta, f.point, f.jacobian, None, noise).log_evidence
+
+    return 0.5 * sum(evidence(general, f.noise) - evidence(special, f.noise) for f in (general, special))
+
+
+def _as_general_as_needed(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: list[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """Of a cause and its special cases the special one where the data do not plainly ask for more; how sure that is."""
+    decisions: list[Decision] = []
+    for i in range(len(f.model)):
+        for g in hypotheses:
+            h = f.model[i]
+            simpler = g.cause.name in h.cause.generalises
+            if not (simpler or h.cause.name in g.cause.generalises) or any(o.key == g.key for o in f.model):
+                continue
+            parts = problem.split(f.theta, f.model)
+            model = tuple(g if j == i else o for j, o in enumerate(f.model))
+            values = h.values(parts[i]) if simpler else g.cause.present(problem.records(f.theta, f.model)[0][0])
+            u = g.confine(g.coordinates({q.name: values[q.name] for q in g.cause.parameters}))
+            theta = np.concatenate([f.theta[: problem.size], *(u if j == i else p for j, p in enumerate(parts))])
+            other = fitter.fit(model, theta, None, 6)
+            general, special = (f, other) if simpler else (other, f)
+            more = added_under_one_noise(fitter, general, special)
+            # What no description holds speaks for the more general one too.
+            loose = float(np.clip(quiet_rms(problem, f), 1.0, settings.loosest))
+            asked = more > loose * settings.general
+            sure = 1.0 / (1.0 + np.exp(-abs(more / loose - settings.general) / settings.temper))
+            name = general.model[i].cause.name.replace("_", " ")
+            reason = f"{name}, which is more general, adds {more:.0f} to the log evidence"
+            taken = asked != simpler
+            size, gain = size_of(problem, other, i), -more if simpler else more
+            decisions.append(Decision("settle", g.cause.name, g.fixed, gain, float("nan"), size, True, taken, reason))
+            if taken:
+                f = other
+            if i < len(rivals):
+                rivals = list(rivals)
+                rivals[i] = replace(rivals[i], cause=f.model[i].cause.name, share=rivals[i].share * float(sure))
+            break
+    return f, rivals, decisions
+
+
+def _prune(
+    problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
+    dropped: list[Decision] = []
+    kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
+    asked: set[int] = set()  # effects near the edge of tolerance that are needed
+    for _ in range(3 * len(f.model)):
+        honest, linear = with_dispersion(problem, f), tamed(problem, f)
+        left, near = float(np.sum(unexplained(problem, f.point))), quiet_rms(problem, f) < settings.far
+        verdicts = []
+        for i, h in enumerate(f.model):
+            w = worth_of(problem, f, linear, i)
+            size, away = size_of(problem, f, i), significance(problem, honest, i)
+            reason = ""
+            if _is_calibration(problem, f, i):
+                reason = "what it changes is within the joint's tolerances once all causes are fitted together"
+            elif size <= settings.smallest:
+                reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
+            elif near and w.rms < settings.slight * left**0.5:
+                reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error, {left**0.5:.2g} is left that nothing explains"
+            elif id(h) in kept:
+                reason = ""
+            elif away < settings.significant:
+                reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
+            elif w.share < settings.worth:
+                reason = (
+                    f"takes {w.rms:.2g} N·m RMS from the simulation's error once all causes are fitted together, "
+                    "too little to name"
+                )
+            verdicts.append((w, size, reason))
+        bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
+        if not bad:
+            near_edge = [
+                i for i, h in enumerate(f.model) if id(h) not in asked and _is_calibration(problem, f, i, settings.edge)
+            ]
+            if not near_edge:
+                break
+            i = min(near_edge, key=lambda i: verdicts[i][0].rms)
+            w, size, _ = verdicts[i]
+            h, other = f.model[i], without_effect(problem, fitter, f, i, settings)
+            asked.add(id(h))
+            if reason := _at_the_edge(problem, fitter, f, other, settings):
+                dropped.append(
+                    Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason)
+                )
+                rivals = [r for j, r in enumerate(rivals) if j != i]
+                f = other
+            continue
+        # Of those, the one without which the rest is most probable.
+        trials = [
+            (i, without_effect(problem, fitter, f, i, settings))
+            for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
+        ]
+        i, other = max(trials, key=lambda trial: trial[1].log_evidence)
+        w, size, reason = verdicts[i]
+        h = f.model[i]
+        needed = why_needed(problem, f, other, settings)
+        if needed and not _is_calibration(problem, f, i):
+            kept.add(id(h))
+            reason = needed
+            gain = f.log_evidence - other.log_evidence
+            dropped.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, True, reason))
+            continue
+        dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
+        rivals = [r for j, r in enumerate(rivals) if j != i]
+        f = other
+    return f, rivals, dropped
