@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -67,7 +68,7 @@ def command(
         except KeyboardInterrupt:
             bar.stop()
             done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
-            bar.console.print(done)
+            print(done, file=sys.stderr)  # also where no bar is shown
             raise
         bar.update(task, description=f"{asked.name}: summary", total=None)
         found = list(aggregate(dataset))

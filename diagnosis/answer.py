@@ -69,13 +69,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class ParameterShift:
-    """A number that calibration moved within its tolerance."""
+    """A number that calibration moved within its tolerance; `moved`: by how many standard deviations of it."""
 
     nominal: float
     value: float
     std: float
     tolerance: float
     unit: str
+    moved: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 from ..models import causes
 from ..models.joint import Joint
 from ..models.recording import Measurement
-from .answer import BalanceResidual, Diagnosis, Finding, ParameterEstimate
+from .answer import BalanceResidual, Diagnosis, Finding, ParameterEstimate, ParameterShift
 from .data import coverage
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
@@ -56,6 +56,7 @@ class AnswerSettings:
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
+      end: standard deviations of its tolerance from which on a number is at the end of it.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent;
         near: so many times the noise, where the fit was taken back that would explain it.
     """
@@ -76,6 +77,7 @@ class AnswerSettings:
     lookalike: float = 0.05
     inexact_size: float = 0.01
     slight: float = 0.25
+    end: float = 2.9
     far: float = 5.0
     near: float = 2.0
     worth: float = 0.02
@@ -203,7 +205,8 @@ def _told(outcome: _Outcome) -> Diagnosis:
     verdict, reason = _verdict(
         problem, findings, residual, outcome.nearly_all, outcome.share < 1.0, useless, found.complete
     )
-    reason = "; ".join(part for part in (reason, _holds_back(outcome)) if part)
+    calibration = parameter_shifts(problem, final)
+    reason = "; ".join(part for part in (reason, _at_the_end(calibration), _holds_back(outcome)) if part)
     extended_joint = joint
     if outcome.share > 0.0:
         extended_joint = extended(problem, final, joint, outcome.unknown)
@@ -217,7 +220,7 @@ def _told(outcome: _Outcome) -> Diagnosis:
         verdict=verdict,
         reason=reason,
         causes=tuple(sorted(findings, key=lambda f: -f.worth)),
-        calibration=parameter_shifts(problem, final),
+        calibration=calibration,
         confusable=tuple(sorted(alike)),
         undetermined=outcome.undetermined,
         residual=residual,
@@ -249,6 +252,16 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
             inexact[problem.place(f.model, i)] = ANSWER.inexact_size if plain else ANSWER.lookalike
     inflation = 1.0 if plain else min(ratio, ANSWER.inflation)
     return replace(f, covariance=f.covariance * inflation**2 + np.diag(inexact**2))
+
+
+def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
+    """Numbers that calibration moved to the end of their tolerances: they may be what is wrong; empty where there are none."""
+    ends = [
+        f"{name} ({s.value:.3g} {s.unit})" if s.nominal == 0.0 else f"{name} ({100 * (s.value / s.nominal - 1):+.0f} %)"
+        for name, s in calibration.items()
+        if abs(s.moved) > ANSWER.end
+    ]
+    return f"at the end of what the description allows: {', '.join(ends)}" if ends else ""
 
 
 def _holds_back(outcome: _Outcome) -> str:

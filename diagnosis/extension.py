@@ -28,7 +28,7 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
         prior = float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
         if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
             unit = "" if number.unit == "1" else number.unit
-            moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit)
+            moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit, (value - number.value) / prior)
     return moved
 
 

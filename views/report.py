@@ -55,7 +55,7 @@ def verdict_sentence(d: Diagnosis) -> str:
     if not d.causes:
         blind = len(d.undetermined)
         left = f"; {blind} cause{'s' if blind > 1 else ''} could not have shown" if blind else ""
-        return f"The joint behaves as its description says, within its tolerances{left}."
+        return f"The joint behaves as its description says, within its tolerances{left}{f'; {d.reason}' if d.reason else ''}."
     parts = [f"{title(c)} ({c.component}, {100 * c.confidence:.0f} % sure)" for c in d.causes]
     whole = min(sum(c.explains for c in d.causes), 1.0)
     return (

@@ -86,10 +86,35 @@ def finalists_of(
             if f.gain > settings.race * best:
                 more = fitter.fit(f.fit.model, f.fit.theta, f.fit, 4, base.point.noise)
                 fitted[i] = max((f, as_finalist(problem, base, more)), key=lambda x: x.gain)
+    return ranked(fitted)
+
+
+def ranked(fitted: Sequence[Finalist]) -> list[Finalist]:
+    """Finalists, the likeliest first."""
     return sorted(fitted, key=lambda f: -f.gain)
 
 
-def coarse_starts(
+def explains_little(problem: Problem, base: Fit, f: Finalist, settings: AcceptSettings) -> bool:
+    """Whether a finalist takes away but a little of what is not explained."""
+    return f.removed < settings.little * float(np.sum(unexplained(problem, base.point)))
+
+
+def coarse_finalists(
+    problem: Problem,
+    fitter: Fitter,
+    base: Fit,
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+    iterations: int,
+) -> list[Finalist]:
+    """Hypotheses with which the uncalibrated joint comes closest, fitted from there."""
+    return [
+        as_finalist(problem, base, fitter.fit((h,), start, None, iterations, base.point.noise))
+        for h, start in _coarse_starts(problem, hypotheses, settings)
+    ]
+
+
+def _coarse_starts(
     problem: Problem, hypotheses: Sequence[Hypothesis], settings: AcceptSettings
 ) -> list[tuple[Hypothesis, np.ndarray]]:
     """Hypotheses with which the uncalibrated joint comes closest, where nothing is linear; where to start each.

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -23,11 +23,10 @@ from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
 from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
-from .finalists import Finalist, as_finalist, coarse_starts, finalists_of, first_cause, rivals_of
+from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
 from .screen import Library, ScreenSettings, screen
 from .select import gains_of, others_than, select
 from .settle import settle, together
-from .worth import unexplained
 
 Progress = Callable[[str, float], None]
 """Called with a stage's name and the share of the work that is done."""
@@ -70,6 +69,25 @@ class Search:
     confusable: tuple[tuple[str, str], ...] = ()
 
 
+@dataclass(frozen=True)
+class _OneByOne:
+    """Causes fitted through the replay one after the other.
+
+    Attributes:
+      first: the calibrated joint; at: with the causes; library: columns of the others near it.
+      last: the cause that was accepted last, with the gains of what looks like it; None where its rivals are told already.
+      late: whether time was up.
+    """
+
+    first: Fit
+    at: Fit
+    library: Library
+    rivals: tuple[Rivals, ...] = ()
+    decisions: tuple[Decision, ...] = ()
+    last: tuple[Finalist, dict[str, float]] | None = None
+    late: bool = False
+
+
 def search(
     problem: Problem,
     hypotheses: Sequence[Hypothesis],
@@ -85,79 +103,84 @@ def search(
     """
     fitter, accept = Fitter(problem), settings.accept
     progress("calibrating the joint", 0.02)
-    at = first = calibrate(problem, fitter, settings.calibrate)
-    decisions: list[Decision] = []
-    rivals: list[Rivals] = []
-    pending: tuple[Finalist, dict[str, float]] | None = None
-    afreshed = late = slight = False
-    while True:
-        quiet = quiet_rms(problem, at)
-        coarse = not at.model and quiet >= settings.screen.quiet
-        probe = settings.screen.coarse_probe if coarse else settings.screen.probe
-        progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
-        library = Library(problem, at, others_than(problem, hypotheses, at.model), probe)
-        if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
-            break  # what is left is small, or no cause of the library explains it: the linear model serves
-        screened = screen(problem, at, library, settings.screen)
-        if pending is not None:
-            rivals.append(rivals_of(*pending, gains_of(screened), accept))
-            pending = None
-        late = time.monotonic() > deadline
-        if late:
-            break
-        progress("fitting the causes that look best", 0.3 + 0.15 * len(at.model))
-        fitted = finalists_of(problem, fitter, at, screened, accept)
-        if quiet > accept.gross and not at.model and not afreshed:
-            # So far off that the linear model says little.
-            for h, start in coarse_starts(problem, hypotheses, accept):
-                f = fitter.fit((h,), start, None, settings.calibrate.iterations, at.point.noise)
-                fitted = sorted([*fitted, as_finalist(problem, at, f)], key=lambda f: -f.gain)
-        seen, chosen = first_cause(problem, at, screened, fitted, accept)
-        slight = chosen is not None and chosen.removed < accept.little * float(np.sum(unexplained(problem, at.point)))
-        if slight and quiet > accept.plain:
-            # What is likeliest explains next to nothing, and is not all that is there.
-            fitted = sorted(
-                [*fitted, *finalists_of(problem, fitter, at, screened, accept, fitted)], key=lambda f: -f.gain
-            )
-            seen, chosen = first_cause(problem, at, screened, fitted, accept)
-        decisions += seen
-        if chosen is None:
-            if at.model or afreshed or not doubtful(problem, at, quiet, settings.calibrate):
-                break
-            afreshed = True
-            other = afresh(problem, fitter, at, settings.calibrate)
-            if other.log_evidence < at.log_evidence + 1.0:
-                break
-            at = first = other
-            continue
-        progress(f"settling {chosen.name.replace('_', ' ')}", 0.4 + 0.15 * len(at.model))
-        slight = chosen.removed < accept.little * float(np.sum(unexplained(problem, at.point)))
-        at = _settled(problem, fitter, chosen, settings.calibrate)
-        alike = [f for f in fitted if f.removed > accept.alike * chosen.removed]
-        pending = (chosen, {f.name: f.gain for f in reversed(alike)})
-    late = late or time.monotonic() > deadline
-    if not late:
+    first = calibrate(problem, fitter, settings.calibrate)
+    found = _one_by_one(problem, fitter, first, hypotheses, settings, progress, deadline)
+    if not (found.at.model or found.late) and doubtful(problem, first, quiet_rms(problem, first), settings.calibrate):
+        other = afresh(problem, fitter, first, settings.calibrate)
+        if other.log_evidence >= first.log_evidence + 1.0:
+            again = _one_by_one(problem, fitter, other, hypotheses, settings, progress, deadline, coarsely=False)
+            found = replace(again, decisions=(*found.decisions, *again.decisions))
+    at, rivals, decisions = found.at, list(found.rivals), list(found.decisions)
+    late = found.late or time.monotonic() > deadline
+    if late:
+        rivals += [rivals_of(*found.last, {}, accept)] if found.last is not None else []
+    else:
         progress("selecting further causes", 0.7)
-        more, seen, others = select(problem, at, library, accept, settings.screen, pending)
+        more, seen, others = select(problem, at, found.library, accept, settings.screen, found.last)
         decisions += seen
         rivals += others
         if more:
             progress("settling all causes", 0.8)
-            at, rivals, seen = together(problem, fitter, at, library, more, rivals)
+            at, rivals, seen = together(problem, fitter, at, found.library, more, rivals)
             decisions += seen
-        at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
-        decisions += settled
-    elif pending is not None:
-        rivals.append(rivals_of(*pending, {}, accept))
-    return Search(
-        first,
-        at,
-        library,
-        tuple(rivals),
-        tuple(decisions),
-        (quiet_rms(problem, first), quiet_rms(problem, at)),
-        not late,
-    )
+        at, rivals, seen = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
+        decisions += seen
+    quiet = (quiet_rms(problem, found.first), quiet_rms(problem, at))
+    return Search(found.first, at, found.library, tuple(rivals), tuple(decisions), quiet, not late)
+
+
+def _one_by_one(
+    problem: Problem,
+    fitter: Fitter,
+    first: Fit,
+    hypotheses: Sequence[Hypothesis],
+    settings: SearchSettings,
+    progress: Progress,
+    deadline: float,
+    *,
+    coarsely: bool = True,
+) -> _OneByOne:
+    """Screen and fit, as long as much is left and a cause explains a good part of it.
+
+    Args:
+      coarsely: whether causes are also tried without the linear model, where the calibrated joint is far off.
+    """
+    accept, iterations = settings.accept, settings.calibrate.iterations
+    at, rivals, decisions = first, list[Rivals](), list[Decision]()
+    last: tuple[Finalist, dict[str, float]] | None = None
+    slight = False
+    while True:
+        quiet = quiet_rms(problem, at)
+        far = not at.model and quiet >= settings.screen.quiet
+        progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
+        probe = settings.screen.coarse_probe if far else settings.screen.probe
+        library = Library(problem, at, others_than(problem, hypotheses, at.model), probe)
+        found = _OneByOne(first, at, library, tuple(rivals), tuple(decisions), last)
+        if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
+            return found  # what is left is small, or no cause of the library explains it: the linear model serves
+        screened = screen(problem, at, library, settings.screen)
+        if last is not None:
+            rivals.append(rivals_of(*last, gains_of(screened), accept))
+            found = replace(found, rivals=tuple(rivals), last=None)
+        if time.monotonic() > deadline:
+            return replace(found, late=True)
+        progress("fitting the causes that look best", 0.3 + 0.15 * len(at.model))
+        fitted = finalists_of(problem, fitter, at, screened, accept)
+        if coarsely and not at.model and quiet > accept.gross:
+            fitted = ranked([*fitted, *coarse_finalists(problem, fitter, at, hypotheses, accept, iterations)])
+        seen, chosen = first_cause(problem, at, screened, fitted, accept)
+        if chosen is not None and explains_little(problem, at, chosen, accept) and quiet > accept.plain:
+            # What is likeliest explains next to nothing, and is not all that is there.
+            fitted = ranked([*fitted, *finalists_of(problem, fitter, at, screened, accept, done=fitted)])
+            seen, chosen = first_cause(problem, at, screened, fitted, accept)
+        decisions += seen
+        if chosen is None:
+            return replace(found, decisions=tuple(decisions))
+        progress(f"settling {chosen.name.replace('_', ' ')}", 0.4 + 0.15 * len(at.model))
+        slight = explains_little(problem, at, chosen, accept)
+        alike = [f for f in fitted if f.removed > accept.alike * chosen.removed]
+        last = (chosen, {f.name: f.gain for f in reversed(alike)})
+        at = _settled(problem, fitter, chosen, settings.calibrate)
 
 
 def _settled(problem: Problem, fitter: Fitter, chosen: Finalist, settings: CalibrateSettings) -> Fit:

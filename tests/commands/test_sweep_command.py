@@ -64,6 +64,21 @@ def test_a_study_into_a_folder(tmp_path, monkeypatch, capsys):
     assert not (tmp_path / "other").exists()
 
 
+def test_ctrl_c_says_that_the_same_command_goes_on(tmp_path):
+    """Also where stderr is no terminal."""
+    stopped = (
+        "import sys\nfrom flexspline import commands\nfrom flexspline.scenarios.studies import sweep\n"
+        "def stop(*a): raise KeyboardInterrupt\nsweep.sweep = stop\n"
+        "sys.argv[1:1] = ['sweep']\ncommands.main()"
+    )
+    words = [sys.executable, "-c", stopped, str(write(tmp_path)), "--out", str(tmp_path / "out")]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 130
+    assert done.stderr.strip().splitlines() == [
+        f"stopped; 0 of 6 runs are in {tmp_path / 'out'}; the same command goes on"
+    ]
+
+
 @pytest.mark.slow
 def test_ctrl_c_leaves_a_dataset_that_goes_on(tmp_path):
     """SIGINT to the running command: exit code 130, one line, no traceback; the same command does the rest."""

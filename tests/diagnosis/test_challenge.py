@@ -128,6 +128,16 @@ def test_no_inertia_just_beyond_its_tolerance_beside_the_cause(index):
 
 
 @pytest.mark.slow
+def test_numbers_at_the_end_of_their_tolerances_are_told():
+    """A stiffness so much off that tolerances just express it is no cause, and not passed over either."""
+    drawn = draw(Challenge(seed=214, hidden="one", real=True), 11)
+    assert [e.name for e in drawn.effects] == ["stiffness"]
+    found = diagnose(drawn.measurement, drawn.nominal)
+    told = "at the end of what the description allows: K1 (-2"
+    assert "stiffness" in {c.name for c in found.causes} or told in found.reason, found.reason
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("pair", [("cogging", "cable_spring"), ("friction_asymmetry", "torque_sensor_offset")])
 def test_two_causes_at_once(pair):
     drawn = draw(Challenge(seed=SEED, hidden="two", only=pair), 0)

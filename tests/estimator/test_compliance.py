@@ -156,14 +156,14 @@ def test_a_late_link_encoder_sees_the_motor_torque_of_its_own_time(known):
 
 
 def test_observers_read_a_late_link_encoder_as_it_will_be(known):
-    """While everything turns evenly: the link's velocity and torque are those of readings in time, not `delay` behind them."""
+    """While it speeds up and winds up: the link's velocity and torque are those of readings in time, not `delay` behind them."""
     time = np.arange(600) * 1e-3
     delay, speed = 4e-3, 30.0
     joint = known.told(amplitude=0.0)
     motor = speed * time**2  # it speeds up
 
     def signals(t):
-        link = speed * t**2 / 100 - 3e-4
+        link = speed * t**2 / 100 - 2e-3 * t
         return Signals(time, {"motor_position": motor, "link_position": link, "motor_current": np.full(600, 1.0)})
 
     in_time = get("momentum").estimate(signals(time), joint)

@@ -82,6 +82,7 @@ def test_autocorrelation_against_its_sum(rng):
     v = rng.standard_normal(500) + 0.3
     expected = [np.sum(v[l:] * v[:-l]) / np.sum(v * v) for l in (1, 2, 7)]
     assert consistency.autocorrelation(v, 7)[[0, 1, 6]] == pytest.approx(expected, abs=1e-12)
+    assert consistency.autocorrelation(v, 1) == pytest.approx(expected[:1], abs=1e-12)
     assert (consistency.autocorrelation(np.zeros(9), 3) == 0).all()
     with pytest.raises(InputError, match="more than 500"):
         consistency.autocorrelation(v, 500)

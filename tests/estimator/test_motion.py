@@ -18,6 +18,15 @@ def test_slow_motion_comes_back_with_its_derivatives(irregular):
     np.testing.assert_allclose(s.acceleration[inside, 0], -9 * np.sin(3 * t), atol=0.05)
 
 
+def test_rate_and_acceleration_are_derivatives_between_samples_too(rng):
+    """Of any signal, on a grid far finer than its samples: by differences of what is integrated."""
+    time = np.cumsum(rng.uniform(0.01, 0.03, 200))
+    s = smooth(time, rng.standard_normal((200, 1)), 1e-4)
+    for of, derivative in ((s.value, s.rate), (s.rate, s.acceleration)):
+        by_differences = (of[2:, 0] - of[:-2, 0]) / 2e-4
+        np.testing.assert_allclose(derivative[1:-1, 0], by_differences, atol=2e-3 * np.abs(derivative).max())
+
+
 def test_counts_of_an_encoder_average_out_in_motion():
     time = 1e-3 * np.arange(5000)
     count = 2 * np.pi / 4096
