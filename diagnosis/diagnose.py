@@ -43,6 +43,7 @@ class AnswerSettings:
         is no surer than `beside` below, and minor below `barely`; plainly: but for one worth so many times what nothing explains.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
+      plain_share: share of the explanations from which on a cause and its special cases are told apart.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
       minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
@@ -69,6 +70,7 @@ class AnswerSettings:
     surest: float = 0.99
     unsure: float = 0.5
     beside: float = 0.7
+    plain_share: float = 0.95
     nearly_all: float = 2 / 3
     minor: float = 0.12
     quiet: float = 1.6
@@ -509,6 +511,9 @@ def _close(found: Search) -> list[tuple[str, str]]:
         for name, gain in r.others:
             if gain > r.gain - 3 * _temper(found, r.gain) and _superseded(found, name):
                 pairs.append((r.cause, name))
+        if r.share < ANSWER.plain_share:
+            special = causes.get(r.cause).generalises
+            pairs += [(r.cause, n) for n in causes.names() if n in special or r.cause in causes.get(n).generalises]
     return pairs
 
 

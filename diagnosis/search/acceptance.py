@@ -64,7 +64,7 @@ class AcceptSettings:
     far: float = 10.0
     per_cause: int = 2
     general: float = 30.0
-    temper: float = 12.0
+    temper: float = 25.0
     loosest: float = 5.0
     edge: float = 6.0
     polish: int = 8
