@@ -423,11 +423,17 @@ def find(
         ranked = sorted((c for c in tried if c.without == without and c.share > least_share), key=lambda c: -c.score)
         for candidate in ranked[: settings.refined]:
             found = _refined(problem, fitter, chosen, candidate, settings, least, settings.more * explained)
-            if found is not None and (best is None or found.fit.log_evidence > best.fit.log_evidence):
+            if found is not None and (best is None or _score(found, settings) > _score(best, settings)):
                 best = found
         if best is not None and not without:
             break
     return best
+
+
+def _score(found: Unknown, settings: DiscrepancySettings) -> float:
+    """Log evidence with the prior odds of the place: a torque once a turn of the rotor and an error of the current look alike."""
+    usual = found.spline.place in _USUAL[found.spline.variable]
+    return found.fit.log_evidence - (0.0 if usual else settings.penalty)
 
 
 def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
