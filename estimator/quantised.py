@@ -33,10 +33,7 @@ def cell_moments(residual, S, q):
         return residual, S * (b - a) ** 2 / 12.0
     if a > _FAR:
         # The far tail is exponential with rate a; it has decayed before b unless the cell is narrow.
-        width = a * (b - a)
-        if width < 1e-2:
-            return residual, S * (b - a) ** 2 / 12.0
-        decay = math.exp(-min(width, 700.0))
+        decay = math.exp(-min(a * (b - a), 700.0))
         mean = a + 1.0 / a - (b - a) * decay / (1.0 - decay)
         variance = 1.0 / (a * a) - (b - a) ** 2 * decay / (1.0 - decay) ** 2
         return sign * mean * s, max(variance, 1e-9) * S
