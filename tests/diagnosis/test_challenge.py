@@ -140,7 +140,7 @@ def test_numbers_at_the_end_of_their_tolerances_are_told():
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [7, 35])
 def test_what_real_joints_have_beside_does_not_hide_the_cause(index):
-    """Not quite viscous friction is no unknown effect in its place; a resonance worth nothing keeps no cause from being fitted."""
+    """Not quite viscous friction is no unknown effect; a resonance worth nothing keeps no cause from being fitted."""
     drawn = draw(Challenge(seed=205, hidden="one", real=True), index)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == drawn.effects[0].name, [(c.name, c.confidence) for c in found.causes]
@@ -155,7 +155,7 @@ def test_of_places_that_look_the_same_the_usual_one_is_named():
 
 @pytest.mark.slow
 def test_slow_discrepancy_does_not_hold_an_unknown_effect():
-    """Friction that grows with the square of velocity is not plainly viscous friction, though a slow discrepancy takes the rest."""
+    """Friction that grows with the square of velocity is not plainly viscous, though a slow discrepancy takes the rest."""
     drawn = draw(Challenge(seed=204, hidden="outside", real=True), 1)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert "unknown" in {c.name for c in found.causes}
