@@ -476,7 +476,7 @@ def _refined(
     index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
     model: Model = tuple(chosen.model[i] for i in kept)
     start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
-    near = replace(chosen, jacobian=[J[..., index] for J in chosen.jacobian])
+    near = replace(chosen, model=model, theta=chosen.theta[index], jacobian=[J[..., index] for J in chosen.jacobian])
     f = fitter.fit((*model, candidate.spline), start, near, 4, chosen.point.noise)  # type: ignore[arg-type]
     before = float(np.sum(unexplained(problem, chosen.point)))
     needed = settings.penalty
