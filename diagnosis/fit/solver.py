@@ -362,6 +362,8 @@ class Fitter:
         near: Fit | None = None,
         iterations: int = 8,
         sensors: Columns | None = None,
+        *,
+        anew: bool | None = None,
     ) -> Fit:
         """Fit a model by damped Gauss–Newton from `theta`, the noise learned anew before every step.
 
@@ -370,6 +372,7 @@ class Fitter:
         Args:
           near: a fit whose derivatives in the common unknowns serve, and in the effects that both have; without it they are
             computed as often as a step is larger than they are good for.
+          anew: whether derivatives in the common unknowns are computed anew as the fit moves far; as said without `near`.
           sensors: what the noise replicates add to the residuals of the fit that others are compared with: sensor noise is then
             the same for all of them.
         """
@@ -385,6 +388,7 @@ class Fitter:
         common = None if near is None else [j[..., : problem.size] for j in near.jacobian]
         sensed = sensor_noise(problem.segments, replicates, self.noise)
         fresh, damping = near is None, 0.0
+        anew = near is None if anew is None else anew
         effects = _Effects(problem, model, settings.chord, near)
         for _ in range(iterations):
             if fresh:
@@ -413,7 +417,7 @@ class Fitter:
             if not accepted:
                 if effects.forget(theta):
                     continue
-                if fresh or near is not None:
+                if fresh or not anew:
                     break
                 fresh = True
                 continue
@@ -423,7 +427,7 @@ class Fitter:
             if cost - after < settings.tolerance:
                 break
             good = cost - after > settings.good * expected
-            fresh = near is None and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
+            fresh = anew and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
         # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
         assert common is not None
         jacobian = effects.beside(common, theta)

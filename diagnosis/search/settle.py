@@ -96,7 +96,7 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, setting
     other = fitter.fit(model, f.theta[kept], f, 4)
     if np.sum(unexplained(problem, other.point)) < settings.lost * np.sum(unexplained(problem, f.point)):
         return other
-    return better_of_both(fitter, model, f.theta[kept])
+    return better_of_both(fitter, model, f.theta[kept], near=other)
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
