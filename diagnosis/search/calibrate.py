@@ -12,7 +12,7 @@ from ..fit.noise import EVEN
 from ..fit.residual import REACH, Model, Problem
 from ..fit.solver import Fit, Fitter
 from ..fit.tare import tared
-from .worth import unexplained
+from .worth import left_by
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def better_of_both(
     other = fitter.fit(model, quick.theta, quick, settings.iterations, anew=True)
 
     def error(f: Fit) -> float:
-        return float(np.sqrt(np.sum(unexplained(fitter.problem, f.point))))
+        return left_by(fitter.problem, f) ** 0.5
 
     if error(other) > settings.plainly * error(quick):
         other = fitter.fit(model, quick.theta, iterations=1)  # further on, slow discrepancy takes over here too

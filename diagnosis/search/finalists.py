@@ -15,7 +15,7 @@ from ..fit.tare import roughness, tared
 from .acceptance import AcceptSettings, Decision, Rivals, held_out_cost, quiet_rms, significance, size_of
 from .calibrate import hand_over
 from .screen import Screened
-from .worth import unexplained
+from .worth import left_by
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def ranked(fitted: Sequence[Finalist]) -> list[Finalist]:
 
 def explains_little(problem: Problem, base: Fit, f: Finalist, settings: AcceptSettings) -> bool:
     """Whether a finalist takes away but a little of what is not explained."""
-    return f.removed < settings.little * float(np.sum(unexplained(problem, base.point)))
+    return f.removed < settings.little * left_by(problem, base)
 
 
 def coarse_finalists(
@@ -143,7 +143,7 @@ def _coarse_starts(
 
 def as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
     """A fit beside the one that it was made on."""
-    removed = float(np.sum(unexplained(problem, base.point)) - np.sum(unexplained(problem, f.point)))
+    removed = left_by(problem, base) - left_by(problem, f)
     return Finalist(f, f.log_evidence - base.log_evidence, removed)
 
 
