@@ -112,21 +112,33 @@ def search(
             found = replace(again, decisions=(*found.decisions, *again.decisions))
     at, rivals, decisions = found.at, list(found.rivals), list(found.decisions)
     late = found.late or time.monotonic() > deadline
+    library = found.library
     if late:
         rivals += [rivals_of(*found.last, {}, accept)] if found.last is not None else []
     else:
-        progress("selecting further causes", 0.7)
-        more, seen, others = select(problem, at, found.library, accept, settings.screen, found.last)
-        decisions += seen
-        rivals += others
-        if more:
-            progress("settling all causes", 0.8)
-            at, rivals, seen = together(problem, fitter, at, found.library, more, rivals)
+        last = found.last
+        taken_back: list[Decision] = []
+        for _ in range(accept.rounds_again + 1):
+            progress("selecting further causes", 0.7)
+            more, seen, others = select(problem, at, library, accept, settings.screen, last)
             decisions += seen
-        at, rivals, seen = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
-        decisions += seen
+            rivals += others
+            if more:
+                progress("settling all causes", 0.8)
+                at, rivals, seen = together(problem, fitter, at, library, more, rivals)
+                decisions += seen
+            at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
+            decisions += settled
+            misled = [d for d in (*seen, *settled) if d.stage == "settle" and not d.taken and d.size > accept.large]
+            if not (more and misled) or time.monotonic() > deadline:
+                break
+            # The linear model took something for them: what that is shows where the others are settled.
+            taken_back += misled
+            gone = {(d.cause, *d.fixed.items()) for d in taken_back}
+            offered = [h for h in others_than(problem, hypotheses, at.model) if h.key not in gone]
+            library, last = Library(problem, at, offered, settings.screen.probe), None
     quiet = (quiet_rms(problem, found.first), quiet_rms(problem, at))
-    return Search(found.first, at, found.library, tuple(rivals), tuple(decisions), quiet, not late)
+    return Search(found.first, at, library, tuple(rivals), tuple(decisions), quiet, not late)
 
 
 def _one_by_one(
