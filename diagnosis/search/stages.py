@@ -24,6 +24,7 @@ from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
 from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
+from .rivals import against_rivals
 from .screen import Library, ScreenSettings, screen
 from .select import gains_of, others_than, select
 from .settle import settle, together
@@ -117,7 +118,6 @@ def search(
         rivals += [rivals_of(*found.last, {}, accept)] if found.last is not None else []
     else:
         last = found.last
-        taken_back: list[Decision] = []
         for _ in range(accept.rounds_again + 1):
             progress("selecting further causes", 0.7)
             more, seen, others = select(problem, at, library, accept, settings.screen, last)
@@ -127,14 +127,18 @@ def search(
                 progress("settling all causes", 0.8)
                 at, rivals, seen = together(problem, fitter, at, library, more, rivals)
                 decisions += seen
+            at, rivals, compared = against_rivals(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
+            decisions += compared
             at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
             decisions += settled
-            misled = [d for d in (*seen, *settled) if d.stage == "settle" and not d.taken and d.size > accept.large]
-            if not (more and misled) or time.monotonic() > deadline:
+            dropped = [d for d in (*seen, *settled) if d.stage == "settle" and not d.taken]
+            unsettled = any(d.size > accept.large for d in dropped) or doubtful(
+                problem, at, quiet_rms(problem, at), settings.calibrate
+            )
+            if not (more and unsettled) or time.monotonic() > deadline:
                 break
-            # The linear model took something for them: what that is shows where the others are settled.
-            taken_back += misled
-            gone = {(d.cause, *d.fixed.items()) for d in taken_back}
+            # What was taken back, or numbers at the end of their tolerances, stood for something: it shows beside what is settled.
+            gone = {(d.cause, *d.fixed.items()) for d in (*compared, *dropped) if not d.taken}
             offered = [h for h in others_than(problem, hypotheses, at.model) if h.key not in gone]
             library, last = Library(problem, at, offered, settings.screen.probe), None
     quiet = (quiet_rms(problem, found.first), quiet_rms(problem, at))
