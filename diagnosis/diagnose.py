@@ -239,7 +239,7 @@ def _told(outcome: _Outcome) -> Diagnosis:
 
 
 def _inflated(problem: Problem, f: Fit) -> Fit:
-    """The fit with standard deviations inflated by its residual's normalised RMS, where more than noise is left (Birge's ratio).
+    """The fit, less sure by its residual's normalised RMS of what the data say where more than noise is left (Birge's ratio).
 
     What no description holds is not random: it leans on the parameters the same way all the time. Small imperfections that look
     like an effect (an encoder's eccentricity like a kinematic error) are part of its size, however well that is known.
@@ -250,8 +250,15 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     for i, h in enumerate(f.model):
         if h.free:
             inexact[problem.place(f.model, i)] = ANSWER.inexact_size if plain else ANSWER.lookalike
-    inflation = 1.0 if plain else min(ratio, ANSWER.inflation)
-    return replace(f, covariance=f.covariance * inflation**2 + np.diag(inexact**2))
+    if plain:
+        return replace(f, covariance=f.covariance + np.diag(inexact**2))
+    # What is known before the data stays known: a friction of which they tell only the product with its tolerance.
+    spread = problem.spread(f.model)
+    known = np.linalg.inv(f.covariance / spread[:, None] / spread) - np.eye(len(spread))
+    values, vectors = np.linalg.eigh(0.5 * (known + known.T))
+    inflation = min(ratio, ANSWER.inflation) ** 2
+    scaled = (vectors / (1.0 + np.maximum(values, 0.0) / inflation)) @ vectors.T
+    return replace(f, covariance=scaled * spread[:, None] * spread + np.diag(inexact**2))
 
 
 def _at_the_end(calibration: dict[str, ParameterShift]) -> str:

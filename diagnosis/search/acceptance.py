@@ -72,7 +72,7 @@ class AcceptSettings:
     edge: float = 6.0
     polish: int = 8
     lost: float = 2.25
-    most: int = 7
+    most: int = 5
     rounds: int = 3
     rounds_again: int = 1
     close: float = 0.5
