@@ -3,8 +3,8 @@
 Three things beyond the textbook:
 
 * **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts say nothing new. Where within its count
-  the motor then is, the model alone says, and drifts with all that the model leaves out: after a tenth of a second at one count the
-  torque is told no better than the count tells it (`_within_count`).
+  the motor then is, the model alone says, and that drifts with all that the model leaves out: after a tenth of a second at one
+  count the torque is told no better than the count tells it (`_within_count`).
 * **Contacts are rare**: τext walks quietly, and loudly only while the link encoder's innovations are larger than their
   variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
 * **A link encoder that is late** makes the whole filter late: it takes motor readings and commands of the instant that the
@@ -45,9 +45,9 @@ FILTER = np.dtype(
     ]
 )  # fmt: skip
 """What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s];
-mean NIS of both encoders; the motor encoder's last reading [rad] and how long it has been the same [s]; the prediction with its covariance and Jacobian, for a smoother; for a link encoder that is late the
-samples so far, those that are done, a ring of them and of the external torque [N·m]; state and covariance now; innovations
-[rad] and their variances [rad²]; the rest is scratch."""
+mean NIS of both encoders; the motor encoder's last reading [rad] and how long it has been the same [s]; the prediction with its
+covariance and Jacobian, for a smoother; for a link encoder that is late the samples so far, those that are done, a ring of them
+and of the external torque [N·m]; state and covariance now; innovations [rad] and their variances [rad²]; the rest is scratch."""
 SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
 """What is random, and κ, which spreads the sigma points."""
 OUT = np.dtype(

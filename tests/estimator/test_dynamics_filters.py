@@ -232,7 +232,7 @@ def test_half_of_rarekf_under_pushes():
 
 
 def test_at_rest_the_torque_is_told_no_better_than_a_count_tells_it():
-    """The place within the count drifts while the joint rests, and the variance says so: its NEES there stays about 1 or below."""
+    """The place within the count drifts while the joint rests, and the variance says so: NEES there is about 1 or below."""
     changes = ["duration=7", "trajectory=[{time: 0.2, position: 0.8}, {time: 3, position: 1.2}]"]
     scenario, folder = load_scenario("link_sweep", changes)
     nees = []
