@@ -416,6 +416,7 @@ class Fitter:
                 damping = max(8 * damping, 1e-2)
             if not accepted:
                 if effects.forget(theta):
+                    fresh = False
                     continue
                 if fresh or not anew:
                     break
