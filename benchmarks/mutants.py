@@ -1,8 +1,9 @@
 """Mutation testing: one operator or number of the estimators and of diagnosis' statistics is changed, and a fast test must fail.
 
 `python -m benchmarks.mutants --count 40 --seed 1` draws mutants, each place that could be changed as likely as another; `--file`
-names files. Every mutant runs in a copy of the sources. Exit code 1 where fewer than 85 % were killed; survivors are listed
-(docs/reliability.md).
+names files. Every mutant runs in a copy of the sources, in the order drawn: where a run is stopped, those done are a sample too.
+`--copy` names a folder for that copy, whose compiled code serves the next run. Exit code 1 where fewer than 85 % were killed;
+survivors are listed (docs/reliability.md).
 """
 
 from __future__ import annotations
@@ -84,13 +85,10 @@ class Mutant:
     text: str
 
 
-def drawn(files: list[str], count: int, rng: random.Random) -> dict[str, list[Mutant]]:
-    """Mutants by file, drawn without repetition: what is only said (messages, types, defaults) is left."""
+def drawn(files: list[str], count: int, rng: random.Random) -> list[Mutant]:
+    """Mutants of files, drawn without repetition: what is only said (messages, types, defaults) is left."""
     everywhere = [(file, place) for file in files for place in _places(file)]
-    found: dict[str, list[Mutant]] = {}
-    for file, place in sorted(rng.sample(everywhere, min(count, len(everywhere)))):
-        found.setdefault(file, []).append(_mutant(file, place))
-    return found
+    return [_mutant(file, place) for file, place in rng.sample(everywhere, min(count, len(everywhere)))]
 
 
 def _places(file: str) -> list[int]:
@@ -166,26 +164,25 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--file", action="append", choices=list(TESTS), help="Repeatable; all by default.")
+    parser.add_argument("--copy", type=Path, help="A folder for the copy of the sources, kept.")
     asked = parser.parse_args()
     mutants = drawn(asked.file or list(TESTS), asked.count, random.Random(asked.seed))
     survivors: list[Mutant] = []
     as_it_is: dict[tuple[str, ...], bool] = {}
     with tempfile.TemporaryDirectory(prefix="mutants") as name:
-        sources = Path(name) / "sources"
-        shutil.copytree(ROOT, sources, symlinks=True, ignore=shutil.ignore_patterns(".git", ".venv*", "docs", "runs"))
-        for file, chosen in mutants.items():
-            if tuple(TESTS[file]) not in as_it_is:
-                as_it_is[tuple(TESTS[file])] = _passes(file, sources)
-            if not as_it_is[tuple(TESTS[file])]:
-                sys.exit(f"{file}: expected its tests to pass as it is, they fail")
-            killed = 0
-            for mutant in chosen:
-                alive = survives(mutant, sources)
-                killed += not alive
-                survivors += [mutant] if alive else []
-                print(f"{'survives' if alive else 'killed':8}  {file}, {mutant.change}", file=sys.stderr, flush=True)
-            print(f"{file:34} {killed:3} of {len(chosen):3} killed", flush=True)
-    total = sum(map(len, mutants.values()))
+        sources = asked.copy or Path(name) / "sources"
+        left = shutil.ignore_patterns(".git", ".venv*", "docs", "runs")
+        shutil.copytree(ROOT, sources, symlinks=True, ignore=left, dirs_exist_ok=asked.copy is not None)
+        for number, mutant in enumerate(mutants, 1):
+            tests = tuple(TESTS[mutant.file])
+            if tests not in as_it_is:
+                as_it_is[tests] = _passes(mutant.file, sources)
+            if not as_it_is[tests]:
+                sys.exit(f"{mutant.file}: expected its tests to pass as it is, they fail")
+            alive = survives(mutant, sources)
+            survivors += [mutant] if alive else []
+            print(f"{number:3}  {'survives' if alive else 'killed':8}  {mutant.file}, {mutant.change}", flush=True)
+    total = len(mutants)
     share = 1 - len(survivors) / max(total, 1)
     low, high = binomtest(total - len(survivors), total).proportion_ci(0.95, "wilson")
     print(
