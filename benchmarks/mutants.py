@@ -33,7 +33,7 @@ _E, _D = "tests/estimator/test_", "tests/diagnosis/test_"
 _FILTERS = [f"{_E}torque_filters.py", f"{_E}invariance.py", f"{_E}estimator.py"]
 TESTS = {
     "estimator/arrays.py": [f"{_E}recursion.py", f"{_E}paper_filter.py"],
-    "estimator/bands.py": [f"{_D}uncertainty.py"],
+    "estimator/bands.py": [f"{_E}bands.py", f"{_D}uncertainty.py"],
     "estimator/bound.py": [f"{_E}bound.py"],
     "estimator/compliance.py": [f"{_E}compliance.py", f"{_E}paper_filter.py", f"{_E}printed.py"],
     "estimator/consistency.py": [f"{_E}consistency.py"],
