@@ -171,6 +171,8 @@ def main() -> None:
     as_it_is: dict[tuple[str, ...], bool] = {}
     with tempfile.TemporaryDirectory(prefix="mutants") as name:
         sources = asked.copy or Path(name) / "sources"
+        for link in filter(Path.is_symlink, sources.glob("*/*")):  # no copy is made over one
+            link.unlink()
         left = shutil.ignore_patterns(".git", ".venv*", "docs", "runs")
         shutil.copytree(ROOT, sources, symlinks=True, ignore=left, dirs_exist_ok=asked.copy is not None)
         for number, mutant in enumerate(mutants, 1):
