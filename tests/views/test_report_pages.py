@@ -219,6 +219,21 @@ def test_a_summary_is_read_back(tmp_path):
         read_csv(path, STUDY)
 
 
+def test_a_summary_with_empty_cells_has_no_mean_there(tmp_path):
+    class Of:
+        study = STUDY
+
+    path = tmp_path / "summary.csv"
+    write_csv(found(), Of, path)
+    lines = path.read_text().splitlines()
+    empty = {k for k, name in enumerate(lines[0].split(",")) if name.startswith(STUDY.metrics[0])}
+    lines[1] = ",".join("" if k in empty else cell for k, cell in enumerate(lines[1].split(",")))
+    path.write_text("\n".join(lines))
+    (first, *_), (as_it_was, *_) = read_csv(path, STUDY), found()
+    assert np.isnan(first.values[STUDY.metrics[0]].mean) and first.filter == as_it_was.filter
+    assert "EKF has the lowest RMS error" in text_of(sweep_html(STUDY, read_csv(path, STUDY), {}, "abc", tmp_path))
+
+
 def test_a_repair_says_what_is_gone_what_stays_and_what_moved(repair_page):
     text = text_of(repair_page)
     assert (
