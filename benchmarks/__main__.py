@@ -13,6 +13,7 @@ NAMED_ONLY = (
     "convergence",
     "estimators",
     "claims",
+    "readings",
     "mistakes",
     "calibrated",
     "sysid",

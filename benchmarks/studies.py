@@ -23,6 +23,7 @@ from .estimators import ROOT, fill
 
 REDUCED: dict[str, dict[str, Any]] = {
     "load_dependent_alpha": {"axes": {"noise_level": {"values": [1]}, "load": {"values": [4, 12]}}},
+    "noise_and_load": {"axes": {"noise_level": {"values": [1, 10]}, "load": {"values": [3, 12]}}},
     "model_error": {
         "scenarios": ["link_sweep"],
         "filters": ["EKF", "AREKF", "RAREKF", "REKF", "current", "momentum"],

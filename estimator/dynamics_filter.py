@@ -2,7 +2,9 @@
 
 Three things beyond the textbook:
 
-* **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts say nothing new.
+* **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts say nothing new. Where within its count
+  the motor then is, the model alone says, and that drifts with all that the model leaves out: after a tenth of a second at one
+  count the torque is told no better than the count tells it (`_within_count`).
 * **Contacts are rare**: τext walks quietly, and loudly only while the link encoder's innovations are larger than their
   variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
 * **A link encoder that is late** makes the whole filter late: it takes motor readings and commands of the instant that the
@@ -19,7 +21,7 @@ import numpy as np
 from ..models.kernels import kernel
 from ..models.step import SAMPLE
 from . import joint_model as model
-from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS
+from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS, WAVE
 from .quantised import update
 from .sensing import RING, line_in_ring, motor_current, temperature
 
@@ -27,11 +29,13 @@ _AHEAD = 6.0
 """Delays of the link encoder, over which the line that carries the external torque on is fitted."""
 POINTS = 2 * SIZE + 1
 _DIFFERENCE = 1e-5  # rad
+_STILL = 0.1
+"""Time [s] at one count after which the place within it is anyone's guess."""
 
 FILTER = np.dtype(
     [
         ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("current", np.float64), ("time", np.float64),
-        ("motor_ratio", np.float64), ("link_ratio", np.float64),
+        ("motor_ratio", np.float64), ("link_ratio", np.float64), ("reading", np.float64), ("still", np.float64),
         ("predicted", np.float64, SIZE), ("predicted_P", np.float64, (SIZE, SIZE)), ("F", np.float64, (SIZE, SIZE)),
         ("count", np.float64), ("done", np.float64), ("ring", SAMPLE, RING),
         ("times", np.float64, RING), ("external", np.float64, RING),
@@ -41,9 +45,9 @@ FILTER = np.dtype(
     ]
 )  # fmt: skip
 """What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s];
-mean NIS of both encoders; the prediction with its covariance and Jacobian, for a smoother; for a link encoder that is late the
-samples so far, those that are done, a ring of them and of the external torque [N·m]; state and covariance now; innovations
-[rad] and their variances [rad²]; the rest is scratch."""
+mean NIS of both encoders; the motor encoder's last reading [rad] and how long it has been the same [s]; the prediction with its
+covariance and Jacobian, for a smoother; for a link encoder that is late the samples so far, those that are done, a ring of them
+and of the external torque [N·m]; state and covariance now; innovations [rad] and their variances [rad²]; the rest is scratch."""
 SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
 """What is random, and κ, which spreads the sigma points."""
 OUT = np.dtype(
@@ -72,7 +76,30 @@ def filter_step(m, s, c, p, unscented):
         m.now[:] = m.x
         m.now_P[:] = m.P
     torque = model.joint_torque(m.now, s.time, p)
-    return torque, model.torque_variance(m.now, m.now_P, torque, s.time, p, c.noise, m.H)
+    variance = model.torque_variance(m.now, m.now_P, torque, s.time, p, c.noise, m.H)
+    return torque, max(variance, _within_count(m, s, c.noise, p))
+
+
+@kernel
+def _within_count(m, s, noise, p):
+    """Variance of the joint torque [(N·m)²] that the motor encoder leaves while it stays at one count, the joint in equilibrium:
+    wave generator and flexspline in series."""
+    same = s.interval > 0.0 and abs(s.motor_position - m.reading) < 0.5 * noise.motor_step
+    m.still = m.still + s.interval if same else 0.0
+    m.reading = s.motor_position
+    if m.still == 0.0:
+        return 0.0
+    x, kept = m.now, m.now[WAVE]
+    here = model.transmission(x, model.state_of(x, 0.0, s.time, 0.0), p)
+    x[WAVE] += noise.motor_step
+    there = model.transmission(x, model.state_of(x, 0.0, s.time, 0.0), p)
+    x[WAVE] = kept
+    change = there.flexspline_torque - here.flexspline_torque
+    share = here.wave_generator_torque - there.wave_generator_torque
+    if share <= 0.0:
+        return 0.0
+    change /= 1.0 + change * here.ratio / share
+    return min(m.still / _STILL, 1.0) * change * change / 12.0
 
 
 @kernel

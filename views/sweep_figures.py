@@ -57,7 +57,7 @@ def sweep_figure(
       differences: to the reference, paired, instead of means.
     """
     column = metric_column(metric)
-    across, panels = layout(aggregates)
+    across, panels = layout(aggregates, study)
     names = [n for n in study.names if not (differences and n == study.compared_to)]
 
     def found(s: Aggregate) -> Interval | None:
@@ -145,25 +145,22 @@ def sweep_figure(
     return figure
 
 
-def layout(aggregates: Sequence[Aggregate]) -> tuple[str, list[dict[str, Value]]]:
-    """Which axis runs across, and the values of the others, a panel each. Sizes run across, causes have panels.
+def layout(aggregates: Sequence[Aggregate], study: Study) -> tuple[str, list[dict[str, Value]]]:
+    """Which axis runs across, and the values of the others, a panel each. Sizes run across, causes have panels, and of axes
+    that vary filters the first runs across: its filters are lines.
 
     The point without any cause stands at the beginning of every cause's line.
     """
     axes = list(aggregates[0].columns)
     if not axes:
         return "", [{}]
-    across = axes[axes.index("cause") + 1] if "cause" in axes else _first(aggregates, axes)
+    of_filters = next((axis.name for axis in study.filter_axes), axes[0])
+    across = axes[axes.index("cause") + 1] if "cause" in axes else of_filters
     others = [a for a in axes if a != across]
     values = {a: [v for v in dict.fromkeys(s.columns[a] for s in aggregates) if v is not None] for a in others}
     if len(values.get("cause", [])) > 1:
         values["cause"] = [v for v in values["cause"] if v != "none"]
     return across, [dict(zip(others, at, strict=True)) for at in itertools.product(*values.values())]
-
-
-def _first(aggregates: Sequence[Aggregate], axes: Sequence[str]) -> str:
-    """An axis of filters, where there is one: its filters are lines; or else the first."""
-    return next((a for a in axes if any(s.columns[a] is None for s in aggregates)), axes[0])
 
 
 def place_of(

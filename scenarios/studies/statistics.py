@@ -30,7 +30,8 @@ class Aggregate:
 
     Attributes:
       scenario: its name.
-      columns: axis → value, of the plant's and of the filter's axes.
+      columns: axis → value, of the plant's and of the filter's axes; of those that vary the reference alone, the variant of the
+        reference that it is compared to.
       filter: its name.
       runs, failed: how many there are, and how many of them have no measures (diverged).
       values: metric → mean over seeds.
@@ -47,7 +48,10 @@ class Aggregate:
 
 
 def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
-    """What filters are worth in all cells that have rows, one cell in memory at a time."""
+    """What filters are worth in all cells that have rows, one cell in memory at a time.
+
+    A filter stands once beside every variant of the reference that it has to be compared to.
+    """
     design = dataset.design
     for cell in design.cells:
         table = dataset.read(cell.index)
@@ -60,26 +64,32 @@ def aggregate(dataset: Dataset) -> Iterator[Aggregate]:
             column = table[name].to_numpy(zero_copy_only=False).astype(np.float64)
             values[name] = column.reshape(-1, width)  # (runs, variants): rows come run by run
         for i, variant in enumerate(design.variants):
-            other = reference_of(design, i)
-            yield Aggregate(
-                cell.scenario,
-                {**cell.columns, **{a.name: variant.columns.get(a.name) for a in design.study.filter_axes}},
-                variant.name,
-                len(failed),
-                int(failed[:, i].sum()),
-                {name: interval(v[:, i]) for name, v in values.items()},
-                {name: paired(v[:, i], v[:, other]) for name, v in values.items()} if other != i else {},
-            )
+            for other, columns in counterparts(design, i):
+                yield Aggregate(
+                    cell.scenario,
+                    {**cell.columns, **{a.name: columns.get(a.name) for a in design.study.filter_axes}},
+                    variant.name,
+                    len(failed),
+                    int(failed[:, i].sum()),
+                    {name: interval(v[:, i]) for name, v in values.items()},
+                    {name: paired(v[:, i], v[:, other]) for name, v in values.items()} if other != i else {},
+                )
 
 
-def reference_of(design: Design, i: int) -> int:
-    """Which variant the i-th is compared to: the reference with the same settings of the axes, or else its first."""
-    name, columns = design.study.compared_to, design.variants[i].columns
-    same = [j for j, v in enumerate(design.variants) if v.name == name]
-    fitting = [
-        j for j in same if all(columns.get(k, value) == value for k, value in design.variants[j].columns.items())
+def counterparts(design: Design, i: int) -> list[tuple[int, dict[str, Value]]]:
+    """The variants of the reference that the i-th variant is compared to, and where on the filters' axes either stands.
+
+    Those with the same settings of the axes that vary both; of a variant of the reference, itself.
+    """
+    own = design.variants[i]
+    if own.name == design.study.compared_to:
+        return [(i, own.columns)]
+    return [
+        (j, {**other.columns, **own.columns})
+        for j, other in enumerate(design.variants)
+        if other.name == design.study.compared_to
+        and all(own.columns.get(k, value) == value for k, value in other.columns.items())
     ]
-    return (fitting or same)[0]
 
 
 def summary_rows(aggregates: list[Aggregate], design: Design) -> Iterator[dict[str, Any]]:

@@ -52,7 +52,8 @@ def test_a_study_into_a_folder(tmp_path, monkeypatch, capsys):
     text = (folder / "summary.md").read_text()
     assert "## RMS error [N·m]" in text
     assert text.count("| link_sweep |") == (1 + 2) * 2  # points × k
-    assert len((folder / "summary.csv").read_text().splitlines()) == 1 + 3 * 5
+    # Points × (RAREKF with either k, and three filters beside each of these).
+    assert len((folder / "summary.csv").read_text().splitlines()) == 1 + 3 * (2 + 3 * 2)
     pictures = sorted(path.name for path in (folder / "figures").iterdir())
     assert pictures == ["link_sweep_rms.png", "link_sweep_rms_difference.png"]
     assert matplotlib.image.imread(folder / "figures" / pictures[0]).std() > 0.01

@@ -231,6 +231,20 @@ def test_half_of_rarekf_under_pushes():
     assert rms["dynamics_ekf"] <= 0.5 * rms["RAREKF"]
 
 
+def test_at_rest_the_torque_is_told_no_better_than_a_count_tells_it():
+    """The place within the count drifts while the joint rests, and the variance says so: NEES there is about 1 or below."""
+    changes = ["duration=7", "trajectory=[{time: 0.2, position: 0.8}, {time: 3, position: 1.2}]"]
+    scenario, folder = load_scenario("link_sweep", changes)
+    nees = []
+    for seed in range(1, 5):
+        run = simulate_scenario(varied(scenario, seed), folder, seed)
+        found = get("dynamics_ekf").estimate(run.signals, run.known)
+        rest = run.time > 4.0
+        nees.append(float(np.mean((found.mean - run.truth("joint_torque"))[rest] ** 2 / found.variance[rest])))
+    print(f"NEES at rest, seeds 1 to 4: {np.round(nees, 2)}")
+    assert np.mean(nees) < 1.5
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_half_of_rarekf_everywhere(scenario):

@@ -40,7 +40,7 @@ OF_CAUSES = [
 
 
 def test_a_cause_has_a_panel_that_begins_without_any():
-    assert layout(OF_CAUSES) == ("size", [{"cause": "stiffness"}, {"cause": "hysteresis"}])
+    assert layout(OF_CAUSES, CAUSES) == ("size", [{"cause": "stiffness"}, {"cause": "hysteresis"}])
     figure = sweep_figure(OF_CAUSES, CAUSES, "rms")
     panels = [axes for axes in figure.axes if axes.get_visible()]
     assert [axes.get_title(loc="left") for axes in panels] == ["stiffness", "hysteresis"]
@@ -79,7 +79,7 @@ def test_a_filter_that_an_axis_does_not_vary_stands_all_along_it(of_k):
             {"kind": "set", "name": "k", "key": "filters.RAREKF.k", "values": [0, 1]},
         ]
     )
-    assert layout(of_k) == ("k", [{"load": 3.0}, {"load": 9.0}])
+    assert layout(of_k, asked) == ("k", [{"load": 3.0}, {"load": 9.0}])
     figure = sweep_figure(of_k, asked, "rms")
     for axes, load in zip([a for a in figure.axes if a.get_visible()], (3, 9), strict=True):
         ekf, rarekf = (c.lines[0].get_ydata() for c in axes.containers)

@@ -114,7 +114,7 @@ def _charts(study: Study, found: Sequence[Aggregate], metric: str, kinds: dict[s
     charts = []
     for scenario in dict.fromkeys(s.scenario for s in found):
         here = [s for s in found if s.scenario == scenario]
-        across, panels = layout(here)
+        across, panels = layout(here, study)
         places: list[Value | None] = [
             v for v in dict.fromkeys(s.columns.get(across) for s in here) if v is not None
         ] or [None]

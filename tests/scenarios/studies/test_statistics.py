@@ -11,7 +11,8 @@ import pytest
 from scipy import stats
 from small import column, run, study
 
-from flexspline.scenarios.studies.statistics import aggregate, interval, paired, reference_of, write_csv
+from flexspline.scenarios.studies.statistics import aggregate, counterparts, interval, paired, write_csv
+from flexspline.views.sweep_tables import sign_of, sweep_rows
 
 
 def test_an_interval_is_the_one_of_the_t_test(rng):
@@ -59,17 +60,17 @@ def test_a_summary_is_of_its_rows(tmp_path):
     ]
     dataset = run(tmp_path / "a", study(scenarios=["link_sweep"], axes=axes, reference="RAREKF"), jobs=1)
     found = list(aggregate(dataset))
-    assert [(s.filter, s.columns["load"], s.columns["k"]) for s in found[:4]] == [
-        ("EKF", 3.0, None),
-        ("RAREKF", 3.0, 0.0),
-        ("RAREKF", 3.0, 2.0),
-        ("current", 3.0, None),
+    names = ("EKF", "RAREKF", "current")
+    assert [(s.filter, s.columns["load"], s.columns["k"]) for s in found[:6]] == [
+        (name, 3.0, k) for name in names for k in (0.0, 2.0)
     ]
-    ekf = np.array(column(dataset, 0, "EKF", "rms"))
-    assert found[0].values["rms"] == interval(ekf)
-    first = np.array([r["rms"] for r in dataset.read(0).to_pylist() if r["k"] == 0.0])
-    assert found[0].differences["rms"] == paired(ekf, first)
-    assert not found[1].differences and not found[2].differences
+    assert not found[2].differences and not found[3].differences
+    for i, name in ((0, "EKF"), (4, "current")):
+        own = np.array(column(dataset, 0, name, "rms"))
+        for s, k in zip(found[i : i + 2], (0.0, 2.0), strict=True):
+            counterpart = np.array([r["rms"] for r in dataset.read(0).to_pylist() if r["k"] == k])
+            assert s.values["rms"] == interval(own)
+            assert s.differences["rms"] == paired(own, counterpart)
     write_csv(found, dataset.design, tmp_path / "summary.csv")
     with (tmp_path / "summary.csv").open(encoding="utf-8") as file:
         lines = list(csv.DictReader(file))
@@ -79,7 +80,7 @@ def test_a_summary_is_of_its_rows(tmp_path):
 
 
 def test_a_variant_is_compared_with_its_own_counterpart():
-    """With two axes of filters, the reference's variant with the same settings; the reference itself with nothing."""
+    """With two axes of filters, the reference's variants with the same settings, all; the reference itself with nothing."""
 
     def variant(name, **columns):
         return SimpleNamespace(name=name, columns=columns)
@@ -89,4 +90,35 @@ def test_a_variant_is_compared_with_its_own_counterpart():
         variant("RAREKF", W=1.0, k=0.0), variant("RAREKF", W=2.0, k=0.0), variant("RAREKF", W=2.0, k=0.5),
     )  # fmt: skip
     design = SimpleNamespace(study=SimpleNamespace(compared_to="RAREKF"), variants=variants)
-    assert [reference_of(design, i) for i in range(6)] == [3, 4, 3, 3, 4, 5]
+    found = [counterparts(design, i) for i in range(6)]
+    assert [[j for j, _ in some] for some in found] == [[3], [4, 5], [3, 4, 5], [3], [4], [5]]
+    assert [columns for _, columns in found[1]] == [{"W": 2.0, "k": 0.0}, {"W": 2.0, "k": 0.5}]
+
+
+def test_marks_are_against_the_variant_in_the_same_row(tmp_path):
+    """Settings of all filters, and of the reference alone: no mark of a row is of another row's reference."""
+    axes = [
+        {"kind": "set", "name": "W", "key": "filters.*.W", "values": [1e-5, 1e-4]},
+        {"kind": "set", "name": "V", "key": "filters.RAREKF.V", "values": [1e-4, 10.0]},
+    ]
+    dataset = run(
+        tmp_path / "a", study(scenarios=["link_sweep"], axes=axes, metrics=["noise_ratio"], reference="RAREKF"), jobs=1
+    )
+    rows, signs = dataset.read(0).to_pylist(), set()
+    for _, columns, of in sweep_rows(list(aggregate(dataset))):
+        reference = [
+            r["noise_ratio"]
+            for r in rows
+            if r["filter"] == "RAREKF" and all(r[name] == v for name, v in columns.items())
+        ]
+        for name in ("EKF", "current"):
+            own = [
+                r["noise_ratio"]
+                for r in rows
+                if r["filter"] == name and all(r[a] in (v, None) for a, v in columns.items())
+            ]
+            assert len(own) == len(reference) == 3
+            sign = paired(np.array(own), np.array(reference)).sign
+            assert sign_of(of[name], "noise_ratio") == sign, (name, columns)
+            signs.add((name, columns["W"], columns["V"], sign))
+    assert {(V, sign) for name, W, V, sign in signs if name == "EKF" and W == 1e-4} == {(1e-4, -1), (10.0, 1)}
