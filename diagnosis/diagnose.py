@@ -28,7 +28,7 @@ from .search.identifiability import limits
 from .search.settle import why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, search
-from .search.worth import mean_squares, unexplained
+from .search.worth import left_by, mean_squares
 from .uncertainty import stated
 
 
@@ -204,11 +204,9 @@ def _told(outcome: _Outcome) -> Diagnosis:
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
     residual = _balances(problem, found.base, final)
-    verdict, reason = _verdict(
-        problem, findings, residual, outcome.nearly_all, outcome.share < 1.0, useless, found.complete
-    )
+    verdict, reason = _verdict(outcome, findings, residual, useless)
     calibration = parameter_shifts(problem, final)
-    reason = "; ".join(part for part in (reason, _at_the_end(calibration), _holds_back(outcome)) if part)
+    reason = _joined(reason, _at_the_end(calibration), _holds_back(outcome))
     extended_joint = joint
     if outcome.share > 0.0:
         extended_joint = extended(problem, final, joint, outcome.unknown)
@@ -241,7 +239,7 @@ def _told(outcome: _Outcome) -> Diagnosis:
 
 
 def _inflated(problem: Problem, f: Fit) -> Fit:
-    """The fit with standard deviations inflated by its residual's normalised RMS, where more than noise is left (Birge's ratio).
+    """The fit, less sure by its residual's normalised RMS of what the data say where more than noise is left (Birge's ratio).
 
     What no description holds is not random: it leans on the parameters the same way all the time. Small imperfections that look
     like an effect (an encoder's eccentricity like a kinematic error) are part of its size, however well that is known.
@@ -252,8 +250,15 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     for i, h in enumerate(f.model):
         if h.free:
             inexact[problem.place(f.model, i)] = ANSWER.inexact_size if plain else ANSWER.lookalike
-    inflation = 1.0 if plain else min(ratio, ANSWER.inflation)
-    return replace(f, covariance=f.covariance * inflation**2 + np.diag(inexact**2))
+    if plain:
+        return replace(f, covariance=f.covariance + np.diag(inexact**2))
+    # What is known before the data stays known: a friction of which they tell only the product with its tolerance.
+    spread = problem.spread(f.model)
+    known = np.linalg.inv(f.covariance / spread[:, None] / spread) - np.eye(len(spread))
+    values, vectors = np.linalg.eigh(0.5 * (known + known.T))
+    inflation = min(ratio, ANSWER.inflation) ** 2
+    scaled = (vectors / (1.0 + np.maximum(values, 0.0) / inflation)) @ vectors.T
+    return replace(f, covariance=scaled * spread[:, None] * spread + np.diag(inexact**2))
 
 
 def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
@@ -282,13 +287,12 @@ def _holds_back(outcome: _Outcome) -> str:
     worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in outcome.regions if r.worse)
     alike = dict.fromkeys(n for pair in outcome.found.confusable for n in pair)
     names = " or ".join(name.replace("_", " ") for name in alike)
-    told = (
+    return _joined(
         "no numbers within tolerance hold where a fit has not seen the data: they are left as described, and the causes are what "
         "explains most with these",
         f"on regions that were kept from the fit worse than the description in {worse}" if worse else "",
         f"what is left beside may be {names}, which this motion cannot tell apart" if names else "",
     )
-    return "; ".join(part for part in told if part)
 
 
 def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Fit, Search]:
@@ -364,7 +368,7 @@ def _findings(
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, final))
     explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
     real = quiet_rms(problem, final) > ANSWER.quiet
-    left = float(np.sqrt(np.sum(unexplained(problem, final.point))))
+    left = left_by(problem, final) ** 0.5
     findings: list[Finding] = []
     minor: list[Finding] = []
     linear = tamed(problem, final)
@@ -405,7 +409,7 @@ def _findings(
 
 def _explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:
     """Whether a model with causes leaves more of the simulation's error than the calibrated joint, whatever the evidence says."""
-    before, after = (float(np.sum(unexplained(problem, f.point))) for f in (base, final))
+    before, after = (left_by(problem, f) for f in (base, final))
     noise = float(np.sum(mean_squares(problem, base.point.noise)))
     return after > ANSWER.useless * before + (ANSWER.useless - 1) * noise
 
@@ -485,17 +489,21 @@ def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -
         return 0.5
     others = [g for n, g in rivals.others if n != name and _superseded(found, n)]
     best = max([rivals.gain, *others])
-    temper = _temper(found, rivals.gain)
+    temper = _temper(found.quiet[1], rivals.gain)
     weights = [np.exp((g - best) / temper) for g in others]
     own = float(np.exp((rivals.gain - best) / temper))
-    none = float(np.exp(-(best - 3.5) / (ANSWER.temper + ANSWER.inexact * min(rivals.gain, 500.0))))
+    none = float(np.exp(-(best - 3.5) / _temper(1.0, rivals.gain)))
     p = rivals.share * own / (own + sum(weights) + none)
     return float(min(p, ANSWER.surest if unknown is None else ANSWER.beside))
 
 
-def _temper(found: Search, gain: float) -> float:
-    """What differences of log evidence between rivals are divided by: what no description holds decides nothing between them."""
-    beside = float(np.clip(found.quiet[1], 1.0, ANSWER.inflation))
+def _temper(quiet: float, gain: float) -> float:
+    """What differences of log evidence are divided by: what no description holds decides nothing between rivals.
+
+    Args:
+      quiet: normalised RMS of what is left against the sensors' noise.
+    """
+    beside = float(np.clip(quiet, 1.0, ANSWER.inflation))
     return beside * (ANSWER.temper + ANSWER.inexact * min(gain, 500.0 * beside**2))
 
 
@@ -509,7 +517,7 @@ def _close(found: Search) -> list[tuple[str, str]]:
     pairs = []
     for r in found.rivals:
         for name, gain in r.others:
-            if gain > r.gain - 3 * _temper(found, r.gain) and _superseded(found, name):
+            if gain > r.gain - 3 * _temper(found.quiet[1], r.gain) and _superseded(found, name):
                 pairs.append((r.cause, name))
         if r.share < ANSWER.plain_share:
             special = causes.get(r.cause).generalises
@@ -518,21 +526,17 @@ def _close(found: Search) -> list[tuple[str, str]]:
 
 
 def _verdict(
-    problem: Problem,
-    findings: list[Finding],
-    residual: dict[str, BalanceResidual],
-    nearly_all: bool,
-    taken_back: bool,
-    useless: bool,
-    complete: bool,
+    outcome: _Outcome, findings: list[Finding], residual: dict[str, BalanceResidual], useless: bool
 ) -> tuple[str, str]:
     """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent.
 
     Args:
-      taken_back: whether not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
       useless: whether the causes leave no less unexplained than calibration alone.
-      complete: whether there was time for all stages: nothing found is no answer otherwise.
     """
+    problem = outcome.problem
+    taken_back = (
+        outcome.share < 1.0
+    )  # not all that the fit found is in the joint of which `residual` is: no noise, what that leaves
     rated = problem.joint.numbers["rated_torque"].value
     scale = dict(zip(BALANCES, problem.output_scale, strict=True))
     times, worth = (ANSWER.far, ANSWER.worth) if findings or not taken_back else (ANSWER.near, 0.0)
@@ -544,22 +548,22 @@ def _verdict(
         f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise"
         for name, r in far
     )
-    late = "" if complete else "time was up before every stage was done: with more, more may be found"
+    late = "" if outcome.found.complete else "time was up before every stage was done: with more, more may be found"
     if useless:
-        nothing = "the causes named leave no less unexplained than calibration alone"
-        return "inconclusive", "; ".join(part for part in (nothing, late, left) if part)
+        return "inconclusive", _joined("the causes named leave no less unexplained than calibration alone", late, left)
     if findings:
-        beside = f"beside the causes named, {left}" if far else ""
-        return "discrepancy", "; ".join(part for part in (late, beside) if part)
-    if nearly_all:
-        return "inconclusive", "; ".join(
-            part for part in ("nearly all causes could not have shown", late, left) if part
-        )
+        return "discrepancy", _joined(late, f"beside the causes named, {left}" if far else "")
+    if outcome.nearly_all:
+        return "inconclusive", _joined("nearly all causes could not have shown", late, left)
     if late:
-        return "inconclusive", "; ".join(part for part in (late, left) if part)
+        return "inconclusive", _joined(late, left)
     if far:
         return "inconclusive", left if taken_back else f"no known cause explains the residual; {left}"
     return "consistent", ""
+
+
+def _joined(*parts: str) -> str:
+    return "; ".join(part for part in parts if part)
 
 
 def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResidual]:

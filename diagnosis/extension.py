@@ -25,7 +25,7 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
         number = slot.number
         shared = problem.joint.shared_tolerances[number.shared] if number.shared else 0.0
         tolerance = float(np.hypot(np.hypot(number.tolerance, shared), number.deviation))
-        prior = float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
+        prior = c.deviation(slot)
         if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
             unit = "" if number.unit == "1" else number.unit
             moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit, (value - number.value) / prior)

@@ -84,6 +84,12 @@ class Calibration:
             value = max(value, 0.0 if may_be_zero(slot.name) else _LEAST_SHARE * number.value)
         return float(value)
 
+    def deviation(self, slot: Slot) -> float:
+        """Standard deviation of one number by its own and its shared tolerance, in its unit."""
+        number = slot.number
+        shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
+        return float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
+
     def record(self, x: np.ndarray, mounting: Mounting | None = None, effects: bool = True) -> np.ndarray:
         """Parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or without."""
         mounting = self.joint.mount() if mounting is None else mounting
@@ -107,9 +113,7 @@ class Calibration:
         nominal = self.record(np.zeros(self.size), mounting)
         allowed = np.zeros(1, record.dtype)
         for slot in self.slots:
-            number = slot.number
-            shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
-            deviation = np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation)
+            deviation = self.deviation(slot)
             if slot.index >= 0:
                 allowed[0][slot.field][slot.index] = within * deviation
             else:

@@ -16,8 +16,10 @@ O'Hagan 2001 is the idea of a discrepancy that is learned; the state-space form 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 
@@ -280,7 +282,8 @@ def haar(x: np.ndarray, use: np.ndarray, scales: Sequence[int]) -> tuple[np.ndar
     return energy, number
 
 
-def haar_of_band(time: float, scales: Sequence[int]) -> np.ndarray:
+@cache
+def haar_of_band(time: float, scales: tuple[int, ...]) -> np.ndarray:
     """Mean squares of the Haar wavelets of an Ornstein–Uhlenbeck process of unit variance, shape (scales,)."""
     rho = np.exp(-INTERVAL / time)
     found = []
@@ -292,7 +295,12 @@ def haar_of_band(time: float, scales: Sequence[int]) -> np.ndarray:
     return np.array(found)
 
 
-def sensor_noise(segments: Sequence[Segment], replicates: Sequence[np.ndarray], settings: NoiseSettings = SETTINGS):
+Sensors = tuple[tuple[AutoregressiveNoise, ...], ...]
+
+
+def sensor_noise(
+    segments: Sequence[Segment], replicates: Sequence[np.ndarray], settings: NoiseSettings = SETTINGS
+) -> Sensors:
     """Sensor noise by segment and balance, from what replicates add to the residuals, shape (k, len(BALANCES)) each."""
     found = []
     for segment, n in zip(segments, replicates, strict=True):
@@ -345,6 +353,7 @@ def learn(
     quantum: np.ndarray,
     spread: Sequence[np.ndarray] | None = None,
     settings: NoiseSettings = SETTINGS,
+    sensors: Sensors | None = None,
 ) -> Noise:
     """Learn noise and model discrepancy from what a model leaves: expectation–maximisation, its last step.
 
@@ -354,8 +363,9 @@ def learn(
       quantum: what the rotor encoder's quantisation rms leaves in each balance at rest, shape (len(BALANCES),).
       spread: columns of what the residual may still be off as the parameters are uncertain, shape (k, len(BALANCES), m):
         Jacobian times a root of the posterior covariance. Without it what the fit has taken away is not counted.
+      sensors: `sensor_noise` of the replicates, where it is known already.
     """
-    sensors = sensor_noise(segments, replicates, settings)
+    sensors = sensor_noise(segments, replicates, settings) if sensors is None else sensors
     scales = settings.scales
     shapes = np.stack([haar_of_band(t, scales) for t in settings.bands], axis=1)
     discrepancy = np.zeros((len(BALANCES), len(settings.bands)))
@@ -405,15 +415,32 @@ def _variances(energy: np.ndarray, known: np.ndarray, number: np.ndarray, shapes
     """
     known = np.maximum(known, 1e-18)
     v = np.full(shapes.shape[1], max(float(np.mean(np.maximum(energy - known, 0.0))), 1e-18))
-    for _ in range(200):
-        model = known + shapes @ v
-        up = shapes.T @ (number * energy / model**2)
-        down = shapes.T @ (number / model)
-        before = v
-        v = v * np.sqrt(up / down)
-        if np.all(np.abs(v - before) < 1e-4 * (v + 1e-18)):
-            break
+    _likeliest(energy, known, number, np.ascontiguousarray(shapes), v)
     return v
+
+
+@kernel
+def _likeliest(energy, known, number, shapes, v):
+    """Let variances v take at most 200 multiplicative steps."""
+    n, m = shapes.shape
+    up, down = np.zeros(m), np.zeros(m)
+    for _ in range(200):
+        up[:] = 0.0
+        down[:] = 0.0
+        for i in range(n):
+            model = known[i]
+            for j in range(m):
+                model += shapes[i, j] * v[j]
+            for j in range(m):
+                up[j] += shapes[i, j] * number[i] * energy[i] / model**2
+                down[j] += shapes[i, j] * number[i] / model
+        still = True
+        for j in range(m):
+            after = v[j] * math.sqrt(up[j] / down[j])
+            still = still and abs(after - v[j]) < 1e-4 * (after + 1e-18)
+            v[j] = after
+        if still:
+            break
 
 
 def normalised_rms(segments: Sequence[Segment], noise: Noise, residuals: Sequence[np.ndarray]) -> float:

@@ -53,11 +53,13 @@ INNER = np.dtype(
 READ_OUT = (
     "Jm", "Kt", "Kt_drive", "bm", "R", "L", "supply_voltage", "current_limit", "bl", "Jl", "Mg", "gravity_angle",
     "cogging_order", "cogging_amplitude", "cogging_phase", "cable_stiffness", "cable_rest", "stop_angle",
-    "stop_stiffness", "current_offset", "torque_gain", "torque_offset", "torque_rate",
+    "stop_stiffness", "flexible_share", "flexible_frequency", "flexible_damping", "current_offset", "torque_gain",
+    "torque_offset", "torque_rate",
 )  # fmt: skip
 """Numbers that change what the sensors read, but nothing inside a transmission whose both ends move as measured."""
 _LINK_NUMBERS = (
-    "bl", "Jl", "Mg", "gravity_angle", "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness",
+    "bl", "Jl", "Mg", "gravity_angle", "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness", "flexible_share",
+    "flexible_frequency", "flexible_damping",
 )  # fmt: skip
 """Of these, numbers that do change it where the link's motion is simulated."""
 
@@ -166,7 +168,7 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
                 w = vm1
             if p.hysteresis_torque != 0.0:
                 dahl = laws.dahl_step(dahl, w_middle * t.ratio - vl, h, p)
-        if p.flexible_share > 0.0:
+        if p.flexible_share > 0.0 and not measured:
             phi, phi_rate = laws.flexible_step(phi, phi_rate, al0, al1, h, p)
         end = dynamics.transmission(
             State(m1, vm1, theta_w, w, l1, vl1, z, dahl, 0.0, time[i], temperature[i]), p, passband
@@ -185,9 +187,13 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
 
 
 @kernel
-def _readings(p, time, temperature, torque, external, stiffness, inner, passband, every, window, out):
-    """Means of current reading, torque reading and link balance; fills out, shape (k, len(BALANCES))."""
+def _readings(p, time, temperature, torque, measured, external, stiffness, inner, passband, h, every, window, out):
+    """Means of current reading, torque reading and link balance; fills out, shape (k, len(BALANCES)).
+
+    Where the link's motion is measured, the part that hangs on it by a spring moves here: it does nothing inside.
+    """
     n = len(time)
+    phi, phi_rate, before = 0.0, 0.0, 0.0
     out[:] = 0.0
     weights = np.zeros(len(out))
     has_torque = len(torque) > 0
@@ -205,7 +211,12 @@ def _readings(p, time, temperature, torque, external, stiffness, inner, passband
         )  # fmt: skip
         Ts = s.flexspline_torque - p.bl * s.link_velocity
         balance = dynamics.link_torque(state, s.load, p) + external[i]
-        balance += laws.flexible_torque(s.flexible_position, s.flexible_velocity, p)
+        if not measured:
+            phi, phi_rate = s.flexible_position, s.flexible_velocity
+        elif p.flexible_share > 0.0:
+            phi, phi_rate = laws.flexible_step(phi, phi_rate, before, s.link_acceleration, h, p)
+            before = s.link_acceleration
+        balance += laws.flexible_torque(phi, phi_rate, p)
         balance -= (p.Jl - laws.flexible_inertia(p)) * s.link_acceleration
         # The link's balance as the torque sensor reads it: in these units its noise is the same at all parameters. Without one
         # the noise is the torsion's, which the stiffness scales: at the described stiffness it stays the same.
@@ -255,8 +266,9 @@ def replay(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None
     out = np.empty((len(segment.at), len(BALANCES)))
     every = round(STEP * DECIMATION / segment.step)
     _readings(
-        record[0], segment.time, segment.temperature, segment.torque, segment.external, segment.stiffness, inner,
-        segment.passband, every, WINDOW[:: DECIMATION // every], out,
+        record[0], segment.time, segment.temperature, segment.torque, segment.link_measured, segment.external,
+        segment.stiffness, inner,
+        segment.passband, segment.step, every, WINDOW[:: DECIMATION // every], out,
     )  # fmt: skip
     return out
 
@@ -266,8 +278,9 @@ def readings(segment: Segment, record: np.ndarray, inner: np.ndarray | None = No
     inner = transmission(segment, record) if inner is None else inner
     out = np.empty((len(segment.time), len(BALANCES)))
     _readings(
-        record[0], segment.time, segment.temperature, segment.torque, segment.external, segment.stiffness, inner,
-        segment.passband, 1, np.ones(1), out,
+        record[0], segment.time, segment.temperature, segment.torque, segment.link_measured, segment.external,
+        segment.stiffness, inner,
+        segment.passband, segment.step, 1, np.ones(1), out,
     )  # fmt: skip
     return out
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from ..data.segments import BALANCES
 from .noise import SETTINGS as NOISE
-from .noise import Noise, NoiseSettings, White, learn, rows_of, whiten
+from .noise import Noise, NoiseSettings, White, learn, rows_of, sensor_noise, whiten
 from .residual import Model, Problem
 
 
@@ -33,6 +33,7 @@ class SolverSettings:
       tolerance: a fit ends when the objective (in units of χ²) changes by less.
       good: share of the expected change of the objective below which derivatives are computed anew.
       far: step of a calibration variable [standard deviations] after which they are, too.
+      chord: change of an effect's coordinates since its derivatives were computed after which they are computed anew.
       noisy: share of the noise in the whitened energy from which on it is taken out (errors in variables).
       chance: standard deviations of the difference of two sums of squares below zero that still count as nothing.
       leverage: a residual whose derivative in a common unknown is so many times the usual one counts as much less: where the
@@ -45,6 +46,7 @@ class SolverSettings:
     tolerance: float = 0.5
     good: float = 0.7
     far: float = 0.5
+    chord: float = 0.1
     noisy: float = 0.15
     chance: float = 6.0
     leverage: float = 20.0
@@ -290,12 +292,61 @@ def noise_share(problem: Problem, noise: Noise, point: Point) -> float:
     return float(energy[1] / max(energy[0], 1e-300))
 
 
+class _Effects:
+    """Derivatives in a model's effects, each computed anew where its coordinates have moved.
+
+    Args:
+      chord: change of a coordinate after which they are.
+      near: a fit whose derivatives serve where its coordinates are near.
+    """
+
+    def __init__(self, problem: Problem, model: Model, chord: float, near: Fit | None):
+        self.problem, self.model, self.chord = problem, model, chord
+        self.columns: list[Columns | None] = [None] * len(model)
+        self.at = [np.full(h.size, np.inf) for h in model]
+        for i, h in enumerate(model):
+            j = None if near is None else next((j for j, g in enumerate(near.model) if g is h), None)
+            if near is not None and j is not None:
+                block = problem.place(near.model, j)
+                self.columns[i], self.at[i] = [J[..., block] for J in near.jacobian], near.theta[block]
+
+    def beside(self, common: Columns, theta: np.ndarray) -> Columns:
+        """The derivatives in the common unknowns, and beside them those in the effects at `theta`."""
+        parts = [common]
+        for i, h in enumerate(self.model):
+            block = self.problem.place(self.model, i)
+            columns = self.columns[i]
+            if columns is None or not self._near(i, theta[block]):
+                if hasattr(h, "derivatives"):
+                    columns = h.derivatives(self.problem, theta, self.model)
+                else:
+                    columns = self.problem.jacobian(theta, self.model, np.arange(block.start, block.stop))
+                self.columns[i], self.at[i] = columns, theta[block].copy()
+            parts.append(columns)
+        return common if len(parts) == 1 else [np.concatenate(p, -1) for p in zip(*parts, strict=True)]
+
+    def forget(self, theta: np.ndarray) -> bool:
+        """Let what was not computed at `theta` be computed anew; whether there was any."""
+        old = [i for i in range(len(self.model)) if not self._exact(i, theta)]
+        for i in old:
+            self.columns[i] = None
+        return bool(old)
+
+    def _near(self, index: int, u: np.ndarray) -> bool:
+        # An effect that gives its own derivatives is linear in its coordinates.
+        linear = hasattr(self.model[index], "derivatives")
+        return linear or bool(np.all(np.abs(u - self.at[index]) <= self.chord))
+
+    def _exact(self, index: int, theta: np.ndarray) -> bool:
+        u = theta[self.problem.place(self.model, index)]
+        return hasattr(self.model[index], "derivatives") or bool(np.array_equal(u, self.at[index]))
+
+
 class Fitter:
     """Fits models of one problem, and keeps what neighbouring fits have in common.
 
-    Derivatives in the common unknowns cost as many replays as there are of them: they are computed where a fit has moved far, and
-    taken over from the fit that it began at otherwise (the chord method). The derivatives in a model's effects are always its
-    own.
+    Derivatives cost as many replays as there are unknowns: they are computed where a fit has moved far, and taken over from the
+    fit that it began at otherwise (the chord method).
 
     Args:
       noise: of the model discrepancy that is learned.
@@ -311,14 +362,17 @@ class Fitter:
         near: Fit | None = None,
         iterations: int = 8,
         sensors: Columns | None = None,
+        *,
+        anew: bool | None = None,
     ) -> Fit:
         """Fit a model by damped Gauss–Newton from `theta`, the noise learned anew before every step.
 
         The noise's share is left in (`polish` takes it out): fits are compared by a log evidence from which it is taken.
 
         Args:
-          near: a fit whose derivatives in the common unknowns serve; without it they are computed as often as a step is larger
-            than they are good for.
+          near: a fit whose derivatives in the common unknowns serve, and in the effects that both have; without it they are
+            computed as often as a step is larger than they are good for.
+          anew: whether derivatives in the common unknowns are computed anew as the fit moves far; as said without `near`.
           sensors: what the noise replicates add to the residuals of the fit that others are compared with: sensor noise is then
             the same for all of them.
         """
@@ -332,8 +386,10 @@ class Fitter:
             replicates = [b - a for a, b in zip(residual, other, strict=True)]
         history: list[float] = []
         common = None if near is None else [j[..., : problem.size] for j in near.jacobian]
+        sensed = sensor_noise(problem.segments, replicates, self.noise)
         fresh, damping = near is None, 0.0
-        jacobian: Columns = []
+        anew = near is None if anew is None else anew
+        effects = _Effects(problem, model, settings.chord, near)
         for _ in range(iterations):
             if fresh:
                 columns = (
@@ -341,8 +397,8 @@ class Fitter:
                 )
                 common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
             assert common is not None
-            jacobian = self._with_effects(model, theta, common, jacobian or None)
-            noise = learn(problem.segments, residual, replicates, problem.quantum(), settings=self.noise)
+            jacobian = effects.beside(common, theta)
+            noise = learn(problem.segments, residual, replicates, problem.quantum(), None, self.noise, sensed)
             normal = normal_equations(
                 problem, noise, model, theta, Point(residual, replicates), jacobian, None, settings
             )
@@ -359,7 +415,9 @@ class Fitter:
                     break
                 damping = max(8 * damping, 1e-2)
             if not accepted:
-                if fresh or near is not None:
+                if effects.forget(theta):
+                    continue
+                if fresh or not anew:
                     break
                 fresh = True
                 continue
@@ -369,14 +427,15 @@ class Fitter:
             if cost - after < settings.tolerance:
                 break
             good = cost - after > settings.good * expected
-            fresh = near is None and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
+            fresh = anew and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
         # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
         assert common is not None
-        jacobian = self._with_effects(model, theta, common, jacobian or None)
+        jacobian = effects.beside(common, theta)
         other = problem.residuals([theta], [model], replicate=True)[0]
         own = [b - a for a, b in zip(residual, other, strict=True)]
-        sensors = own if sensors is None else sensors
-        noise = learn(problem.segments, residual, sensors, problem.quantum(), settings=self.noise)
+        if sensors is None:
+            sensors, sensed = own, sensor_noise(problem.segments, own, self.noise)
+        noise = learn(problem.segments, residual, sensors, problem.quantum(), None, self.noise, sensed)
         return self.finish(model, theta, Point(residual, own), jacobian, None, noise, tuple(history))
 
     def polish(self, f: Fit, iterations: int = 4) -> Fit:
@@ -411,19 +470,6 @@ class Fitter:
         found = self.finish(f.model, theta, point, jacobian, extra, noise, tuple(history))
         # Where the corrected equations and the corrected objective disagree, neither is right to better than that.
         return replace(found, covariance=found.covariance + np.outer(refused, refused))
-
-    def _with_effects(self, model: Model, theta: np.ndarray, common: Columns, known: Columns | None = None) -> Columns:
-        """Derivatives in the common unknowns and in a model's effects; of those that give their own, the `known` ones."""
-        parts = [common]
-        for i, h in enumerate(model):
-            block = self.problem.place(model, i)
-            if not hasattr(h, "derivatives"):
-                parts.append(self.problem.jacobian(theta, model, np.arange(block.start, block.stop)))
-            elif known is not None and known[0].shape[-1] >= block.stop:
-                parts.append([j[..., block] for j in known])
-            else:  # it is linear in them
-                parts.append(h.derivatives(self.problem, theta, model))
-        return common if len(parts) == 1 else [np.concatenate(p, -1) for p in zip(*parts, strict=True)]
 
     def _cost(
         self,

@@ -41,7 +41,10 @@ class AcceptSettings:
         would do is then asked of fits without the noise's share (`_at_the_edge`), of `polish` iterations.
       lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps may have gone
         astray, or slow discrepancy holds what the numbers would: it is then fitted both ways, to the end.
-      most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model.
+      most: causes at once; rounds: of them fitted through the replay before the others are selected in the linear model;
+        rounds_again: selections after one from which a cause of `large` size was taken back, or that left a number in doubt.
+      close: part of a cause's gain that a rival must have gained for both to be compared again beside all other causes;
+        contested: part of its ordinary size from which on a cause is.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
     """
@@ -71,6 +74,9 @@ class AcceptSettings:
     lost: float = 2.25
     most: int = 5
     rounds: int = 3
+    rounds_again: int = 1
+    close: float = 0.5
+    contested: float = 0.12
     gross: float = 60.0
     coarse: tuple[float, ...] = (-1.5, -0.7, 0.4, 0.7, 1.0, 1.5)
 

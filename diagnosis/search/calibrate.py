@@ -12,7 +12,7 @@ from ..fit.noise import EVEN
 from ..fit.residual import REACH, Model, Problem
 from ..fit.solver import Fit, Fitter
 from ..fit.tare import tared
-from .worth import unexplained
+from .worth import left_by
 
 
 @dataclass(frozen=True)
@@ -43,21 +43,24 @@ def calibrate(problem: Problem, fitter: Fitter, settings: CalibrateSettings = SE
     return better_of_both(fitter, (), start, settings)
 
 
-def better_of_both(fitter: Fitter, model: Model, start: np.ndarray, settings: CalibrateSettings = SETTINGS) -> Fit:
+def better_of_both(
+    fitter: Fitter, model: Model, start: np.ndarray, settings: CalibrateSettings = SETTINGS, near: Fit | None = None
+) -> Fit:
     """The better of two fits: by annealing from `start`, and on from least squares.
 
     A slow discrepancy can hold what parameters would: gravity and friction then decide nothing, and the likelihood has a second
     maximum with much of it. Whatever the likelihood says, a simulation that is off by several times as much is no calibration.
     """
-    annealed = fitter.fit(model, start, iterations=settings.iterations)
+    annealed = fitter.fit(model, start, near, settings.iterations, anew=True)
     fast, slow = np.split(annealed.noise.discrepancy, [2], axis=1)
     if np.all(slow.max(axis=1) <= settings.slow * fast.max(axis=1)):
         return annealed
-    quick = Fitter(fitter.problem, fitter.settings, EVEN).fit(model, start, iterations=settings.iterations)
-    other = fitter.fit(model, quick.theta, iterations=settings.iterations)
+    least_squares = Fitter(fitter.problem, fitter.settings, EVEN)
+    quick = least_squares.fit(model, annealed.theta, annealed, settings.iterations, anew=True)
+    other = fitter.fit(model, quick.theta, quick, settings.iterations, anew=True)
 
     def error(f: Fit) -> float:
-        return float(np.sqrt(np.sum(unexplained(fitter.problem, f.point))))
+        return left_by(fitter.problem, f) ** 0.5
 
     if error(other) > settings.plainly * error(quick):
         other = fitter.fit(model, quick.theta, iterations=1)  # further on, slow discrepancy takes over here too

@@ -200,7 +200,7 @@ def _beside(
     decisions: list[Decision] = []
     near: list[_Explanation] = []
     for e in sorted(found, key=lambda e: -e.gain):
-        if near and e.gain < near[0].gain - _margin(near[0].gain, settings):
+        if near and e.gain < near[0].gain - _margin(near[0].gain, settings, accept):
             reason = f"adds {near[0].gain - e.gain:.0f} less to the log evidence than {_told(near[0].names)}"
         else:
             reason = _objection_beside(problem, base, e, settings, accept)
@@ -269,17 +269,18 @@ def _numbers(problem: Problem, effects: Sequence[Hypothesis]) -> int:
     return free
 
 
-def _margin(gain: float, settings: SearchSettings) -> float:
+def _margin(gain: float, settings: SearchSettings, accept: DescribedSettings) -> float:
     """Log evidence by which explanations must differ to be told apart."""
-    return max(settings.accept.threshold, DESCRIBED.margin * gain)
+    return max(settings.accept.threshold, accept.margin * gain)
 
 
 def _objection_beside(
     problem: Problem, base: Fit, e: _Explanation, settings: SearchSettings, accept: DescribedSettings
 ) -> str:
     """Why an explanation beside the first cause is not accepted; empty where it is."""
-    if e.gain < e.alone + _margin(e.gain, settings):
-        return f"adds {e.gain - e.alone:.1f} to the log evidence of one of them alone, needs {_margin(e.gain, settings):.1f}"
+    needed = _margin(e.gain, settings, accept)
+    if e.gain < e.alone + needed:
+        return f"adds {e.gain - e.alone:.1f} to the log evidence of one of them alone, needs {needed:.1f}"
     if reason := _takes_too_little(problem, base, e.fit, accept.beside, accept):
         return reason
     regions = held_out_regions(problem, e.fit, described=base.point.residual)

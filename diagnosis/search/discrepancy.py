@@ -22,7 +22,7 @@ from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight
 from .screen import plain_noise
-from .worth import mean_squares, unexplained
+from .worth import left_by, mean_squares
 
 COMPONENT = {
     "rotor": "motor", "mesh": "transmission", "flexspline": "transmission", "link": "link",
@@ -258,7 +258,6 @@ def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[
     """Every place and variable that this measurement can show."""
     rated = problem.joint.numbers["rated_torque"].value / 16.0
     numbers = problem.joint.numbers
-    constant = numbers["N"].value * numbers["Kt"].value
     found = []
     for variable in VARIABLES:
         low, high = _range(variable, problem)
@@ -277,7 +276,6 @@ def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[
             elif place != "link_position":
                 unit *= rated
             found.append(Spline(place, variable, low, high, settings.knots[variable], unit))
-    del constant
     return found
 
 
@@ -354,7 +352,9 @@ class _Plain:
                 found.append(x[use][:: self.thin, b] / self.rms[b])
         return np.concatenate(found)
 
-    def candidate(self, spline: Spline, columns: Columns, without: tuple[int, ...], penalty: float) -> Candidate:
+    def candidate(
+        self, spline: Spline, columns: Columns, without: tuple[int, ...], settings: DiscrepancySettings
+    ) -> Candidate:
         """A spline in the place of some of the model's causes."""
         problem, at = self.problem, self.at
         B = self._rows(columns) * self.root[:, None]
@@ -377,8 +377,7 @@ class _Plain:
         scaled = H / np.sqrt(precision)[:, None] / np.sqrt(precision)
         cost = np.linalg.slogdet(scaled)[1] - np.linalg.slogdet(scaled[:n, :n])[1]
         score = 0.5 * len(r) * np.log(np.sum(self.rows[:, 0] ** 2) / np.sum(left**2)) - 0.5 * cost
-        if spline.place not in _USUAL[spline.variable]:
-            score -= penalty
+        score -= _odds(spline, settings)
         shift = np.zeros(len(at.theta))
         shift[kept] = solution[:n]
         shift[gone] = -at.theta[gone]
@@ -405,8 +404,8 @@ def find(
     if not np.any(problem.records(chosen.theta, chosen.model)[0][0]["discrepancy_place"] == 0):
         return None
     rated = problem.joint.numbers["rated_torque"].value
-    left = float(np.sum(unexplained(problem, chosen.point)))
-    explained = float(np.sum(unexplained(problem, base.point))) - left
+    left = left_by(problem, chosen)
+    explained = left_by(problem, base) - left
     floor = settings.noise * float(np.sum(mean_squares(problem, chosen.point.noise)))
     least = max((settings.worth * rated) ** 2, 0.0) if left > floor else np.inf
     drops = _drops(problem, chosen)
@@ -416,7 +415,7 @@ def find(
     tried: list[Candidate] = []
     for spline in splines(problem, settings):
         columns = columns_of(problem, chosen.theta, chosen.model, spline)
-        tried += [plain.candidate(spline, columns, without, settings.penalty) for without in drops]
+        tried += [plain.candidate(spline, columns, without, settings) for without in drops]
     best: Unknown | None = None
     for without in drops:
         least_share = settings.likely * (settings.gain if without else settings.share)
@@ -432,8 +431,12 @@ def find(
 
 def _score(found: Unknown, settings: DiscrepancySettings) -> float:
     """Log evidence with the prior odds of the place: a torque once a turn of the rotor and an error of the current look alike."""
-    usual = found.spline.place in _USUAL[found.spline.variable]
-    return found.fit.log_evidence - (0.0 if usual else settings.penalty)
+    return found.fit.log_evidence - _odds(found.spline, settings)
+
+
+def _odds(spline: Spline, settings: DiscrepancySettings) -> float:
+    """Log evidence that an effect must add where its variable does not usually act."""
+    return 0.0 if spline.place in _USUAL[spline.variable] else settings.penalty
 
 
 def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
@@ -476,21 +479,17 @@ def _refined(
     index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
     model: Model = tuple(chosen.model[i] for i in kept)
     start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
-    near = replace(chosen, jacobian=[J[..., index] for J in chosen.jacobian])
+    near = replace(chosen, model=model, theta=chosen.theta[index], jacobian=[J[..., index] for J in chosen.jacobian])
     f = fitter.fit((*model, candidate.spline), start, near, 4, chosen.point.noise)  # type: ignore[arg-type]
-    before = float(np.sum(unexplained(problem, chosen.point)))
-    needed = settings.penalty
-    if candidate.spline.place not in _USUAL[candidate.spline.variable]:
-        needed += settings.penalty
+    before, after = left_by(problem, chosen), left_by(problem, f)
+    needed = settings.penalty + _odds(candidate.spline, settings)
     if candidate.without:
         # What takes the place of known causes must be clearly better than they are.
         needed += settings.penalty
-    plainly = float(np.sum(unexplained(problem, f.point))) < (1 - settings.share) * before
-    if plainly and f.log_evidence - chosen.log_evidence <= needed:
-        f = fitter.fit(
-            f.model, f.theta, None, 6, chosen.point.noise
-        )  # far from where the common derivatives were taken
-    after = float(np.sum(unexplained(problem, f.point)))
+    if after < (1 - settings.share) * before and f.log_evidence - chosen.log_evidence <= needed:
+        # Far from where the common derivatives were taken.
+        f = fitter.fit(f.model, f.theta, None, 6, chosen.point.noise)
+        after = left_by(problem, f)
     gain = f.log_evidence - chosen.log_evidence
     if gain <= (0.0 if settings.lost * after < before else needed):
         return None

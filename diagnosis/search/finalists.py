@@ -15,7 +15,7 @@ from ..fit.tare import roughness, tared
 from .acceptance import AcceptSettings, Decision, Rivals, held_out_cost, quiet_rms, significance, size_of
 from .calibrate import hand_over
 from .screen import Screened
-from .worth import unexplained
+from .worth import left_by
 
 
 @dataclass(frozen=True)
@@ -96,7 +96,7 @@ def ranked(fitted: Sequence[Finalist]) -> list[Finalist]:
 
 def explains_little(problem: Problem, base: Fit, f: Finalist, settings: AcceptSettings) -> bool:
     """Whether a finalist takes away but a little of what is not explained."""
-    return f.removed < settings.little * float(np.sum(unexplained(problem, base.point)))
+    return f.removed < settings.little * left_by(problem, base)
 
 
 def coarse_finalists(
@@ -143,7 +143,7 @@ def _coarse_starts(
 
 def as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
     """A fit beside the one that it was made on."""
-    removed = float(np.sum(unexplained(problem, base.point)) - np.sum(unexplained(problem, f.point)))
+    removed = left_by(problem, base) - left_by(problem, f)
     return Finalist(f, f.log_evidence - base.log_evidence, removed)
 
 
@@ -151,7 +151,7 @@ def first_cause(
     problem: Problem, base: Fit, screened: Sequence[Screened], fitted: Sequence[Finalist], settings: AcceptSettings
 ) -> tuple[list[Decision], Finalist | None]:
     """The first cause: of the finalists that the data speak for, the one that is worth most."""
-    reasons = {id(f): _objection(problem, base, f, settings) for f in fitted}
+    reasons = {id(f): objection(problem, base, f, settings) for f in fitted}
     good = [f for f in fitted if not reasons[id(f)]]
     chosen = max(good, key=lambda f: f.removed, default=None)
     if chosen is not None:
@@ -161,7 +161,7 @@ def first_cause(
         # Two causes that are well known may stand for one that is not.
         nearly = replace(settings, significant=settings.nearly)
         better = [f for f in fitted if f.gain > chosen.gain and f.removed > chosen.removed and reasons[id(f)]]
-        chosen = next((f for f in better if not _objection(problem, base, f, nearly)), chosen)
+        chosen = next((f for f in better if not objection(problem, base, f, nearly)), chosen)
     decisions = []
     for f in fitted:
         h, reason = f.fit.model[-1], reasons[id(f)]
@@ -194,7 +194,7 @@ def not_fitted(s: Screened, settings: AcceptSettings, stage: str) -> Decision:
     )
 
 
-def _objection(problem: Problem, base: Fit, f: Finalist, settings: AcceptSettings) -> str:
+def objection(problem: Problem, base: Fit, f: Finalist, settings: AcceptSettings) -> str:
     """Why a finalist is not to be accepted; empty where nothing speaks against it."""
     if f.gain <= settings.threshold:
         return f"adds {f.gain:.1f} to the log evidence, must add more than {settings.threshold:g}"

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..data.segments import BALANCES
 from ..fit.coordinates import Hypothesis
-from ..fit.noise import AutoregressiveNoise, Noise, learn, whiten
+from ..fit.noise import AutoregressiveNoise, Noise, Sensors, learn, sensor_noise, whiten
 from ..fit.residual import Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import (
@@ -132,10 +132,13 @@ class _Linear:
 
     def __init__(self, problem: Problem, noise: Noise, at: Fit, columns: Sequence[Columns]):
         together = [np.concatenate([c[s] for c in columns], axis=-1) for s in range(len(problem.segments))]
-        rows = whiten(problem.segments, noise, stacked(at.point.residual, at.jacobian, together)).rows
+        white = whiten(problem.segments, noise, stacked(at.point.residual, at.jacobian, together))
+        self.problem, self.at, self.rows, self.log_determinant = problem, at, white.rows, white.log_determinant
+        rows = white.rows
         n = at.jacobian[0].shape[-1]
-        weight = huber_weight(rows[:, 0], SOLVER.huber)
-        weight *= leverage_weight(rows[:, 1 : problem.size + 1], SOLVER.leverage)
+        # Rows that a fit hardly counts do not decide here either: where derivatives are extreme, the linear model is far off.
+        self.leverage = leverage_weight(rows[:, 1 : problem.size + 1], SOLVER.leverage)
+        weight = self.leverage * huber_weight(rows[:, 0], SOLVER.huber)
         counted = np.flatnonzero(np.any(rows, axis=1))
         part = rows[counted] * np.sqrt(weight[counted, None])
         G = part.T @ part
@@ -189,6 +192,25 @@ class _Linear:
                 start[at] = begin + step[n:]
         return Screened(h, float(gain), start, shift)
 
+    def evidence(self, s: Screened | None = None, origin: np.ndarray | None = None) -> float:
+        """Log evidence of the linear model; of a hypothesis in it whose columns stand alone. Comparable between noises."""
+        problem, theta, spread = self.problem, self.at.theta, self.problem.spread(self.at.model)
+        n = len(spread)
+        r, X = self.rows[:, 0], self.rows[:, 1 : n + 1]
+        cost = self.log_determinant
+        if s is not None:
+            assert origin is not None
+            here = s.hypothesis.magnitudes
+            theta = theta + s.shift
+            X = self.rows[:, 1:]
+            r = r + X @ np.concatenate([s.shift, s.start[here] - origin[here]])
+            spread = np.concatenate([spread, s.hypothesis.spread[here]])
+            cost += float(np.sum((s.start[here] / s.hypothesis.spread[here]) ** 2))
+        X = X * np.sqrt(self.leverage * huber_weight(r, SOLVER.huber))[:, None]
+        H = X.T @ X + np.diag(1 / spread**2)
+        cost += float(np.sum(self.leverage * huber_loss(r, SOLVER.huber))) + prior_cost(problem, theta, self.at.model)
+        return -0.5 * (cost + float(np.linalg.slogdet(H * spread[:, None] * spread)[1]))
+
 
 def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings = SETTINGS) -> tuple[Screened, ...]:
     """Linearised gain in log evidence of every hypothesis, best first; one per cause and order, its best start.
@@ -199,15 +221,17 @@ def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings
     if not library.hypotheses:
         return ()
     at = tamed(problem, at)
-    ranked = _ranked(problem, at, library, at.noise)
-    plain = _ranked(problem, at, library, plain_noise(problem, at))
+    linear = _Linear(problem, at.noise, at, library.columns)
+    ranked = _ranked(linear, library)
+    plain = _ranked(_Linear(problem, plain_noise(problem, at), at, library.columns), library)
     chosen: dict[tuple, Screened] = {}
     for one in (ranked, plain):
         good = [s for s in one if s.gain > settings.least_gain and s.size > settings.smallest]
         for s in good[: settings.again]:
             chosen.setdefault(s.key, s)
-    reference = _evidence(problem, at, at.noise, None, None, None) if chosen else 0.0
-    again = [_again(problem, at, library, s, reference) for s in chosen.values()]
+    reference = linear.evidence() if chosen else 0.0
+    sensors = sensor_noise(problem.segments, at.point.noise)
+    again = [_again(problem, at, library, s, reference, sensors) for s in chosen.values()]
     return tuple(sorted([*again, *(s for s in ranked if s.key not in chosen)], key=lambda s: -s.gain))
 
 
@@ -223,8 +247,7 @@ def plain_noise(problem: Problem, at: Fit) -> Noise:
     return Noise((one,) * len(problem.segments), np.zeros_like(at.noise.discrepancy), at.noise.rest, at.noise.settings)
 
 
-def _ranked(problem: Problem, at: Fit, library: Library, noise: Noise) -> list[Screened]:
-    linear = _Linear(problem, noise, at, library.columns)
+def _ranked(linear: _Linear, library: Library) -> list[Screened]:
     found: dict[tuple, Screened] = {}
     position = 0
     for h, origin in zip(library.hypotheses, library.origins, strict=True):
@@ -237,51 +260,22 @@ def _ranked(problem: Problem, at: Fit, library: Library, noise: Noise) -> list[S
     return sorted(found.values(), key=lambda s: -s.gain)
 
 
-def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: float) -> Screened:
+def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: float, sensors: Sensors) -> Screened:
     """A hypothesis judged with the noise that it would leave, in the linear model."""
     columns, h = library.of(s.hypothesis), s.hypothesis
     origin = library.origins[library.hypotheses.index(h)]
     here = h.magnitudes
-    best = s
-    for _ in range(2):
+    best, gain = s, s.gain
+    for last in (False, True):
         change = best.start[here] - origin[here]
         r = [a + J @ best.shift + c @ change for a, J, c in zip(at.point.residual, at.jacobian, columns, strict=True)]
-        noise = learn(problem.segments, r, at.point.noise, problem.quantum())
+        noise = learn(problem.segments, r, at.point.noise, problem.quantum(), sensors=sensors)
         linear = _Linear(problem, noise, at, [columns])
         one = linear.judge(h, origin, slice(0, len(here)))
-        gain = _evidence(problem, at, noise, columns, one, origin) - reference - np.log(h.alternatives)
+        if last:
+            gain = linear.evidence(one, origin) - reference - np.log(h.alternatives)
         best = Screened(h, float(gain), one.start, one.shift, noise)
     change = best.start[here] - origin[here]
     own = [J @ best.shift + c @ change for J, c in zip(at.jacobian, columns, strict=True)]
     removed = mean_squares(problem, own).sum()
     return replace(best, removed=float(removed))
-
-
-def _evidence(
-    problem: Problem, at: Fit, noise: Noise, columns: Columns | None, s: Screened | None, origin: np.ndarray | None
-) -> float:
-    """Log evidence of the linear model at a fit, of a hypothesis in it; comparable between noises."""
-    residual, theta, spread = at.point.residual, at.theta, problem.spread(at.model)
-    parts = [at.jacobian]
-    if s is not None:
-        assert columns is not None and origin is not None
-        here = s.hypothesis.magnitudes
-        change = s.start[here] - origin[here]
-        theta = theta + s.shift
-        residual = [a + J @ s.shift + c @ change for a, J, c in zip(residual, at.jacobian, columns, strict=True)]
-        parts.append(columns)
-        spread = np.concatenate([spread, s.hypothesis.spread[here]])
-    white = whiten(problem.segments, noise, stacked(residual, *parts))
-    r = white.rows[:, 0]
-    # Rows that a fit hardly counts do not decide here either: where derivatives are extreme, the linear model is far off.
-    leverage = leverage_weight(white.rows[:, 1 : problem.size + 1], SOLVER.leverage)
-    X = white.rows[:, 1:] * np.sqrt(leverage * huber_weight(r, SOLVER.huber))[:, None]
-    H = X.T @ X + np.diag(1 / spread**2)
-    cost = (
-        float(np.sum(leverage * huber_loss(r, SOLVER.huber)))
-        + white.log_determinant
-        + prior_cost(problem, theta, at.model)
-    )
-    if s is not None:
-        cost += float(np.sum((s.start[here] / s.hypothesis.spread[here]) ** 2))
-    return -0.5 * (cost + float(np.linalg.slogdet(H * spread[:, None] * spread)[1]))

@@ -16,7 +16,7 @@ from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, significanc
 from .calibrate import better_of_both, hand_over
 from .screen import Library, Screened
 from .select import with_effect
-from .worth import unexplained
+from .worth import left_by
 
 
 def together(
@@ -32,20 +32,19 @@ def together(
     start = starts[int(np.nanargmin(losses_of(problem, here.noise, at, found)))]
     f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6)
 
-    def left(x: Fit) -> float:
-        return float(np.sum(unexplained(problem, x.point)))
+    before = left_by(problem, at)
 
     def no_gain(x: Fit) -> bool:
-        return x.log_evidence < at.log_evidence and left(x) > left(at)
+        return x.log_evidence < at.log_evidence and left_by(problem, x) > before
 
-    if left(f) < 0.5 * left(at) or no_gain(f):
+    if left_by(problem, f) < 0.5 * before or no_gain(f):
         f = fitter.fit(f.model, f.theta, None, 4)  # far from where the common derivatives were taken
     if not no_gain(f):
         return f, rivals, []
     first = len(at.model)
     reason = (
-        f"fitted together {left(f) ** 0.5:.2g} N·m RMS of the simulation's error is not explained, "
-        f"without {left(at) ** 0.5:.2g}"
+        f"fitted together {left_by(problem, f) ** 0.5:.2g} N·m RMS of the simulation's error is not explained, "
+        f"without {before**0.5:.2g}"
     )
     dropped = [
         Decision("settle", h.cause.name, h.fixed, f.log_evidence - at.log_evidence, float("nan"),
@@ -94,14 +93,14 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, setting
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
     other = fitter.fit(model, f.theta[kept], f, 4)
-    if np.sum(unexplained(problem, other.point)) < settings.lost * np.sum(unexplained(problem, f.point)):
+    if left_by(problem, other) < settings.lost * left_by(problem, f):
         return other
-    return better_of_both(fitter, model, f.theta[kept])
+    return better_of_both(fitter, model, f.theta[kept], near=other)
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
     """Why an effect stays, however little is known of its size: without it the data are not explained. Empty where they are."""
-    here, there = (float(np.sum(unexplained(problem, x.point))) for x in (f, without))
+    here, there = (left_by(problem, x) for x in (f, without))
     if without.log_evidence < f.log_evidence - settings.threshold and there > (1 + settings.worth) * here:
         return f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
     return ""
@@ -113,9 +112,7 @@ def _at_the_edge(problem: Problem, fitter: Fitter, f: Fit, without: Fit, setting
     Fits that are compared by evidence leave the noise's share of the derivatives in, which holds an inertia where it is: both are
     polished first.
     """
-    here, there = (
-        float(np.sum(unexplained(problem, fitter.polish(x, settings.polish).point))) ** 0.5 for x in (f, without)
-    )
+    here, there = (left_by(problem, fitter.polish(x, settings.polish)) ** 0.5 for x in (f, without))
     if there**2 > (1 + settings.worth) * here**2:
         return ""
     return (
@@ -182,12 +179,12 @@ def _prune(
     problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
-    dropped: list[Decision] = []
+    decisions: list[Decision] = []
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
     asked: set[int] = set()  # effects near the edge of tolerance that are needed
     for _ in range(3 * len(f.model)):
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
-        left, near = float(np.sum(unexplained(problem, f.point))), quiet_rms(problem, f) < settings.far
+        left, near = left_by(problem, f), quiet_rms(problem, f) < settings.far
         verdicts = []
         for i, h in enumerate(f.model):
             w = worth_of(problem, f, linear, i)
@@ -210,39 +207,33 @@ def _prune(
                 )
             verdicts.append((w, size, reason))
         bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
-        if not bad:
+        if bad:
+            # Of those, the one without which the rest is most probable.
+            trials = [
+                (i, without_effect(problem, fitter, f, i, settings))
+                for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
+            ]
+            i, other = max(trials, key=lambda trial: trial[1].log_evidence)
+            reason, gain = verdicts[i][2], float("nan")
+            needed = "" if _is_calibration(problem, f, i) else why_needed(problem, f, other, settings)
+            if needed:
+                kept.add(id(f.model[i]))
+                reason, gain = needed, f.log_evidence - other.log_evidence
+        else:
             near_edge = [
                 i for i, h in enumerate(f.model) if id(h) not in asked and _is_calibration(problem, f, i, settings.edge)
             ]
             if not near_edge:
                 break
             i = min(near_edge, key=lambda i: verdicts[i][0].rms)
-            w, size, _ = verdicts[i]
-            h, other = f.model[i], without_effect(problem, fitter, f, i, settings)
-            asked.add(id(h))
-            if reason := _at_the_edge(problem, fitter, f, other, settings):
-                dropped.append(
-                    Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason)
-                )
-                rivals = [r for j, r in enumerate(rivals) if j != i]
-                f = other
-            continue
-        # Of those, the one without which the rest is most probable.
-        trials = [
-            (i, without_effect(problem, fitter, f, i, settings))
-            for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
-        ]
-        i, other = max(trials, key=lambda trial: trial[1].log_evidence)
-        w, size, reason = verdicts[i]
-        h = f.model[i]
-        needed = why_needed(problem, f, other, settings)
-        if needed and not _is_calibration(problem, f, i):
-            kept.add(id(h))
-            reason = needed
-            gain = f.log_evidence - other.log_evidence
-            dropped.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, True, reason))
-            continue
-        dropped.append(Decision("settle", h.cause.name, h.fixed, float("nan"), w.rms, size, True, False, reason))
-        rivals = [r for j, r in enumerate(rivals) if j != i]
-        f = other
-    return f, rivals, dropped
+            other = without_effect(problem, fitter, f, i, settings)
+            asked.add(id(f.model[i]))
+            reason, gain, needed = _at_the_edge(problem, fitter, f, other, settings), float("nan"), ""
+            if not reason:
+                continue
+        h, (w, size, _) = f.model[i], verdicts[i]
+        decisions.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, bool(needed), reason))
+        if not needed:
+            rivals = [r for j, r in enumerate(rivals) if j != i]
+            f = other
+    return f, rivals, decisions

@@ -24,6 +24,7 @@ from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
 from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
+from .rivals import against_rivals
 from .screen import Library, ScreenSettings, screen
 from .select import gains_of, others_than, select
 from .settle import settle, together
@@ -70,8 +71,8 @@ class Search:
 
 
 @dataclass(frozen=True)
-class _OneByOne:
-    """Causes fitted through the replay one after the other.
+class _Found:
+    """What was found so far.
 
     Attributes:
       first: the calibrated joint; at: with the causes; library: columns of the others near it.
@@ -110,23 +111,53 @@ def search(
         if other.log_evidence >= first.log_evidence + 1.0:
             again = _one_by_one(problem, fitter, other, hypotheses, settings, progress, deadline, coarsely=False)
             found = replace(again, decisions=(*found.decisions, *again.decisions))
-    at, rivals, decisions = found.at, list(found.rivals), list(found.decisions)
-    late = found.late or time.monotonic() > deadline
-    if late:
-        rivals += [rivals_of(*found.last, {}, accept)] if found.last is not None else []
+    if found.late or time.monotonic() > deadline:
+        rivals = (*found.rivals, *((rivals_of(*found.last, {}, accept),) if found.last is not None else ()))
+        found = replace(found, rivals=rivals, late=True)
     else:
-        progress("selecting further causes", 0.7)
-        more, seen, others = select(problem, at, found.library, accept, settings.screen, found.last)
+        found = _further(problem, fitter, found, hypotheses, settings, progress, deadline)
+    quiet = (quiet_rms(problem, found.first), quiet_rms(problem, found.at))
+    return Search(found.first, found.at, found.library, found.rivals, found.decisions, quiet, not found.late)
+
+
+def _further(
+    problem: Problem,
+    fitter: Fitter,
+    found: _Found,
+    hypotheses: Sequence[Hypothesis],
+    settings: SearchSettings,
+    progress: Progress,
+    deadline: float,
+) -> _Found:
+    """Select, fit together, settle; once more where something stood for what shows only beside what is settled."""
+    accept = settings.accept
+    at, library, last = found.at, found.library, found.last
+    rivals, decisions = list(found.rivals), list(found.decisions)
+    for done in range(accept.rounds_again + 1):
+        room = replace(accept, most=max(accept.most, len(at.model) + 2)) if done else accept
+        progress("selecting further causes", 0.7 + 0.08 * done)
+        more, seen, others = select(problem, at, library, room, settings.screen, last)
         decisions += seen
+        if done and not any(s.size > accept.contested for s in more):
+            break  # of what every real joint has, all was selected before
         rivals += others
+        dropped: list[Decision] = []
         if more:
-            progress("settling all causes", 0.8)
-            at, rivals, seen = together(problem, fitter, at, found.library, more, rivals)
-            decisions += seen
-        at, rivals, seen = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
-        decisions += seen
-    quiet = (quiet_rms(problem, found.first), quiet_rms(problem, at))
-    return Search(found.first, at, found.library, tuple(rivals), tuple(decisions), quiet, not late)
+            progress("settling all causes", 0.75 + 0.08 * done)
+            at, rivals, dropped = together(problem, fitter, at, library, more, rivals)
+        at, rivals, compared = against_rivals(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
+        at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
+        decisions += [*dropped, *compared, *settled]
+        gone = [d for d in (*dropped, *settled) if not d.taken]
+        # An effect that was taken back stood for something, as numbers at the end of their tolerances do.
+        unsettled = any(d.size > accept.large for d in gone)
+        unsettled = unsettled or doubtful(problem, at, quiet_rms(problem, at), settings.calibrate)
+        if not (more and unsettled) or time.monotonic() > deadline:
+            break
+        keys = {(d.cause, *d.fixed.items()) for d in (*gone, *compared) if not d.taken}
+        offered = [h for h in others_than(problem, hypotheses, at.model) if h.key not in keys]
+        library, last = Library(problem, at, offered, settings.screen.probe), None
+    return replace(found, at=at, rivals=tuple(rivals), decisions=tuple(decisions), last=None)
 
 
 def _one_by_one(
@@ -139,7 +170,7 @@ def _one_by_one(
     deadline: float,
     *,
     coarsely: bool = True,
-) -> _OneByOne:
+) -> _Found:
     """Screen and fit, as long as much is left and a cause explains a good part of it.
 
     Args:
@@ -155,7 +186,7 @@ def _one_by_one(
         progress("screening the library of causes", 0.2 + 0.15 * len(at.model))
         probe = settings.screen.coarse_probe if far else settings.screen.probe
         library = Library(problem, at, others_than(problem, hypotheses, at.model), probe)
-        found = _OneByOne(first, at, library, tuple(rivals), tuple(decisions), last)
+        found = _Found(first, at, library, tuple(rivals), tuple(decisions), last)
         if at.model and (quiet < accept.far or len(at.model) >= accept.rounds or slight):
             return found  # what is left is small, or no cause of the library explains it: the linear model serves
         screened = screen(problem, at, library, settings.screen)

@@ -37,6 +37,11 @@ def unexplained(problem: Problem, point: Point) -> np.ndarray:
     return np.maximum(whole - noise, 0.0)
 
 
+def left_by(problem: Problem, f: Fit) -> float:
+    """Mean square of what a fit leaves beyond the sensors' noise, over all balances [N·m]²."""
+    return float(np.sum(unexplained(problem, f.point)))
+
+
 @dataclass(frozen=True)
 class Worth:
     """What one effect of a model is worth.

@@ -16,7 +16,7 @@ from ...models.files import check_format, read_json
 from ...models.joint import beyond_sentence
 from ...models.recording import LARGEST
 from ...models.tables import read_table
-from ..report import plain
+from ..report import listed, plain
 from .chart import Chart, limits
 from .provenance import file_digest, now
 from .rendering import number, percent, render, squeezed
@@ -139,12 +139,12 @@ def _verdict(answer: dict[str, Any]) -> str:
         text = f"The description of {joint} holds: at least {percent(least)} of every channel lies in its 95 % band"
         above = [plain(name) for name in _above_noise(answer)]
         if above:
-            text += f"; all the same {_listed(above)} {'is' if len(above) == 1 else 'are'} off by more than noise"
+            text += f"; all the same {listed(above)} {'is' if len(above) == 1 else 'are'} off by more than noise"
         return f"{text}."
     worst = min(out, key=lambda name: out[name]["inside"])
     e = out[worst]
     return (
-        f"The description of {joint} does not predict {_listed([plain(name) for name in out])}: {plain(worst)} is off by "
+        f"The description of {joint} does not predict {listed([plain(name) for name in out])}: {plain(worst)} is off by "
         f"{number(e['rms'], 2)} {e['unit']} RMS, and in its 95 % band {percent(e['inside'])} of the time."
     )
 
@@ -152,10 +152,6 @@ def _verdict(answer: dict[str, Any]) -> str:
 def _above_noise(answer: dict[str, Any]) -> list[str]:
     """Channels whose error is clearly more than the sensors' noise, though what the description leaves open may be all of it."""
     return [name for name, e in answer["residual"].items() if e["rms"] > _CLEARLY * e["noise"]]
-
-
-def _listed(words: list[str]) -> str:
-    return " and ".join(filter(None, (", ".join(words[:-1]), words[-1])))
 
 
 def _worst(answer: dict[str, Any], channel: str) -> dict[str, Any] | None:

@@ -1,0 +1,82 @@
+"""What else could stand where a cause was chosen, asked again once all causes are fitted.
+
+A cause is chosen while others are still missing, often in the linear model alone: a rival that looked a little worse there may do
+better beside the others, or as well, which its confidence must say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..fit.coordinates import Hypothesis
+from ..fit.residual import Problem
+from ..fit.solver import Fit, Fitter
+from .acceptance import AcceptSettings, Decision, Rivals, size_of
+from .finalists import Finalist, finalists_of, objection
+from .screen import Library, ScreenSettings, screen
+from .select import others_than
+from .settle import without_effect
+
+
+def against_rivals(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: Sequence[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+    screening: ScreenSettings,
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """Every cause of some size against its close rivals, beside all others: the likelier stays, the gains are told anew."""
+    told, decisions = list(rivals), list[Decision]()
+    index = 0
+    for _ in range(len(rivals)):
+        r, h = told[index], f.model[index]
+        close = {n for n, g in r.others if g > settings.close * r.gain} - {g.cause.name for g in f.model}
+        if not close or size_of(problem, f, index) < settings.contested:
+            index += 1
+            continue
+        without = without_effect(problem, fitter, f, index, settings)
+        own = f.log_evidence - without.log_evidence
+        offered = [o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close]
+        library = Library(problem, without, offered, screening.probe)
+        screened = screen(problem, without, library, screening)
+        fitted = finalists_of(problem, fitter, without, screened, settings)
+        gains: dict[str, float] = {}
+        for other in fitted:
+            gains.setdefault(other.name, other.gain)
+        untried = tuple((n, g) for n, g in r.others if n not in close)
+        best = _better(problem, without, fitted, own, settings)
+        if best is None:
+            told[index] = replace(r, gain=own, others=(*gains.items(), *untried))
+            index += 1
+            continue
+        reason = (
+            f"beside the others {best.name.replace('_', ' ')} adds {best.gain:.0f} to the log evidence, it {own:.0f}"
+        )
+        nan = float("nan")
+        decisions += [
+            Decision("settle", h.cause.name, h.fixed, own, nan, size_of(problem, f, index), True, False, reason),
+            Decision("settle", best.name, best.fit.model[-1].fixed, best.gain, nan, size_of(problem, best.fit), True, True,
+                     f"adds {best.gain:.0f} to the log evidence in the place of {h.cause.name.replace('_', ' ')}"),
+        ]  # fmt: skip
+        gains = {**gains, h.cause.name: own}
+        del gains[best.name]
+        # The one that takes its place stands last, as does what is told of it.
+        told = [*told[:index], *told[index + 1 :], Rivals(best.name, best.gain, tuple(gains.items()))]
+        f = best.fit
+    return f, told, decisions
+
+
+def _better(
+    problem: Problem, without: Fit, fitted: Sequence[Finalist], own: float, settings: AcceptSettings
+) -> Finalist | None:
+    """The likeliest rival that is plainly likelier than what stands there, and to which nothing objects."""
+    for other in fitted:
+        if other.gain > own + settings.threshold and np.isfinite(other.gain):
+            if not objection(problem, without, other, settings):
+                return other
+    return None
