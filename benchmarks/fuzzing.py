@@ -37,10 +37,16 @@ from flexspline.scenarios.arms.arm_run import run_arm
 from flexspline.scenarios.arms.arm_scenario import ArmScenario, load_any, shipped_arms
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Scenario, load_scenario, shipped_scenarios
+from flexspline.scenarios.studies.dataset import Dataset, read_note
 from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.study import Study, load_study, shipped_studies
 from flexspline.sim import plant
+from flexspline.views.pages.two_diagnoses import read_diagnosis
 
+from .jobs import recording
+
+RESULTS = Path(__file__).resolve().parents[1] / "tests" / "frozen"
+"""Small folders that commands wrote."""
 ODD: tuple[Any, ...] = (
     None, True, False, 0, -1, 1, 2, 7, 1e-300, 1e300, -1e9, 0.5, 2**63, 2**70, 10**400, float("inf"), float("nan"), "", " ",
     "a", "1", "ä°µ", "../../../etc/passwd", "/etc/passwd", "~/x", "[bold]x[/]", "x\ny", "\x1b[31m", "a" * 5000, "no_load",
@@ -93,6 +99,7 @@ def cases() -> dict[str, Case]:
         Case("sidecar", [], _use_sidecar, Sidecar),
         Case("table", [], _use_table),
         Case("messages", [], _use_messages),
+        Case("results", [], _use_results),
     ]
     return {case.name: case for case in found}
 
@@ -154,6 +161,20 @@ def _use_sidecar(path: Path, rng: random.Random) -> None:
 
 def _use_table(path: Path, rng: random.Random) -> None:
     _use_measurement(path, rng)
+
+
+def _use_results(folder: Path, rng: random.Random) -> None:
+    from flexspline.commands import plan, report
+
+    with redirect_stdout(StringIO()):
+        if (folder / "diagnosis.json").is_file() and rng.random() < 0.5:
+            read_diagnosis(folder)
+            plan.command(source=folder)
+        elif (folder / "study.json").is_file() and rng.random() < 0.5:
+            design = Design.of(*load_study(str(RESULTS / "study.yaml")))
+            list(Dataset.open(folder, design, read_note(RESULTS / "sweep" / "study.json")["versions"]).missing(1))
+        else:
+            report.command(folders=[folder], out=folder.parent / "report.html")
 
 
 def _use_messages(path: Path, rng: random.Random) -> None:
@@ -318,6 +339,7 @@ def table_damaged(path: Path, rng: random.Random) -> Path:
     if kind == 1:
         name = rng.choice(table.column_names)
         values = table[name].to_numpy().copy()
+        values = values.astype(float) if values.dtype.kind in "iu" else values
         values[rng.randrange(len(values))] = rng.choice([np.nan, np.inf, -np.inf, 1e308])
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     elif kind == 2:
@@ -416,8 +438,43 @@ def _bag(told: list[tuple[str, Any]], folder: Path, rng: random.Random) -> Path:
     return folder
 
 
+def results_damaged(rng: random.Random, folder: Path) -> Path:
+    """What a command wrote, of which one file is wrong or missing."""
+    kind = rng.choice(["run", "sweep", "diagnosis", "validation", "contact"])
+    path = folder / kind
+    if kind == "contact":
+        path.mkdir()
+        shutil.copy(RESULTS.parents[1] / "docs" / "contact.csv", path)
+    elif kind == "validation":
+        _validate(path)
+    else:
+        shutil.copytree(RESULTS / kind, path)
+    chosen = rng.choice(sorted(p for p in path.rglob("*") if p.is_file()))
+    if rng.random() < 0.05:
+        chosen.unlink()
+    elif chosen.suffix == ".parquet":
+        table_damaged(chosen, rng)
+    elif chosen.suffix in (".json", ".yaml") and rng.random() < 0.7:
+        data = structure_mutated(yaml.safe_load(chosen.read_bytes()), rng)
+        text = json.dumps(data) if chosen.suffix == ".json" else yaml.safe_dump(data, allow_unicode=True)
+        chosen.write_text(text, encoding="utf-8")
+    else:
+        chosen.write_bytes(bytes_mutated(chosen.read_bytes(), rng))
+    return path
+
+
+def _validate(out: Path) -> None:
+    from flexspline.commands import validate
+
+    write_recording(recording(2.0), out.parent / "m")
+    with redirect_stdout(StringIO()):
+        validate.command(measurement=out.parent / "m", out=out)
+
+
 def make(case: Case, rng: random.Random, folder: Path) -> Path:
     """An input of a kind in a folder of its own."""
+    if case.name == "results":
+        return results_damaged(rng, folder)
     if case.name == "messages":
         return messages_damaged(rng, folder)
     if case.name in ("sidecar", "table"):

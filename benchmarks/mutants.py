@@ -1,7 +1,9 @@
 """Mutation testing: one operator or number of the estimators and of diagnosis' statistics is changed, and a fast test must fail.
 
-`python -m benchmarks.mutants --count 40 --seed 1` draws mutants, evenly over the files; `--file` names files. Every mutant runs
-in a copy of the sources. Exit code 1 where fewer than 85 % were killed; survivors are listed (docs/reliability.md).
+`python -m benchmarks.mutants --count 40 --seed 1` draws mutants, each place that could be changed as likely as another; `--file`
+names files. Every mutant runs in a copy of the sources, in the order drawn: where a run is stopped, those done are a sample too.
+`--copy` names a folder for that copy, whose compiled code serves the next run. Exit code 1 where fewer than 85 % were killed;
+survivors are listed (docs/reliability.md).
 """
 
 from __future__ import annotations
@@ -21,24 +23,50 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from scipy.stats import binomtest
+
 ROOT = Path(__file__).resolve().parents[1]
 LIMIT = 400
 """Seconds of a processor after which a mutant counts as killed: it hangs, however busy the machine is."""
 WANTED = 0.85
 _E, _D = "tests/estimator/test_", "tests/diagnosis/test_"
+_FILTERS = [f"{_E}torque_filters.py", f"{_E}invariance.py", f"{_E}estimator.py"]
 TESTS = {
-    "estimator/consistency.py": [f"{_E}consistency.py"],
-    "estimator/recursion.py": [f"{_E}recursion.py", f"{_E}invariance.py", f"{_E}printed.py"],
-    "estimator/motion.py": [f"{_E}motion.py", f"{_E}torque_filters.py", f"{_E}invariance.py"],
-    "estimator/compliance.py": [f"{_E}compliance.py", f"{_E}paper_filter.py", f"{_E}printed.py"],
     "estimator/arrays.py": [f"{_E}recursion.py", f"{_E}paper_filter.py"],
+    "estimator/bands.py": [f"{_E}bands.py", f"{_D}uncertainty.py"],
     "estimator/bound.py": [f"{_E}bound.py"],
-    "estimator/filters/kalman.py": [f"{_E}torque_filters.py", f"{_E}invariance.py"],
-    "estimator/filters/h_infinity.py": [f"{_E}torque_filters.py", f"{_E}invariance.py"],
-    "estimator/filters/momentum.py": [f"{_E}torque_filters.py"],
+    "estimator/compliance.py": [f"{_E}compliance.py", f"{_E}paper_filter.py", f"{_E}printed.py"],
+    "estimator/consistency.py": [f"{_E}consistency.py"],
+    "estimator/dynamics_filter.py": [f"{_E}dynamics_filters.py", f"{_E}estimator.py"],
+    "estimator/estimator.py": [f"{_E}invariance.py", f"{_E}offline.py", f"{_E}estimator.py"],
+    "estimator/external.py": ["tests/scenarios/evaluation/test_contact.py"],
+    "estimator/joint_model.py": [f"{_E}dynamics_filters.py", f"{_E}bound.py"],
+    "estimator/motion.py": [f"{_E}motion.py", f"{_E}torque_filters.py", f"{_E}invariance.py"],
+    "estimator/offline.py": [f"{_E}invariance.py", f"{_E}offline.py"],
+    "estimator/online.py": [f"{_E}estimator.py"],
+    "estimator/payload_model.py": [f"{_E}payload_model.py", f"{_E}torque_filters.py", f"{_E}estimator.py"],
     "estimator/quantised.py": [f"{_E}dynamics_filters.py"],
-    "diagnosis/uncertainty.py": [f"{_D}uncertainty.py"],
+    "estimator/recursion.py": [f"{_E}recursion.py", f"{_E}invariance.py", f"{_E}printed.py"],
+    "estimator/registry.py": [f"{_E}estimator.py"],
+    "estimator/sensing.py": [f"{_E}sensing.py", f"{_E}estimator.py"],
+    "estimator/smoothed.py": [f"{_D}balance.py", f"{_E}invariance.py", f"{_E}offline.py"],
+    "estimator/tuning_parameters.py": [f"{_E}estimator.py"],
+    "estimator/filters/augmented.py": [f"{_E}invariance.py", f"{_E}estimator.py", f"{_E}augmented.py"],
+    "estimator/filters/compliance_model.py": _FILTERS,
+    "estimator/filters/current.py": _FILTERS,
+    "estimator/filters/dynamics_ekf.py": [f"{_E}dynamics_filters.py", f"{_E}estimator.py"],
+    "estimator/filters/dynamics_ukf.py": [f"{_E}dynamics_filters.py", f"{_E}estimator.py"],
+    "estimator/filters/h_infinity.py": _FILTERS,
+    "estimator/filters/huber.py": _FILTERS,
+    "estimator/filters/kalman.py": _FILTERS,
+    "estimator/filters/lowpass.py": _FILTERS,
+    "estimator/filters/momentum.py": _FILTERS,
+    "estimator/filters/paper.py": [f"{_E}paper_filter.py", f"{_E}printed.py", f"{_E}estimator.py"],
+    "estimator/filters/payload.py": [f"{_E}torque_filters.py", f"{_E}estimator.py"],
+    "estimator/filters/rts_smoother.py": [f"{_E}dynamics_filters.py", f"{_E}estimator.py"],
+    "estimator/filters/strong_tracking.py": _FILTERS,
     "diagnosis/balance.py": [f"{_D}balance.py"],
+    "diagnosis/uncertainty.py": [f"{_D}uncertainty.py"],
 }
 """Files, and the fast tests that are to notice what is changed in them."""
 _OTHER: dict[type, type] = {
@@ -57,21 +85,24 @@ class Mutant:
     text: str
 
 
-def drawn(file: str, count: int, rng: random.Random) -> list[Mutant]:
-    """Mutants of a file, drawn without repetition: what is only said (messages, types, defaults) is left."""
-    text = (ROOT / file).read_text(encoding="utf-8")
-    tree = ast.parse(text)
+def drawn(files: list[str], count: int, rng: random.Random) -> list[Mutant]:
+    """Mutants of files, drawn without repetition: what is only said (messages, types, defaults) is left."""
+    everywhere = [(file, place) for file in files for place in _places(file)]
+    return [_mutant(file, place) for file, place in rng.sample(everywhere, min(count, len(everywhere)))]
+
+
+def _places(file: str) -> list[int]:
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
     silent = _silent(tree)
-    places = [k for k, node in enumerate(ast.walk(tree)) if k not in silent and any(_changes(node))]
-    found = []
-    for place in sorted(rng.sample(places, min(count, len(places)))):
-        other = ast.parse(text)
-        target = next(node for k, node in enumerate(ast.walk(other)) if k == place)
-        before = ast.unparse(target)
-        next(_changes(target))(target)
-        change = f"line {getattr(target, 'lineno', '?')}: {before} → {ast.unparse(target)}"
-        found.append(Mutant(file, change, ast.unparse(other)))
-    return found
+    return [k for k, node in enumerate(ast.walk(tree)) if k not in silent and any(_changes(node))]
+
+
+def _mutant(file: str, place: int) -> Mutant:
+    tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
+    target: Any = next(node for k, node in enumerate(ast.walk(tree)) if k == place)
+    before = ast.unparse(target)
+    next(_changes(target))(target)
+    return Mutant(file, f"line {target.lineno}: {before} → {ast.unparse(target)}", ast.unparse(tree))
 
 
 def _changes(node: Any) -> Iterator[Callable[[Any], None]]:
@@ -133,27 +164,32 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=40)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--file", action="append", choices=list(TESTS), help="Repeatable; all by default.")
+    parser.add_argument("--copy", type=Path, help="A folder for the copy of the sources, kept.")
     asked = parser.parse_args()
-    rng, files = random.Random(asked.seed), asked.file or list(TESTS)
+    mutants = drawn(asked.file or list(TESTS), asked.count, random.Random(asked.seed))
     survivors: list[Mutant] = []
+    as_it_is: dict[tuple[str, ...], bool] = {}
     with tempfile.TemporaryDirectory(prefix="mutants") as name:
-        sources = Path(name) / "sources"
-        shutil.copytree(ROOT, sources, symlinks=True, ignore=shutil.ignore_patterns(".git", ".venv*", "docs", "runs"))
-        total = 0
-        for file in files:
-            chosen = drawn(file, min(-(-asked.count // len(files)), asked.count - total), rng)
-            if not _passes(file, sources):
-                sys.exit(f"{file}: expected its tests to pass as it is, they fail")
-            killed = 0
-            for mutant in chosen:
-                alive = survives(mutant, sources)
-                killed += not alive
-                survivors += [mutant] if alive else []
-                print(f"{'survives' if alive else 'killed':8}  {file}, {mutant.change}", file=sys.stderr, flush=True)
-            total += len(chosen)
-            print(f"{file:34} {killed:3} of {len(chosen):3} killed", flush=True)
+        sources = asked.copy or Path(name) / "sources"
+        for link in filter(Path.is_symlink, sources.glob("*/*")):  # no copy is made over one
+            link.unlink()
+        left = shutil.ignore_patterns(".git", ".venv*", "docs", "runs")
+        shutil.copytree(ROOT, sources, symlinks=True, ignore=left, dirs_exist_ok=asked.copy is not None)
+        for number, mutant in enumerate(mutants, 1):
+            tests = tuple(TESTS[mutant.file])
+            if tests not in as_it_is:
+                as_it_is[tests] = _passes(mutant.file, sources)
+            if not as_it_is[tests]:
+                sys.exit(f"{mutant.file}: expected its tests to pass as it is, they fail")
+            alive = survives(mutant, sources)
+            survivors += [mutant] if alive else []
+            print(f"{number:3}  {'survives' if alive else 'killed':8}  {mutant.file}, {mutant.change}", flush=True)
+    total = len(mutants)
     share = 1 - len(survivors) / max(total, 1)
-    print(f"seed {asked.seed}: {total} mutants, {100 * share:.0f} % killed")
+    low, high = binomtest(total - len(survivors), total).proportion_ci(0.95, "wilson")
+    print(
+        f"seed {asked.seed}: {total} mutants, {100 * share:.0f} % killed (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    )
     print(*(f"  survives: {m.file}, {m.change}" for m in survivors), sep="\n")
     sys.exit(share < WANTED)
 

@@ -39,6 +39,7 @@ _KINDS: dict[Kind, str] = {
     "outside": "an effect outside the library",
 }
 
+_LARGEST_SIZE = 100.0
 EXAMPLES = (
     "flexspline challenge --draws 5 --hidden one --out outcomes.json",
     "flexspline challenge --scenario link_sweep --cause backlash --sizes 1,0.3,0.1",
@@ -63,7 +64,7 @@ def command(
         list[str] | None,
         typer.Option(help="scenario to measure instead of motions drawn anew (free, push, sweep: 85 s). Repeatable."),
     ] = None,
-    size: Annotated[float, typer.Option(min=0.0, help="of the effects, in ordinary sizes")] = 1.0,
+    size: Annotated[float, typer.Option(min=0.0, max=_LARGEST_SIZE, help="of the effects, in ordinary sizes")] = 1.0,
     sizes: Annotated[str, typer.Option(help="sizes to scan, e.g. `1,0.3,0.1`, instead of --size")] = "",
     cause: Annotated[list[str] | None, typer.Option(help="draw only from these causes. Repeatable.")] = None,
     exact: Annotated[
@@ -130,8 +131,8 @@ def _sizes(text: str) -> tuple[float, ...]:
         found = tuple(float(part) for part in text.split(","))
     except ValueError:
         found = ()
-    if not found or min(found) <= 0:
-        raise InputError(f"--sizes {text}: expected numbers > 0 with commas between them")
+    if not found or not all(0 < size <= _LARGEST_SIZE for size in found):
+        raise InputError(f"--sizes {text}: expected numbers > 0, at most {_LARGEST_SIZE:g}, with commas between them")
     return tuple(sorted(set(found), reverse=True))
 
 

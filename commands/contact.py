@@ -29,13 +29,17 @@ def command(
     ] = 1.0,
     tolerance: Annotated[
         list[float] | None,
-        typer.Option(min=0, help="Share of the joint's tolerances; repeatable. 0 (known exactly) and 1 by default."),
+        typer.Option(
+            min=0, max=100, help="Share of the joint's tolerances; repeatable. 0 (known exactly) and 1 by default."
+        ),
     ] = None,
     filter_: Annotated[
         list[str] | None,
         typer.Option("--filter", help=f"An estimator by its name; repeatable. By default {', '.join(DEFAULT)}."),
     ] = None,
-    rate: Annotated[float, typer.Option(min=0.01, help="False alarms per hour at which they are compared.")] = 10.0,
+    rate: Annotated[
+        float, typer.Option(min=0.01, max=1e6, help="False alarms per hour at which they are compared.")
+    ] = 10.0,
     threads: Annotated[int, typer.Option(min=1, help="Runs at a time; the result does not depend on it.")] = 1,
     out: Annotated[Path | None, typer.Option(help="Folder for contact.csv (curves), contact.md, contact.png.")] = None,
     changes: Changes = None,

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..models.errors import InputError, read_text
+from ..models.errors import InputError
 from ._options import OtherJoint, with_plugins
 
 _BY = 1.0
@@ -48,15 +48,15 @@ def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:
     Raises:
       InputError: a file that is none of a diagnosis.
     """
-    from ..models.files import check_format
+    from ..models.files import check_format, read_json
 
     path = folder / "diagnosis.json"
+    answer = read_json(path, "a diagnosis")
+    check_format(answer, path)
     try:
-        answer = json.loads(read_text(path, "a diagnosis"))
         proposals = [{**one, "sentence": str(one["sentence"])} for one in answer["next"]]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: next: expected proposals, found none; plan from the measurement instead") from error
-    check_format(answer, path)
     return proposals
 
 

@@ -181,6 +181,7 @@ class Validation:
     def to_json(self) -> dict[str, Any]:
         """What `validation.json` holds."""
         return {
+            "format": 1,
             "joint": self.joint,
             "residual": {name: error.to_json() for name, error in self.residual.items()},
             "regions": [region.to_json() for region in self.regions],

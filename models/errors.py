@@ -50,13 +50,13 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def read_text(path: Path, what: str) -> str:
-    """Read a text file; an unreadable one raises `InputError` that names it and says what it should be."""
+def read_text(path: Path, what: str, largest: int = LARGEST_TEXT) -> str:
+    """Read a text file of so many bytes at most; an unreadable one raises `InputError`: its name, what it should be."""
     try:
         if is_there(path) and not path.is_file():  # a folder; or a pipe, which may never end
             raise InputError(f"{path}: cannot read {what}: not a file")
-        if is_there(path) and path.stat().st_size > LARGEST_TEXT:
-            raise InputError(f"{path}: cannot read {what}: expected at most {LARGEST_TEXT} bytes")
+        if is_there(path) and path.stat().st_size > largest:
+            raise InputError(f"{path}: cannot read {what}: expected at most {largest} bytes")
         return path.read_text(encoding="utf-8-sig")
     except InputError:
         raise

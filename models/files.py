@@ -15,7 +15,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic_core import PydanticCustomError, core_schema
 
-from .errors import InputError, first_line, is_there, nearest, read_text
+from .errors import LARGEST_TEXT, InputError, first_line, is_there, nearest, read_text
 from .output import described, write_whole
 from .schema import documented
 
@@ -129,6 +129,19 @@ def read_yaml(path: Path, what: str) -> Any:
         AttributeError,
     ) as error:  # a date that is none, a number of 5000 digits
         raise InputError(f"{path}: not YAML: {error}") from error
+
+
+def read_json(path: Path, what: str, largest: int = LARGEST_TEXT) -> Any:
+    """Parse a JSON file, such as commands write.
+
+    Raises:
+      InputError: it cannot be read, or is no JSON.
+    """
+    text = read_text(path, what, largest)
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: expected {what}, got something else: not JSON") from error
 
 
 def _loaded(text: str) -> Any:

@@ -121,7 +121,7 @@ class EncoderSpec(Strict):
     `cyclic_error`: amplitude of the error that returns with every line of the disc (four counts), in counts.
     """
 
-    counts: Annotated[int, Field(gt=1)] | None = None
+    counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
     """Per revolution; or else `bits`."""
     bits: Annotated[int, Field(gt=1, lt=40)] | None = None
     """Of the angle; or else `counts`."""

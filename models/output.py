@@ -161,14 +161,24 @@ def recover(path: Path) -> None:
 
 
 def manifest(path: Path) -> dict[str, str]:
-    """Files of a folder that were written here, as `a/b.txt`, and by what; empty where there is no manifest."""
+    """Files of a folder that were written here, as `a/b.txt`, and by what; empty where there is no manifest.
+
+    Raises:
+      InputError: there is one that cannot be read at the moment, or that another version wrote.
+    """
+    file = path / MANIFEST
     try:
-        found = json.loads((path / MANIFEST).read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, TypeError, KeyError):
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError, ValueError, RecursionError):
         return {}
-    if not isinstance(found, dict):
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {described(error)}") from error
+    if not isinstance(found, dict) or not isinstance(found.get("files"), dict):
         return {}
-    return {str(name): str(maker) for name, maker in found.items() if _is_inside(str(name))}
+    if found.get("format", 1) != 1:
+        raise InputError(f"{file}: format: expected 1, got {found['format']!r}: written by another version")
+    known = {str(name): str(maker) for name, maker in found["files"].items()}
+    return {name: maker for name, maker in known.items() if _is_inside(name) and maker.strip()}
 
 
 def _is_inside(name: str) -> bool:
@@ -254,7 +264,7 @@ def _move_up(path: Path, done: Path) -> None:
     try:
         journal = json.loads((done / _JOURNAL).read_text(encoding="utf-8"))
         files, old = dict(journal["files"]), [str(name) for name in journal["remove"]]
-    except (OSError, ValueError, TypeError, KeyError):
+    except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
         if not any(p.is_file() for p in done.rglob("*")):  # all was moved up, and it was about to go
             shutil.rmtree(done)
         return

@@ -163,7 +163,7 @@ def load_run(folder: Path) -> Run:
         )
     joint, known_joint = scenario.load_joint(folder)
     known = KnownJoint.of(known_joint, scenario.mount(known_joint))
-    columns, _ = read_table(folder / "signals.parquet")
+    columns, _ = _read_numbers(folder / "signals.parquet")
     time = _column(columns, "time", folder)
     truth, readings = np.zeros(len(time), TRUTH), np.zeros(len(time), READINGS)
     for name in TRUTH.names or ():
@@ -175,7 +175,7 @@ def load_run(folder: Path) -> Run:
         time_stamps(time, scenario.jitter, scenario.seed), scenario.current == "command",
         {name: columns[name] for name in own_sensors.names() if name in columns},
     )  # fmt: skip
-    return Run(scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario))
+    return Run(scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario, time))
 
 
 def signal_columns(run: Run) -> dict[str, np.ndarray]:
@@ -255,21 +255,32 @@ def _numbered(quantity: str, m: int, *places: int) -> str:
     return quantity if m == 1 else f"{quantity}_{'_'.join(str(i + 1) for i in sorted(set(places)))}"
 
 
-def _read_estimates(folder: Path, scenario: Scenario) -> dict[str, Posterior]:
-    path = folder / "estimates.parquet"
+def _read_numbers(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, str]]]:
     columns, notes = read_table(path)
-    time = _column(columns, "time", folder)
+    for name, values in columns.items():
+        if values.dtype.kind not in "fiub":
+            raise InputError(f"{path}: column {name!r}: expected numbers, got something else")
+    return columns, notes
+
+
+def _read_estimates(folder: Path, scenario: Scenario, time: np.ndarray) -> dict[str, Posterior]:
+    path = folder / "estimates.parquet"
+    columns, notes = _read_numbers(path)
+    if not np.array_equal(_column(columns, "time", folder), time):
+        raise InputError(f"{path}: column 'time': expected that of signals.parquet, got another")
     by_filter: dict[str, dict[str, np.ndarray]] = {entry.name: {} for entry in scenario.filters}
     for column, note in notes.items():
-        if note.get("filter") in by_filter:
+        if note.get("filter") in by_filter and "quantity" in note:
             by_filter[note["filter"]][note["quantity"]] = columns[column]
     return {name: _posterior(name, time, found, path) for name, found in by_filter.items()}
 
 
 def _posterior(name: str, time: np.ndarray, found: dict[str, np.ndarray], path: Path) -> Posterior:
-    if "torque" not in found:
-        raise InputError(f"{path}: column 'torque_{name}': missing")
     m = sum(re.fullmatch(r"innovation(_\d+)?", quantity) is not None for quantity in found)
+    pairs = [_numbered("innovation_variance", m, i, j) for i in range(m) for j in range(i + 1)]
+    for quantity in ("torque", *(_numbered("innovation", m, i) for i in range(m)), *pairs):
+        if quantity not in found:
+            raise InputError(f"{path}: column '{quantity}_{name}': missing")
     innovation, covariance, own = None, None, {"torque", "variance", "external_torque", "robust"}
     if m:
         innovation, covariance = np.zeros((len(time), m)), np.zeros((len(time), m, m))

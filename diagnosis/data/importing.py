@@ -67,7 +67,7 @@ class SourceColumn(Strict):
     """Factor; may carry a unit."""
     sign: Literal[1, -1] = 1
     """−1 where the log counts the other way."""
-    counts: Annotated[int, Field(gt=1)] | None = None
+    counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
     """Per revolution, for unit `counts`."""
     wraps: bool = False
     """Whether the reading starts again after a revolution; jumps of more than half a one are undone."""
@@ -104,7 +104,7 @@ class ChannelSource(Strict):
     """Factor; may carry a unit."""
     sign: Literal[1, -1] = 1
     """−1 where the log counts the other way."""
-    counts: Annotated[int, Field(gt=1)] | None = None
+    counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
     """Per revolution, where the unit is `counts`."""
     wraps: bool = False
     """Whether the angle starts anew every turn."""

@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from ...models.errors import InputError
-from ...models.files import check_format, write_into_place
+from ...models.files import check_format, read_json, write_into_place
 from .design import Design
 
 try:
@@ -29,6 +29,8 @@ try:
 except ImportError:  # no such locks on Windows
     fcntl = None  # type: ignore[assignment]
 
+_LARGEST_NOTE = 1_000_000_000
+"""Bytes of a note, which lists every seed."""
 _PART = re.compile(r"^runs-(\d+)-(\d+)\.parquet$")
 
 
@@ -187,12 +189,9 @@ def read_note(note: Path) -> dict[str, Any]:
     Raises:
       InputError: a file that is no such note.
     """
-    try:
-        before = json.loads(note.read_text(encoding="utf-8"))
-        known = all(key in before for key in ("digest", "versions", "seeds", "study"))
-    except (OSError, ValueError, TypeError):
-        known = False
-    if not known:
+    before = read_json(note, "the note of a sweep", _LARGEST_NOTE)
+    kinds = {"digest": str, "versions": dict, "seeds": list, "study": dict}
+    if not isinstance(before, dict) or not all(isinstance(before.get(key), kind) for key, kind in kinds.items()):
         raise InputError(f"{note}: expected the note of a sweep, got something else")
     check_format(before, note)
     return before

@@ -8,6 +8,7 @@ run, on the same signals: what both have in common cancels, and the interval is 
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -117,7 +118,8 @@ def read_csv(path: Path, study: Study) -> list[Aggregate]:
 
     def cells(row: dict[str, str], kind: str, n: int) -> dict[str, Interval]:
         ends = {m: [row[f"{m}_{kind}{end}"] for end in ("mean", "low", "high")] for m in study.metrics}
-        return {m: Interval(float(a), float(b), float(c), n) for m, (a, b, c) in ends.items() if a and b and c}
+        numbers = {m: [float(x or math.nan) for x in three] for m, three in ends.items() if any(three) or not kind}
+        return {m: Interval(a, b, c, n) for m, (a, b, c) in numbers.items()}
 
     def value(text: str) -> Value | None:
         try:

@@ -93,6 +93,11 @@ BAD = {
         "{noise: 0}",
         "expected either counts (per revolution) or bits, got both or none",
     ),
+    "more counts than a float holds": (
+        "{counts: 4096}",
+        f"{{counts: 1{'0' * 400}}}",
+        "counts: expected less than or equal to 1099511627776",
+    ),
     "unknown shared tolerance": (
         "shared: friction",
         "shared: fricton",

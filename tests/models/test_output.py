@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -118,12 +119,38 @@ def test_a_manifest_leads_nowhere(tmp_path):
         write(out, {"sub/two": "3"}, whole=True)
 
 
-@pytest.mark.parametrize("text", ["", "[]", "{}", '{"files": 3}', '{"files": ["a"]}'])
+@pytest.mark.parametrize(
+    "text", ["", "[]", "{}", '{"files": 3}', '{"files": ["a"]}', '{"files": {"mine": ""}}', "[" * 100_000]
+)
 def test_a_manifest_that_is_none_protects_all(tmp_path, text):
     (tmp_path / MANIFEST).write_text(text)
     (tmp_path / "mine").write_text("mine")
     with pytest.raises(InputError, match="other files"):
         check_output(tmp_path, "run", whole=True)
+
+
+def test_a_manifest_of_another_version_is_refused(tmp_path):
+    write(tmp_path / "out", {"one": "1"})
+    path = tmp_path / "out" / MANIFEST
+    path.write_text(path.read_text().replace('"format": 1', '"format": 2'))
+    with pytest.raises(InputError, match=r"flexspline: format: expected 1, got 2: written by another version"):
+        write(tmp_path / "out", {"one": "2"})
+    assert content(tmp_path / "out") == {"one": "1"}
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE])
+def test_a_manifest_that_cannot_be_read_now_is_not_taken_for_none(tmp_path, monkeypatch, number):
+    write(tmp_path / "out", {"one": "1"})
+    read = Path.read_text
+
+    def failing(self, *arguments, **options):
+        if self.name == MANIFEST:
+            raise OSError(number, os.strerror(number))
+        return read(self, *arguments, **options)
+
+    monkeypatch.setattr(Path, "read_text", failing)
+    with pytest.raises(InputError, match=rf"{MANIFEST}: cannot be read: {os.strerror(number)}"):
+        write(tmp_path / "out", {"one": "2"})
 
 
 STEPS = ("rename", "replace", "unlink", "rmdir", "rmtree", "mkdir")

@@ -7,6 +7,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -168,6 +169,27 @@ def test_a_folder_that_is_not_ours_is_kept(run, tmp_path):
 def test_no_run_folder(tmp_path):
     with pytest.raises(InputError, match=r"expected a run folder, found no scenario\.yaml"):
         load_run(tmp_path)
+
+
+def in_words(table, name):
+    return table.set_column(table.column_names.index(name), name, pa.array(["a"] * len(table)))
+
+
+@pytest.mark.parametrize(
+    ("table", "change", "said"),
+    [
+        ("estimates", lambda t: t.slice(0, 2), "'time': expected that of signals"),
+        ("estimates", lambda t: t.slice(1), "'time': expected that of signals"),
+        ("estimates", lambda t: in_words(t, "torque_EKF"), "'torque_EKF': expected numbers"),
+        ("estimates", lambda t: t.drop_columns("innovation_variance_EKF"), "'innovation_variance_EKF': missing"),
+        ("signals", lambda t: in_words(t, "motor_current"), "'motor_current': expected numbers"),
+    ],
+)
+def test_a_damaged_table_is_one_line(folder, tmp_path, table, change, said):
+    path = Path(shutil.copytree(folder, tmp_path / "copy")) / f"{table}.parquet"
+    pq.write_table(change(pq.read_table(path)), path)
+    with pytest.raises(InputError, match=said):
+        load_run(path.parent)
 
 
 def test_what_the_measures_do_not_say_is_told():

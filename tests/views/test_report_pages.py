@@ -15,7 +15,7 @@ from browser import assert_fits, look, sheets
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import write_recording
-from flexspline.models.tables import write_table
+from flexspline.models.tables import read_table, write_table
 from flexspline.scenarios.run_folder import save_run
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
@@ -217,6 +217,21 @@ def test_a_summary_is_read_back(tmp_path):
     path.write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="expected the summary of a sweep of levels"):
         read_csv(path, STUDY)
+
+
+def test_a_summary_with_empty_cells_has_no_mean_there(tmp_path):
+    class Of:
+        study = STUDY
+
+    path = tmp_path / "summary.csv"
+    write_csv(found(), Of, path)
+    lines = path.read_text().splitlines()
+    empty = {k for k, name in enumerate(lines[0].split(",")) if name.startswith(STUDY.metrics[0])}
+    lines[1] = ",".join("" if k in empty else cell for k, cell in enumerate(lines[1].split(",")))
+    path.write_text("\n".join(lines))
+    (first, *_), (as_it_was, *_) = read_csv(path, STUDY), found()
+    assert np.isnan(first.values[STUDY.metrics[0]].mean) and first.filter == as_it_was.filter
+    assert "EKF has the lowest RMS error" in text_of(sweep_html(STUDY, read_csv(path, STUDY), {}, "abc", tmp_path))
 
 
 def test_a_repair_says_what_is_gone_what_stays_and_what_moved(repair_page):
@@ -421,6 +436,8 @@ def test_a_damaged_validation_is_refused_in_one_line(flexspline, tmp_path):
         "[]",
         "{",
         "3",
+        "[" * 100_000,
+        '{"format": 2}',
         good.replace('"rms"', '"x"'),
         good.replace('["sweep <1>"]', '["nowhere"]'),
         good.replace("0.01", '"a"'),
@@ -432,6 +449,22 @@ def test_a_damaged_validation_is_refused_in_one_line(flexspline, tmp_path):
     write_table(table, {"time": TIME, "motor_current_simulated": TIME}, {"time": "s", "motor_current_simulated": "A"})
     code, _, err = flexspline("report", folder, "--out", tmp_path / "page.html")
     assert code == 2 and "expected the columns" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"motor_current": np.full(len(TIME), 1e308)}, "column 'motor_current': expected numbers less than 1e+30"),
+        ({"time": np.full(len(TIME), 1.0)}, "column 'time': expected times that increase"),
+        ({"time": np.append(TIME[:-1], np.inf)}, "column 'time': expected times that increase"),
+    ],
+)
+def test_tables_of_a_validation_that_are_no_measurement_are_refused(change, said, flexspline, tmp_path):
+    path = validated(tmp_path / "v") / "sweep <1>.parquet"
+    columns = read_table(path)[0] | change
+    write_table(path, columns, dict.fromkeys(columns, "1"))
+    code, _, err = flexspline("report", path.parent, "--out", tmp_path / "page.html")
+    assert code == 2 and said in err and err.count("\n") == 1, err
 
 
 def test_what_validate_wrote_becomes_a_page(flexspline, pushed, tmp_path):

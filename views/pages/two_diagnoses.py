@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ...models.errors import InputError
-from ...models.files import check_format, read_text
+from ...models.files import check_format, read_json
 from ...models.joint import Joint, load_joint
 from ..glossary import meaning
 from ..report import listed, plain
@@ -66,13 +65,13 @@ def read_diagnosis(folder: Path) -> Diagnosed:
       InputError: a folder without one.
     """
     path = folder / "diagnosis.json"
+    answer = read_json(path, "a diagnosis")
+    check_format(answer, path)
     try:
-        answer = json.loads(read_text(path, "a diagnosis"))
         {cause["name"]: cause["parameters"] for cause in answer["causes"]}
         answer["verdict"], answer["residual"], answer["undetermined"]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: expected what flexspline diagnose writes, got something else") from error
-    check_format(answer, path)
     return Diagnosed(folder, answer, load_joint(str(folder / "joint.yaml")))
 
 

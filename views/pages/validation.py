@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from ...models.errors import InputError
-from ...models.files import read_text
+from ...models.files import check_format, read_json
 from ...models.joint import beyond_sentence
+from ...models.recording import LARGEST
 from ...models.tables import read_table
 from ..report import listed, plain
 from .chart import Chart, limits
@@ -53,8 +53,9 @@ def read_validation(folder: Path) -> Validated:
       InputError: a folder without one, or whose tables are not those that it names.
     """
     path = folder / "validation.json"
+    answer = read_json(path, "a validation")
+    check_format(answer, path)
     try:
-        answer = json.loads(read_text(path, "a validation"))
         for e in answer["residual"].values():
             e |= {key: float(e[key]) for key in ("rms", "mean", "noise", "inside")} | {"samples": int(e["samples"])}
             e["unit"]
@@ -64,7 +65,7 @@ def read_validation(folder: Path) -> Validated:
             region["by"], region["unit"]
         answer["joint"], dict(answer["beyond"]), [m["description"] for m in answer["mistakes"]]
         names = [str(name) for name in answer["recordings"]]
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, OverflowError) as error:
         raise InputError(f"{path}: expected what flexspline validate writes, got something else") from error
     tables = {name: read_table(folder / f"{name}.parquet")[0] for name in names}
     for name, columns in tables.items():
@@ -73,10 +74,21 @@ def read_validation(folder: Path) -> Validated:
             raise InputError(
                 f"{folder / name}.parquet: expected the columns that flexspline validate writes, got others"
             )
+        time, bad = columns["time"], [c for c in ("time", *sorted(wanted)) if not _are_numbers(columns[c])]
+        if bad or len(time) < 2 or not (np.isfinite(time).all() and np.all(np.diff(time) > 0)):
+            expected = f"numbers less than {LARGEST:g}" if bad else "times that increase"
+            raise InputError(
+                f"{folder / name}.parquet: column {(bad or ['time'])[0]!r}: expected {expected}, got others"
+            )
     return Validated(folder, answer, tables)
 
 
 _ENDS = ("", "_simulated", "_low", "_high")
+
+
+def _are_numbers(values: np.ndarray) -> bool:
+    """Whether a column holds numbers such as a recording may, and gaps."""
+    return values.dtype.kind == "f" and bool(np.all(abs(values[np.isfinite(values)]) < LARGEST))
 
 
 def _channels(columns: Mapping[str, np.ndarray]) -> list[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 from pathlib import Path
 
@@ -115,6 +116,29 @@ def test_a_file_that_cannot_be_read_now_is_not_taken_away(tmp_path, monkeypatch,
     with pytest.raises(InputError, match="cannot be read"):
         Dataset.open(tmp_path / "a", again.design, versions()).done()
     assert path.exists()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "[]", "[" * 100_000, '{"a":' * 100_000, "1" * 5000,
+        *(json.dumps({"digest": "", "versions": {}, "seeds": [], "study": {}} | odd) for odd in (
+            {"versions": None}, {"versions": ["numpy"]}, {"seeds": 3}, {"seeds": None}, {"study": "x"}, {"digest": 1},
+        )),
+    ],
+)  # fmt: skip
+def test_a_damaged_note_is_one_line(tmp_path, text):
+    (tmp_path / "study.json").write_text(text)
+    with pytest.raises(InputError, match=r"study\.json: expected the note of a sweep, got something else"):
+        Dataset.open(tmp_path, Design.of(study()), versions())
+    assert (tmp_path / "study.json").read_text() == text
+
+
+def test_a_note_that_cannot_be_read_now_is_not_called_something_else(tmp_path, monkeypatch):
+    again = run(tmp_path / "a", study(seeds={"first": 4, "count": 1}), jobs=1)
+    monkeypatch.setattr(Path, "read_text", lambda *_, **__: (_ for _ in ()).throw(OSError(errno.EIO, os.strerror(5))))
+    with pytest.raises(InputError, match=r"study\.json: cannot read the note of a sweep: Input/output error"):
+        Dataset.open(tmp_path / "a", again.design, versions())
 
 
 def test_rows_are_not_written_through_a_link(tmp_path):
