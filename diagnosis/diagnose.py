@@ -74,7 +74,7 @@ class AnswerSettings:
     nearly_all: float = 2 / 3
     minor: float = 0.12
     quiet: float = 1.6
-    little: float = 0.01
+    little: float = 0.015
     inflation: float = 5.0
     lookalike: float = 0.05
     inexact_size: float = 0.01
