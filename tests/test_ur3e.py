@@ -67,19 +67,7 @@ def test_diagnosis_alone(held, ur3e):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "seconds",
-    [
-        pytest.param(
-            20.0,
-            marks=pytest.mark.xfail(
-                reason="a resonance that is worth little is set aside there, and the ripple with it"
-            ),
-        ),
-        26.0,
-        28.0,
-    ],
-)
+@pytest.mark.parametrize("seconds", [20.0, 26.0, 28.0])
 def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, ur3e):
     """Beside friction that the description does not hold either: a ripple is judged in its own band."""
     recording = import_recording(load_layout("ur3e"), log)

@@ -33,7 +33,8 @@ class SolverSettings:
       tolerance: a fit ends when the objective (in units of χ²) changes by less.
       good: share of the expected change of the objective below which derivatives are computed anew.
       far: step of a calibration variable [standard deviations] after which they are, too.
-      chord: change of an effect's coordinates since its derivatives were computed after which they are computed anew.
+      chord: change of an effect's coordinates since its derivatives were computed after which they are computed anew; where the
+        common ones are, too, any change.
       noisy: share of the noise in the whitened energy from which on it is taken out (errors in variables).
       chance: standard deviations of the difference of two sums of squares below zero that still count as nothing.
       leverage: a residual whose derivative in a common unknown is so many times the usual one counts as much less: where the
@@ -416,6 +417,7 @@ class Fitter:
                 damping = max(8 * damping, 1e-2)
             if not accepted:
                 if effects.forget(theta):
+                    fresh = False
                     continue
                 if fresh or not anew:
                     break
@@ -427,6 +429,8 @@ class Fitter:
             if cost - after < settings.tolerance:
                 break
             good = cost - after > settings.good * expected
+            if anew or not good:
+                effects.forget(theta)
             fresh = anew and (not good or bool(np.max(np.abs(step[: problem.size])) > settings.far))
         # Where the common derivatives would be needed anew, the last step was small: the chord's serve.
         assert common is not None

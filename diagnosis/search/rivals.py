@@ -40,7 +40,9 @@ def against_rivals(
             index += 1
             continue
         without = without_effect(problem, fitter, f, index, settings)
-        own = f.log_evidence - without.log_evidence
+        # Under the sensors' noise that the rivals' fits have, too.
+        here = fitter.fit(f.model, f.theta, f, 1, without.point.noise)
+        own = here.log_evidence - without.log_evidence
         offered = [o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close]
         library = Library(problem, without, offered, screening.probe)
         screened = screen(problem, without, library, screening)
