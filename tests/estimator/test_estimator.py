@@ -190,6 +190,18 @@ def test_known_joint_says_how_well(known):
     assert known.friction == pytest.approx(0.15) and known.link_zero == pytest.approx(1e-3)
 
 
+def test_what_a_diagnosis_found_stands_before_a_tolerance():
+    """Relative to the number, however large it is in its unit: Kt is 0.06 N·m/A, K2 9400 N·m/rad."""
+    numbers = dict(JOINT.numbers)
+    for name in ("Kt", "K2", "bw", "Fc"):
+        numbers[name] = numbers[name].model_copy(update={"std": 0.013 * numbers[name].value})
+    numbers["Kw0"] = numbers["Kw0"].model_copy(update={"value": 0.0, "std": 3.0})
+    found = KnownJoint.of(JOINT.model_copy(update={"numbers": numbers}), record=KnownJoint.of(JOINT).record)
+    told = (found.spread.torque_constant, found.spread.stiffness, found.spread.viscous, found.friction)
+    assert told == pytest.approx((0.013,) * 4)
+    assert found.spread.wave_generator == 0.0, "of nothing there is no share"
+
+
 @dataclass(frozen=True)
 class Plain(CausalEstimator):
     """An estimator that somebody wrote in Python: torque of the motor, with its own idea of the gear."""

@@ -18,6 +18,16 @@ def test_slow_motion_comes_back_with_its_derivatives(irregular):
     np.testing.assert_allclose(s.acceleration[inside, 0], -9 * np.sin(3 * t), atol=0.05)
 
 
+@pytest.mark.parametrize("step", [1e-3, 2e-2])
+def test_a_recording_may_begin_in_motion(step):
+    """Of a motion without jerk the smoother leaves everything as it is, from the first sample to the last."""
+    time = step * np.arange(2000)
+    s = smooth(time, (0.3 + 2.0 * time + 1.5 * time**2)[:, None], step)
+    np.testing.assert_allclose(s.value[:, 0], 0.3 + 2.0 * s.time + 1.5 * s.time**2, rtol=1e-4)
+    np.testing.assert_allclose(s.rate[:, 0], 2.0 + 3.0 * s.time, rtol=1e-3)
+    np.testing.assert_allclose(s.acceleration[:, 0], 3.0, rtol=0.02)
+
+
 def test_rate_and_acceleration_are_derivatives_between_samples_too(rng):
     """Of any signal, on a grid far finer than its samples: by differences of what is integrated."""
     time = np.cumsum(rng.uniform(0.01, 0.03, 200))
