@@ -1,4 +1,4 @@
-"""Which causes the data speak for, in stages: calibrate, screen, fit, select, settle.
+"""Which causes the data speak for, in stages: calibrate, screen, fit, select, compare, settle.
 
 *Calibrate* the joint without causes. *Screen* the library there and *fit* the few that look best through the replay: the first
 cause may be large, where nothing is linear. With it in the model what is left is small, and further causes are *selected* in the
