@@ -2,7 +2,8 @@
 
 *Calibrate* the joint without causes. *Screen* the library there and *fit* the few that look best through the replay: the first
 cause may be large, where nothing is linear. With it in the model what is left is small, and further causes are *selected* in the
-linear model of a second library, one after the other; *settle* fits all of them together and takes back what does not hold.
+linear model of a second library, one after the other, and fitted together. Each is *compared* with its close rivals beside all
+others, and *settle* takes back what does not hold.
 
 Every stage returns a frozen result, and every hypothesis that was looked at leaves a decision that says why it was taken or not.
 The noise, with what no description can hold (`fit.noise`), is learned for every model that is compared: a cause is worth what it
