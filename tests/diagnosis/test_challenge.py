@@ -147,6 +147,37 @@ def test_what_real_joints_have_beside_does_not_hide_the_cause(index):
 
 
 @pytest.mark.slow
+def test_what_was_known_before_is_no_less_sure_for_what_nothing_explains():
+    """Of mesh friction the data tell the product with its tolerance: Birge's ratio does not touch what tells the two apart."""
+    drawn = draw(Challenge(seed=214, hidden="one", real=True), 7)
+    assert [e.name for e in drawn.effects] == ["mesh_friction"]
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert {c.name: c.confidence for c in found.causes}.get("mesh_friction", 0.0) > 0.9
+
+
+@pytest.mark.slow
+def test_a_late_encoder_is_followed_from_far_away():
+    """Ten milliseconds are tens of newton metres: derivatives that were taken over from a smaller delay lead astray."""
+    drawn = draw(Challenge(seed=231, hidden="one", real=True), 6)
+    assert [e.name for e in drawn.effects] == ["encoder_delay"]
+    found = diagnose(drawn.measurement, drawn.nominal)
+    delay = found.causes[0].parameters["seconds"]
+    assert abs(delay.value - drawn.effects[0].values["seconds"]) < 3 * delay.std
+    assert "unknown" not in {c.name for c in found.causes}
+
+
+@pytest.mark.slow
+def test_rivals_are_compared_beside_all_other_causes():
+    """A current offset gains more than asymmetric friction while viscous friction is missing, and much less beside it."""
+    drawn = draw(Challenge(seed=213, hidden="two", real=True), 4)
+    hidden = {e.name for e in drawn.effects}
+    assert hidden == {"viscous_friction", "friction_asymmetry"}
+    confidence = {c.name: c.confidence for c in diagnose(drawn.measurement, drawn.nominal).causes}
+    assert all(confidence.get(name, 0.0) > 0.9 for name in hidden), confidence
+    assert "current_offset" not in confidence
+
+
+@pytest.mark.slow
 def test_of_places_that_look_the_same_the_usual_one_is_named():
     drawn = draw(Challenge(seed=212, hidden="outside", real=True), 1)
     found = diagnose(drawn.measurement, drawn.nominal)
