@@ -110,12 +110,15 @@ def test_nothing_hidden_is_no_alarm(index):
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [14, 29])
 def test_a_cause_is_as_general_as_the_data_ask_for(index):
-    """Of load-dependent friction, and of one that is another when the load drives, the one that is there."""
+    """Of load-dependent friction, and of one that is another when the load drives, the one that is there. Where the general
+    one adds just what it must it may be either: then neither is sure, and both are told."""
     drawn = draw(Challenge(seed=206, hidden="one"), index)
     found = diagnose(drawn.measurement, drawn.nominal)
     hidden = [e.name for e in drawn.effects]
     assert hidden[0] in ("load_dependent_friction", "back_driving")
-    assert [c.name for c in found.causes] == hidden
+    (named,) = found.causes
+    undecided = named.confidence < 0.7 and ("back_driving", "load_dependent_friction") in found.confusable
+    assert named.name == hidden[0] or undecided, (named.name, named.confidence, found.confusable)
 
 
 @pytest.mark.slow
