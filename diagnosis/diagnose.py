@@ -254,6 +254,7 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
         return replace(f, covariance=f.covariance + np.diag(inexact**2))
     # What is known before the data stays known: a friction of which they tell only the product with its tolerance.
     spread = problem.spread(f.model)
+    spread[: problem.size][problem.held] = 1.0  # what is held is known as it was described
     known = np.linalg.inv(f.covariance / spread[:, None] / spread) - np.eye(len(spread))
     values, vectors = np.linalg.eigh(0.5 * (known + known.T))
     inflation = min(ratio, ANSWER.inflation) ** 2
@@ -534,9 +535,8 @@ def _verdict(
       useless: whether the causes leave no less unexplained than calibration alone.
     """
     problem = outcome.problem
-    taken_back = (
-        outcome.share < 1.0
-    )  # not all that the fit found is in the joint of which `residual` is: no noise, what that leaves
+    # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
+    taken_back = outcome.share < 1.0
     rated = problem.joint.numbers["rated_torque"].value
     scale = dict(zip(BALANCES, problem.output_scale, strict=True))
     times, worth = (ANSWER.far, ANSWER.worth) if findings or not taken_back else (ANSWER.near, 0.0)

@@ -150,6 +150,8 @@ def test_diagnosis_alone_finds_what_the_torsion_hides(recording, lara8):
     assert found.name == "link_encoder_eccentricity" and found.component == "sensor"
     assert found.confidence <= 0.7  # it holds only with all numbers as described, and that is said
     assert "as described" in answer.reason
+    held = np.flatnonzero(answer.problem.held)
+    assert len(held) and np.all(np.diag(answer.final.covariance)[held] > 0.99)  # no better known than described
     amplitude = found.parameters["amplitude"]
     assert abs(amplitude.value - 1.08e-3) < 3 * np.hypot(amplitude.std, 0.26e-3)
     # The load drives nowhere: friction that grows with it looks like a wrong gain, and no more is claimed.
