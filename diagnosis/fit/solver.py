@@ -317,7 +317,7 @@ class _Effects:
         for i, h in enumerate(self.model):
             block = self.problem.place(self.model, i)
             columns = self.columns[i]
-            if columns is None or not self._near(i, theta[block]):
+            if columns is None or self._moved(i, theta) > self.chord:
                 if hasattr(h, "derivatives"):
                     columns = h.derivatives(self.problem, theta, self.model)
                 else:
@@ -328,19 +328,17 @@ class _Effects:
 
     def forget(self, theta: np.ndarray) -> bool:
         """Let what was not computed at `theta` be computed anew; whether there was any."""
-        old = [i for i in range(len(self.model)) if not self._exact(i, theta)]
+        old = [i for i in range(len(self.model)) if self._moved(i, theta) > 0.0]
         for i in old:
             self.columns[i] = None
         return bool(old)
 
-    def _near(self, index: int, u: np.ndarray) -> bool:
-        # An effect that gives its own derivatives is linear in its coordinates.
-        linear = hasattr(self.model[index], "derivatives")
-        return linear or bool(np.all(np.abs(u - self.at[index]) <= self.chord))
-
-    def _exact(self, index: int, theta: np.ndarray) -> bool:
+    def _moved(self, index: int, theta: np.ndarray) -> float:
+        """By how much an effect's coordinates have moved since; 0 for one linear in them, which gives its own derivatives."""
+        if hasattr(self.model[index], "derivatives"):
+            return 0.0
         u = theta[self.problem.place(self.model, index)]
-        return hasattr(self.model[index], "derivatives") or bool(np.array_equal(u, self.at[index]))
+        return float(np.max(np.abs(u - self.at[index]), initial=0.0))
 
 
 class Fitter:

@@ -77,8 +77,5 @@ def _better(
     problem: Problem, without: Fit, fitted: Sequence[Finalist], own: float, settings: AcceptSettings
 ) -> Finalist | None:
     """The likeliest rival that is plainly likelier than what stands there, and to which nothing objects."""
-    for other in fitted:
-        if other.gain > own + settings.threshold and np.isfinite(other.gain):
-            if not objection(problem, without, other, settings):
-                return other
-    return None
+    likelier = (f for f in fitted if own + settings.threshold < f.gain < np.inf)
+    return next((f for f in likelier if not objection(problem, without, f, settings)), None)

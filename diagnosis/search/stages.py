@@ -113,8 +113,8 @@ def search(
             again = _one_by_one(problem, fitter, other, hypotheses, settings, progress, deadline, coarsely=False)
             found = replace(again, decisions=(*found.decisions, *again.decisions))
     if found.late or time.monotonic() > deadline:
-        rivals = (*found.rivals, *((rivals_of(*found.last, {}, accept),) if found.last is not None else ()))
-        found = replace(found, rivals=rivals, late=True)
+        last = () if found.last is None else (rivals_of(*found.last, {}, accept),)
+        found = replace(found, rivals=(*found.rivals, *last), late=True)
     else:
         found = _further(problem, fitter, found, hypotheses, settings, progress, deadline)
     quiet = (quiet_rms(problem, found.first), quiet_rms(problem, found.at))
