@@ -1,0 +1,424 @@
+"""The augmented filter's model against the joint's equations: what it predicts, what it takes for its error, what it learns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from known_effects import signals_of
+from test_symmetry import PLAIN, SEED, seen
+
+from flexspline.estimator import KnownJoint, registry
+from flexspline.estimator.estimator import as_samples, go_on
+from flexspline.estimator.filters import augmented
+from flexspline.estimator.filters.augmented import MEMORY, SETTINGS, SIZE
+from flexspline.models import dynamics, laws
+
+NAMES = (
+    "link", "link_rate", "rotor", "wave_rate", "wound", "bristle", "spring", "swing", "swing_rate", "external", "mesh", "count",
+    "friction", "constant", "weight", "stiffness", "zero", "wave", "curve",
+)  # fmt: skip
+AT = {name: i for i, name in enumerate(NAMES)}
+assert augmented.KINEMATIC == len(NAMES) and [getattr(augmented, n.upper()) for n in NAMES] == list(range(19))
+FIXED, MOVING = AT["friction"], AT["count"]
+UNITS = np.r_[
+    1e-6,
+    1e-4,
+    1e-2,
+    1e-2,
+    1e-4,
+    1e-6,
+    1e-2,
+    1e-6,
+    1e-4,
+    1e-2,
+    1e-4,
+    1e-7,
+    np.full(4, 1e-3),
+    1e-6,
+    1e-3,
+    1e-3,
+    np.full(6, 1e-6),
+]
+"""A size of every state that is small for it."""
+
+
+@dataclass
+class Midway:
+    """The filter after a part of a recording, ready to take its next sample from any state and covariance.
+
+    Attributes:
+      joint: what it knows. memory, settings: its records. sample: the next one.
+    """
+
+    joint: KnownJoint
+    memory: np.void
+    settings: np.void
+    sample: np.void
+    _arrays: tuple
+
+    @classmethod
+    def of(cls, case: str, samples: int = 900, interval: float | None = None, **told: float) -> Midway:
+        """Of a case of `test_symmetry`; `interval` [s] to the next sample, by default the recording's; told: of its record."""
+        signals, known = seen(case)
+        known = known.told(**told)
+        estimator = registry.get("augmented")
+        step = estimator.step(known, 1e-3)
+        given = as_samples(signals, (), known)[: samples + 1].copy()
+        arrays = step.arrays()
+        go_on(arrays, given[:samples], np.zeros((samples, step.outputs)))
+        if interval is not None:
+            given[samples]["interval"] = interval
+        arrays = (arrays[0], arrays[1].copy(), arrays[2], arrays[3].copy(), arrays[4])
+        found = cls(known, arrays[1].view(MEMORY)[0], arrays[3].view(SETTINGS)[0], given[samples], arrays)
+        found.memory["belief"] = 1.0
+        return found
+
+    def blind(self) -> Midway:
+        """Let no measurement count."""
+        self.settings["link_variance"] = self.settings["torsion_variance"] = 1e30
+        self.settings["wait"] = 1e30
+        return self
+
+    def after(self, x=None, P=None, **memory: float):
+        """State, covariance and outputs after the sample, from a state and covariance; and what is remembered."""
+        arrays = (self._arrays[0], self._arrays[1].copy(), *self._arrays[2:])
+        m = arrays[1].view(MEMORY)[0]
+        m["x"] = self.memory["x"] if x is None else x
+        m["P"] = 0.0 if P is None else P
+        for name, value in memory.items():
+            m[name] = value
+        out = np.zeros((1, len(augmented.OUT.names)))
+        assert go_on(arrays, np.array([self.sample]), out) == (1, 0)
+        return m["x"].copy(), m["P"].copy(), out.view(augmented.OUT)[0, 0], m
+
+    def moved(self, i: int, by: float) -> np.ndarray:
+        x = self.memory["x"].copy()
+        x[i] += by
+        return x
+
+    def jacobian(self) -> np.ndarray:
+        """Of the state after the sample by the state before, by central differences."""
+        return np.column_stack([
+            (self.after(self.moved(i, UNITS[i]))[0] - self.after(self.moved(i, -UNITS[i]))[0]) / (2.0 * UNITS[i])
+            for i in range(SIZE)
+        ])  # fmt: skip
+
+    def rates(self, x: np.ndarray) -> np.ndarray:
+        """The joint's equations as the module states them, at a state; geometry as the sample's readings have it."""
+        p, s, c = self.joint.p, self.sample, self.settings
+        state = dict(zip(NAMES, x, strict=False))
+        motor_torque = p["Kt"] * (s["motor_current"] - p["current_offset"])
+        motor_torque += laws.cogging_torque(s["motor_position"], p)
+        link = s["link_position"] - p["link_zero"]
+        torsion, theta = dynamics.measured_torsion(s["motor_position"], link, motor_torque, p)
+        slope = laws.kinematic_error_slope(theta, p)
+        for k in range(augmented.ORDERS):
+            n, (a, b) = c["order"][k], x[len(NAMES) + 2 * k :][:2]
+            slope += n * (a * np.cos(n * theta) - b * np.sin(n * theta))
+        r, out = 1.0 / p["N"] - slope, np.zeros(SIZE)
+        joint_state = dynamics.drive_state(
+            s["motor_position"], state["wave_rate"], state["link"], state["link_rate"], state["bristle"], 0.0, s["time"],
+            s["temperature"],
+        )  # fmt: skip
+        g = (1.0 + state["friction"]) * dynamics.sliding_friction(joint_state, state["spring"], p)
+        torsion_rate = r * state["wave_rate"] - state["link_rate"]
+        spring = (1.0 + state["stiffness"]) * laws.flexspline_stiffness(torsion, p)
+        if p["hysteresis_torque"]:
+            z, extent = self.after(x)[3]["torsion"]["dahl"], p["hysteresis_extent"]
+            spring += p["hysteresis_torque"] / extent * (1.0 - np.sign(torsion_rate) * z / extent)
+        load = state["spring"] + p["df"] * torsion_rate
+        pull = laws.flexible_torque(state["swing"], state["swing_rate"], p)
+        own = (1.0 + state["weight"]) * dynamics.link_torque(joint_state, state["spring"], p)
+        on_link = load - p["bl"] * state["link_rate"] + own + state["external"] + pull
+        damping = p["dw"] * (state["rotor"] - state["wave_rate"])
+        friction = dynamics.mesh_torque(joint_state, state["spring"], g, p)
+        out[AT["link"]] = state["link_rate"]
+        out[AT["link_rate"]] = on_link / (p["Jl"] * (1.0 - p["flexible_share"]))
+        out[AT["rotor"]] = (
+            (1.0 + state["constant"]) * motor_torque - p["bm"] * state["rotor"] - state["wound"] - damping
+        )
+        out[AT["rotor"]] /= p["Jm"]
+        out[AT["wave_rate"]] = (state["wound"] + damping - friction + state["mesh"] - r * load) / p["Jw"]
+        out[AT["wound"]] = p["Kw0"] * np.exp(p["Cw"] * abs(state["wound"])) * (state["rotor"] - state["wave_rate"])
+        out[AT["bristle"]] = laws.bristle_rate(state["bristle"], state["wave_rate"], g, p)
+        out[AT["spring"]] = spring * torsion_rate
+        if p["flexible_share"]:
+            out[AT["swing"]] = state["swing_rate"]
+            out[AT["swing_rate"]] = -pull / (p["flexible_share"] * p["Jl"]) - out[AT["link_rate"]]
+        out[AT["mesh"]] = -state["mesh"] / c["level_time"]
+        return out
+
+
+def disturbed(midway: Midway, **values: float) -> Midway:
+    """The same, not in equilibrium: pushed, swinging, wound; with a kinematic error that nobody told of."""
+    x, p = midway.memory["x"], midway.joint.p
+    given = {"external": 1.5, "mesh": 2e-3, "rotor": x[AT["rotor"]] + 0.3, **values}
+    if p["flexible_share"]:
+        given |= {"swing": 1e-4, "swing_rate": 2e-3}
+    for name, value in given.items():
+        x[AT[name]] = value
+    x[len(NAMES) :] = 1e-6 * np.arange(1, 7) * np.repeat(midway.settings["order"] > 0.0, 2)
+    return midway.blind()
+
+
+ERRORS = {"friction": 0.1, "constant": -0.02, "weight": 0.03, "stiffness": -0.05}
+MOMENT = 1e-7
+"""An interval [s] so short that rates are all there is."""
+
+
+@pytest.mark.parametrize("case", ["plain", "rich"])
+def test_it_moves_by_the_joints_equations(case):
+    midway = disturbed(Midway.of(case, interval=MOMENT), **ERRORS)
+    x = midway.memory["x"]
+    expected, found = midway.rates(x), (midway.after()[0] - x) / MOMENT
+    for name, i in AT.items():
+        if name != "count":  # a new one
+            assert found[i] == pytest.approx(expected[i], rel=1e-3, abs=1e-6), name
+    moved = [n for n in NAMES[:MOVING] if n != "external" and (case == "rich" or not n.startswith("swing"))]
+    assert all(expected[AT[name]] for name in moved)
+
+
+@pytest.mark.parametrize("told", [{}, {"flexible_share": 0.2, "flexible_damping": 0.05, "cable_stiffness": 0.7}])
+def test_errors_grow_by_the_equations_linearised(told):
+    """F from the covariance of one error at a time, against differences of the equations. Left out: the Stribeck curve's slope,
+    what a bristle's deflection does to its damping, how the wave generator stiffens, how a weight shakes what hangs by a spring,
+    all of kinematic error but the spring's."""
+    midway = disturbed(Midway.of("plain", interval=MOMENT, **told), stiffness=0.0)
+    noise = midway.after()[1]
+    linear = {"Fs": midway.joint.p["Fc"], "friction_load": 0.0}
+    others = Midway(midway.joint.told(**linear), midway.memory, midway.settings, midway.sample, midway._arrays)
+    undamped = Midway(others.joint.told(s1=0.0), midway.memory, midway.settings, midway.sample, midway._arrays)
+    for j in range(SIZE):
+        P = np.zeros((SIZE, SIZE))
+        P[j, j] = UNITS[j] ** 2
+        column = (midway.after(P=P)[1] - noise)[:, j] / P[j, j]
+        column[j] = 0.5 * (column[j] - 1.0)
+        by = undamped if j in (AT["bristle"], FIXED) else others
+        expected = (by.rates(midway.moved(j, UNITS[j])) - by.rates(midway.moved(j, -UNITS[j]))) / (2.0 * UNITS[j])
+        for i in range(MOVING):
+            left_out = (i, j) in ((AT["wound"], AT["wound"]), (AT["swing_rate"], AT["weight"])) or (
+                j >= len(NAMES) and i != AT["spring"]
+            )
+            second_order = 0.02 if i != AT["wave_rate"] else 2.0
+            if not left_out:
+                assert column[i] / MOMENT == pytest.approx(expected[i], rel=0.02, abs=second_order), (NAMES[i], j)
+
+
+@pytest.mark.parametrize("case", ["plain", "rich"])
+@pytest.mark.parametrize("interval", [1e-3, 4e-3])
+def test_errors_grow_as_states_part(case, interval):
+    """Over a whole interval, substep after substep: F P Fᵀ of small errors of everything against where states go from there."""
+    midway = disturbed(Midway.of(case, interval=interval, friction_load=0.0, hysteresis_torque=0.0))
+    rng = np.random.default_rng(8)
+    L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
+    L[AT["count"]] = 0.0  # which is new
+    L[len(NAMES) :] = 0.0
+    noise = midway.after()[1]
+    found = midway.after(P=L @ L.T)[1] - noise
+    parted = np.column_stack([
+        (midway.after(midway.memory["x"] + 0.1 * e)[0] - midway.after(midway.memory["x"] - 0.1 * e)[0]) / 0.2 for e in L.T
+    ])  # fmt: skip
+    expected = parted @ parted.T
+    moved = np.flatnonzero(np.sqrt(np.diag(expected)) > 1e-3 * UNITS)
+    spread = np.sqrt(np.diag(expected)[moved])
+    apart = np.abs(found - expected)[np.ix_(moved, moved)] / np.outer(spread, spread)
+    print("seed 8: largest difference of", len(moved), "states, in their own deviations:", apart.max())
+    assert len(moved) == 18 and apart.max() < (0.1 if interval == 1e-3 else 0.2)
+
+
+def seeing(case: str, deviation: float = 0.02) -> Midway:
+    """Midway, the torsion alone read, so that its torque has a standard deviation [N·m]; nothing but rates in between."""
+    midway = disturbed(Midway.of(case, interval=MOMENT), friction=0.0, constant=0.0, weight=0.0, stiffness=0.0)
+    midway.memory["x"][AT["zero"] :] = 0.0
+    midway.settings["torsion_variance"] = (deviation / midway.joint.p["K1"]) ** 2
+    return midway
+
+
+def test_what_torsion_shows_of_the_joints_numbers():
+    """An error of a number in the state says of torsion's torque what the number itself, changed in the record, says."""
+    midway = seeing("plain")
+    p = midway.joint.p
+
+    def innovation(x=None, **told):
+        other = midway.joint.told(**told)
+        arrays = (*midway._arrays[:2], other.record, *midway._arrays[3:])
+        return Midway(other, midway.memory, midway.settings, midway.sample, arrays).after(x)[2]["innovation"]
+
+    before = innovation()
+    small = 1e-4
+    told = {
+        "zero": (1e-7, {"link_zero": p["link_zero"] + 1e-7}),
+        "wave": (small, {"Kw0": p["Kw0"] * (1 + small)}), "curve": (small, {"Cw": p["Cw"] * (1 + small)}),
+    }  # fmt: skip
+    for k, quadrature in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        i = int(np.flatnonzero(p["order"] == midway.settings["order"][k])[0])
+        a, b = p["amplitude"][i] * np.cos(p["phase"][i]), p["amplitude"][i] * np.sin(p["phase"][i])
+        a, b = (a + 1e-9, b) if quadrature == 0 else (a, b + 1e-9)
+        amplitude, phase = p["amplitude"].copy(), p["phase"].copy()
+        amplitude[i], phase[i] = np.hypot(a, b), np.arctan2(b, a)
+        told[len(NAMES) + 2 * k + quadrature] = 1e-9, {"amplitude": amplitude, "phase": phase}
+    for name, (size, numbers) in told.items():
+        by_state = innovation(midway.moved(AT.get(name, name), size)) - before
+        by_record = innovation(**numbers) - before
+        assert by_state == pytest.approx(by_record, rel=0.03), name
+        assert abs(by_record) > 1e-7
+    stiffer = innovation(midway.moved(AT["stiffness"], small)) - before
+    assert stiffer == pytest.approx(small * midway.memory["x"][AT["spring"]], rel=1e-6), (
+        "less torque is seen than there is"
+    )
+    assert innovation(midway.moved(AT["spring"], 0.1)) - before == pytest.approx(-0.1, rel=1e-6)
+
+
+@pytest.mark.parametrize("learn", [True, False])
+@pytest.mark.parametrize("case", ["plain", "rich"])
+def test_it_is_a_kalman_filter_that_may_consider(case, learn):
+    """The textbook's update along the innovation's own derivative; without leave to learn, what is constant stays (Schmidt)."""
+    midway = seeing(case)
+    rng = np.random.default_rng(9)
+    L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
+    L[AT["count"]] = 0.0
+    for k in np.flatnonzero(midway.settings["order"] == 0.0):
+        L[len(NAMES) + 2 * k :][:2] = 0.0
+    calm = {"calm": 1e3, "slid": 1e3 * learn, "free": 1.0, "torsion_ratio": 1.0, "link_ratio": 1.0}
+    midway.settings["coarse"] = np.inf
+    x, P, o, _ = midway.after(P=L @ L.T, **calm)
+    H = -np.array([
+        (midway.after(midway.moved(j, UNITS[j]))[2]["innovation"] - midway.after(midway.moved(j, -UNITS[j]))[2]["innovation"])
+        / (2.0 * UNITS[j])
+        for j in range(SIZE)
+    ])  # fmt: skip
+    fresh = np.zeros((SIZE, SIZE))
+    fresh[AT["count"], AT["count"]] = midway.settings["prior"][AT["count"]] ** 2
+    H[AT["count"]] = H[AT["zero"]]
+    before = L @ L.T + fresh
+    S = o["innovation_variance"]
+    assert S == pytest.approx(H @ before @ H + S0(midway), rel=1e-3)
+    gain = before @ H / S
+    changed = np.ones(SIZE, bool) if learn else np.arange(SIZE) < FIXED
+    expected = np.where(changed, gain * o["innovation"], 0.0)
+    moved = x - np.where(np.arange(SIZE) == AT["count"], 0.0, midway.memory["x"])
+    assert np.allclose(moved / UNITS, expected / UNITS, rtol=5e-3, atol=5e-3 * np.abs(expected / UNITS).max())
+    less = np.outer(gain, gain) * S * ~np.outer(~changed, ~changed)
+    apart = (P - (before - less)) / np.sqrt(np.outer(np.diag(before), np.diag(before)) + 1e-300)
+    assert np.abs(apart).max() < 0.02
+    assert np.abs(less / np.sqrt(np.outer(np.diag(before), np.diag(before)) + 1e-300)).max() > 0.1
+
+
+def S0(midway: Midway) -> float:
+    """Variance of torsion's torque [(N·m)²] that its readings alone leave: what is left of S where everything is known."""
+    midway.settings["prior"][AT["count"]], kept = 0.0, midway.settings["prior"][AT["count"]]
+    found = midway.after()[2]["innovation_variance"]
+    midway.settings["prior"][AT["count"]] = kept
+    return float(found)
+
+
+def test_noise_grows_with_time_and_contradiction():
+    """Of a state that is known: white noise goes by the interval, held torque by its square, what forgets settles."""
+    midway = disturbed(Midway.of("plain"))
+    c, p = midway.settings, midway.joint.p
+
+    def noise(interval: float, **memory: float) -> np.ndarray:
+        midway.sample["interval"] = interval
+        return np.diag(midway.after(**{"torsion_ratio": 1.0, "link_ratio": 1.0, "ripple": 0.0} | memory)[1])
+
+    one, two = noise(5e-4), noise(1e-3)
+    doubled = {"wave_rate": 2.0, "spring": 2.0, "external": 2.0, "rotor": 4.0, "mesh": 2.0, "zero": 2.0}
+    for name, factor in doubled.items():
+        assert two[AT[name]] == pytest.approx(factor * one[AT[name]], rel=2e-3), name
+    current = p["Kt"] ** 2 * midway.joint.noise.current_variance(1e-3)
+    assert two[AT["rotor"]] == pytest.approx(current * (1e-3 / p["Jm"]) ** 2), (
+        "a current that is off moves the rotor for as long"
+    )
+    c["level_time"], kept = 0.01, float(c["level_time"])
+    assert noise(0.1)[AT["mesh"]] == pytest.approx(c["level"] ** 2), "in the end friction is off by its level"
+    c["level_time"] = kept
+    assert noise(1e-3)[AT["count"]] == pytest.approx(midway.joint.noise.motor_resolution**2 / p["N"] ** 2 / 12.0)
+    middle = 0.5 * (c["low"] + c["high"])
+    for ratio, share in ((c["low"], 0.0), (middle, 0.5), (c["high"], 1.0), (9.0 * c["high"], 1.0)):
+        by_link, by_torsion = noise(1e-3, link_ratio=ratio), noise(1e-3, torsion_ratio=ratio)
+        for found in (by_link, by_torsion):
+            assert found[AT["external"]] - two[AT["external"]] == pytest.approx(share * 1e-3 * c["external_loud"] ** 2)
+        assert by_torsion[AT["mesh"]] - two[AT["mesh"]] == pytest.approx(share * 1e-3 * c["level_loud"] ** 2)
+        assert by_torsion[AT["spring"]] - two[AT["spring"]] == pytest.approx(share * 1e-3 * c["loose"])
+        assert by_link[AT["mesh"]] == two[AT["mesh"]] and by_link[AT["spring"]] == two[AT["spring"]]
+    # Between readings that are 5 ms apart the drive gave other currents for 4 of them.
+    long = noise(5e-3, ripple=1e-6)[AT["rotor"]] - noise(5e-3)[AT["rotor"]]
+    assert (
+        long == pytest.approx(1e-6 * np.exp(-5e-3 / 0.1) * (4e-3 / p["Jm"]) ** 2)
+        and noise(1e-3, ripple=1e-6)[AT["rotor"]] == two[AT["rotor"]]
+    )
+    assert noise(5e-3)[AT["spring"]] > 6.0 * two[AT["spring"]]
+
+
+def test_nobody_touches_it():
+    """Left alone for a while, an external torque within its uncertainty is taken for nothing, over a time `back`."""
+    midway = disturbed(Midway.of("plain"), external=0.02)
+    midway.settings["wait"] = 0.2
+    c, h, i = midway.settings, 1e-3, AT["external"]
+    P = np.zeros((SIZE, SIZE))
+    P[i, i] = 0.02**2
+    for untouched, free in ((0.1985, False), (0.1996, True), (5.0, True)):
+        x, after, o, m = midway.after(P=P, untouched=untouched, link_ratio=1.0)
+        assert m["free"] == free and m["untouched"] == pytest.approx(untouched + h)
+        before = P[i, i] + h * c["external_quiet"] ** 2
+        variance = c["free"] ** 2 * c["back"] / h
+        expected = before * variance / (before + variance) if free else before
+        assert after[i, i] == pytest.approx(expected, rel=1e-6)
+        assert x[i] == pytest.approx(0.02 * expected / before, rel=1e-4) and o["external_torque"] == x[i]
+    assert midway.after(P=P, untouched=5.0, link_ratio=2.0 * c["low"])[3]["untouched"] == 0.0, (
+        "an encoder that contradicts"
+    )
+    # A push is none of that, and what lies between counts for less, and for doubt.
+    for external, free in ((2.0 * c["least"], False), (0.9 * c["least"], True)):
+        x, after, o, m = midway.after(midway.moved(i, external - 0.02), P=P, untouched=5.0, link_ratio=1.0)
+        assert m["free"] == free and (x[i] < external) == free
+        if free:
+            assert external > c["gate"] * np.hypot(0.02, c["free"])
+            variance = (c["free"] ** 2 + external**2) * c["back"] / h
+            assert x[i] == pytest.approx(external * variance / (before + variance), rel=1e-3)
+            assert o["variance"] == pytest.approx(x[i] ** 2, rel=1e-2)
+
+
+def test_the_torque_is_the_joints():
+    """Ts = T + df·(r·ωw − ωl) − bl·ωl with the variance that P means, more where innovations contradict."""
+    midway = disturbed(Midway.of("plain"))
+    rng = np.random.default_rng(10)
+    L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
+    x, P, o, _ = midway.after(P=L @ L.T, torsion_ratio=1.0, link_ratio=1.0)
+    p = midway.joint.p
+    s = midway.sample
+    _, theta = dynamics.measured_torsion(s["motor_position"], 0.0, p["Kt"] * s["motor_current"], p)
+    ratio = 1.0 / p["N"] - laws.kinematic_error_slope(theta, p)
+    by = {"spring": 1.0, "wave_rate": p["df"] * ratio, "link_rate": -p["df"] - p["bl"]}
+    H = np.zeros(SIZE)
+    for name, value in by.items():
+        H[AT[name]] = value
+    assert o["torque"] == pytest.approx(H @ x, rel=1e-9) and o["variance"] == pytest.approx(H @ P @ H, rel=1e-6)
+    doubted = midway.after(P=L @ L.T, torsion_ratio=1.0, link_ratio=7.0)
+    H_P = H @ doubted[1] @ H
+    assert doubted[2]["variance"] == pytest.approx(doubted[3]["link_ratio"] * H_P, rel=1e-6)
+    assert doubted[3]["link_ratio"] > 5.0
+
+
+def test_constants_are_learned_in_calm_motion_and_now_and_then():
+    """Not before half a second of calm and a tenth of sliding, then every 20 ms; after a push not before as long again."""
+    known = seen("plain")[1]
+    calm, pushed = (signals_of(PLAIN, SEED, push)[0].part(slice(0, 6000)) for push in (False, True))
+    sliding = np.abs(np.gradient(calm["motor_position"], calm.time)) > 2.5 * known.p["vs"]
+    learned = {}
+    for name, signals in (("calm", calm), ("pushed", pushed)):
+        errors = registry.get("augmented").estimate(signals, known).columns["weight_error"]
+        learned[name] = np.flatnonzero(np.diff(errors) != 0.0) + 1
+    print(
+        {
+            name: (len(found), found[:5], np.unique(np.diff(found), return_counts=True))
+            for name, found in learned.items()
+        }
+    )
+    assert learned["calm"][0] >= 500
+    in_motion = learned["calm"][sliding[learned["calm"]]]
+    assert len(in_motion) > 50 and np.median(np.diff(in_motion)) == 20
+    assert np.diff(learned["calm"]).min() == np.diff(learned["pushed"]).min() == 20
+    assert len(learned["pushed"]) < 0.7 * len(learned["calm"])
