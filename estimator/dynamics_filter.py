@@ -214,15 +214,13 @@ def linearise(m, command, dt, heat, noise, p):
     n = int(noise.count)
     steps = model.substeps(x, dt, p)
     forget = math.exp(-dt / noise.mesh_time)
-    for j in range(-1, n):
+    base[:] = x
+    model.advance(base, m.current, command, m.time, dt, steps, forget, heat, p, m.work)
+    for j in range(n):
+        a = int(noise.active[j])
         y[:] = x
-        a = int(noise.active[j]) if j >= 0 else 0
-        if j >= 0:
-            y[a] += STEPS[a]
+        y[a] += STEPS[a]
         model.advance(y, m.current, command, m.time, dt, steps, forget, heat, p, m.work)
-        if j < 0:
-            base[:] = y
-            continue
         for i in range(n):
             b = int(noise.active[i])
             F[i, j] = (y[b] - base[b]) / STEPS[a]

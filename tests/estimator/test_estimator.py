@@ -338,3 +338,16 @@ def test_no_field_is_called_like_the_contract():
     }
     for name in NAMES:
         assert not contract & {f.name for f in fields(registry.get(name))}
+
+
+def test_normalised_innovations_squared(rng):
+    """e² over S, eᵀ S⁻¹ e of two; where nothing is known yet, at the start, there is none. Of angles S is far below one."""
+    time, size = np.arange(5), 1e-6
+    A = size * rng.standard_normal((5, 2, 2))
+    S, e = A @ A.transpose(0, 2, 1), size * rng.standard_normal((5, 2))
+    S[0], S[1, 1] = 0.0, 0.0
+    several = Posterior("any", time, np.zeros(5), innovation=e, innovation_covariance=S).nis
+    assert several == pytest.approx([0.0, 0.0, *(e[k] @ np.linalg.solve(S[k], e[k]) for k in (2, 3, 4))])
+    one = Posterior("any", time, np.zeros(5), innovation=e[:, :1], innovation_covariance=S[:, :1, :1]).nis
+    assert one == pytest.approx([0.0, *(e[1:, 0] ** 2 / S[1:, 0, 0])])
+    assert Posterior("any", time, np.zeros(5), innovation=e).nis is None

@@ -179,6 +179,25 @@ def test_huber_minimises_hubers_cost():
         assert np.allclose(ours, best, atol=1e-4)
 
 
+@pytest.mark.parametrize("e", [0.1, -2.0, 9.0])
+def test_hubers_covariance_is_that_of_the_weighted_regression(e, rng):
+    """The inverse of A⁻ᵀ diag(ψ₀, 1) A⁻¹ + ψ HᵀH/V with the weights min(1, k/|r|) of the solution's own residuals."""
+    A = rng.standard_normal((2, 2))
+    P, V, k, H = A @ A.T + np.eye(2), 0.5, 1.345, np.array([1.0, 0.0])
+    f = np.array([(0.3, -0.2, P[0, 0], P[0, 1], P[1, 1])], STATE)
+    S = huber.correct(f[0], e, V, k, 1e-13, 1000)
+    moved = np.array([f["torque"][0] - 0.3, f["torque_rate"][0] + 0.2])
+    factor = np.linalg.inv(np.linalg.cholesky(P))
+    inside, measured = factor @ moved, (e - moved[0]) / np.sqrt(V)
+    weights = np.minimum(1.0, k / np.maximum(np.abs(inside), 1e-300))
+    weight = min(1.0, k / abs(measured))
+    information = factor.T @ np.diag(weights) @ factor + weight * np.outer(H, H) / V
+    after = np.array([[f["P00"][0], f["P01"][0]], [f["P01"][0], f["P11"][0]]])
+    assert np.allclose(after, np.linalg.inv(information), rtol=1e-6)
+    prior = np.linalg.inv(factor.T @ np.diag(weights) @ factor)
+    assert pytest.approx(prior[0, 0] + V / weight, rel=1e-6) == S
+
+
 def test_momentum_observer(known):
     """A joint without friction under constant current and push: first-order lags with the closed form 1 − exp(−K t);
     the external torque is De Luca's residual of the joint as one rigid body."""
