@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 UV := $(shell command -v uv 2>/dev/null)
 DONE := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow test-lowest lint docs wheel bench clean
+.PHONY: setup demo test test-slow test-most test-lowest lint docs wheel bench clean
 
 setup: $(DONE)
 
@@ -27,6 +27,10 @@ test: $(DONE)
 
 test-slow: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
+
+# Of the slow tests what fits into minutes: all but whole diagnoses, one for every cause, draw and question.
+test-most: $(DONE)
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not long"
 
 # The lowest versions that pyproject.toml allows, all at once.
 test-lowest:

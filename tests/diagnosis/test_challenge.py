@@ -26,6 +26,7 @@ from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, read_measurement
 from flexspline.scenarios.scenario import Scenario, Waypoint
 
+pytestmark = pytest.mark.long
 SEED = 7
 NOMINAL = load_joint("test-joint")
 KNOWN_GAPS = {

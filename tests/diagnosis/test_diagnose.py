@@ -13,6 +13,9 @@ from flexspline.models import causes
 from flexspline.models.joint import load_joint
 
 
+pytestmark = pytest.mark.long
+
+
 @pytest.fixture(scope="module")
 def joint():
     return load_joint("test-joint")

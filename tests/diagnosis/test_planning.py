@@ -178,6 +178,7 @@ def test_nothing_is_planned_where_nothing_was_computed(joint, swing):
     assert plan(swing, joint, empty) == Plan()
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "values", "mounting", "channels", "experiments_named"),

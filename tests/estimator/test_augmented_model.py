@@ -9,11 +9,12 @@ import pytest
 from known_effects import signals_of
 from test_symmetry import PLAIN, SEED, seen
 
-from flexspline.estimator import KnownJoint, registry
+from flexspline.estimator import KnownJoint, joint_model, registry
 from flexspline.estimator.estimator import as_samples, go_on
 from flexspline.estimator.filters import augmented
 from flexspline.estimator.filters.augmented import MEMORY, SETTINGS, SIZE
 from flexspline.models import dynamics, laws
+from flexspline.models.signals import Signals
 
 NAMES = (
     "link", "link_rate", "rotor", "wave_rate", "wound", "bristle", "spring", "swing", "swing_rate", "external", "mesh", "count",
@@ -359,7 +360,7 @@ def test_nobody_touches_it():
     c, h, i = midway.settings, 1e-3, AT["external"]
     P = np.zeros((SIZE, SIZE))
     P[i, i] = 0.02**2
-    for untouched, free in ((0.1985, False), (0.1996, True), (5.0, True)):
+    for untouched, free in ((0.1985, False), (0.1991, False), (0.1996, True), (5.0, True)):
         x, after, o, m = midway.after(P=P, untouched=untouched, link_ratio=1.0)
         assert m["free"] == free and m["untouched"] == pytest.approx(untouched + h)
         before = P[i, i] + h * c["external_quiet"] ** 2
@@ -422,3 +423,48 @@ def test_constants_are_learned_in_calm_motion_and_now_and_then():
     assert len(in_motion) > 50 and np.median(np.diff(in_motion)) == 20
     assert np.diff(learned["calm"]).min() == np.diff(learned["pushed"]).min() == 20
     assert len(learned["pushed"]) < 0.7 * len(learned["calm"])
+
+
+@pytest.mark.parametrize("current", [0.0, 0.3, -0.3])
+def test_it_begins_in_equilibrium_and_perhaps_in_motion(current):
+    """At the first readings: torques as torsion and current have them, friction takes the rest as far as it can; a velocity of
+    up to 1 rad/s of the whole joint at once."""
+    _, known = seen("plain")
+    p, step = known.p, registry.get("augmented").step(known, 1e-3)
+    columns = {
+        n: np.full(2, v) for n, v in (("motor_position", 30.0), ("link_position", 0.3001), ("motor_current", current))
+    }
+    signals = Signals(1e-3 * np.arange(2), columns)
+    arrays = step.arrays()
+    arrays[3].view(SETTINGS)[0]["torsion_variance"] = 1e30
+    assert go_on(arrays, as_samples(signals, (), known)[:1], np.zeros((1, step.outputs))) == (1, 0)
+    m, prior = arrays[1].view(MEMORY)[0], arrays[3].view(SETTINGS)[0]["prior"]
+    x, P = m["x"], m["P"]
+    torsion, _ = dynamics.measured_torsion(30.0, 0.3001 - p["link_zero"], p["Kt"] * current, p)
+    torque = laws.flexspline_spring(torsion, p)
+    assert x[AT["link"]] == pytest.approx(0.3001 - p["link_zero"]) and x[AT["spring"]] == pytest.approx(torque)
+    assert x[AT["wound"]] == pytest.approx(p["Kt"] * current)
+    friction = np.clip(p["Kt"] * current - torque / p["N"], -p["Fs"], p["Fs"])
+    assert p["s0"] * x[AT["bristle"]] == pytest.approx(friction)
+    velocities = [AT["link_rate"], AT["rotor"], AT["wave_rate"]]
+    together = np.r_[1.0, p["N"], p["N"]]
+    expected = np.diag(prior**2)
+    expected[np.ix_(velocities, velocities)] += np.outer(together, together)
+    np.testing.assert_allclose(P, expected, rtol=1e-9, atol=1e-30)
+    assert (m["torsion_ratio"], m["link_ratio"], m["belief"]) == (pytest.approx(0.8, abs=0.01), 1.0, 1.0)
+
+
+def test_what_hangs_on_the_link_may_swing_as_a_tenth_of_the_joints_torque_bends_it():
+    """And its velocity has as much energy as that: both filters that carry it."""
+    _, known = seen("rich")
+    p = known.p
+    prior = registry.get("augmented").settings(known, 1e-3)[0]["prior"]
+    dynamic = registry.get("dynamics_ekf").process.record(known, 1e-3)[0]["start"]
+    pairs = [
+        (prior[AT["swing"]], prior[AT["swing_rate"]]),
+        (np.sqrt(dynamic[joint_model.FLEXIBLE]), np.sqrt(dynamic[joint_model.FLEXIBLE_RATE])),
+    ]
+    for angle, rate in pairs:
+        bending = laws.flexible_torque(angle, 0.0, p)
+        assert bending == pytest.approx(0.1 * p["T2"])
+        assert 0.5 * p["flexible_share"] * p["Jl"] * rate**2 == pytest.approx(0.5 * bending * angle)

@@ -9,6 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from flexspline.estimator import get, names
+from flexspline.estimator.bands import disagreement, reference_torque
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import (
     SHORTEST,
@@ -21,7 +22,7 @@ from flexspline.estimator.offline import (
 )
 from flexspline.estimator.smoothed import bandwidth, white_noise
 from flexspline.models.errors import InputError
-from flexspline.models.joint import Effect, Estimate, load_joint
+from flexspline.models.joint import Effect, Estimate, Uncertainty, load_joint
 from flexspline.models.recording import Recording, read_measurement
 from flexspline.models.tables import read_table
 
@@ -230,3 +231,23 @@ def test_a_joint_at_rest(rng, joint):
     }
     found = estimate_recording(Recording("rest", np.arange(n) * 1e-3, columns, link=joint.mount("link")), joint)
     assert all(np.isfinite(values).all() for values in found.columns.values())
+
+
+def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
+    """Of an exact joint whose link encoder jumps: the band of the current's estimate is then as wide as both are apart, and that
+    of a filter which believes to be off by σ at least that."""
+    exact = joint.model_copy(update={"uncertainty": Uncertainty(names=["Kt"], factor=[[1e-9]], discrepancy={})})
+    cut = part(free, slice(0, 6000))
+    jumping = part(cut, slice(None), link_position=cut["link_position"] - 1e-3 * (np.arange(6000) > 3000))
+    found = estimate_recording(jumping, exact, ("current", "kalman"), bands=True)
+    known = KnownJoint.of(exact, jumping.link)
+    ready = prepare(jumping.signals.without("joint_torque", "external_torque"), known)
+    reference = ready.known.as_read(reference_torque(ready.signals, ready.known), jumping.time)
+    apart = disagreement(jumping.time, found.torque["current"], reference)
+    late = slice(4000, None)
+    assert np.median(apart[late]) > 2.0
+    width = found.deviation["current"]
+    assert np.all(width >= apart * (1 - 1e-9))
+    assert np.median(width[late] / apart[late]) < 1.3
+    believed = ready.ready(get("kalman")).estimate(ready.signals, ready.known).variance
+    assert np.all(found.deviation["kalman"] ** 2 >= believed * (1 - 1e-9))
