@@ -64,6 +64,7 @@ TESTS = {
     "estimator/registry.py": [f"{_E}estimator.py"],
     "estimator/sensing.py": [f"{_E}sensing.py", *_symmetric("payload", "model"), f"{_E}estimator.py"],
     "estimator/smoothed.py": [
+        f"{_E}smoothed.py",
         *_symmetric("current_smoothed"),
         f"{_D}balance.py",
         f"{_E}invariance.py",
@@ -127,7 +128,11 @@ def _mutant(file: str, place: int) -> Mutant:
     target: Any = next(node for k, node in enumerate(ast.walk(tree)) if k == place)
     before = ast.unparse(target)
     next(_changes(target))(target)
-    return Mutant(file, f"line {target.lineno}: {before} → {ast.unparse(target)}", ast.unparse(tree))
+    return Mutant(
+        file,
+        f"line {target.lineno}, column {target.col_offset + 1}: {before} → {ast.unparse(target)}",
+        ast.unparse(tree),
+    )
 
 
 def _changes(node: Any) -> Iterator[Callable[[Any], None]]:

@@ -12,7 +12,6 @@ from flexspline.diagnosis.fit import regions
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
 
-
 pytestmark = pytest.mark.long
 
 

@@ -9,7 +9,7 @@ from scipy.linalg import solve_discrete_are
 
 from flexspline.estimator import KnownJoint, SensorNoise, bound, joint_model
 from flexspline.estimator.filters import dynamics_ekf
-from flexspline.estimator.joint_model import BRISTLE, EXTERNAL, LINK, MOTOR, SIZE, ProcessNoise
+from flexspline.estimator.joint_model import BRISTLE, EXTERNAL, LINK, LINK_RATE, MOTOR, SIZE, ProcessNoise
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.signals import Signals
@@ -105,9 +105,13 @@ def walk(record, seed: int, intensity: float, n: int = 1500):
     return time, states, current, command, motor, link
 
 
-def test_joint_bound_is_the_information_recursion(record):
-    """Against `posterior_information` with Jacobians of its own and a little noise on every state."""
+@pytest.mark.parametrize("delay, warmer", [(0.0, 0.0), (6e-3, 20.0)])
+def test_joint_bound_is_the_information_recursion(record, delay, warmer):
+    """Against `posterior_information` with Jacobians of its own and a little noise on every state. A link encoder that is late
+    reads the link where it was, θl − delay·ωl; a warm gear has another friction."""
     time, states, current, command, _, _ = walk(record, 3, 1.0, 121)
+    record = record.copy()
+    record["link_delay"], record["friction_temperature"] = delay, -0.01
     p, active = record[0], np.r_[0:7, EXTERNAL]
     at = list(active).index
     F = np.empty((120, 8, 8))
@@ -119,18 +123,20 @@ def test_joint_bound_is_the_information_recursion(record):
                 x, work = states[k].copy(), np.zeros((3, SIZE))
                 x[state] += sign * width
                 steps = joint_model.substeps(states[k], 1e-3, p)
-                joint_model.advance(x, current[k], command[k], time[k], 1e-3, steps, 1.0, 25.0, p, work)
+                joint_model.advance(x, current[k], command[k], time[k], 1e-3, steps, 1.0, 25.0 + warmer, p, work)
                 moved.append(x[active])
             F[k, :, j] = (moved[0] - moved[1]) / (2 * width)
     scale = joint_model.STEPS[active]  # units that differ by ten decades
     F = F / scale[:, None] * scale[None, :]
     H = np.zeros((121, 2, 8))
     H[:, 0, at(MOTOR)], H[:, 1, at(LINK)] = joint_model.STEPS[MOTOR], joint_model.STEPS[LINK]
+    H[:, 1, at(LINK_RATE)] = -delay * joint_model.STEPS[LINK_RATE]
     Q = 1e-10 * np.eye(8)
     Q[at(EXTERNAL), at(EXTERNAL)] = 1e-3 / joint_model.STEPS[EXTERNAL] ** 2
     start = ProcessNoise().record(KnownJoint(record, NOISE), 1e-3)[0]["start"][active] / scale**2
     J = bound.posterior_information(F, Q, H, np.diag([NOISE.motor_noise**2, NOISE.link_noise**2]), np.diag(1 / start))
-    ours = bound.joint_bound(time, states, current, command, record, NOISE, 1.0)
+    heat = np.full(121, 25.0 + warmer)
+    ours = bound.joint_bound(time, states, current, command, record, NOISE, 1.0, heat)
     for k in (20, 60, 120):
         x, gradient = states[k], np.empty(8)
         T = joint_model.joint_torque(x, time[k], p)
