@@ -43,8 +43,8 @@ def _filter(*names: str) -> list[str]:
     return [f"{_E}torque_filters.py", *_symmetric(*names), f"{_E}invariance.py", f"{_E}estimator.py"]
 
 
-_AUGMENTED = [f"{_E}augmented_model.py", *_symmetric("augmented"), f"{_E}augmented.py"]
-_DYNAMICS = [f"{_E}dynamics_reference.py", f"{_E}dynamics_filters.py"]
+_AUGMENTED = [f"{_E}settings.py", f"{_E}augmented_model.py", *_symmetric("augmented"), f"{_E}augmented.py"]
+_DYNAMICS = [f"{_E}settings.py", f"{_E}dynamics_reference.py", f"{_E}dynamics_filters.py"]
 TESTS = {
     "estimator/arrays.py": [f"{_E}recursion.py", f"{_E}paper_filter.py"],
     "estimator/bands.py": [f"{_E}bands.py", f"{_D}uncertainty.py"],
@@ -147,7 +147,7 @@ def _changes(node: Any) -> Iterator[Callable[[Any], None]]:
 
 
 def _silent(tree: ast.AST) -> set[int]:
-    """Places of nodes that only say something: messages, types, decorators, numbers outside functions, lengths of views."""
+    """Places of nodes that only say something: messages, types, decorators, numbers outside functions, lengths of views and of buffers."""
     inside: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.Lambda)):
@@ -156,11 +156,15 @@ def _silent(tree: ast.AST) -> set[int]:
     for node in ast.walk(tree):
         if isinstance(node, (ast.Raise, ast.JoinedStr, ast.Assert)):
             quiet |= {id(n) for n in ast.walk(node)}
-        if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "carray":  # a record, or room for more
-            quiet |= {id(n) for n in node.args}
+        if isinstance(node, ast.Call) and _name(node.func) in ("carray", "empty"):  # a record, or room for more
+            quiet |= {id(n) for part in node.args for n in ast.walk(part)}
         if isinstance(node, ast.AnnAssign):
             quiet |= {id(n) for n in ast.walk(node.annotation)}
     return {k for k, n in enumerate(ast.walk(tree)) if id(n) not in inside or id(n) in quiet}
+
+
+def _name(function: ast.AST) -> str:
+    return str(getattr(function, "id", "") or getattr(function, "attr", ""))
 
 
 def _bodies(node: ast.FunctionDef | ast.Lambda) -> list[ast.AST]:

@@ -404,7 +404,7 @@ def _step(memory, sample, record, settings, out):
     # At rest it is always the same, and tells what stands out.
     learn = 0.0 if due and m.slid > c.settled - 0.5 * h else math.inf
     learn_torsion = min(learn, c.coarse if due else math.inf)
-    change = 0.0 if s.interval == 0.0 else found.motor_torque - m.motor_torque
+    change = found.motor_torque - m.motor_torque  # no time has passed at the first sample: it counts for nothing
     m.motor_torque = found.motor_torque
     m.ripple += (0.5 * change * change - m.ripple) * -math.expm1(-s.interval / _RIPPLE)
     if s.interval == 0.0:

@@ -468,3 +468,48 @@ def test_what_hangs_on_the_link_may_swing_as_a_tenth_of_the_joints_torque_bends_
         bending = laws.flexible_torque(angle, 0.0, p)
         assert bending == pytest.approx(0.1 * p["T2"])
         assert 0.5 * p["flexible_share"] * p["Jl"] * rate**2 == pytest.approx(0.5 * bending * angle)
+
+
+def test_the_grid_of_samples_follows_the_stamps():
+    """A stamp that is off moves the grid by a fiftieth, the period by its share in the intervals so far; missing samples neither."""
+    midway = disturbed(Midway.of("plain"))
+    off = 4e-5
+    for interval, steps in ((1e-3, 1), (1e-3 + off, 1), (1e-3 - off, 1), (3e-3, 3), (3e-3 + off, 3)):
+        midway.sample["interval"] = interval
+        m = midway.after(period=1e-3, beats=200.0, phase=0.0)[3]
+        late = interval - steps * 1e-3
+        assert m["phase"] == pytest.approx(0.98 * late, abs=1e-15) and m["beats"] == 201.0
+        assert m["period"] == pytest.approx(1e-3 + late / (201.0 * steps), rel=1e-12)
+    midway.sample["interval"] = 1e-3
+    settled = midway.after(period=1e-3, beats=1e4, phase=5e-5)[3]
+    assert settled["beats"] == 1e4 and settled["phase"] == pytest.approx(0.98 * 5e-5)
+    late = midway.after(period=1e-3, beats=200.0, phase=6e-4)[3]
+    assert late["phase"] == pytest.approx(-0.98 * 4e-4), "by more than half a period it is the next sample's"
+
+
+def test_stamps_are_followed_as_far_as_they_are_believed():
+    """In between, as of an interval that is off by as much less; by the link's readings, belief is a regression on what it moved."""
+    midway = disturbed(Midway.of("plain"))
+    off, quarter = 8e-5, 0.25
+    midway.sample["interval"] = 1e-3 + off
+    partly = midway.after(period=1e-3, beats=200.0, phase=0.0, belief=quarter)[0]
+    midway.sample["interval"] = 1e-3 + quarter * off
+    wholly = midway.after(period=1e-3, beats=200.0, phase=0.0, belief=1.0)[0]
+    np.testing.assert_allclose(partly, wholly, rtol=1e-9, atol=1e-15)
+    midway.sample["interval"] = 1e-3 + off
+    V = midway.settings["link_variance"] = 1e-14
+    P = 1e-20 * np.eye(SIZE)
+    x = midway.moved(AT["link_rate"], 0.3)
+    for wrong in (0.0, 0.2, -0.1, 40.0, -40.0):
+        midway.sample["link_position"] = 0.0
+        start = {"period": 1e-3, "beats": 200.0, "phase": 0.0, "belief": 0.5, "evidence": 30.0}
+        x_after = midway.blind().after(x, P, **start)[0]
+        moved = off * x_after[AT["link_rate"]]
+        midway.settings["link_variance"] = V
+        midway.sample["link_position"] = x_after[AT["link"]] + wrong * moved + midway.joint.p["link_zero"]
+        after = midway.after(x, P, **start)[3]
+        evidence = 30.0 + moved**2 / V
+        expected = np.clip(0.5 + (np.clip(0.5 + wrong, -1.0, 2.0) - 0.5) * moved**2 / (V * evidence), 0.0, 1.0)
+        assert after["evidence"] == pytest.approx(evidence, rel=0.03)
+        assert after["belief"] == pytest.approx(expected, abs=2e-2)
+        assert moved**2 / V > 30.0, "enough to be learned from"
