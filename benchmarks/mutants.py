@@ -147,7 +147,7 @@ def _changes(node: Any) -> Iterator[Callable[[Any], None]]:
 
 
 def _silent(tree: ast.AST) -> set[int]:
-    """Places of nodes that only say something: messages, types, decorators, numbers outside functions, lengths of views and of buffers."""
+    """Places of nodes that only say something: messages, types, decorators, numbers outside functions, sizes of buffers."""
     inside: set[int] = set()
     for node in ast.walk(tree):
         if isinstance(node, (ast.FunctionDef, ast.Lambda)):
