@@ -132,16 +132,23 @@ def read_yaml(path: Path, what: str) -> Any:
 
 
 def read_json(path: Path, what: str, largest: int = LARGEST_TEXT) -> Any:
-    """Parse a JSON file, such as commands write.
+    """Parse a JSON file, such as commands write (`json_text`): every number in it is finite.
 
     Raises:
       InputError: it cannot be read, or is no JSON.
     """
     text = read_text(path, what, largest)
     try:
-        return json.loads(text)
+        return json.loads(text, parse_constant=_finite_number, parse_float=_finite_number)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected {what}, got something else: not JSON") from error
+
+
+def _finite_number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"expected a finite number, got {text}")
+    return value
 
 
 def _loaded(text: str) -> Any:

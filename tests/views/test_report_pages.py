@@ -441,6 +441,9 @@ def test_a_damaged_validation_is_refused_in_one_line(flexspline, tmp_path):
         good.replace('"rms"', '"x"'),
         good.replace('["sweep <1>"]', '["nowhere"]'),
         good.replace("0.01", '"a"'),
+        good.replace("0.01", "Infinity"),
+        good.replace("0.01", "1e999"),
+        good.replace("0.01", "NaN"),
     ):
         path.write_text(bad, encoding="utf-8")
         code, _, err = flexspline("report", folder, "--out", tmp_path / "page.html")
@@ -449,6 +452,17 @@ def test_a_damaged_validation_is_refused_in_one_line(flexspline, tmp_path):
     write_table(table, {"time": TIME, "motor_current_simulated": TIME}, {"time": "s", "motor_current_simulated": "A"})
     code, _, err = flexspline("report", folder, "--out", tmp_path / "page.html")
     assert code == 2 and "expected the columns" in err and err.count("\n") == 1
+
+
+@pytest.mark.parametrize("recordings", ["[]", '["sweep <1>"]'])
+def test_a_channel_that_no_table_has_is_told_without_a_chart(recordings, flexspline, tmp_path):
+    path = validated(tmp_path / "v") / "validation.json"
+    answer = path.read_text(encoding="utf-8").replace('["sweep <1>"]', recordings)
+    path.write_text(answer.replace('"motor_current": {', '"joint_torque": {'), encoding="utf-8")
+    assert charts_of(read_validation(path.parent)) == []
+    code, _, err = flexspline("report", path.parent, "--out", tmp_path / "page.html")
+    assert code == 0 and not err, err
+    assert "joint torque" in text_of((tmp_path / "page.html").read_text(encoding="utf-8"))
 
 
 @pytest.mark.parametrize(

@@ -202,6 +202,8 @@ def charts_of(found: Validated) -> list[Group]:
     groups = []
     for channel, error in found.answer["residual"].items():
         of = {name: c for name, c in found.tables.items() if f"{channel}_simulated" in c}
+        if not of:
+            continue
         left = {name: c[channel] - c[f"{channel}_simulated"] for name, c in of.items()}
         half = {name: c[f"{channel}_high"] - c[f"{channel}_simulated"] for name, c in of.items()}
         finite = [np.concatenate([x[np.isfinite(x)] for x in values.values()]) for values in (left, half)]
@@ -209,8 +211,7 @@ def charts_of(found: Validated) -> list[Group]:
         reach = 1.3 * max(off, min(band, 4 * off))  # of a wide band the middle, in which the difference can be seen
         y = (-reach, reach) if reach > 0 else (-1.0, 1.0)
         charts = [_chart(name, c, channel, error, y, left[name], half[name]) for name, c in of.items()]
-        if charts:
-            groups.append(Group(channel, error["unit"], charts))
+        groups.append(Group(channel, error["unit"], charts))
     return groups
 
 
