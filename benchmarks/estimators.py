@@ -25,6 +25,7 @@ from flexspline.estimator import registry
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator, KnownJoint, Spread
 from flexspline.estimator.tuning_parameters import with_values
+from flexspline.models.errors import InputError
 from flexspline.models.files import write_into_place
 from flexspline.models.joint import load_joint
 from flexspline.scenarios.evaluation import metrics
@@ -79,16 +80,22 @@ REALISTIC = ("sensors=realistic",)
 
 
 def drawn(
-    scenario: str, tolerance: float, seed: int, folder: Path | None, changes: Sequence[str] = ()
+    scenario: str,
+    tolerance: float,
+    seed: int,
+    folder: Path | None,
+    changes: Sequence[str] = (),
+    load: float | None = None,
 ) -> DrawnExperiment:
-    """A draw, from a folder where it has been kept; `changes`: of the scenario, `key=value`."""
-    of = "".join(f"_{change}" for change in changes)
+    """A draw, from a folder where it has been kept; `changes`: of the scenario, `key=value`; `load`: gravity moment at
+    horizontal of what is bolted on [N·m], instead of the scenario's."""
+    of = "".join(f"_{change}" for change in changes) + ("" if load is None else f"_load={load:g}")
     kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}{of}.pkl"
     if kept is not None and kept.is_file():
         with kept.open("rb") as file:
             return pickle.load(file)
     described, home = load_scenario(scenario, list(changes))
-    found = draw(described, home, seed, tolerance)
+    found = draw(described, home, seed, tolerance, load=load)
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         with write_into_place(kept) as temporary:
@@ -336,6 +343,62 @@ def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment) -> str:
     return markdown(("estimator", "µs per update", f"/ {REFERENCE}"), rows)
 
 
+LOADS = (4.0, 9.0, 12.0)
+"""Gravity moments at horizontal [N·m]; the scenarios' own is the second."""
+LOADED = SCENARIOS[1:]
+LOADED_AT = (1.0, 0.2, 0.0)
+LOADED_NAMES = ("augmented", "momentum_torsion", REFERENCE)
+
+
+def with_load(scenario: str, load: float) -> str:
+    """What an experiment with a load is called."""
+    return f"{scenario}, {load:g} N·m"
+
+
+def load_rows(seeds: Iterable[int], kept: Path | None, threads: int) -> list[Row]:
+    """What the estimators are worth with other loads than the scenarios'; a draw whose joint cannot bear the heaviest is left
+    out of all."""
+    estimators, rows = chosen(LOADED_NAMES), []
+
+    def one(seed: int) -> list[Row]:
+        try:
+            return [
+                row
+                for load in reversed(LOADS)
+                for tolerance in LOADED_AT
+                for s in LOADED
+                for row in assess(drawn(s, tolerance, seed, kept, load=load), with_load(s, load), tolerance, estimators)
+            ]
+        except InputError as error:
+            print(f"draw {seed} is left out: {error}", flush=True)
+            return []
+
+    with ThreadPoolExecutor(threads) as pool:
+        for some in pool.map(one, seeds):
+            rows += some
+    return rows
+
+
+def load_table(results: Results) -> str:
+    """By tolerance and load: ratios to RAREKF, the largest of `augmented`, and its NEES."""
+    heads = ["tolerance", "load [N·m]"]
+    for s in LOADED:
+        heads += [f"{s}: {n} / {REFERENCE}" for n in LOADED_NAMES[:2]] + ["largest of augmented", "its NEES"]
+    rows = []
+    for tolerance in LOADED_AT:
+        for load in LOADS:
+            row = [f"×{tolerance:g}", f"{load:g}"]
+            for s in (with_load(s, load) for s in LOADED):
+                row += [text(results.ratio(s, tolerance, n)) for n in LOADED_NAMES[:2]]
+                own, other = (results.values(s, tolerance, n) for n in (LOADED_NAMES[0], REFERENCE))
+                row += [
+                    f"{np.max(own / other):.2f}",
+                    text(interval(results.values(s, tolerance, LOADED_NAMES[0], "nees"))),
+                ]
+            rows.append(row)
+    return markdown(heads, rows)
+
+
 def write_csv(results: Results, path: Path) -> None:
     """Means over draws and the ratio with its interval, a line for each scenario, tolerance and estimator."""
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
@@ -383,7 +446,15 @@ def main(arguments: Sequence[str] = ()) -> None:
         help="with `sensors: realistic`: writes that section and its own CSV, and leaves the others",
     )
     parser.add_argument("--cost", action="store_true", help="measures the time of updates alone, and writes that table")
+    parser.add_argument(
+        "--loads", action="store_true", help="over light and heavy loads alone: writes that section and its own CSV"
+    )
     asked = parser.parse_args(arguments)
+    if asked.loads:
+        loaded = Results(load_rows(range(101, 101 + asked.seeds), asked.draws, asked.threads))
+        fill(asked.page, {"loads": load_table(loaded)})
+        write_csv(loaded, asked.page.with_name("estimators_loads.csv"))
+        return
     if asked.cost:
         some = drawn(SCENARIOS[0], asked.tolerances[0], 101, asked.draws)
         fill(asked.page, {"cost": cost_table(chosen(), some)})

@@ -1,84 +1,125 @@
-"""The shipped studies, smaller: `python -m benchmarks studies` writes the tables of docs/studies.md.
+"""The shipped studies, whole: `python -m benchmarks studies` writes the tables of docs/studies.md and a CSV of each beside it.
 
-Whole, they take hours of a core. Here every study has 30 seeds and some values of its own axes (`REDUCED`), which the page
-names. The datasets are kept (`--out`): interrupted, the same command goes on.
+Together they take hours of a core. The datasets are kept (`--out`) and are those of `flexspline sweep`: interrupted, either
+goes on. The first draws of all points come first, so that what is there at any time is the whole study with fewer draws;
+`--tables` writes the page from that, and every table says how many draws it has.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
+import csv
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from flexspline.models.files import write_into_place
 from flexspline.scenarios.studies.dataset import Dataset
 from flexspline.scenarios.studies.design import Design
-from flexspline.scenarios.studies.statistics import aggregate
-from flexspline.scenarios.studies.study import Study, load_study
+from flexspline.scenarios.studies.statistics import Aggregate, aggregate, summary_rows
+from flexspline.scenarios.studies.study import Value, load_study
 from flexspline.scenarios.studies.sweep import sweep, versions
 from flexspline.views.limit_tables import markdown
-from flexspline.views.sweep_tables import cell, metric_column, sweep_rows, value_text
+from flexspline.views.sweep_tables import cell, metric_column, value_text
 
 from .estimators import ROOT, fill
 
-REDUCED: dict[str, dict[str, Any]] = {
-    "load_dependent_alpha": {"axes": {"noise_level": {"values": [1]}, "load": {"values": [4, 12]}}},
-    "noise_and_load": {"axes": {"noise_level": {"values": [1, 10]}, "load": {"values": [3, 12]}}},
-    "model_error": {
-        "scenarios": ["link_sweep"],
-        "filters": ["EKF", "AREKF", "RAREKF", "REKF", "current", "momentum"],
-        "axes": {
-            "cause": {
-                "causes": ["stiffness", "kinematic_error", "mesh_friction", "gravity_moment"],
-                "sizes": [1],
-            }
-        },
-    },
+STUDIES = ("tolerance", "load_dependent_alpha", "noise_and_load", "model_error")
+SHOWN: Mapping[str, tuple[str, ...]] = {
+    "tolerance": ("rms", "response_ms"),
+    "load_dependent_alpha": ("rms", "response_ms", "robust_share"),
+    "noise_and_load": ("rms", "response_ms", "robust_share"),
+    "model_error": ("rms",),
 }
-"""What of each study runs: keys that take other values, and of its axes, by name or kind."""
-SHOWN = ("rms", "response_ms", "robust_share")
-"""Measures of the page's tables, as far as a study has them."""
+"""Measures of a study's table on the page; all of them are in its CSV."""
+AT: Mapping[str, Mapping[str, tuple[Any, ...]]] = {"model_error": {"size": (0.0, 1.0)}}
+"""Points of a study's table on the page, where that has not all: axis → values."""
+DIGITS = 4
+"""Of a CSV's numbers, which have intervals of a per cent and more."""
 
 
-def reduced(name: str, seeds: int) -> tuple[Study, Path]:
-    """A shipped study with fewer values on its axes, and its folder."""
-    whole, folder = load_study(name)
-    data, change = whole.model_dump(mode="json", exclude_none=True), REDUCED[name]
-    for axis in data["axes"]:
-        axis.update(change["axes"].get(axis.get("name") or axis["kind"], change["axes"].get(axis["kind"], {})))
-    data.update({key: value for key, value in change.items() if key != "axes"})
-    return Study.model_validate(data).with_seeds(seeds), folder
-
-
-def table(study: Study, folder: Path, out: Path, jobs: int) -> str:
-    """A study's measures: one table, a row for each point and measure."""
-    design = Design.of(study, folder)
-    dataset = Dataset.open(out, design, versions())
-    sweep(design, dataset, jobs, None, None, lambda runs: None)
+def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at: Mapping[str, Sequence[Any]]) -> str:
+    """Means with intervals and marks: a row for each point of the plant's axes and measure, a column for each filter as it is
+    varied."""
+    filters = [axis.name for axis in design.study.filter_axes]
+    of: dict[tuple, dict[tuple, Aggregate]] = {}
+    for one in found:
+        place = (one.scenario, *(v for k, v in one.columns.items() if k not in filters))
+        variant = (one.filter, *(one.columns[k] for k in filters))
+        of.setdefault(place, {})[variant] = one
+    axes = [k for k in found[0].columns if k not in filters]
+    variants = list(dict.fromkeys(v for some in of.values() for v in some))
+    heads = [_head(name, zip(filters, values, strict=True)) for name, *values in variants]
     rows: list[tuple[str, ...]] = []
-    axes: list[str] = []
-    for scenario, columns, of in sweep_rows(list(aggregate(dataset))):
-        axes = list(columns)
-        for metric in (m for m in SHOWN if m in study.metrics):
+    for (scenario, *values), some in of.items():
+        if any(value not in at.get(axis, (value,)) for axis, value in zip(axes, values, strict=True)):
+            continue
+        for metric in metrics:
             column = metric_column(metric)
-            cells = [cell(of.get(name), metric, column) for name in study.names]
-            if any(c.strip() not in ("–", "") for c in cells):
-                rows.append((scenario, *(value_text(columns[a]) for a in axes), column.title, *cells))
-    return markdown(("scenario", *axes, "measure", *study.names), rows)
+            cells = [cell(some.get(v), metric, column) for v in variants]
+            if any(c != "–" for c in cells):
+                rows.append((scenario, *map(value_text, values), column.title, *cells))
+    return markdown(("scenario", *axes, "measure", *heads), rows)
+
+
+def _head(name: str, values: Iterable[tuple[str, Value | None]]) -> str:
+    """A filter as it is varied: `RAREKF, k 0.25`."""
+    return ", ".join([name, *(f"{axis} {value_text(value)}" for axis, value in values if value is not None)])
+
+
+def about(runs: Sequence[int], failed: int, whole: int) -> str:
+    """How many draws there are at the points, of how many, and how many estimates failed."""
+    least, most = min(runs), max(runs)
+    draws = f"{least}" if least == most else f"{least} to {most}"
+    text = (
+        f"{len(runs)} points, {draws} of {whole} draws at each"
+        if least < whole
+        else f"whole: {len(runs)} points, {whole} draws at each"
+    )
+    return f"({text}; {failed} estimates diverged and are left out)" if failed else f"({text})"
+
+
+def write_summary(found: list[Aggregate], design: Design, path: Path) -> None:
+    """All means and paired differences with their intervals, as `flexspline sweep` writes them, to four digits."""
+    rows = [
+        {k: f"{v:.{DIGITS}g}" if isinstance(v, float) else v for k, v in row.items()}
+        for row in summary_rows(found, design)
+    ]
+    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write(name: str, dataset: Dataset, design: Design, page: Path) -> None:
+    """A study's table on the page, under how it was made, and its CSV; `design`: whole, of which the dataset may have a part."""
+    found = list(aggregate(dataset))
+    shown = table(found, design, SHOWN[name], AT.get(name, {}))
+    runs = [len(dataset.read(cell.index, ["run"])) // len(design.variants) for cell in design.cells]
+    said = about(runs, sum(one.failed for one in found), len(design.study.seed_list))
+    fill(page, {f"{name} about": said, name: shown})
+    write_summary(found, design, page.with_name(f"study_{name}.csv"))
 
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Run the studies and write the page's tables."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.studies", description=__doc__)
-    parser.add_argument("names", nargs="*", default=list(REDUCED), help="of the studies; all by default")
-    parser.add_argument("--seeds", type=int, default=30)
+    parser.add_argument("names", nargs="*", default=list(STUDIES), help="of the studies; all by default")
+    parser.add_argument("--seeds", type=int, help="how many draws, instead of the study's")
+    parser.add_argument("--tables", action="store_true", help="of what is there; nothing is computed")
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--chunk", type=int, help="runs per file")
     parser.add_argument("--out", type=Path, default=Path("runs/studies"), help="folder of the datasets")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "studies.md")
     asked = parser.parse_args(arguments)
     for name in asked.names:
-        study, folder = reduced(name, asked.seeds)
-        fill(asked.page, {name: table(study, folder, asked.out / name, asked.jobs)})
+        study, folder = load_study(name)
+        design = Design.of(study, folder)
+        fewer = design if asked.seeds is None else Design.of(study.with_seeds(asked.seeds), folder)
+        dataset = Dataset.open(asked.out / name, fewer, versions())
+        if not asked.tables:
+            sweep(fewer, dataset, asked.jobs, asked.chunk)
+        write(name, dataset, design, asked.page)
         print(name, flush=True)
 
 

@@ -50,6 +50,13 @@ Seed = Annotated[
 Estimators = Annotated[
     list[str] | None, typer.Option("--filter", help="An estimator by its name; repeatable. All by default.")
 ]
+Vary = Annotated[
+    bool,
+    typer.Option(
+        help="Draw start, pace and pushes per seed. Without it all seeds have one motion and are all but one run: intervals "
+        "over them mean nothing."
+    ),
+]
 Changes = Annotated[list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help=_SET_HELP)]
 Plugins = Annotated[
     list[Path] | None,

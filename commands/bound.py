@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ._listing import AsJson
-from ._options import Changes, Estimators, SomeScenarios, with_plugins
+from ._options import Changes, Estimators, SomeScenarios, Vary, with_plugins
 
 EXAMPLES = (
     "flexspline bound link_sweep --seeds 5",
@@ -38,6 +38,7 @@ def command(
     walk: Annotated[
         bool, typer.Option(help="Replace the disturbances by draws of that random walk: the bound's own model.")
     ] = False,
+    vary: Vary = True,
     out: Annotated[
         Path | None, typer.Option(help="Folder for limits.parquet, summary.csv and a figure per scenario.")
     ] = None,
@@ -77,7 +78,7 @@ def command(
                     )
                 scenario = matched(scenario, level)
             found.append(
-                assess(scenario, folder, range(1, seeds + 1), chosen, level, tolerance, lambda: bar.advance(task))
+                assess(scenario, folder, range(1, seeds + 1), chosen, level, tolerance, lambda: bar.advance(task), vary)
             )
     if not as_json:
         for limits in found:

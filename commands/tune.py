@@ -10,7 +10,7 @@ import typer
 
 from ..models.errors import InputError
 from ._listing import AsJson
-from ._options import Changes, Estimators, SomeScenarios, with_plugins
+from ._options import Changes, Estimators, SomeScenarios, Vary, with_plugins
 
 _MOST_SEEDS = 100_000
 
@@ -33,6 +33,7 @@ def command(
     evaluations: Annotated[
         int, typer.Option(min=1, help="Settings tried of each filter; a tenth of those that simulate the joint.")
     ] = 300,
+    vary: Vary = True,
     threads: Annotated[int, typer.Option(min=1, help="Runs at a time; the result does not depend on it.")] = 1,
     pareto: Annotated[bool, typer.Option(help="Sweep noise against delay where a scenario has pushes.")] = True,
     changes: Changes = None,
@@ -66,7 +67,7 @@ def command(
         fronts, found = [], []
         with progress() as bar:
             task = bar.add_task(f"{', '.join(names)}: simulating", total=len(chosen))
-            train_runs, test_runs = tuning.simulated(group, training), tuning.simulated(group, testing)
+            train_runs, test_runs = (tuning.simulated(group, some, vary) for some in (training, testing))
             pushed = next((runs for runs in test_runs if pareto and runs[0].reference.events), None)
             for name, estimator in chosen.items():
                 bar.update(task, description=f"{', '.join(names)}: {name}")

@@ -71,8 +71,8 @@ class DrawnExperiment:
 
 
 def varied(scenario: Scenario, seed: int) -> Scenario:
-    """The scenario with another start, pace and pushes, and with the seed as its own; no motion ends after the scenario that
-    did not before."""
+    """The scenario with another start, pace and pushes, and with the seed as its own; no motion and no push ends after the
+    scenario that did not before."""
     rng = stream(seed, f"draw {scenario.name}")
     start = rng.uniform(-TURNS, TURNS) * 2 * math.pi / 100.0
     pace = 1.0 + rng.uniform(-PACE, PACE)
@@ -91,8 +91,12 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
 
 
 def _varied_push(push: Disturbance, rng: np.random.Generator, end: float) -> Disturbance:
+    if push.kind == "walk":
+        return push  # another for every seed as it is
     duration = push.duration * rng.uniform(*SIZE)
-    start = min(max(push.start + rng.uniform(-ONSET, ONSET), 0.0), end - duration)
+    start = max(push.start + rng.uniform(-ONSET, ONSET), 0.0)
+    if push.start + push.duration <= end:
+        start = max(min(start, end - duration), 0.0)
     torque = push.torque * rng.uniform(*SIZE) * rng.choice((-1.0, 1.0))
     return push.model_copy(update={"start": start, "duration": duration, "torque": torque})
 
@@ -110,7 +114,13 @@ def drawn_record(experiment: Experiment, seed: int, tolerance: float, tared: boo
 
 
 def draw(
-    scenario: Scenario, folder: Path | None, seed: int, tolerance: float = 1.0, tared: bool = True, vary: bool = True
+    scenario: Scenario,
+    folder: Path | None,
+    seed: int,
+    tolerance: float = 1.0,
+    tared: bool = True,
+    vary: bool = True,
+    load: float | None = None,
 ) -> DrawnExperiment:
     """Draw an experiment and run it, without estimates.
 
@@ -120,9 +130,13 @@ def draw(
       tolerance: share of the joint's tolerances within which it is drawn.
       tared: whether the link encoder's zero is known.
       vary: whether motion and pushes are drawn, too.
+      load: gravity moment at horizontal of what is bolted on [N·m], which the estimators know; by default the mounting's.
+
+    Raises:
+      InputError: a joint that cannot bear the load.
     """
     chosen = varied(scenario, seed) if vary else scenario.model_copy(update={"seed": seed})
-    experiment = Experiment.of(chosen, folder)
+    experiment = Experiment.of(chosen, folder, load)
     record = drawn_record(experiment, seed, tolerance, tared)
     simulation = experiment.simulate(seed, record, experiment.build(record))
     return draw_of(experiment, simulation, record, told(experiment.known, tolerance, tared), seed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,6 +21,7 @@ from ...models.joint import Joint, Mounting
 from ...models.parameters import PARAMETERS
 from ..run import Run, simulate_scenario
 from ..scenario import Disturbance, Scenario
+from .draws import varied
 
 BIN = 0.1
 """Time [s] over which errors are averaged to be shown over time."""
@@ -125,6 +127,7 @@ def assess(
     intensity: float | None = None,
     tolerance: float = 1.0,
     progress: Callable[[], None] = lambda: None,
+    vary: bool = True,
 ) -> Limits:
     """Run a scenario with every seed and hold every estimator against the bounds.
 
@@ -134,9 +137,12 @@ def assess(
         seeds: one or more.
         estimators: by name.
         intensity: of the external torque in the bound [N·m/√s]; by default fitted to the scenario, and at least
-            0.001·T2, a joint whose load is known to 1 % after 40 s: nobody knows that nothing acts.
+            0.001·T2, a joint whose load is known to 1 % after 40 s: nobody knows that nothing acts. What is drawn is fitted
+            together, as the root mean square of the seeds' own.
         tolerance: share of the joint's tolerances that are the prior of the second bound; 0 leaves it out.
         progress: called after each seed.
+        vary: whether start, pace and pushes are drawn per seed (`draws.varied`): seeds of the sensors' noise alone are no
+            independent runs, and intervals over them mean nothing.
 
     Raises:
         InputError: torque feedback, no seeds, or a joint whose bound is not defined.
@@ -147,22 +153,23 @@ def assess(
     record = joint.record(scenario.mount(joint))
     if record[0]["hysteresis_torque"] != 0.0:
         raise InputError(f"joint {joint.name}: no bound: the true state of the flexspline's hysteresis is not recorded")
-    fitted = fitted_intensity(scenario)
+    drawn = [varied(scenario, seed) if vary else scenario for seed in seeds]
+    fitted = math.sqrt(np.mean([fitted_intensity(one) ** 2 for one in drawn]))
     if intensity is None:
         intensity = max(fitted, bound.QUIET.external * float(record[0]["T2"]))
 
     collected = [_Collected(name, one) for name, one in estimators.items()]
     others = doubtful(joint, scenario.mount(joint), tolerance)
     variances, torsion_variances, doubtful_variances, walks = [], [], [], []
-    for seed in seeds:
-        run = simulate_scenario(scenario, folder, seed)
+    for one, seed in zip(drawn, seeds, strict=True):
+        run = simulate_scenario(one, folder, seed)
         variances.append(joint_variance(run, record, intensity))
         if len(others):
             doubtful_variances.append(joint_variance(run, record, intensity, others))
         walks.append(bound.walk_intensity(run.truth("joint_torque"), run.time))
         torsion_variances.append(torsion_variance(run, record, walks[-1]))
-        for one in collected:
-            one.add(run)
+        for each in collected:
+            each.add(run)
         progress()
     kept = run.time >= scenario.transient
     size = round(BIN / (run.time[1] - run.time[0]))

@@ -27,6 +27,7 @@ from ..filters import FilterEntry
 from ..run import Run, simulate_scenario
 from ..scenario import Scenario
 from . import metrics
+from .draws import varied
 from .intervals import Interval, interval
 
 EVALUATIONS = 300
@@ -77,15 +78,24 @@ class Tuned:
         return interval((self.test_tuned - self.test_default).mean(axis=0))
 
 
-def simulated(scenarios: Sequence[tuple[Scenario, Path | None]], seeds: Sequence[int]) -> list[list[Run]]:
+def simulated(
+    scenarios: Sequence[tuple[Scenario, Path | None]], seeds: Sequence[int], vary: bool = True
+) -> list[list[Run]]:
     """Run every scenario with every seed, without estimates: one list of runs per scenario.
+
+    Args:
+        vary: whether start, pace and pushes are drawn per seed, too (`draws.varied`): seeds of the sensors' noise alone are no
+            independent runs, so that what is tuned on them is tuned to one motion, and intervals over them mean nothing.
 
     Raises:
         InputError: no seeds; a scenario with an estimate fed back (`run.simulate_scenario`).
     """
     if not seeds:
         raise InputError("tune: expected at least one seed, got none")
-    return [[simulate_scenario(scenario, folder, seed) for seed in seeds] for scenario, folder in scenarios]
+    return [
+        [simulate_scenario(varied(scenario, seed) if vary else scenario, folder, seed) for seed in seeds]
+        for scenario, folder in scenarios
+    ]
 
 
 def errors(estimator: Estimator, runs: Sequence[Sequence[Run]], threads: int = 1) -> np.ndarray:

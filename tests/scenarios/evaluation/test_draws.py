@@ -43,6 +43,19 @@ def test_everything_is_drawn(pushed):
     assert varied(scenario, 3) == varied(scenario, 3)
 
 
+def test_pushes_of_a_scenario_that_is_cut_stay_outside_it(pushed):
+    """What begins after the end is not drawn into it, and a walk, another for each seed as it is, stays whole."""
+    scenario, _ = pushed
+    end = scenario.disturbances[0].start + scenario.disturbances[0].duration
+    cut = scenario.model_copy(update={"duration": end + 0.1})
+    for seed in range(20):
+        first, *others = varied(cut, seed).disturbances
+        assert 0.0 <= first.start <= first.start + first.duration <= cut.duration
+        assert all(d.start > cut.duration for d in others), (seed, others)
+    walk = scenario.disturbances[0].model_copy(update={"kind": "walk", "start": 0.0, "duration": scenario.duration})
+    assert varied(scenario.model_copy(update={"disturbances": [walk]}), 1).disturbances == [walk]
+
+
 def test_joints_grow_with_the_tolerance(pushed):
     """Twice the tolerance is the same joint, twice as far from nominal; a tared zero stays."""
     scenario, folder = pushed

@@ -8,8 +8,9 @@ import pytest
 from flexspline.estimator.joint_model import STATES
 from flexspline.models.errors import InputError
 from flexspline.scenarios.evaluation import limits
+from flexspline.scenarios.evaluation.draws import varied
 from flexspline.scenarios.filters import estimators
-from flexspline.scenarios.run import run_scenario
+from flexspline.scenarios.run import run_scenario, simulate_scenario
 from flexspline.scenarios.scenario import load_scenario
 
 NAMES = ("EKF", "RAREKF", "model", "dynamics_ekf", "rts_smoother")
@@ -53,7 +54,8 @@ def test_measures_are_those_of_the_runs():
     """One seed: RMS error and mean NIS as the run itself reports them."""
     chosen, folder = scenario("duration=3")
     found = limits.assess(chosen, folder, [7], estimators(["EKF", "RAREKF"]))
-    run = run_scenario(chosen.model_copy(update={"seed": 7}), folder)
+    assert found.fitted == pytest.approx(limits.fitted_intensity(varied(chosen, 7)))
+    run = run_scenario(varied(chosen, 7), folder)
     for one in found.estimators:
         assert one.rms[0] == pytest.approx(run.metrics["filters"][one.name]["rms"], rel=1e-12)
         assert one.nis.value == pytest.approx(run.metrics["filters"][one.name]["mean_nis"], rel=1e-9)
@@ -66,6 +68,25 @@ def test_intensity_is_fitted_and_never_silent():
     quiet, _ = scenario("duration=3", "disturbances=[]")
     found = limits.assess(quiet, folder, [1], {})
     assert found.fitted == 0.0 and found.intensity == pytest.approx(0.012)
+
+
+def test_seeds_are_independent_runs_unless_one_motion_is_asked_for():
+    """Errors of seeds with one motion go together; with drawn ones they do not."""
+    chosen, folder = load_scenario("link_sweep", ["duration=8"])
+    seeds = [1, 2]
+
+    def likeness(vary: bool) -> float:
+        runs = [simulate_scenario(varied(chosen, s) if vary else chosen, folder, s) for s in seeds]
+        one = estimators(["model"])["model"]
+        errors = [one.estimate(run.signals, run.known).mean - run.truth("joint_torque") for run in runs]
+        found = limits.assess(chosen, folder, seeds, {"model": one}, vary=vary)
+        own = [np.sqrt(np.mean(e[run.time >= chosen.transient] ** 2)) for e, run in zip(errors, runs, strict=True)]
+        assert found.estimators[0].rms == pytest.approx(own)
+        return float(np.corrcoef(*errors)[0, 1])
+
+    same, drawn = likeness(False), likeness(True)
+    print(f"correlation of the errors of two seeds: {same:.2f} with one motion, {drawn:.2f} with drawn ones")
+    assert same > 0.8 and abs(drawn) < 0.3
 
 
 def test_a_walk_is_another_for_each_seed_and_has_its_size():

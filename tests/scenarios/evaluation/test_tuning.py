@@ -54,7 +54,7 @@ class Walk:
 @pytest.fixture(scope="module")
 def runs():
     scenarios = [load_scenario("external_push", ["duration=9"])]
-    return tuning.simulated(scenarios, [1, 2]), tuning.simulated(scenarios, [101, 102])
+    return tuning.simulated(scenarios, [1, 2]), tuning.simulated(scenarios, [101, 102, 103, 104])
 
 
 def test_recovers_the_ratio_of_a_random_walk(rng):
