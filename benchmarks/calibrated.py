@@ -168,9 +168,16 @@ def _level(values: np.ndarray) -> str:
     return f"{found}, {diverged} diverged" if diverged else found
 
 
+def _worse(after: np.ndarray, before: np.ndarray) -> str:
+    """In how many draws an error is larger afterwards, and how much at most."""
+    more = after / before
+    count = int(np.sum(more > 1.0))
+    return f"{count} of {len(more)}" + (f", ≤ {np.max(more):.1f} ×" if count else "")
+
+
 def kind_table(results: Results, hidden: str, real: bool, names: Sequence[str] = NAMES) -> str:
     """Errors before, after, and with exact knowledge; in motion and at rest."""
-    heads = ["estimator", "before [N·m]", "after", "exact knowledge", "after / before"]
+    heads = ["estimator", "before [N·m]", "after", "exact knowledge", "after / before", "worse after"]
     heads += ["moving: before", "after", "exact", "at rest: before", "after", "exact"]
     rows = []
     for name in names:
@@ -179,6 +186,7 @@ def kind_table(results: Results, hidden: str, real: bool, names: Sequence[str] =
             f"`{name}`",
             *(_level(values[k]) for k in KNOWLEDGE),
             _mean(geometric(values["after"], values["before"]), 2),
+            _worse(values["after"], values["before"]),
         ]
         for part in PARTS[1:]:
             for k in KNOWLEDGE:
