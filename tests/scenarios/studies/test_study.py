@@ -141,7 +141,7 @@ def test_shipped_studies_can_run(name):
 def test_the_shipped_studies_are_the_full_ones():
     assert len(load_study("noise_and_load")[0].seed_list) == 500
     model_error, _ = load_study("model_error")
-    assert {"current", "momentum", "dynamics_ekf"} <= set(model_error.names)
+    assert {"current", "momentum_torsion", "augmented"} <= set(model_error.names)  # what the docs recommend
     assert len(model_error.axes[0].causes) == 19
 
 
