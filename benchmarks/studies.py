@@ -1,8 +1,9 @@
-"""The shipped studies, whole: `python -m benchmarks studies` writes the tables of docs/studies.md and a CSV of each beside it.
+"""The shipped studies: `python -m benchmarks studies` writes the tables of docs/studies.md and a CSV of each beside it.
 
-Together they take hours of a core. The datasets are kept (`--out`) and are those of `flexspline sweep`: interrupted, either
-goes on. The first draws of all points come first, so that what is there at any time is the whole study with fewer draws;
-`--tables` writes the page from that, and every table says how many draws it has.
+Together they take hours of a core: `noise_and_load` an hour and a half, `model_error` three quarters of one. Of these two a part
+runs (`REDUCED`), unless `--whole` is given. The datasets are kept (`--out`), and those of whole studies are those of `flexspline
+sweep`: interrupted, either goes on. The first draws of all points come first, so that what is there at any time is the study
+with fewer draws; `--tables` writes the page from that, and every table says how many draws it has.
 """
 
 from __future__ import annotations
@@ -17,25 +18,54 @@ from flexspline.models.files import write_into_place
 from flexspline.scenarios.studies.dataset import Dataset
 from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.statistics import Aggregate, aggregate, summary_rows
-from flexspline.scenarios.studies.study import Value, load_study
+from flexspline.scenarios.studies.study import Study, Value, load_study
 from flexspline.scenarios.studies.sweep import sweep, versions
 from flexspline.views.limit_tables import markdown
 from flexspline.views.sweep_tables import cell, metric_column, value_text
 
 from .estimators import ROOT, fill
 
-STUDIES = ("tolerance", "load_dependent_alpha", "noise_and_load", "model_error")
+STUDIES = ("load_dependent_alpha", "noise_and_load", "model_error")
+"""On the page; `tolerance` is what docs/estimators.md measures."""
+REDUCED: Mapping[str, Mapping[str, Any]] = {
+    "noise_and_load": {
+        "seeds": {"first": 1, "count": 30},
+        "axes": {"noise_level": {"values": [1, 10]}, "load": {"values": [3, 12]}},
+    },
+    "model_error": {
+        "scenarios": ["link_sweep"],
+        "axes": {
+            "cause": {
+                "causes": [
+                    "stiffness", "kinematic_error", "hysteresis", "backlash", "mesh_friction", "torque_constant",
+                    "gravity_moment", "encoder_delay",
+                ],
+                "sizes": [0, 1],
+            }
+        },
+    },
+}  # fmt: skip
+"""What of a study runs, unless it is to be whole: keys that take other values, and of its axes, by name or kind."""
 SHOWN: Mapping[str, tuple[str, ...]] = {
-    "tolerance": ("rms", "response_ms"),
     "load_dependent_alpha": ("rms", "response_ms", "robust_share"),
     "noise_and_load": ("rms", "response_ms", "robust_share"),
-    "model_error": ("rms",),
+    "model_error": ("rms", "robust_share"),
 }
 """Measures of a study's table on the page; all of them are in its CSV."""
 AT: Mapping[str, Mapping[str, tuple[Any, ...]]] = {"model_error": {"size": (0.0, 1.0)}}
-"""Points of a study's table on the page, where that has not all: axis → values."""
+"""Points of a study's table on the page, where that is not to have all: axis → values."""
 DIGITS = 4
 """Of a CSV's numbers, which have intervals of a per cent and more."""
+
+
+def chosen(name: str, whole: bool) -> tuple[Study, Path]:
+    """A shipped study, or what of it runs, and its folder."""
+    study, folder = load_study(name)
+    change = {} if whole else REDUCED.get(name, {})
+    data, axes = study.model_dump(mode="json", exclude_none=True), change.get("axes", {})
+    for axis in data["axes"]:
+        axis.update(axes.get(axis["name"], axes.get(axis["kind"], {})))
+    return Study.model_validate(data | {key: value for key, value in change.items() if key != "axes"}), folder
 
 
 def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at: Mapping[str, Sequence[Any]]) -> str:
@@ -67,15 +97,15 @@ def _head(name: str, values: Iterable[tuple[str, Value | None]]) -> str:
     return ", ".join([name, *(f"{axis} {value_text(value)}" for axis, value in values if value is not None)])
 
 
-def about(runs: Sequence[int], failed: int, whole: int) -> str:
-    """How many draws there are at the points, of how many, and how many estimates failed."""
+def about(runs: Sequence[int], failed: int, whole: Design) -> str:
+    """How many points and draws there are, of how many of the whole study, and how many estimates failed."""
     least, most = min(runs), max(runs)
-    draws = f"{least}" if least == most else f"{least} to {most}"
-    text = (
-        f"{len(runs)} points, {draws} of {whole} draws at each"
-        if least < whole
-        else f"whole: {len(runs)} points, {whole} draws at each"
-    )
+    draws, of = f"{least}" if least == most else f"{least} to {most}", len(whole.study.seed_list)
+    if len(runs) < len(whole.cells) or least < of:
+        points = f"{len(runs)}" if len(runs) == len(whole.cells) else f"{len(runs)} of {len(whole.cells)}"
+        text = f"{points} points, {draws} of {of} draws at each"
+    else:
+        text = f"whole: {len(runs)} points, {of} draws at each"
     return f"({text}; {failed} estimates diverged and are left out)" if failed else f"({text})"
 
 
@@ -91,12 +121,13 @@ def write_summary(found: list[Aggregate], design: Design, path: Path) -> None:
         writer.writerows(rows)
 
 
-def write(name: str, dataset: Dataset, design: Design, page: Path) -> None:
-    """A study's table on the page, under how it was made, and its CSV; `design`: whole, of which the dataset may have a part."""
+def write(name: str, dataset: Dataset, design: Design, whole: Design, page: Path) -> None:
+    """A study's table on the page, under how it was made, and its CSV; `design`: of the dataset, or with more draws than it has;
+    `whole`: as it is shipped."""
     found = list(aggregate(dataset))
     shown = table(found, design, SHOWN[name], AT.get(name, {}))
     runs = [len(dataset.read(cell.index, ["run"])) // len(design.variants) for cell in design.cells]
-    said = about(runs, sum(one.failed for one in found), len(design.study.seed_list))
+    said = about([n for n in runs if n], sum(one.failed for one in found), whole)
     fill(page, {f"{name} about": said, name: shown})
     write_summary(found, design, page.with_name(f"study_{name}.csv"))
 
@@ -106,6 +137,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.studies", description=__doc__)
     parser.add_argument("names", nargs="*", default=list(STUDIES), help="of the studies; all by default")
     parser.add_argument("--seeds", type=int, help="how many draws, instead of the study's")
+    parser.add_argument("--whole", action="store_true", help="all points of studies that run in part otherwise")
     parser.add_argument("--tables", action="store_true", help="of what is there; nothing is computed")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--chunk", type=int, help="runs per file")
@@ -113,13 +145,14 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "studies.md")
     asked = parser.parse_args(arguments)
     for name in asked.names:
-        study, folder = load_study(name)
+        whole = Design.of(*load_study(name))
+        study, folder = chosen(name, asked.whole)
         design = Design.of(study, folder)
         fewer = design if asked.seeds is None else Design.of(study.with_seeds(asked.seeds), folder)
         dataset = Dataset.open(asked.out / name, fewer, versions())
         if not asked.tables:
             sweep(fewer, dataset, asked.jobs, asked.chunk)
-        write(name, dataset, design, asked.page)
+        write(name, dataset, design, whole, asked.page)
         print(name, flush=True)
 
 

@@ -35,12 +35,12 @@ def test_a_table_says_what_its_dataset_has_and_how_much_of_it_there_is(tmp_path,
     part = Design.of(asked.with_seeds(2))
     dataset = Dataset.open(tmp_path / "data", part, versions())
     sweep(part, dataset, jobs=1)
-    studies.write("small", dataset, whole, page)
+    studies.write("small", dataset, whole, whole, page)
     assert "(2 points, 2 of 3 draws at each)" in page.read_text(encoding="utf-8")
 
     dataset = Dataset.open(tmp_path / "data", whole, versions())
     sweep(whole, dataset, jobs=1)
-    studies.write("small", dataset, whole, page)
+    studies.write("small", dataset, whole, whole, page)
     text = page.read_text(encoding="utf-8")
     assert "(whole: 2 points, 3 draws at each)" in text
     lines = [line for line in text.splitlines() if line.startswith("|")]
@@ -50,15 +50,23 @@ def test_a_table_says_what_its_dataset_has_and_how_much_of_it_there_is(tmp_path,
         assert cells[:2] == ["link_sweep", load]
         assert cells[3].startswith(with_interval(interval(column(dataset, cell, "EKF", "rms"))))
 
+    more = Design.of(study(scenarios=["link_sweep", "external_push"], axes=AXES))
+    studies.write("small", dataset, whole, more, page)
+    assert "(2 of 4 points, 3 of 3 draws at each)" in page.read_text(encoding="utf-8")
+
     kept = read_csv(page.with_name("study_small.csv"), asked)
     assert kept[0].values["rms"].mean == pytest.approx(interval(column(dataset, 0, "EKF", "rms")).mean, rel=1e-3)
 
 
 def test_every_shipped_study_has_its_place_on_the_page():
-    from flexspline.scenarios.studies.study import shipped_studies
+    from flexspline.scenarios.studies.study import load_study, shipped_studies
 
-    assert set(studies.STUDIES) == set(shipped_studies()) == set(studies.SHOWN)
+    assert {*studies.STUDIES, "tolerance"} == set(shipped_studies())
+    assert set(studies.STUDIES) == set(studies.SHOWN)
     text = (studies.ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
     for name in studies.STUDIES:
+        for whole in (True, False):
+            study, _ = studies.chosen(name, whole)
+            assert whole <= (study == load_study(name)[0])
         for part in ("", " about"):
             assert f"<!-- begin {name}{part} -->" in text and f"<!-- end {name}{part} -->" in text, name
