@@ -20,7 +20,9 @@ from flexspline.scenarios.studies.design import Design
 from flexspline.scenarios.studies.statistics import Aggregate, aggregate, summary_rows
 from flexspline.scenarios.studies.study import Study, Value, load_study
 from flexspline.scenarios.studies.sweep import sweep, versions
+from flexspline.views.figures.sheet import save
 from flexspline.views.limit_tables import markdown
+from flexspline.views.sweep_figures import sweep_figure
 from flexspline.views.sweep_tables import cell, metric_column, value_text
 
 from .estimators import ROOT, fill
@@ -49,11 +51,13 @@ REDUCED: Mapping[str, Mapping[str, Any]] = {
 SHOWN: Mapping[str, tuple[str, ...]] = {
     "load_dependent_alpha": ("rms", "response_ms", "robust_share"),
     "noise_and_load": ("rms", "response_ms", "robust_share"),
-    "model_error": ("rms", "robust_share"),
+    "model_error": ("rms",),
 }
 """Measures of a study's table on the page; all of them are in its CSV."""
 AT: Mapping[str, Mapping[str, tuple[Any, ...]]] = {"model_error": {"size": (0.0, 1.0)}}
 """Points of a study's table on the page, where that is not to have all: axis → values."""
+FIGURES: Mapping[str, tuple[str, str]] = {"load_dependent_alpha": ("external_push", "rms")}
+"""Of a study's figures the one on the page: scenario and measure."""
 DIGITS = 4
 """Of a CSV's numbers, which have intervals of a per cent and more."""
 
@@ -130,6 +134,11 @@ def write(name: str, dataset: Dataset, design: Design, whole: Design, page: Path
     said = about([n for n in runs if n], sum(one.failed for one in found), whole)
     fill(page, {f"{name} about": said, name: shown})
     write_summary(found, design, page.with_name(f"study_{name}.csv"))
+    if name in FIGURES:
+        scenario, metric = FIGURES[name]
+        figure = sweep_figure([one for one in found if one.scenario == scenario], design.study, metric)
+        assert figure is not None  # every study measures it
+        save(figure, page.parent / "figures" / f"study_{name}.png")
 
 
 def main(arguments: Sequence[str] = ()) -> None:

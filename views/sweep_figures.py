@@ -28,6 +28,7 @@ _HEIGHT, _GAP = 2.2, 0.5  # in: of a row of panels, of it between them
 _LEFT, _BETWEEN = 0.85, 0.14  # in
 _LEGEND = 8  # filters in a line of the legend
 _LOGARITHMIC = 15.0  # largest over smallest mean from which on an axis is logarithmic
+_LINEAR = 1e-3  # of the largest difference: what is less is next to nothing, and the axis linear
 _CHARACTERS = 80  # of ticks that stand side by side in a row of panels
 _SPREAD = 0.32  # of the distance between two points, over which the filters stand side by side
 
@@ -126,7 +127,7 @@ def sweep_figure(
         axes.set_xticks(range(len(places)), ticks, rotation=35 if slanted else 0, ha="right" if slanted else "center")
     means = column.scale * np.abs([one.mean for one in shown])
     if differences and means.max() > _LOGARITHMIC * (usual := np.median(means)) > 0:
-        grid[0].set_yscale("symlog", linthresh=usual)
+        grid[0].set_yscale("symlog", linthresh=max(usual, _LINEAR * means.max()))
     elif not differences and means.min() > 0 and means.max() / means.min() > _LOGARITHMIC:
         grid[0].set_yscale("log")
     for i, axes in enumerate(grid):
