@@ -16,7 +16,7 @@ EXAMPLES = (
     "flexspline contact --set sensors=realistic --tolerance 0.2 --out contact",
 )
 DEFAULT = ("augmented", "momentum", "momentum_torsion", "current", "RAREKF", "AREKF", "EKF", "model")
-"""Estimators where none is named: those that take no more than a microsecond per update, a few of each kind."""
+"""Estimators where none is named: those that take no more than a few microseconds per update, a few of each kind."""
 
 
 @with_plugins
