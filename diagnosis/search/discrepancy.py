@@ -21,6 +21,7 @@ from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight
+from .acceptance import quiet_rms
 from .screen import plain_noise
 from .worth import left_by, mean_squares
 
@@ -58,14 +59,17 @@ class DiscrepancySettings:
       worth: root mean square that it must remove, as a share of the rated torque, where the residual is more than noise already
         without it (a real joint has a little of everything).
       noise: of the sensors' noise, in the same balance, where it is not.
-      penalty: log prior odds of a known cause against an unknown effect; of a usual place against another.
+      penalty: log prior odds of a known cause against an unknown effect; of a usual place against another, both where nothing
+        but noise is left: what no description holds speaks for one of two places as well.
+      loosest: times as much at most.
       gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain
         that it must explain more, or it is the little that real joints have of everything.
       lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need only be the
-        likelier: slow discrepancy holds in the noise what the effect would.
+        likelier; where it stands in nothing's place, not even that: slow discrepancy holds in the noise what the effect would.
       likely: part of these shares that it must have in the linear model to be fitted through the replay.
       thin: every so-manieth residual is looked at first.
-      refined: candidates that are fitted through the replay.
+      refined: candidates that are fitted through the replay; one more where these depend on the same variable.
+      alike: difference of their shares below which two places of a variable are the same residual.
       knots: coefficients of a spline by variable.
       scale: prior standard deviation of a coefficient by place, for a rated torque of 16 N·m.
     """
@@ -74,12 +78,14 @@ class DiscrepancySettings:
     worth: float = 0.01
     noise: float = 1.0
     penalty: float = 40.0
+    loosest: float = 5.0
     gain: float = 0.25
     more: float = 0.03
     lost: float = 2.25
     likely: float = 0.5
     thin: int = 3
     refined: int = 2
+    alike: float = 0.002
     knots: dict[str, int] = field(
         default_factory=lambda: {
             "link_position": 32, "motor_position": 24, "direction_link_position": 32, "motor_position_two_turns": 32,
@@ -220,7 +226,8 @@ class Candidate:
       spline: where it acts and on what it depends.
       without: indices of the model's causes in whose place it stands.
       share: of the mean square of the residual, each balance over its own, that it takes away.
-      score: by which candidates are ranked: log likelihood under white noise as loud as the residual, with the priors.
+      score: by which candidates are ranked: log likelihood under white noise as loud as the residual, with the priors of its
+        coefficients.
       coordinates, shift: its coefficients, and the change of the other unknowns.
     """
 
@@ -377,7 +384,6 @@ class _Plain:
         scaled = H / np.sqrt(precision)[:, None] / np.sqrt(precision)
         cost = np.linalg.slogdet(scaled)[1] - np.linalg.slogdet(scaled[:n, :n])[1]
         score = 0.5 * len(r) * np.log(np.sum(self.rows[:, 0] ** 2) / np.sum(left**2)) - 0.5 * cost
-        score -= _odds(spline, settings)
         shift = np.zeros(len(at.theta))
         shift[kept] = solution[:n]
         shift[gone] = -at.theta[gone]
@@ -417,26 +423,41 @@ def find(
         columns = columns_of(problem, chosen.theta, chosen.model, spline)
         tried += [plain.candidate(spline, columns, without, settings) for without in drops]
     best: Unknown | None = None
+    unusual = settings.penalty * min(quiet_rms(problem, chosen), settings.loosest)
     for without in drops:
         least_share = settings.likely * (settings.gain if without else settings.share)
-        ranked = sorted((c for c in tried if c.without == without and c.share > least_share), key=lambda c: -c.score)
-        for candidate in ranked[: settings.refined]:
+        likely = [c for c in tried if c.without == without and c.share > least_share]
+        for candidate in _promising(likely, unusual, settings):
             found = _refined(problem, fitter, chosen, candidate, settings, least, settings.more * explained)
-            if found is not None and (best is None or _score(found, settings) > _score(best, settings)):
+            if found is not None and (best is None or _score(found, unusual) > _score(best, unusual)):
                 best = found
         if best is not None and not without:
             break
     return best
 
 
-def _score(found: Unknown, settings: DiscrepancySettings) -> float:
+def _promising(candidates: Sequence[Candidate], unusual: float, settings: DiscrepancySettings) -> list[Candidate]:
+    """Those that look best in the linear model; of places that are the same residual one, and of more than one variable."""
+    found: list[Candidate] = []
+    for c in sorted(candidates, key=lambda c: _odds(c.spline, unusual) - c.score):
+        same = [f for f in found if f.spline.variable == c.spline.variable]
+        if any(abs(f.share - c.share) < settings.alike for f in same):
+            continue
+        if len(found) < settings.refined or not same:
+            found.append(c)
+        if len(found) >= settings.refined and len({f.spline.variable for f in found}) > 1:
+            break
+    return found
+
+
+def _score(found: Unknown, unusual: float) -> float:
     """Log evidence with the prior odds of the place: a torque once a turn of the rotor and an error of the current look alike."""
-    return found.fit.log_evidence - _odds(found.spline, settings)
+    return found.fit.log_evidence - _odds(found.spline, unusual)
 
 
-def _odds(spline: Spline, settings: DiscrepancySettings) -> float:
+def _odds(spline: Spline, unusual: float) -> float:
     """Log evidence that an effect must add where its variable does not usually act."""
-    return 0.0 if spline.place in _USUAL[spline.variable] else settings.penalty
+    return 0.0 if spline.place in _USUAL[spline.variable] else unusual
 
 
 def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
@@ -482,7 +503,7 @@ def _refined(
     near = replace(chosen, model=model, theta=chosen.theta[index], jacobian=[J[..., index] for J in chosen.jacobian])
     f = fitter.fit((*model, candidate.spline), start, near, 4, chosen.point.noise)  # type: ignore[arg-type]
     before, after = left_by(problem, chosen), left_by(problem, f)
-    needed = settings.penalty + _odds(candidate.spline, settings)
+    needed = settings.penalty + _odds(candidate.spline, settings.penalty)
     if candidate.without:
         # What takes the place of known causes must be clearly better than they are.
         needed += settings.penalty
@@ -491,7 +512,9 @@ def _refined(
         f = fitter.fit(f.model, f.theta, None, 6, chosen.point.noise)
         after = left_by(problem, f)
     gain = f.log_evidence - chosen.log_evidence
-    if gain <= (0.0 if settings.lost * after < before else needed):
+    if settings.lost * after < before:
+        needed = 0.0 if candidate.without else -np.inf
+    if gain <= needed:
         return None
     own = _own(problem, f, candidate.spline)
     if not candidate.without:

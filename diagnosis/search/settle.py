@@ -89,13 +89,22 @@ def _is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN
 
 def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
     """A fit without one of its effects."""
+    return _not_lost(problem, fitter, f, _quickly_without(problem, fitter, f, index), settings)
+
+
+def _quickly_without(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
+    """The same with the derivatives of the fit with it, which may end where those do not serve any more."""
     block = problem.place(f.model, index)
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
-    other = fitter.fit(model, f.theta[kept], f, 4)
+    return fitter.fit(model, f.theta[kept], f, 4)
+
+
+def _not_lost(problem: Problem, fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> Fit:
+    """A fit without an effect, thoroughly where it leaves much more: only then is that for want of the effect."""
     if left_by(problem, other) < settings.lost * left_by(problem, f):
         return other
-    return better_of_both(fitter, model, f.theta[kept], near=other)
+    return better_of_both(fitter, other.model, other.theta, near=other)
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
@@ -182,6 +191,7 @@ def _prune(
     decisions: list[Decision] = []
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
     asked: set[int] = set()  # effects near the edge of tolerance that are needed
+    quick: dict[int, Fit] = {}  # fits without one of the present effects
     for _ in range(3 * len(f.model)):
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
         left, near = left_by(problem, f), quiet_rms(problem, f) < settings.far
@@ -209,11 +219,10 @@ def _prune(
         bad = [i for i, (_, _, reason) in enumerate(verdicts) if reason]
         if bad:
             # Of those, the one without which the rest is most probable.
-            trials = [
-                (i, without_effect(problem, fitter, f, i, settings))
-                for i in sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
-            ]
-            i, other = max(trials, key=lambda trial: trial[1].log_evidence)
+            tried = sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
+            quick |= {i: _quickly_without(problem, fitter, f, i) for i in tried if i not in quick}
+            i = max(tried, key=lambda i: quick[i].log_evidence)
+            other = _not_lost(problem, fitter, f, quick[i], settings)
             reason, gain = verdicts[i][2], float("nan")
             needed = "" if _is_calibration(problem, f, i) else why_needed(problem, f, other, settings)
             if needed:
@@ -235,5 +244,5 @@ def _prune(
         decisions.append(Decision("settle", h.cause.name, h.fixed, gain, w.rms, size, True, bool(needed), reason))
         if not needed:
             rivals = [r for j, r in enumerate(rivals) if j != i]
-            f = other
+            f, quick = other, {}
     return f, rivals, decisions

@@ -123,6 +123,17 @@ def test_a_cause_is_as_general_as_the_data_ask_for(index):
 
 
 @pytest.mark.slow
+def test_a_reading_that_drifts_is_no_sure_offset():
+    """Slow discrepancy holds what an offset leaves of a drift: the simulation's error, which the drift halves, says more."""
+    drawn = draw(Challenge(seed=233, hidden="outside", real=True), 8)
+    assert "drifts" in drawn.effects[0].description
+    found = diagnose(drawn.measurement, drawn.nominal)
+    named = [*found.causes, *found.minor]
+    assert "unknown" in {c.name for c in named}
+    assert all(c.confidence < 0.9 for c in named if c.name == "current_offset")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("index", [4, 41])
 def test_no_inertia_just_beyond_its_tolerance_beside_the_cause(index):
     """Noise in the derivatives pulls the wave generator's inertia; the rotor's must not be called another for that."""
