@@ -263,7 +263,7 @@ def predict_unscented(m, command, dt, heat, noise, kappa, p):
 
 @kernel
 def cholesky(P, C, n):
-    """Write the lower factor of P[:n, :n] into C; a direction without variance gets a column of zeros."""
+    """Write the lower factor of P[:n, :n] into C, whose upper part stays; a direction without variance gets a column of zeros."""
     for j in range(n):
         for i in range(j, n):
             total = P[i, j]
@@ -273,7 +273,6 @@ def cholesky(P, C, n):
                 C[j, j] = math.sqrt(total) if total > 1e-14 * P[j, j] else 0.0
             else:
                 C[i, j] = total / C[j, j] if C[j, j] > 0.0 else 0.0
-                C[j, i] = 0.0
 
 
 @kernel

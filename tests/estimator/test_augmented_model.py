@@ -181,6 +181,18 @@ def test_it_moves_by_the_joints_equations(case):
     assert all(expected[AT[name]] for name in moved)
 
 
+@pytest.mark.parametrize("slow", [0.4, -0.4])
+def test_more_friction_bends_the_bristle_the_way_it_turns(slow):
+    """However slowly: of a wave generator at ±0.4 rad/s the bristle's rate by friction's error has the sign of the motion."""
+    midway = disturbed(Midway.of("plain", interval=MOMENT), wave_rate=slow, bristle=0.5e-3 * np.sign(slow))
+    P = np.zeros((SIZE, SIZE))
+    i, j = AT["bristle"], FIXED
+    P[j, j] = UNITS[j] ** 2
+    found = (midway.after(P=P)[1] - midway.after()[1])[i, j] / P[j, j] / MOMENT
+    # of a bristle that has bent as far as it goes, which F takes it for
+    assert found == pytest.approx(slow, rel=0.05)
+
+
 @pytest.mark.parametrize("told", [{}, {"flexible_share": 0.2, "flexible_damping": 0.05, "cable_stiffness": 0.7}])
 def test_errors_grow_by_the_equations_linearised(told):
     """F from the covariance of one error at a time, against differences of the equations. Left out: the Stribeck curve's slope,
@@ -307,6 +319,19 @@ def test_it_is_a_kalman_filter_that_may_consider(case, learn):
     assert np.abs(less / np.sqrt(np.outer(np.diag(before), np.diag(before)) + 1e-300)).max() > 0.1
 
 
+def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
+    """By the sample that completes it, however the sum of intervals is rounded."""
+    midway = seeing("plain")
+    midway.sample["interval"], midway.settings["sliding"] = 1e-3, 0.0
+    midway.settings["settled"], midway.settings["coarse"] = 0.1, np.inf
+    P = np.diag(UNITS**2)
+    calm = {"calm": 1e3, "free": 1.0, "torsion_ratio": 1.0, "link_ratio": 1.0}
+    before = midway.memory["x"][FIXED:]
+    for slid, learned in ((0.0981, False), (0.0989, True), (0.0991, True), (5.0, True)):
+        after = midway.after(P=P, slid=slid, **calm)[0][FIXED:]
+        assert np.any(after != before) == learned, slid
+
+
 def S0(midway: Midway) -> float:
     """Variance of torsion's torque [(N·m)²] that its readings alone leave: what is left of S where everything is known."""
     midway.settings["prior"][AT["count"]], kept = 0.0, midway.settings["prior"][AT["count"]]
@@ -350,7 +375,10 @@ def test_noise_grows_with_time_and_contradiction():
         long == pytest.approx(1e-6 * np.exp(-5e-3 / 0.1) * (4e-3 / p["Jm"]) ** 2)
         and noise(1e-3, ripple=1e-6)[AT["rotor"]] == two[AT["rotor"]]
     )
-    assert noise(5e-3)[AT["spring"]] > 6.0 * two[AT["spring"]]
+    # What readings do not show between them moves the spring as its square; after half a second as far as a walk does.
+    for h in (5e-3, 0.02):
+        unseen = noise(h)[AT["spring"]] - h / 1e-3 * two[AT["spring"]]
+        assert unseen == pytest.approx(0.5 * c["loose"] * ((h - 1e-3) / 0.5) ** 2)
 
 
 def test_nobody_touches_it():

@@ -52,6 +52,19 @@ def test_a_linear_model_gives_the_kalman_covariance(rng):
     assert np.allclose(F @ np.linalg.inv(J[-1]) @ F.T + Q, steady, rtol=1e-6)
 
 
+def test_each_reading_tells_of_its_own_instant(rng):
+    """Along a trajectory on which F and H change from step to step: the Kalman filter's covariance of that linear model."""
+    n, T = 2, 12
+    F, H = np.eye(n) + 0.2 * rng.standard_normal((T - 1, n, n)), rng.standard_normal((T, 1, n))
+    Q, R, P = 0.1 * np.eye(n), np.array([[0.3]]), np.eye(n)
+    J = bound.posterior_information(F, Q, H, R, np.linalg.inv(P))
+    for k in range(1, T):
+        P = F[k - 1] @ P @ F[k - 1].T + Q
+        S = H[k] @ P @ H[k].T + R
+        P = P - P @ H[k].T @ np.linalg.solve(S, H[k] @ P)
+        assert np.allclose(np.linalg.inv(J[k]), P, rtol=1e-8)
+
+
 def test_expectation_over_trajectories(rng):
     """M copies of one trajectory are one; different ones tell at least as much as their mean Jacobian does."""
     T, n = 20, 2

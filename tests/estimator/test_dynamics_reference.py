@@ -168,6 +168,7 @@ def test_it_is_the_textbooks_filter(name, process, noise):
             )
         assert out[0, 1] == pytest.approx(ours.variance(time[k]), rel=0.03)
         assert m["current"] == pytest.approx(ours.current)
+        assert (m["motor_ratio"], m["link_ratio"]) == pytest.approx(ours.ratios, rel=1e-3)
         loudest = max(loudest, *ours.ratios)
         ours.x, ours.P = m["x"].copy(), m["P"][:size, :size].copy()
         ours.ratios = (float(m["motor_ratio"]), float(m["link_ratio"]))

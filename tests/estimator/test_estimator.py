@@ -14,7 +14,7 @@ from known_effects import JOINT, MOUNTING
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
 from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, go_on, sample_blocks
-from flexspline.estimator.tuning_parameters import value_of, with_values
+from flexspline.estimator.tuning_parameters import TuningParameter, value_of, with_values
 from flexspline.models import plugins
 from flexspline.models.errors import InputError
 from flexspline.models.signals import Signals
@@ -351,3 +351,14 @@ def test_normalised_innovations_squared(rng):
     one = Posterior("any", time, np.zeros(5), innovation=e[:, :1], innovation_covariance=S[:, :1, :1]).nis
     assert one == pytest.approx([0.0, *(e[1:, 0] ** 2 / S[1:, 0, 0])])
     assert Posterior("any", time, np.zeros(5), innovation=e).nis is None
+
+
+def test_places_between_bounds():
+    """Equal steps are equal factors where the scale is logarithmic, equal differences where it is linear; beyond, the bounds."""
+    log, linear = TuningParameter("x", 0.1, 1000.0), TuningParameter("x", 2.0, 10.0, "linear")
+    assert [log.from_unit(p) for p in (-1.0, 0.0, 0.25, 0.5, 1.0, 7.0)] == pytest.approx(
+        [0.1, 0.1, 1.0, 10.0, 1000.0, 1000.0]
+    )
+    assert [linear.from_unit(p) for p in (-1.0, 0.0, 0.25, 1.0, 7.0)] == pytest.approx([2.0, 2.0, 4.0, 10.0, 10.0])
+    assert [log.to_unit(x) for x in (0.0, 0.1, 10.0, 1e9)] == pytest.approx([0.0, 0.0, 0.5, 1.0])
+    assert [linear.to_unit(x) for x in (0.0, 4.0, 10.0, 1e9)] == pytest.approx([0.0, 0.25, 1.0, 1.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flexspline.estimator import KnownJoint, registry
-from flexspline.estimator.external import external_torque
+from flexspline.estimator.external import external_torque, lowpassed
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.signals import Signals
@@ -42,6 +42,27 @@ def test_the_links_observer_is_a_low_pass_of_what_acts():
     np.testing.assert_allclose((wrong - found)[1000:], 0.5, atol=1e-3)
     with pytest.raises(InputError, match="shape"):
         external_torque(signals, torque[:-1], known)
+
+
+def test_the_velocitys_low_pass_has_its_cutoff_and_any_signals_derivatives():
+    """Butterworth's of second order: 1/√2 at the cutoff, a quarter of a turn late; rate and acceleration are the value's. The
+    observer hears a velocity through it: a link that sets off without a torque was pushed, as late as the velocity is."""
+    time, cutoff = np.arange(40_000) * 1e-5, 30.0
+    found = lowpassed(time, np.sin(2 * math.pi * cutoff * time), cutoff)
+    late = time > 0.2
+    expected = -np.cos(2 * math.pi * cutoff * time) / math.sqrt(2.0)
+    np.testing.assert_allclose(found[late, 0], expected[late], atol=0.01)
+    for k in (1, 2):
+        np.testing.assert_allclose(np.diff(found[:, k - 1]), found[1:, k] * 1e-5, atol=1e-12)
+    assert lowpassed(time, np.full(len(time), 3.0), cutoff)[-1] == pytest.approx([3.0, 0.0, 0.0])
+    known = KnownJoint.of(load_joint("test-joint"), load_joint("test-joint").mount("no_load"))
+    angle = 0.5 * np.maximum(time - 0.1, 0.0)
+    weightless = known.told(Mg=0.0)
+    signals = Signals(time, {"motor_position": 100.0 * angle, "link_position": angle})
+    push = external_torque(signals, np.zeros(len(time)), weightless, bandwidth=400.0, cutoff=5.0)
+    momentum = np.cumsum(push) * 1e-5
+    expected = weightless.p["Jl"] * 0.5 * (1.0 - np.exp(-2 * math.pi * 5.0 * np.maximum(time - 0.1, 0.0)))
+    np.testing.assert_allclose(momentum, expected, atol=0.02 * expected.max())
 
 
 def white(seed: int, runs: int = 60, seconds: int = 60):
