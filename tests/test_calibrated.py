@@ -63,6 +63,7 @@ def test_exact_knowledge_is_without_a_doubt(one: Draw):
     assert told["before"].spread.stiffness > 0.0 and told["after"].link_zero > 0.0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_a_diagnosed_joint_is_worth_nearly_what_an_exact_one_is():
     rows = calibrated.assessed("none", False, 0, ("RAREKF", "dynamics_ekf"))

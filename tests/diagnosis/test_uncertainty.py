@@ -212,6 +212,7 @@ def test_a_run_tells_that_it_leaves_the_range(tmp_path, flexspline):
     assert any("extrapolated" in note for note in run.notes)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("real", [False, True])
 def test_bands_hold_where_the_fit_has_not_been(real):

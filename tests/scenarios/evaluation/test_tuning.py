@@ -100,6 +100,7 @@ def test_settings_without_a_solution_cost_but_do_not_stop(runs):
     assert tuning.tune(impossible, train, train, 30).train[1] < 1.0
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_the_joints_dynamics_halve_the_error_of_a_tuned_rarekf():
     """Against one tuning for the three experiments, on starts, paces and pushes that it has not seen: where a count happens to
