@@ -91,8 +91,8 @@ def test_bisection_and_crossing():
 
 def test_a_torque_loop_takes_friction_off():
     """Friction and the rotor's inertia, which are all of the error, are at most 1/(1 + kT) of what they are without: sliding
-    exactly, at rest anything below."""
-    scenario, folder = load_scenario("external_push", ["duration=6"])
+    exactly, at rest anything below: pushes make it slide."""
+    scenario, folder = load_scenario("external_push")
     errors = [
         torque_control.assess(scenario, folder, None, 3, 0.0, torque_control.Loop(gain=g)).error for g in (0.0, 1.0)
     ]
