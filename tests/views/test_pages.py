@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 import numpy as np
@@ -30,6 +31,10 @@ def test_numbers_for_people(value, text):
 )  # fmt: skip
 def test_as_many_digits_as_the_deviation_bears(value, std, unit, text):
     assert with_std(value, std, unit) == text
+
+
+def test_numbers_that_are_none_are_shown_as_such():
+    assert [number(x) for x in (math.inf, -math.inf, math.nan)] == ["inf", "−inf", "nan"]
 
 
 def test_shares_and_sentences():

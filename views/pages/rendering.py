@@ -35,8 +35,8 @@ def _environment() -> Environment:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """A number for people: powers of ten only far from 1."""
-    if value != 0 and not 1e-3 <= abs(value) < 1e5:
+    """A number for people: powers of ten only far from 1; also one that is none, as numbers of 10³⁰⁸ come to."""
+    if math.isfinite(value) and value != 0 and not 1e-3 <= abs(value) < 1e5:
         mantissa, exponent = f"{value:.{digits - 1}e}".split("e")
         return f"{float(mantissa):g}·10".replace("-", "−") + str(int(exponent)).translate(_SUPERSCRIPT)
     text = f"{value:.{digits}g}"
