@@ -262,6 +262,7 @@ def place(tmp_path_factory, shared):
         ["diagnose", "MEASUREMENT", "--out", "before"],
         ["diagnose", "MEASUREMENT", "--joint", "worn.yaml", "--out", "after"],
         ["diagnose", "MEASUREMENT", "--out", "diagnosis"],
+        ["validate", "MEASUREMENT", "--out", "validation"],
         ["contact", "--hours", "0.05", "--filter", "RAREKF", "--set", "duration=20", "--rate", "400", "--out", "contact"],
         ["joint", "new", "--gear", "CSG-17-80", "--torque-constant", "0.05", "--resistance", "0.3", "--inductance", "3e-4",
          "--rotor-inertia", "8e-5", "--motor-encoder", "4096", "--link-encoder", "20 bit", "--out", "my_joint.yaml"],
