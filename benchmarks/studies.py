@@ -9,15 +9,13 @@ with fewer draws; `--tables` writes the page from that, and every table says how
 from __future__ import annotations
 
 import argparse
-import csv
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from flexspline.models.files import write_into_place
 from flexspline.scenarios.studies.dataset import Dataset
 from flexspline.scenarios.studies.design import Design
-from flexspline.scenarios.studies.statistics import Aggregate, aggregate, summary_rows
+from flexspline.scenarios.studies.statistics import Aggregate, aggregate, write_csv
 from flexspline.scenarios.studies.study import Study, Value, load_study
 from flexspline.scenarios.studies.sweep import sweep, versions
 from flexspline.views.figures.sheet import save
@@ -113,18 +111,6 @@ def about(runs: Sequence[int], failed: int, whole: Design) -> str:
     return f"({text}; {failed} estimates diverged and are left out)" if failed else f"({text})"
 
 
-def write_summary(found: list[Aggregate], design: Design, path: Path) -> None:
-    """All means and paired differences with their intervals, as `flexspline sweep` writes them, to four digits."""
-    rows = [
-        {k: f"{v:.{DIGITS}g}" if isinstance(v, float) else v for k, v in row.items()}
-        for row in summary_rows(found, design)
-    ]
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-
-
 def write(name: str, dataset: Dataset, design: Design, whole: Design, page: Path) -> None:
     """A study's table on the page, under how it was made, and its CSV; `design`: of the dataset, or with more draws than it has;
     `whole`: as it is shipped."""
@@ -133,7 +119,7 @@ def write(name: str, dataset: Dataset, design: Design, whole: Design, page: Path
     runs = [len(dataset.read(cell.index, ["run"])) // len(design.variants) for cell in design.cells]
     said = about([n for n in runs if n], sum(one.failed for one in found), whole)
     fill(page, {f"{name} about": said, name: shown})
-    write_summary(found, design, page.with_name(f"study_{name}.csv"))
+    write_csv(found, design, page.with_name(f"study_{name}.csv"), DIGITS)
     if name in FIGURES:
         scenario, metric = FIGURES[name]
         figure = sweep_figure([one for one in found if one.scenario == scenario], design.study, metric)

@@ -59,9 +59,8 @@ class DiscrepancySettings:
       worth: root mean square that it must remove, as a share of the rated torque, where the residual is more than noise already
         without it (a real joint has a little of everything).
       noise: of the sensors' noise, in the same balance, where it is not.
-      penalty: log prior odds of a known cause against an unknown effect; of a usual place against another, both where nothing
-        but noise is left: what no description holds speaks for one of two places as well.
-      loosest: times as much at most.
+      penalty: log prior odds of a known cause against an unknown effect, and of a usual place against another; where two places
+        are compared, times the residual over the sensors' noise, `loosest` at most: what no description holds speaks for either.
       gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain
         that it must explain more, or it is the little that real joints have of everything.
       lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need only be the
@@ -359,9 +358,7 @@ class _Plain:
                 found.append(x[use][:: self.thin, b] / self.rms[b])
         return np.concatenate(found)
 
-    def candidate(
-        self, spline: Spline, columns: Columns, without: tuple[int, ...], settings: DiscrepancySettings
-    ) -> Candidate:
+    def candidate(self, spline: Spline, columns: Columns, without: tuple[int, ...]) -> Candidate:
         """A spline in the place of some of the model's causes."""
         problem, at = self.problem, self.at
         B = self._rows(columns) * self.root[:, None]
@@ -421,7 +418,7 @@ def find(
     tried: list[Candidate] = []
     for spline in splines(problem, settings):
         columns = columns_of(problem, chosen.theta, chosen.model, spline)
-        tried += [plain.candidate(spline, columns, without, settings) for without in drops]
+        tried += [plain.candidate(spline, columns, without) for without in drops]
     best: Unknown | None = None
     unusual = settings.penalty * min(quiet_rms(problem, chosen), settings.loosest)
     for without in drops:

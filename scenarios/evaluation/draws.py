@@ -90,6 +90,11 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
     return scenario.model_copy(update=found)
 
 
+def of_seed(scenario: Scenario, seed: int, vary: bool = True) -> Scenario:
+    """The scenario with a seed; with another start, pace and pushes as well (`varied`), unless all seeds are to have its own."""
+    return varied(scenario, seed) if vary else scenario.model_copy(update={"seed": seed})
+
+
 def _varied_push(push: Disturbance, rng: np.random.Generator, end: float) -> Disturbance:
     if push.kind == "walk":
         return push  # another for every seed as it is
@@ -135,7 +140,7 @@ def draw(
     Raises:
       InputError: a joint that cannot bear the load.
     """
-    chosen = varied(scenario, seed) if vary else scenario.model_copy(update={"seed": seed})
+    chosen = of_seed(scenario, seed, vary)
     experiment = Experiment.of(chosen, folder, load)
     record = drawn_record(experiment, seed, tolerance, tared)
     simulation = experiment.simulate(seed, record, experiment.build(record))

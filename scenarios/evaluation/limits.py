@@ -21,7 +21,7 @@ from ...models.joint import Joint, Mounting
 from ...models.parameters import PARAMETERS
 from ..run import Run, simulate_scenario
 from ..scenario import Disturbance, Scenario
-from .draws import varied
+from .draws import of_seed
 
 BIN = 0.1
 """Time [s] over which errors are averaged to be shown over time."""
@@ -153,7 +153,7 @@ def assess(
     record = joint.record(scenario.mount(joint))
     if record[0]["hysteresis_torque"] != 0.0:
         raise InputError(f"joint {joint.name}: no bound: the true state of the flexspline's hysteresis is not recorded")
-    drawn = [varied(scenario, seed) if vary else scenario for seed in seeds]
+    drawn = [of_seed(scenario, seed, vary) for seed in seeds]
     fitted = math.sqrt(np.mean([fitted_intensity(one) ** 2 for one in drawn]))
     if intensity is None:
         intensity = max(fitted, bound.QUIET.external * float(record[0]["T2"]))

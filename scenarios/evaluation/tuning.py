@@ -27,7 +27,7 @@ from ..filters import FilterEntry
 from ..run import Run, simulate_scenario
 from ..scenario import Scenario
 from . import metrics
-from .draws import varied
+from .draws import of_seed
 from .intervals import Interval, interval
 
 EVALUATIONS = 300
@@ -93,7 +93,7 @@ def simulated(
     if not seeds:
         raise InputError("tune: expected at least one seed, got none")
     return [
-        [simulate_scenario(varied(scenario, seed) if vary else scenario, folder, seed) for seed in seeds]
+        [simulate_scenario(of_seed(scenario, seed, vary), folder, seed) for seed in seeds]
         for scenario, folder in scenarios
     ]
 

@@ -144,9 +144,13 @@ def read_csv(path: Path, study: Study) -> list[Aggregate]:
     return found
 
 
-def write_csv(aggregates: list[Aggregate], design: Design, path: Path) -> None:
-    """`summary_rows` as CSV."""
-    rows = list(summary_rows(aggregates, design))
+def write_csv(aggregates: list[Aggregate], design: Design, path: Path, digits: int | None = None) -> None:
+    """`summary_rows` as CSV; `digits`: of its numbers, all of them by default."""
+
+    def text(value: Any) -> Any:
+        return f"{value:.{digits}g}" if digits is not None and isinstance(value, float) else value
+
+    rows = [{key: text(value) for key, value in row.items()} for row in summary_rows(aggregates, design)]
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]) if rows else [])
         writer.writeheader()
