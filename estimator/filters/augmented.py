@@ -40,9 +40,11 @@ does not (`_believe`).
 Times since something happened are sums of intervals, and readings of one count may differ by rounding: both are compared half
 a sample or half a count beside where they fall, so that no rounding decides.
 
-Counts are cells, not noise: at rest a count says the same thing again and again, which ε has learned once. Contacts are rare:
-τ walks loudly only while the innovations of the link encoder are larger than their variance, d while those of torsion are
-(adaptive process noise, Mehra 1972, as in `dynamics_filter`).
+Counts are cells, not noise: at rest a count says the same thing again and again, which ε has learned once. A count that the link
+encoder keeps, while the motor encoder keeps its own, is worth less with every sample: the n-th has n times its variance.
+
+Contacts are rare: τ walks loudly only while the innovations of the link encoder are larger than their variance, d while those
+of torsion are (adaptive process noise, Mehra 1972, as in `dynamics_filter`).
 """
 
 from __future__ import annotations
@@ -82,7 +84,8 @@ _FIELDS = (
     "link_variance", "torsion_variance", "rotor_walk", "torque_variance", "mesh_walk", "bristle_walk", "presliding",
     "spring_walk", "loose",
     "external_quiet", "external_loud", "level", "level_time", "level_loud", "free", "gate", "memory", "low", "high", "wander",
-    "interval", "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest",
+    "interval", "back", "pause", "every", "wait", "least", "half", "sliding", "settled", "coarse", "stiffest", "link_half",
+    "link_count",
 )  # fmt: skip
 SETTINGS = np.dtype(
     [(name, np.float64) for name in _FIELDS] + [("prior", np.float64, SIZE), ("order", np.float64, ORDERS)]
@@ -94,7 +97,7 @@ MEMORY = np.dtype(
         ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
         *((name, np.float64) for name in (
             "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
-            "motor_torque", "ripple", "period", "beats", "phase",
+            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held",
         )),
     ]
 )  # fmt: skip
@@ -102,7 +105,7 @@ MEMORY = np.dtype(
 encoder; times [s] of calm, of sliding in it, and since the link encoder was loud; whether nobody seemed to touch the joint at
 the last sample; how far time stamps are believed, and on how much evidence; motor torque of the last sample [N·m, motor
 side], mean square of its changes; mean interval [s], and of how many; how far [s] the last stamp is behind the
-grid of samples."""
+grid of samples; last reading of the link encoder, for how many samples neither encoder has left its count."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "weight_error", "friction_error", "constant_error",
@@ -180,6 +183,7 @@ def _start(m, reading, link, torque, motor_torque, p, c):
         for j in (LINK_RATE, ROTOR, WAVE_RATE):
             P[i, j] += (1.0 if i == LINK_RATE else p.N) * (1.0 if j == LINK_RATE else p.N) * _START**2
     m.motor_reading, m.torsion_ratio, m.link_ratio = reading, 1.0, 1.0
+    m.link_reading, m.held = link, 0.0
     m.belief, m.evidence = 1.0, _STAMPS
 
 
@@ -411,14 +415,19 @@ def _step(memory, sample, record, settings, out):
         _start(m, s.motor_position, found.link_position, found.torque, found.motor_torque, p, c)
     else:
         _predict(m, s, found, h, p, c)
+        m.held += 1.0
+        if not abs(s.link_position - m.link_reading) <= c.link_half:
+            m.held = 0.0
+        m.link_reading = s.link_position
         if not abs(s.motor_position - m.motor_reading) <= c.half:
             _new_count(m, c)
+            m.held = 0.0
         m.motor_reading = s.motor_position
         # The link encoder.
         H[:] = 0.0
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
-        S = _update(m, e, c.link_variance, learn)
+        S = _update(m, e, c.link_variance + c.link_count * m.held, learn)
         _believe(m, e, off * x[LINK_RATE], c)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
     # Torsion.
@@ -440,7 +449,7 @@ def _step(memory, sample, record, settings, out):
         e -= H[i] * x[i]
     H[WOUND] = K * soft * ratio
     o.innovation = e
-    o.innovation_variance = _update(m, e, c.torsion_variance * K * K, learn_torsion)
+    o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance
     # Nobody touches it.
     m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
@@ -532,7 +541,8 @@ class Augmented(CausalEstimator):
         scale, count = float(p["T2"]), noise.motor_resolution / p["N"]
         found = np.zeros(1, SETTINGS)
         c = found[0]
-        link = noise.link_noise**2 + noise.link_error**2 + noise.link_resolution**2 / 6.0
+        c["link_half"], c["link_count"] = 0.5 * noise.link_resolution, noise.link_resolution**2 / 6.0
+        link = noise.link_noise**2 + noise.link_error**2 + c["link_count"]
         c["link_variance"] = link
         if p["link_delay"] > 0.0:  # a line's end (`compliance`), and what happens meanwhile
             link += (_LATE * count) ** 2

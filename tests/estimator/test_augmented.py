@@ -107,6 +107,22 @@ def test_still_at_rest():
         assert np.ptp(found.columns[f"{name}_error"][10000:]) < 0.1 * prior, "rest teaches little"
 
 
+def test_no_surer_at_rest_than_the_link_encoder_s_count():
+    """24 joints come to rest under 12 N·m and hold: the link encoder keeps its count, whose error does not average out. Had each
+    sample an error of its own, the mean NEES would be 2.2."""
+    path = "trajectory=[{time: 0.5, position: 0}, {time: 5, position: 1.5}]"
+    scenario, folder = load_scenario("link_sweep", [path, "duration=9"])
+    means = []
+    for seed in range(301, 325):
+        one = draw(scenario, folder, seed, 0.0, load=12.0)
+        found = registry.get("augmented").estimate(one.signals, one.known)
+        apart = np.flatnonzero(one.kept & ~one.moving)[::250]
+        means.append(np.mean((found.mean - one.truth)[apart] ** 2 / found.variance[apart]))
+    error = np.std(means, ddof=1) / len(means) ** 0.5
+    print(f"seeds 301 to 324: NEES at rest {np.mean(means):.2f} ± {error:.2f}")
+    assert 0.3 < np.mean(means) < 1.0 + 2.5 * error
+
+
 def test_time_stamps_that_jitter_are_no_touch():
     """Sensors as they are, nobody touches the joint: not even the widest of 16 000 intervals, 0.5 ms off and more, is a touch."""
     scenario, folder = load_scenario("collision", ["sensors=realistic", "duration=16"])
