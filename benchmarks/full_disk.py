@@ -177,6 +177,10 @@ def _every(folder: Path, step: int, names: list[str]) -> tuple[Counter[str], lis
                 new = content(out)
                 if code != 0 or new == old:
                     wrong.append(f"{job.name}: not done with room enough: {code} {err}")
+                if count < 2 * len(new):
+                    wrong.append(
+                        f"{job.name}: {len(new)} files made and filled by {count} writes: some are not counted"
+                    )
                 break
     return done, wrong
 

@@ -293,20 +293,29 @@ def memory(hours: float, commands: Sequence[str] = ("check", "estimate", "run"))
             if "--out" in first:
                 first[first.index("--out") + 1] += "-first"
             _call([*first, "--set", "duration=5"] if words[0] == "run" else first)
-            began = time.monotonic()
-            process = subprocess.Popen(
-                [sys.executable, "-m", "flexspline", *words],
-                stdout=subprocess.DEVNULL,
-                stderr=subprocess.PIPE,
-                text=True,
-            )
-            assert process.stderr is not None
-            err = process.stderr.read()
-            _, status, usage = os.wait4(process.pid, 0)
-            if os.waitstatus_to_exitcode(status):
-                name += f" ({(err.strip().splitlines() or ['?'])[-1]})"
-            found.append((name, usage.ru_maxrss * 1024 / 1e6, time.monotonic() - began))
+            size, seconds, error = peak([sys.executable, "-m", "flexspline", *words])
+            found.append((f"{name} ({error})" if error else name, size, seconds))
     return found
+
+
+_PEAK = """
+import os, subprocess, sys, time
+began = time.monotonic()
+process = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL)
+_, status, usage = os.wait4(process.pid, 0)
+print(usage.ru_maxrss, time.monotonic() - began, os.waitstatus_to_exitcode(status))
+"""
+
+
+def peak(words: Sequence[str]) -> tuple[float, float, str]:
+    """Largest memory [MB, 10⁶ bytes] and time [s] of a program, and the last line of its errors where it fails.
+
+    Linux counts with a process what the one that started it held until then: a small one is put between.
+    """
+    done = subprocess.run([sys.executable, "-c", _PEAK, *words], capture_output=True, text=True, check=True)
+    kilobytes, seconds, code = done.stdout.split()
+    error = (done.stderr.strip().splitlines() or ["?"])[-1] if int(code) else ""
+    return float(kilobytes) * 1024 / 1e6, float(seconds), error
 
 
 @contextmanager

@@ -218,18 +218,18 @@ def _jacobian(at, current, command, time, dt, temperature, p, others, noise, F, 
         high[:] = at
         low[a] -= width
         high[a] += width
-        model.advance(low, current, command, time, dt, steps, 1.0, temperature, p, work)
-        model.advance(high, current, command, time, dt, steps, 1.0, temperature, p, work)
+        model.advance(low, current, command, time, dt, steps, temperature, p, work)
+        model.advance(high, current, command, time, dt, steps, temperature, p, work)
         for i in range(m):
             b = int(noise.active[i])
             F[i, j] = (high[b] - low[b]) / (2.0 * width)
     if len(others) == 0:
         return
     low[:] = at
-    model.advance(low, current, command, time, dt, steps, 1.0, temperature, p, work)
+    model.advance(low, current, command, time, dt, steps, temperature, p, work)
     for j in range(len(others)):
         high[:] = at
-        model.advance(high, current, command, time, dt, steps, 1.0, temperature, others[j], work)
+        model.advance(high, current, command, time, dt, steps, temperature, others[j], work)
         for i in range(m):
             state = int(noise.active[i])
             F[i, m + j] = high[state] - low[state]

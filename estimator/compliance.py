@@ -23,12 +23,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..models import dynamics, laws
-from ..models.dynamics import State
+from ..models.dynamics import UNREAD, State
 from ..models.errors import InputError
 from ..models.kernels import kernel
 from ..models.parameters import PARAMETERS
 from .estimator import KnownJoint
-from .sensing import LOWPASS, RING, line_in_ring, lowpass, motor_current, place_in_ring, temperature
+from .sensing import LOWPASS, RING, line_in_ring, lowpass, motor_current, place_in_ring
 
 _AHEAD = 2.0
 """Delays of the link encoder, over which the line that carries a late torsion on is fitted."""
@@ -75,7 +75,7 @@ def measure(m, s, p):
         w = m.motor.rate
     rough = s.link_position - p.link_zero
     current = motor_current(s, motor, rough, w, m.torque, p)
-    still = State(motor, 0.0, motor, w, rough, w / p.N, 0.0, 0.0, current, s.time, temperature(s, p))
+    still = State(motor, 0.0, motor, w, rough, w / p.N, UNREAD, UNREAD, current, s.time, UNREAD)
     motor_torque = dynamics.rotor_torque(still, 0.0, m.torque, p)  # at no velocity: without its damping
     if p.link_delay > 0.0:
         torsion = _late_torsion(m, s, motor, motor_torque, w, p)
@@ -91,7 +91,7 @@ def measure(m, s, p):
     if p.hysteresis_torque != 0.0:
         torque += laws.hysteresis_torque(m.dahl, p)
     if beyond:
-        state = State(motor, w, theta_w, w, link, w / p.N, 0.0, m.dahl, current, s.time, 0.0)
+        state = State(motor, w, theta_w, w, link, w / p.N, UNREAD, m.dahl, current, s.time, UNREAD)
         torque += dynamics.flexspline_discrepancy(state, torque, p)
     m.torque = torque
     return Measured(torque, torsion, motor, theta_w, link, motor_torque)

@@ -18,8 +18,9 @@ import math
 
 import numpy as np
 
+from ..models.dynamics import UNREAD
 from ..models.kernels import kernel
-from ..models.step import SAMPLE
+from ..models.step import NOT_FINITE, OK, SAMPLE
 from . import joint_model as model
 from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS, WAVE
 from .quantised import update
@@ -90,9 +91,9 @@ def _within_count(m, s, noise, p):
     if m.still == 0.0:
         return 0.0
     x, kept = m.now, m.now[WAVE]
-    here = model.transmission(x, model.state_of(x, 0.0, s.time, 0.0), p)
+    here = model.transmission(x, model.state_of(x, UNREAD, s.time, UNREAD), p)
     x[WAVE] += noise.motor_step
-    there = model.transmission(x, model.state_of(x, 0.0, s.time, 0.0), p)
+    there = model.transmission(x, model.state_of(x, UNREAD, s.time, UNREAD), p)
     x[WAVE] = kept
     change = there.flexspline_torque - here.flexspline_torque
     share = here.wave_generator_torque - there.wave_generator_torque
@@ -176,7 +177,8 @@ def _catch_up(m, k, n, c, p, unscented):
         dt, command = s.time - time, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p)
         x[EXTERNAL] = line_in_ring(m.times, m.external, int(m.done) - 1, _AHEAD * p.link_delay, time + 0.5 * dt)
         steps, forget = model.substeps(x, dt, p), math.exp(-dt / c.noise.mesh_time)
-        model.advance(x, current, command, time, dt, steps, forget, temperature(s, p), p, m.work)
+        model.advance(x, current, command, time, dt, steps, temperature(s, p), p, m.work)
+        x[MESH] *= forget
         propagate(m.F, P, m.A, active, active)
         add_noise(m, P, dt, noise)
         P[external, external] = 0.0
@@ -191,7 +193,7 @@ def tell(m, torque, variance, o):
     o[0], o[1], o[2], o[3], o[4], o[5] = torque, variance, m.e[0], m.e[1], m.S[0], m.S[1]
     for i in range(SIZE):
         o[6 + i] = m.now[i]
-    return 0 if math.isfinite(torque + variance) else 1
+    return OK if math.isfinite(torque + variance) else NOT_FINITE
 
 
 @kernel
@@ -215,12 +217,14 @@ def linearise(m, command, dt, heat, noise, p):
     steps = model.substeps(x, dt, p)
     forget = math.exp(-dt / noise.mesh_time)
     base[:] = x
-    model.advance(base, m.current, command, m.time, dt, steps, forget, heat, p, m.work)
+    model.advance(base, m.current, command, m.time, dt, steps, heat, p, m.work)
+    base[MESH] *= forget
     for j in range(n):
         a = int(noise.active[j])
         y[:] = x
         y[a] += STEPS[a]
-        model.advance(y, m.current, command, m.time, dt, steps, forget, heat, p, m.work)
+        model.advance(y, m.current, command, m.time, dt, steps, heat, p, m.work)
+        y[MESH] *= forget
         for i in range(n):
             b = int(noise.active[i])
             F[i, j] = (y[b] - base[b]) / STEPS[a]
@@ -242,7 +246,8 @@ def predict_unscented(m, command, dt, heat, noise, kappa, p):
             column, sign = (j - 1, spread) if j <= n else (j - 1 - n, -spread)
             for i in range(column, n):
                 points[j, int(noise.active[i])] += sign * C[i, column]
-        model.advance(points[j], m.current, command, m.time, dt, steps, forget, heat, p, m.work)
+        model.advance(points[j], m.current, command, m.time, dt, steps, heat, p, m.work)
+        points[j, MESH] *= forget
     # Means as differences from the first point: the angles are large, their spread is small.
     x[:] = points[0]
     for i in range(n):

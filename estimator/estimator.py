@@ -24,7 +24,7 @@ from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
-from ..models.step import SAMPLE, CompiledStep, Step
+from ..models.step import OK, SAMPLE, CompiledStep, Step
 from ..models.streams import BLOCK
 from .errors import FilterDiverged
 from .tuning_parameters import TuningParameter
@@ -499,7 +499,7 @@ def go_on(
       arrays: of the step. samples: records of `SAMPLE`, shape (n,). history: for its outputs, shape (n, outputs).
 
     Returns:
-      The sample at which it failed and its status, (n, 0) where it did not.
+      The sample at which it failed and its status, (n, OK) where it did not.
     """
     address, memory, record, settings, _ = arrays
     failed, status = _run(address, memory, samples, record, settings, history)
@@ -515,6 +515,6 @@ def _run(address, memory, samples, record, settings, history):
         status = call_estimator(
             address, memory.ctypes.data, at + k * size, record.ctypes.data, settings.ctypes.data, to + k * width
         )
-        if status != 0:
+        if status != OK:
             return k, status
-    return len(samples), 0
+    return len(samples), OK

@@ -78,7 +78,7 @@ def _observe(time, motor, link, torque, record, gain, cutoff, out):
         velocity += (1.0 - math.exp(-cutoff * h)) * ((position - before) / h - velocity)
         before = position
         state = dynamics.drive_state(
-            motor[k], p.N * velocity, position, velocity, 0.0, 0.0, time[k], p.reference_temperature
+            motor[k], p.N * velocity, position, velocity, dynamics.UNREAD, dynamics.UNREAD, time[k], dynamics.UNREAD
         )
         total += h * (torque[k] + dynamics.link_torque(state, torque[k], p))
         residual = gain * (p.Jl * velocity - total) / (1.0 + gain * h)  # implicit in r: stable at any gain

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..models import dynamics, laws
-from ..models.dynamics import State, Transmission
+from ..models.dynamics import UNREAD, State, Transmission
 from ..models.kernels import kernel
 from .estimator import KnownJoint
 from .tuning_parameters import TuningParameter
@@ -176,7 +176,7 @@ def transmission(x, state, p):
 @kernel
 def joint_torque(x, time, p):
     """The joint torque Ts = Tf − bl·ωl [N·m] at a state."""
-    return transmission(x, state_of(x, 0.0, time, 0.0), p).flexspline_torque - p.bl * x[LINK_RATE]
+    return transmission(x, state_of(x, UNREAD, time, UNREAD), p).flexspline_torque - p.bl * x[LINK_RATE]
 
 
 @kernel
@@ -188,7 +188,7 @@ def read_motor(x, p):
 @kernel
 def read_link(x, time, p):
     """What a link encoder without delay reads [rad] at a state."""
-    return dynamics.read_link_position(state_of(x, 0.0, time, 0.0), 0.0, p)
+    return dynamics.read_link_position(state_of(x, UNREAD, time, UNREAD), 0.0, p)
 
 
 @kernel
@@ -211,7 +211,7 @@ def rates(x, current, time, temperature, p, out):
 @kernel
 def _relax(x, h, time, temperature, p):
     """Bristle and Dahl state over `h` [s] at constant velocity: exact."""
-    state = state_of(x, 0.0, time, temperature)
+    state = state_of(x, UNREAD, time, temperature)
     load = 0.0
     if p.friction_load != 0.0 or p.hysteresis_torque != 0.0:
         t = transmission(x, state, p)
@@ -238,15 +238,14 @@ def substeps(x, dt, p):
 
 
 @kernel
-def advance(x, current, command, time, dt, steps, forget, temperature, p, work):
-    """The model's f: advance a state by `dt` [s], in place.
+def advance(x, current, command, time, dt, steps, temperature, p, work):
+    """The model's f: advance a state by `dt` [s], in place; d stays, and forgets afterwards.
 
     Args:
         x: Shape (SIZE,).
         current, command: motor current at the start, and the command in force [A].
         time: at the start [s].
         steps: substeps.
-        forget: factor by which d decays in `dt`.
         temperature: of the gear [°C].
         work: Shape (3, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
     """
@@ -274,7 +273,6 @@ def advance(x, current, command, time, dt, steps, forget, temperature, p, work):
         for j in range(EXTERNAL):
             x[j] += h / 6.0 * total[j]
         current = i
-    x[MESH] *= forget
 
 
 @kernel
@@ -289,7 +287,7 @@ def start(motor_position, link_position, time, p, x):
     x[:] = 0.0
     x[MOTOR] = dynamics.actual_motor_position(motor_position, p)
     x[LINK] = dynamics.actual_link_position(link_position, x[MOTOR], 0.0, time, p)
-    load = -dynamics.link_torque(state_of(x, 0.0, time, 0.0), 0.0, p)
+    load = -dynamics.link_torque(state_of(x, UNREAD, time, UNREAD), 0.0, p)
     x[WAVE] = x[MOTOR] - laws.wave_generator_torsion(load / p.N, p)
 
 

@@ -103,7 +103,7 @@ def update(x, P, seen, at, noise, p):
     on = math.tanh(w)  # sign of the velocity, smooth over 1 rad/s
     g = dynamics.sliding_friction(seen.state, 0.0, p)
     sliding = dynamics.drive_state(
-        seen.state.motor_position, w, link, v, g / p.s0 * on, 0.0, seen.state.time, seen.state.temperature
+        seen.state.motor_position, w, link, v, g / p.s0 * on, dynamics.UNREAD, seen.state.time, seen.state.temperature
     )
     friction = dynamics.mesh_torque(sliding, T, g, p)
     measured = p.N * (seen.rotor_torque - friction - (p.Jm + p.Jw) * seen.motor_acceleration)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..models.kernels import kernel
+from ..models.step import NOT_FINITE, OK
 
 EKF, ROBUST, AREKF, RAREKF = 0, 1, 2, 3
 RULES = {"ekf": EKF, "robust": ROBUST, "arekf": AREKF, "rarekf": RAREKF}
@@ -41,7 +42,7 @@ STATE = np.dtype(
 )  # fmt: skip
 """What a filter remembers and tells: X̂, P, Ỹ, P_Y of Eq. (14), P_Y of the unadjusted prediction, P̄_Y, α, f_α, mode, NIS."""
 
-OK, NOT_FINITE, GAMMA_TOO_SMALL, NOT_POSITIVE, FACTOR_OVERFLOW = range(5)
+GAMMA_TOO_SMALL, NOT_POSITIVE, FACTOR_OVERFLOW = range(2, 5)
 LARGEST_FACTOR = 1.0 / np.finfo(np.float64).eps
 """An f_α above this leaves nothing of V in P_Y: the filter has stopped weighing model against measurement."""
 

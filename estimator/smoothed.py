@@ -11,7 +11,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..models import dynamics, laws
-from ..models.dynamics import State
+from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
 from ..models.signals import Signals
 from .estimator import KnownJoint
@@ -229,7 +229,7 @@ def _own_torque(since, motor, w, link, v, a, load, record, out):
     p = record[0]
     angle, rate = 0.0, 0.0
     for i in range(len(out)):
-        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], 0.0, 0.0, since[i], 0.0)
+        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], UNREAD, UNREAD, since[i], UNREAD)
         out[i] = (p.Jl - laws.flexible_inertia(p)) * a[i] - dynamics.link_torque(state, load[i], p)
         if p.flexible_share > 0.0:
             if i > 0:
@@ -250,7 +250,7 @@ def _torsion(since, motor, w, link, current, load, record, out):
     p = record[0]
     for i in range(len(out)):
         actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], load[i], since[i], p)
-        still = State(motor[i], 0.0, motor[i], w[i], link[i], 0.0, 0.0, 0.0, actual, since[i], 0.0)
+        still = State(motor[i], 0.0, motor[i], w[i], link[i], UNREAD, UNREAD, UNREAD, actual, since[i], UNREAD)
         torque = dynamics.rotor_torque(still, 0.0, load[i], p)
         out[i], _ = dynamics.measured_torsion(motor[i], link[i], torque, p)
 

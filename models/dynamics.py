@@ -30,6 +30,10 @@ _ROTOR, _MESH, _FLEXSPLINE, _LINK, _JOINT_TORQUE, _LINK_POSITION, _MOTOR_CURRENT
 )
 
 
+UNREAD = math.nan
+"""Stands in a state for what a torque does not depend on: whatever reads it all the same is no number."""
+
+
 class State(NamedTuple):
     """What the joint's torques depend on. Positions [rad] and velocities [rad/s] of rotor and wave generator are on the
     motor side, the link's on the output side; bristle [rad, motor side] of the LuGre friction, Dahl state [rad] of the

@@ -3,7 +3,7 @@
     int64 step(memory, sample, record, settings, out)        five addresses
 
 reads one `SAMPLE`, moves the estimator's `memory` on and writes `out`, whose first number is the joint torque Ts [N·m].
-The first sample, whose `interval` is zero, finds memory filled with zeros and starts the estimator. A status other than 0
+The first sample, whose `interval` is zero, finds memory filled with zeros and starts the estimator. A status other than `OK`
 says why there is no next estimate. Called by address, one compiled loop serves every estimator, also one that was written
 elsewhere.
 """
@@ -31,6 +31,8 @@ known or the estimator does not ask for it, or where there is no such sensor."""
 
 sample_at = pointer_to(SAMPLE)
 """Pointer to a `SAMPLE` at an integer address, for compiled steps."""
+OK, NOT_FINITE = 0, 1
+"""Status of a step: of one that went well, and of one whose estimate is no finite number; others are a step's own."""
 SIGNATURE = types.int64(*[types.intp] * 5)
 _PYTHON = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
 _compiling = threading.RLock()

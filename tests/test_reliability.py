@@ -8,11 +8,12 @@ import subprocess
 import sys
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from benchmarks import fuzzing
 from benchmarks.full_disk import full_disk
-from benchmarks.reliability import memory
+from benchmarks.reliability import memory, peak
 
 
 def test_inputs_made_at_random_are_used_or_refused_in_one_line():
@@ -46,14 +47,32 @@ def held_by(found):
     return done
 
 
+def refused_until_there_is_room(name, step):
+    """Every call but the last met the full disk. That all writes are counted is among what `full_disk` looks at."""
+    done = held_by(full_disk([name], step))
+    assert set(done) == {f"{name}, refused", f"{name}, done"} and done[f"{name}, done"] == 1
+    print(f"{name}: {done[f'{name}, refused']} refused")
+
+
 def test_a_full_disk_at_every_fifth_write_of_import_is_one_line_and_nothing_half_written():
-    assert held_by(full_disk(["import"], 5))["import, refused"] > 4
+    refused_until_there_is_room("import", 5)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "step"), [("import", 1), ("estimate", 1), ("run", 2), ("sweep", 1), ("diagnose", 9)])
+@pytest.mark.parametrize(("name", "step"), [("import", 1), ("estimate", 1), ("run", 2), ("sweep", 1), ("diagnose", 3)])
 def test_a_full_disk_at_any_write_is_one_line_and_nothing_half_written(name, step):
-    assert held_by(full_disk([name], step))[f"{name}, refused"] > 4
+    refused_until_there_is_room(name, step)
+
+
+def test_a_programs_memory_is_its_own():
+    """Not that of the process which asks: 320 MB are held here, first beside a small program, then beside one of 300 MB."""
+    ours = np.ones(40_000_000)
+    size, _, error = peak([sys.executable, "-c", "x = bytearray(0)"])
+    assert not error and size < 60
+    size, _, error = peak([sys.executable, "-c", "x = b'1' * 300_000_000"])
+    assert not error and 300 < size < 360
+    assert peak([sys.executable, "-c", "raise SystemExit('no')"])[2] == "no"
+    assert ours.nbytes == 320_000_000
 
 
 @pytest.mark.slow

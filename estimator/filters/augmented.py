@@ -59,7 +59,7 @@ from numba import carray
 from ...models import dynamics, laws
 from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, sample_at
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..sensing import temperature
@@ -295,7 +295,9 @@ def _predict(m, s, found, h, p, c):
 @kernel
 def _state(x, found, time, warm):
     """The drive's state as `dynamics.State`: friction is the wave generator's."""
-    return dynamics.drive_state(found.motor_position, x[WAVE_RATE], x[LINK], x[LINK_RATE], x[BRISTLE], 0.0, time, warm)
+    return dynamics.drive_state(
+        found.motor_position, x[WAVE_RATE], x[LINK], x[LINK_RATE], x[BRISTLE], dynamics.UNREAD, time, warm
+    )
 
 
 @kernel
@@ -477,7 +479,7 @@ def _step(memory, sample, record, settings, out):
         o.variance += x[EXTERNAL] ** 2
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
     o.weight_error, o.friction_error, o.constant_error = x[WEIGHT], x[FRICTION], x[CONSTANT]
-    return 0 if math.isfinite(o.torque + o.variance) else 1
+    return OK if math.isfinite(o.torque + o.variance) else NOT_FINITE
 
 
 @dataclass(frozen=True)

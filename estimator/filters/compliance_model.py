@@ -10,7 +10,7 @@ import numpy as np
 from numba import carray
 
 from ...models.pointers import pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, sample_at
 from ..compliance import TORSION, measure, torque_variance
 from ..estimator import CausalEstimator, KnownJoint, fields_of
 
@@ -26,7 +26,7 @@ def _step(memory, sample, record, settings, out):
     found = measure(m, s, p)
     o.torque, o.torsion, o.link_position = found.torque, found.torsion, found.link_position
     o.variance = carray(_settings_at(settings), 1)[0].variance
-    return 0 if math.isfinite(found.torque) else 1
+    return OK if math.isfinite(found.torque) else NOT_FINITE
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from numba import carray
 from ...models import dynamics, laws
 from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, sample_at
 from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
@@ -72,7 +72,7 @@ def _step(memory, sample, record, settings, out):
     o.torque = torque_of_current(m, s, c, p)
     o.motor_velocity, o.motor_acceleration = m.motor.rate, m.motor.acceleration
     o.drive_torque, o.bristle = m.drive.value, m.bristle
-    return 0 if math.isfinite(o.torque) else 1
+    return OK if math.isfinite(o.torque) else NOT_FINITE
 
 
 @dataclass(frozen=True)

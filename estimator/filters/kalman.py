@@ -17,7 +17,7 @@ from numba import carray
 
 from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, sample_at
 from ..compliance import TORSION, measure, torque_variance
 from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..tuning_parameters import TuningParameter
@@ -77,7 +77,7 @@ def correct(f, e, V):
 def tell(f, e, S, o):
     """Write the outputs; the status."""
     o.torque, o.variance, o.innovation, o.innovation_variance, o.torque_rate = f.torque, f.P00, e, S, f.torque_rate
-    return 0 if math.isfinite(f.torque + f.P00) else 1
+    return OK if math.isfinite(f.torque + f.P00) else NOT_FINITE
 
 
 @Step

@@ -16,7 +16,7 @@ from numba import carray
 
 from ...models.errors import InputError
 from ...models.pointers import pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, sample_at
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint
 from ..tuning_parameters import TuningParameter
@@ -38,7 +38,7 @@ def _step(memory, sample, record, settings, out):
     m.z1 = c.b1 * u - c.a1 * y + m.z2
     m.z2 = c.b2 * u - c.a2 * y
     o.torque = y
-    return 0 if math.isfinite(y) else 1
+    return OK if math.isfinite(y) else NOT_FINITE
 
 
 @dataclass(frozen=True)

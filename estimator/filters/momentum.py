@@ -37,7 +37,7 @@ from numba import carray
 from ...models import dynamics, laws
 from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, sample_at
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint, fields_of
 from ..sensing import motor_current, temperature
@@ -96,7 +96,7 @@ def tell(m, torque, o):
     """Write the outputs of a record of `OBSERVER`; the status."""
     o.torque, o.external_torque, o.joint_torque_observed = torque, m.link_residual - torque, m.joint_torque
     o.motor_velocity, o.link_velocity, o.bristle = m.motor_velocity, m.link_velocity, m.bristle
-    return 0 if math.isfinite(torque + m.link_residual) else 1
+    return OK if math.isfinite(torque + m.link_residual) else NOT_FINITE
 
 
 @Step

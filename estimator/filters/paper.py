@@ -68,7 +68,7 @@ def _step(memory, sample, record, settings, out):
     c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
     y = measure(m.torsion, s, p).torque
     f = m.filter
-    status = 0
+    status = recursion.OK
     if s.interval == 0.0:
         recursion.start(f, y, c)
     else:

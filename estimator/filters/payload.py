@@ -20,7 +20,7 @@ from ...models import dynamics
 from ...models.kernels import kernel
 from ...models.pointers import pointer_to, record_at
 from ...models.signals import Signals
-from ...models.step import Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, sample_at
 from .. import smoothed
 from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior, fields_of
 from ..motion import CUTOFF, smooth
@@ -63,21 +63,21 @@ def _step(memory, sample, record, settings, out):
     w, v, a = m.motor[1].rate, m.link[1].rate, m.link[1].acceleration
     heat = temperature(s, p)
     current = motor_current(s, motor, link, w, 0.0, p)
-    now = dynamics.drive_state(motor, w, link, v, 0.0, current, s.time, heat)
+    now = dynamics.drive_state(motor, w, link, v, dynamics.UNREAD, current, s.time, heat)
     _lowpass_twice(m.drive, dynamics.rotor_torque(now, 0.0, 0.0, p), h, c.cutoff)
     if h == 0.0:
         for i in range(SIZE):
             x[i], P[i, i] = c.prior[i, 0], c.prior[i, 1] ** 2
     else:
         forget(x, P, math.exp(-h / MEMORY), c.prior[4, 1] ** 2)
-        seen = dynamics.drive_state(m.motor[1].value, w, m.link[1].value, v, 0.0, current, s.time, heat)
+        seen = dynamics.drive_state(m.motor[1].value, w, m.link[1].value, v, dynamics.UNREAD, current, s.time, heat)
         own = p.Jl * a - dynamics.link_torque(seen, 0.0, p)
         update(x, P, Seen(seen, m.motor[1].acceleration, a, m.drive[1].value, own), x.copy(), c.noise, p)
     o.external_torque = external_torque(x, link, a)
     o.torque = p.Jl * a - dynamics.link_torque(now, 0.0, p) - o.external_torque
     o.payload_sin, o.payload_cos, o.payload_inertia = x[0], x[1], x[2]
     o.back_driven_friction, o.friction_error = x[3], x[4]
-    return 0 if math.isfinite(o.torque) else 1
+    return OK if math.isfinite(o.torque) else NOT_FINITE
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ def _filter(since, motor, w, w_dot, link, v, a, heat, current, own, record, prio
         at = about if len(about) > 0 else x[:4].copy()
         T = own[i] - external_torque(at, link[i], a[i]) + p.bl * v[i]
         actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], T, since[i], p)
-        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], 0.0, actual, since[i], heat[i])
+        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], dynamics.UNREAD, actual, since[i], heat[i])
         seen = Seen(state, w_dot[i], a[i], dynamics.rotor_torque(state, 0.0, T, p), own[i])
         update(x, P, seen, at, noise, p)
     return x

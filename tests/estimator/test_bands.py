@@ -85,6 +85,29 @@ def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis():
     assert rms(found(run, signals(RAMP), joint, known)["torsion"]) == pytest.approx(5.0, rel=0.2)
 
 
+@pytest.mark.parametrize("read", [
+    ("motor_position", "link_position", "motor_current"), ("motor_position", "motor_current"), ("motor_position", "motor_torque"),
+    ("motor_position", "link_position"), ("link_position", "motor_current"), ("link_position",),
+], ids="+".join)  # fmt: skip
+def test_each_sensor_has_its_own_errors(read):
+    """Whatever is read: a torque that is told of one angle, of both or of the current has errors of the torsion where there is
+    one, of the current where that is read, and none of what is not there."""
+    s = signals(RAMP).with_columns(motor_torque=np.full(len(TIME), P["Kt_drive"] * 0.5))
+    s = Signals(TIME, {name: s[name] for name in read})
+    both = {"motor_position", "link_position"} <= set(read)
+    joint = stating({"motor_current": 0.02, "link_balance": 4.0})
+
+    def run(s: Signals, _):
+        turned = s["motor_position"] / P["N"] if "motor_position" in s else 0.0
+        angle = s["link_position"] if "link_position" in s else 0.0
+        current = s["motor_current"] if "motor_current" in s else np.zeros(len(s.time))
+        return {"angles": P["K1"] * (turned - angle) + 0.0 * s.time, "current": SCALE * current}
+
+    band = found(run, s, joint)
+    assert rms(band["angles"]) == (pytest.approx(4.0, rel=0.2) if both else 0.0)
+    assert rms(band["current"]) == (pytest.approx(SCALE * 0.02, rel=0.2) if "motor_current" in read else 0.0)
+
+
 def test_errors_grow_beyond_the_range():
     """By `beyond` at a whole range beyond it; here the ramp ends half a range beyond."""
     valid = ValidRange(link_position=[0.0, RAMP[-1] / 1.5], link_velocity=[-100, 100], joint_torque=[-1e4, 1e4])

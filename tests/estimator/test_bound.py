@@ -109,7 +109,7 @@ def walk(record, seed: int, intensity: float, n: int = 1500):
     for k in range(n):
         if k > 0:
             steps = joint_model.substeps(x, 1e-3, p)
-            joint_model.advance(x, current[k - 1], command[k - 1], time[k - 1], 1e-3, steps, 1.0, 25.0, p, work)
+            joint_model.advance(x, current[k - 1], command[k - 1], time[k - 1], 1e-3, steps, 25.0, p, work)
             current[k] = joint_model.next_current(current[k - 1], command[k - 1], 1e-3, p)
             x[EXTERNAL] += intensity * np.sqrt(1e-3) * rng.standard_normal()
         states[k] = x
@@ -136,7 +136,7 @@ def test_joint_bound_is_the_information_recursion(record, delay, warmer):
                 x, work = states[k].copy(), np.zeros((3, SIZE))
                 x[state] += sign * width
                 steps = joint_model.substeps(states[k], 1e-3, p)
-                joint_model.advance(x, current[k], command[k], time[k], 1e-3, steps, 1.0, 25.0 + warmer, p, work)
+                joint_model.advance(x, current[k], command[k], time[k], 1e-3, steps, 25.0 + warmer, p, work)
                 moved.append(x[active])
             F[k, :, j] = (moved[0] - moved[1]) / (2 * width)
     scale = joint_model.STEPS[active]  # units that differ by ten decades
@@ -175,7 +175,7 @@ def test_numbers_with_a_prior_are_constant_states(record):
     def after(x, k, p):
         y = x.copy()
         steps = joint_model.substeps(states[k], 1e-3, record[0])
-        joint_model.advance(y, current[k], command[k], time[k], 1e-3, steps, 1.0, 25.0, p, np.zeros((3, SIZE)))
+        joint_model.advance(y, current[k], command[k], time[k], 1e-3, steps, 25.0, p, np.zeros((3, SIZE)))
         return y[active]
 
     def gradient(of, x):

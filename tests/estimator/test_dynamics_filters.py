@@ -76,7 +76,7 @@ def test_step_against_an_independent_integrator(effects, record):
         ours, work, current = x.copy(), np.zeros((3, SIZE)), 0.0
         for k in range(50):
             steps = finer * joint_model.substeps(ours, 1e-3, q)
-            joint_model.advance(ours, current, 1.2, k * 1e-3, 1e-3, steps, 1.0, REFERENCE, q, work)
+            joint_model.advance(ours, current, 1.2, k * 1e-3, 1e-3, steps, REFERENCE, q, work)
             current = joint_model.next_current(current, 1.2, 1e-3, q)
         errors.append(joint_model.joint_torque(ours, 0.05, q) - joint_model.joint_torque(reference, 0.05, q))
     print(f"error of the torque [N·m] at one, two, four times the substeps: {np.round(errors, 5)}")
@@ -186,7 +186,8 @@ def sample(record: np.ndarray, seed: int, n: int = 2500) -> tuple[Signals, np.nd
     for k in range(n):
         if k > 0:
             steps = joint_model.substeps(x, 1e-3, p)
-            joint_model.advance(x, current, command[k - 1], time[k - 1], 1e-3, steps, forget, REFERENCE, p, work)
+            joint_model.advance(x, current, command[k - 1], time[k - 1], 1e-3, steps, REFERENCE, p, work)
+            x[joint_model.MESH] *= forget
             current = joint_model.next_current(current, command[k - 1], 1e-3, p)
             x += used * rng.standard_normal(SIZE)
         motor[k], link[k], torque[k] = x[0], x[LINK], joint_model.joint_torque(x, time[k], p)

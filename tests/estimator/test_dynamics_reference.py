@@ -47,7 +47,8 @@ class Reference:
     def moved(self, x: np.ndarray, command: float, time: float, dt: float) -> np.ndarray:
         y, steps = x.copy(), joint_model.substeps(self.x, dt, self.known.p)
         forget = np.exp(-dt / self.noise["mesh_time"])
-        joint_model.advance(y, self.current, command, time, dt, steps, forget, 25.0, self.known.p, np.zeros((3, SIZE)))
+        joint_model.advance(y, self.current, command, time, dt, steps, 25.0, self.known.p, np.zeros((3, SIZE)))
+        y[joint_model.MESH] *= forget
         return y
 
     def predict(self, command: float, time: float, dt: float) -> None:

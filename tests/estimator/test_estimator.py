@@ -14,6 +14,7 @@ from known_effects import JOINT, MOUNTING
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
 from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, go_on, sample_blocks
+from flexspline.estimator.online import OnlineEstimate, OnlineSamples, PassingEstimate, PassingSamples
 from flexspline.estimator.tuning_parameters import TuningParameter, value_of, with_values
 from flexspline.models import plugins
 from flexspline.models.errors import InputError
@@ -244,6 +245,47 @@ def test_an_estimator_in_python(known, signals):
         Plain(fails_at=7).estimate(signals, known)
     out, failed, status = stepped(Plain(fails_at=7).step(known, 1e-3), as_samples(signals, (), known, True))
     assert (failed, status) == (7, 1) and (out[7:] == 0).all()
+
+
+class Telling(Plain):
+    """Says what it last said."""
+
+    def reason(self, status, out):
+        return f"status {status}, after {[round(float(x), 6) for x in out]}"
+
+
+@pytest.mark.parametrize("fails_at", [0, 1, 9, 10, 11, 57, 1999])
+@pytest.mark.parametrize("stretch", [2, 10, 2000])
+def test_a_divergence_is_told_the_same_beside_signals_as_after_them(known, signals, fails_at, stretch):
+    """Sample, time and what the estimator said before, wherever the stretches' seams are; at the first sample nothing yet."""
+    estimator = Telling(fails_at=fails_at)
+    with pytest.raises(FilterDiverged) as whole:
+        estimator.estimate(signals, known)
+    told = f"step {fails_at}, t = {signals.time[fails_at]:g} s"
+    before = fails_at - 1
+    said = [6.03 * signals["current_command"][before - 1] if before else 0.0, 0.5, 0.1, 2.0, before]
+    said = [round(float(x), 6) for x in said] if fails_at else [0.0] * 5
+    assert told in str(whole.value) and str(said) in str(whole.value)
+
+    samples, held = OnlineSamples(signals.time, signals.columns, known), PassingSamples(known)
+    kept, passing = OnlineEstimate(estimator, samples), PassingEstimate(estimator, known, 1e-3)
+    messages: dict[str, str] = {}
+    for begin in range(0, fails_at + 1, stretch):
+        part = slice(begin, begin + stretch)
+        samples.fill(part)
+        held.take(signals.part(part))
+        for advance, given in ((kept.advance, part), (passing.advance, held)):
+            try:
+                found = advance(given)
+            except FilterDiverged as wrong:
+                messages[advance.__qualname__] = str(wrong)
+            else:
+                late = slice(max(begin, 1), begin + stretch)
+                assert part.stop <= fails_at
+                assert np.allclose(
+                    found.mean[late.start - begin :], 6.03 * signals["current_command"][late.start - 1 : late.stop - 1]
+                )
+    assert messages == dict.fromkeys(("OnlineEstimate.advance", "PassingEstimate.advance"), str(whole.value))
 
 
 def test_a_step_in_python_that_fails_says_why(known, signals):

@@ -15,7 +15,9 @@ import pytest
 from known_effects import Case, signals_of
 
 from flexspline.estimator import KnownJoint, registry
+from flexspline.models.causes.base import put_discrepancy
 from flexspline.models.joint import load_joint
+from flexspline.models.parameters import PLACES
 from flexspline.models.signals import Signals
 
 NAMES = registry.names()
@@ -31,6 +33,11 @@ RICH = Case("rich", (
 ))  # fmt: skip
 LATE = Case("late", (("link_delay", 4e-3),))
 CASES = {"plain": PLAIN, "rich": RICH, "late": LATE}
+BEYOND = (
+    ("rotor", "load", 20.0, 4e-3), ("motor_current", "load", 20.0, 0.04), ("link", "load", 20.0, 0.3),
+    ("mesh", "load", 20.0, 4e-3),
+)  # fmt: skip
+"""Model discrepancies of the rich joint by the load, of no symmetry of their own: place, range [N·m], size."""
 SPREAD = {
     "stiffness": 0.07,
     "wave_generator": 0.1,
@@ -45,6 +52,10 @@ def seen(case: str) -> tuple[Signals, KnownJoint]:
     """Two and a half seconds of a pushed sweep; what is known of the joint, with everything in it known within tolerances."""
     signals, _ = signals_of(CASES[case], SEED, push=True)
     known = KnownJoint.of(JOINT, MOUNTING, CASES[case].record(SEED))
+    if case == "rich":
+        rng = np.random.default_rng(SEED)
+        for place, variable, end, size in BEYOND:
+            put_discrepancy(known.p, place, variable, -end, end, size * rng.uniform(-1.0, 1.0, 9))
     kinematic = np.where(known.p["amplitude"] != 0.0, 2e-5, 0.0)
     known = replace(known, link_zero=1e-4, link_wander=1e-5, back_driven=0.3, friction=0.15)
     return signals.part(slice(500, 3000)), replace(known, spread=replace(known.spread, **SPREAD, kinematic=kinematic))
@@ -70,6 +81,12 @@ def in_units(known: KnownJoint, powers: dict[float, str], unit: float) -> KnownJ
     for power, names in powers.items():
         for name in names.split():
             record[0][name] *= unit**power
+    if powers is TORQUES:
+        for k, place in enumerate(record[0]["discrepancy_place"]):
+            if place:  # all of them in torques, by torques
+                record[0]["discrepancy_coefficient"][k] *= 1.0 if PLACES[int(place)] == "motor_current" else unit
+                record[0]["discrepancy_low"][k] *= unit
+                record[0]["discrepancy_high"][k] *= unit
     return replace(known, record=record)
 
 
@@ -128,11 +145,16 @@ def test_the_motor_sides_unit_of_angle_is_no_ones_business(name):
 @pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("name", NAMES)
 def test_a_joint_turned_round_has_the_same_torques_the_other_way(name, case):
-    """Angles, currents, phases and offsets of the other sign: to the bit, but for those that take differences forwards."""
+    """Angles, currents, phases and offsets of the other sign: to the bit, but for those that take differences forwards; where a
+    place on a discrepancy's grid is counted from its other end, to rounding."""
     signals, known = seen(case)
     record = known.record.copy()
     for field in TURNED.split():
         record[0][field] *= -1.0
+    for k, count in enumerate(
+        record[0]["discrepancy_count"].astype(int)
+    ):  # of what changes its sign, and change theirs
+        record[0]["discrepancy_coefficient"][k, :count] = -record[0]["discrepancy_coefficient"][k, :count][::-1]
     columns = {name: values if name == "temperature" else -values for name, values in signals.columns.items()}
     other = estimated(name, Signals(signals.time, columns), replace(known, record=record))
     most, rms = off(estimated(name, signals, known), other, sign=-1.0)
@@ -142,4 +164,4 @@ def test_a_joint_turned_round_has_the_same_torques_the_other_way(name, case):
     elif registry.get(name).costly:
         assert rms < (0.01 if case == "late" else 2e-3)
     else:
-        assert most == 0.0
+        assert most <= (1e-9 if case == "rich" else 0.0)
