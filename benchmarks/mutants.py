@@ -42,7 +42,13 @@ def _symmetric(*names: str) -> list[str]:
 
 
 def _filter(*names: str) -> list[str]:
-    return [f"{_E}torque_filters.py", *_symmetric(*names), f"{_E}invariance.py", f"{_E}estimator.py"]
+    return [
+        f"{_E}torque_filters.py",
+        *_symmetric(*names),
+        f"{_E}invariance.py",
+        f"{_E}estimator.py",
+        f"{_E}known_effects.py",
+    ]
 
 
 _AUGMENTED = [f"{_E}settings.py", f"{_E}augmented_model.py", *_symmetric("augmented"), f"{_E}augmented.py"]
@@ -51,20 +57,36 @@ TESTS = {
     "estimator/arrays.py": [f"{_E}recursion.py", f"{_E}paper_filter.py"],
     "estimator/bands.py": [f"{_E}bands.py", f"{_D}uncertainty.py"],
     "estimator/bound.py": [f"{_E}bound.py"],
-    "estimator/compliance.py": [f"{_E}compliance.py", *_symmetric("model"), f"{_E}paper_filter.py", f"{_E}printed.py"],
+    "estimator/compliance.py": [
+        f"{_E}compliance.py",
+        *_symmetric("model"),
+        f"{_E}paper_filter.py",
+        f"{_E}printed.py",
+        f"{_E}known_effects.py",
+    ],
     "estimator/consistency.py": [f"{_E}consistency.py"],
-    "estimator/dynamics_filter.py": [*_DYNAMICS, *_symmetric("dynamics_ukf"), f"{_E}estimator.py"],
-    "estimator/estimator.py": [f"{_E}estimator.py", f"{_E}invariance.py", f"{_E}offline.py"],
-    "estimator/external.py": ["tests/scenarios/evaluation/test_contact.py"],
-    "estimator/joint_model.py": [*_DYNAMICS, *_symmetric("dynamics_ukf"), f"{_E}bound.py"],
-    "estimator/motion.py": [f"{_E}motion.py", f"{_E}torque_filters.py", f"{_E}invariance.py"],
+    "estimator/dynamics_filter.py": [*_DYNAMICS, *_symmetric("dynamics_ukf", "dynamics_ekf"), f"{_E}estimator.py"],
+    "estimator/estimator.py": [f"{_E}estimator.py", f"{_E}settings.py", f"{_E}invariance.py", f"{_E}offline.py"],
+    "estimator/external.py": [f"{_E}sensing.py", "tests/scenarios/evaluation/test_contact.py"],
+    "estimator/joint_model.py": [
+        *_DYNAMICS,
+        *_symmetric("dynamics_ukf", "dynamics_ekf"),
+        f"{_E}bound.py",
+        f"{_E}augmented_model.py",
+    ],
+    "estimator/motion.py": [f"{_E}motion.py", f"{_E}smoothed.py", f"{_E}torque_filters.py", f"{_E}invariance.py"],
     "estimator/offline.py": [f"{_E}offline.py", f"{_E}invariance.py", f"{_E}bands.py"],
     "estimator/online.py": [f"{_E}estimator.py"],
     "estimator/payload_model.py": [f"{_E}payload_model.py", *_filter("payload", "payload_smoothed")],
     "estimator/quantised.py": [f"{_E}dynamics_filters.py", f"{_E}dynamics_reference.py"],
     "estimator/recursion.py": [f"{_E}recursion.py", f"{_E}invariance.py", f"{_E}printed.py"],
     "estimator/registry.py": [f"{_E}estimator.py"],
-    "estimator/sensing.py": [f"{_E}sensing.py", *_symmetric("payload", "model"), f"{_E}estimator.py"],
+    "estimator/sensing.py": [
+        f"{_E}sensing.py",
+        *_symmetric("payload", "model"),
+        f"{_E}estimator.py",
+        f"{_E}known_effects.py",
+    ],
     "estimator/smoothed.py": [
         f"{_E}smoothed.py",
         *_symmetric("current_smoothed"),

@@ -164,9 +164,7 @@ def white_noise(time: np.ndarray, values: np.ndarray) -> float:
 def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Third divided differences of n samples in units of the noise of one, shape (n - 3,)."""
     t = np.stack([time[i : len(time) - 3 + i] for i in range(4)])
-    t = t - t[0]
-    scale = t[-1].copy()
-    weight = np.array([1 / np.prod([(t[i] - t[j]) / scale for j in range(4) if j != i], axis=0) for i in range(4)])
+    weight = np.array([1 / np.prod([t[i] - t[j] for j in range(4) if j != i], axis=0) for i in range(4)])
     y = np.stack([values[i : len(values) - 3 + i] for i in range(4)])
     return np.sum(weight * y, axis=0) / np.sqrt(np.sum(weight**2, axis=0))
 

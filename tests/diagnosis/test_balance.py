@@ -84,6 +84,26 @@ def test_the_deviation_is_what_the_sensors_vibration_allows():
     assert found.samples == pytest.approx(moving.sum(), rel=0.03)
 
 
+@pytest.mark.parametrize("seconds", [0.15, 0.3, 2.0])
+def test_little_data_leave_a_part_of_what_was_thought_before(seconds):
+    """Of a Gaussian prior about nothing with deviation s₀ a posterior of deviation s leaves the share s²/s₀² of the truth: the
+    more, the less there is to see. Here the largest ordinary angle is s₀, 0.2 rad."""
+    recording = sweep()
+    known = extended(nominal(), effects("load_dependent_friction"), "known", "but for gravity")
+    use = (recording.time > 8.0) & (recording.time < 8.0 + seconds)
+    found = fit_current(recording, known, ("gravity_direction",), use)
+    angle, (true, _) = found.effects[0].parameters["angle"], HIDDEN["gravity_direction"]["angle"]
+    print(f"{found.samples} samples: {angle.value} ± {angle.std} rad")
+    assert angle.value == pytest.approx(true * (1.0 - angle.std**2 / 0.2**2), rel=0.03)
+    # Samples at rest are left out, and what is left is told as it is: of the torque Mg·sin(θ + angle) and its noise.
+    kept = use & (np.abs(np.gradient(recording["link_position"], recording.time)) > 0.05)
+    gone = known.mount("link").gravity_moment * (
+        np.sin(recording["link_position"] + true) - np.sin(recording["link_position"])
+    )
+    assert found.before == pytest.approx(np.sqrt(np.mean(gone[kept] ** 2)), rel=0.05)
+    assert found.after == pytest.approx(found.before * angle.std**2 / 0.2**2, rel=0.15, abs=0.05)
+
+
 def test_eccentricity_is_found_in_the_torsion():
     """Given the load; its deviation is what the stiffness' tolerance makes of it, as both go with the angle's sine."""
     joint, recording = nominal(), sweep()
@@ -104,6 +124,27 @@ def test_eccentricity_is_found_in_the_torsion():
     assert alone.parameters["amplitude"].std == pytest.approx(number.tolerance * windup, rel=0.2)
     half = fit_eccentricity(recording, known, recording["link_position"] > 0.5)
     assert half.parameters["amplitude"].value == pytest.approx(amplitude, rel=0.2)
+
+
+@pytest.mark.parametrize("seconds", [2.0, 6.0])
+def test_an_eccentricity_seen_on_a_short_way_is_the_most_probable_one(seconds):
+    """Of a short way neither the encoder's zero nor its delay is told from a once-per-turn error: what most probably was, among
+    all that could have been by their priors (1.5 mrad of either quadrature, 5 mrad, 0.3 ms) and the torsion's noise, 0.15 mrad."""
+    recording = sweep()
+    known = extended(nominal(), effects(*CURRENT), "known", "but for the encoder")
+    time, angle = recording.time, recording["link_position"]
+    velocity = np.gradient(angle, time)
+    use = (time > 8.0) & (time < 8.0 + seconds) & (np.abs(velocity) > 0.05)
+    found = fit_eccentricity(recording, known, use).parameters
+    (amplitude, _), (phase, _) = HIDDEN["link_encoder_eccentricity"].values()
+    columns = np.column_stack([np.sin(angle), np.cos(angle), np.ones(len(angle)), velocity])[use]
+    true = amplitude * np.array([np.cos(phase), np.sin(phase), -np.sin(phase), 0.0])
+    information = columns.T @ columns / (1.5e-4**2 * SENSOR_MEMORY / STEP)
+    prior = np.diag(np.array([1.5e-3, 1.5e-3, 5e-3, 0.3e-3]) ** -2.0)
+    sine, cosine, _, _ = np.linalg.solve(information + prior, information @ true)
+    z = found["amplitude"].value * np.exp(1j * found["phase"].value)
+    print(f"{z:.3g}, most probable {sine + 1j * cosine:.3g}")
+    assert abs(z - (sine + 1j * cosine)) < 0.05 * abs(z) and abs(z) < 0.7 * amplitude
 
 
 def test_the_extended_joint_keeps_what_it_had():

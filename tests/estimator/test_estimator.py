@@ -18,6 +18,7 @@ from flexspline.estimator.online import OnlineEstimate, OnlineSamples, PassingEs
 from flexspline.estimator.tuning_parameters import TuningParameter, value_of, with_values
 from flexspline.models import plugins
 from flexspline.models.errors import InputError
+from flexspline.models.joint import Joint
 from flexspline.models.signals import Signals
 from flexspline.models.step import SAMPLE, PythonStep, numpy_at
 from flexspline.sim import loop, plant, sensors
@@ -201,6 +202,81 @@ def test_what_a_diagnosis_found_stands_before_a_tolerance():
     told = (found.spread.torque_constant, found.spread.stiffness, found.spread.viscous, found.friction)
     assert told == pytest.approx((0.013,) * 4)
     assert found.spread.wave_generator == 0.0, "of nothing there is no share"
+
+
+def described(**sensors: dict) -> Joint:
+    """The test joint with other sensors, and with tolerances that all differ."""
+    raw = JOINT.model_dump()
+    for name, values in sensors.items():
+        raw["sensors"][name] |= values
+    for k, one in enumerate(raw["numbers"].values()):
+        one |= {"tolerance": 0.01 + 1e-3 * k, "deviation": 0.0, "std": None, "shared": None}
+    for k, order in enumerate(raw["kinematic_error"]):
+        order["amplitude"] |= {"tolerance": 0.0, "deviation": 1e-5 * (1 + k), "std": None}
+        order["phase"] |= {"tolerance": 0.0, "deviation": 0.1 * (1 + k), "std": None}
+    return Joint.model_validate(raw)
+
+
+def test_errors_of_sensors_are_all_that_they_are_said_to_be():
+    """A sine has half its amplitude's square as mean square, a count a twelfth of its own; independent ones add up in power."""
+    imperfect = {
+        "flicker": 3e-3, "step": 1.2e-2, "ripple": {"order": 6.0, "amplitude": 8e-3},
+        "vibration": {"frequency": 90.0, "amplitude": 5e-3},
+    }  # fmt: skip
+    encoders = {
+        "motor_encoder": {"cyclic_error": 0.6, "noise": 1e-4},
+        "link_encoder": {"cyclic_error": 0.3, "noise": 2e-6},
+    }
+    noise = SensorNoise.of(described(motor_current=imperfect | {"noise": 0.02}, **encoders).sensors)
+    counts = noise.motor_resolution, noise.link_resolution
+    assert counts == pytest.approx((2 * np.pi / 4096, 2 * np.pi / 2**20))
+    assert (noise.motor_noise, noise.link_noise, noise.current_noise) == (1e-4, 2e-6, 0.02)
+    turn = 2 * np.pi * np.arange(1000) / 1000
+    assert noise.motor_error == pytest.approx(np.std(0.6 * counts[0] * np.sin(turn)))
+    assert noise.link_error == pytest.approx(np.std(0.3 * counts[1] * np.sin(turn)))
+    expected = np.var(8e-3 * np.sin(turn)) + 5e-3**2 + 3e-3**2 + np.var(1.2e-2 * (np.arange(1000) + 0.5) / 1000)
+    assert noise.current_error == pytest.approx(np.sqrt(expected), rel=1e-5)
+
+
+def test_what_is_known_badly_is_what_the_description_says():
+    """By its tolerances, of either quadrature of the kinematic error half the power of what amplitude and phase leave; and the
+    share of that which one asks for."""
+    joint = described()
+    found, numbers = KnownJoint.of(joint), joint.numbers
+    spread = found.spread
+    stated = {
+        "stiffness": "K2",
+        "wave_generator": "Kw0",
+        "wave_generator_curve": "Cw",
+        "torque_constant": "Kt",
+        "viscous": "bw",
+    }
+    for name, symbol in stated.items():
+        assert getattr(spread, name) == pytest.approx(numbers[symbol].tolerance), name
+    assert found.friction == pytest.approx(numbers["Fc"].tolerance)
+    rng = np.random.default_rng(4)
+    for k, order in enumerate(joint.kinematic_error):
+        a, b = 1e-3 * rng.standard_normal((2, 200_000))  # so small that a turn is a shift
+        amplitude = order.amplitude.value + order.amplitude.deviation * a
+        power = 1e6 * np.var(amplitude * np.exp(1j * order.phase.deviation * b))
+        assert spread.kinematic[k] == pytest.approx(np.sqrt(0.5 * power), rel=0.01)
+    assert not spread.kinematic[len(joint.kinematic_error) :].any()
+    with_all = replace(
+        found, link_zero=2e-4, link_wander=3e-5, back_driven=0.3, spread=replace(spread, gravity=0.01, inertia=0.02)
+    )
+    for share in (0.0, 0.4, 3.0):
+        less = with_all.within(share)
+        for name in ("friction", "link_zero", "link_wander", "back_driven"):
+            assert getattr(less, name) == pytest.approx(share * getattr(with_all, name)), name
+        for one in fields(spread):
+            np.testing.assert_allclose(
+                getattr(less.spread, one.name), share * np.asarray(getattr(with_all.spread, one.name))
+            )
+        assert (
+            less.record is with_all.record
+            and less.noise == with_all.noise
+            and less.rated_torque == with_all.rated_torque
+        )
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from flexspline.estimator import get, names
+from flexspline.estimator import get, names, smoothed
 from flexspline.estimator.bands import disagreement, reference_torque
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import (
@@ -20,6 +20,7 @@ from flexspline.estimator.offline import (
     track_zero,
     write_estimates,
 )
+from flexspline.estimator.payload_model import MEMORY
 from flexspline.estimator.smoothed import bandwidth, white_noise
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Effect, Estimate, Uncertainty, load_joint
@@ -214,6 +215,25 @@ def test_zero_of_a_joint_that_moves_both_ways(rng):
     seen = 2e-4 + compliance * (0.4 * direction + 0.1 * rng.standard_normal(n))
     zero, std = track_zero(seen, compliance, direction, np.zeros(n), np.full(n, 0.01), 1e-3, 0.0, 0.5, 0.1)
     assert np.all(np.abs(zero - 2e-4) < 4 * std) and std.max() < 3e-5
+
+
+def test_the_zero_is_the_most_probable_one(rng):
+    """A smoother of two states is the mean of all of them given all that was seen: with dense covariances of a walk by travel and
+    of an error that forgets, at once."""
+    n, spread, wander, friction, noise = 60, 3e-4, 2e-4, 0.6, 0.15
+    compliance, direction = rng.uniform(0.5e-4, 2e-4, n), rng.choice([-1.0, 1.0], n)
+    slow, travel = rng.uniform(0.0, 0.5, n), rng.uniform(0.0, 0.05, n)
+    seen = 2e-4 + compliance * rng.standard_normal(n)
+    walked = np.cumsum(np.r_[0.0, travel[1:]])
+    apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * smoothed.STEP * 20  # 50 a second
+    of_zero = spread**2 + wander**2 * np.minimum.outer(walked, walked)
+    by_friction = compliance * direction
+    of_friction = friction**2 * np.exp(-apart / MEMORY) * np.outer(by_friction, by_friction)
+    total = of_zero + of_friction + np.diag(compliance**2 * (noise**2 + slow**2))
+    gain = np.linalg.solve(total, of_zero).T
+    zero, std = track_zero(seen, compliance, direction, slow, travel, spread, wander, friction, noise)
+    np.testing.assert_allclose(zero, gain @ seen, rtol=1e-6)
+    np.testing.assert_allclose(std, np.sqrt(np.diag(of_zero - gain @ of_zero)), rtol=1e-6)
 
 
 def test_white_noise_ignores_motion_and_uneven_time(rng):

@@ -322,3 +322,14 @@ def test_surprise_is_the_likelihood_of_the_innovations(rng):
         run(settings, y)
     _, end, status = recursion.surprise(y, settings.record(), 25.0)
     assert end == caught.value.step and status != recursion.OK
+
+
+@pytest.mark.parametrize(
+    "model", [None, FilterModel(np.eye(2), np.array([[1.0, 0.0]]), np.eye(2), np.eye(1), 2.0 * np.eye(2))]
+)
+def test_of_one_measurement_there_is_the_start_alone(model):
+    found = run(
+        PaperFilter(), np.array([3.0]), model=model, initial_state=None if model is None else np.array([3.0, 1.0])
+    )
+    assert found.x.shape == (1, 1 if model is None else 2) and found.torque == [3.0] and found.nis == [0.0]
+    assert found.P[0, 0, 0] == (PaperFilter().P0 if model is None else 2.0)
