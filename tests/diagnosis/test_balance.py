@@ -128,8 +128,8 @@ def test_eccentricity_is_found_in_the_torsion():
 
 @pytest.mark.parametrize("seconds", [2.0, 6.0])
 def test_an_eccentricity_seen_on_a_short_way_is_the_most_probable_one(seconds):
-    """Of a short way neither the encoder's zero nor its delay is told from a once-per-turn error: what most probably was, among
-    all that could have been by their priors (1.5 mrad of either quadrature, 5 mrad, 0.3 ms) and the torsion's noise, 0.15 mrad."""
+    """Of a short way neither zero nor delay of the encoder is told from a once-per-turn error: what most probably was among all
+    that could have been, by their priors (1.5 mrad of either quadrature, 5 mrad, 0.3 ms) and the noise of torsion, 0.15 mrad."""
     recording = sweep()
     known = extended(nominal(), effects(*CURRENT), "known", "but for the encoder")
     time, angle = recording.time, recording["link_position"]
