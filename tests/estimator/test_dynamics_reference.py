@@ -76,13 +76,16 @@ class Reference:
             self.x[active] = (after[0] + weights @ (after - after[0]))[active]
             apart = (after - self.x)[:, active]
             self.P = apart.T @ (weights[:, None] * apart)
+        self.grow(dt)
+        self.current = joint_model.next_current(self.current, command, dt, self.known.p)
+
+    def grow(self, dt: float) -> None:
         share = np.clip((np.array(self.ratios) - self.noise["low"]) / (self.noise["high"] - self.noise["low"]), 0, 1)
         per_second = self.noise["walk"].copy()
         per_second[MESH] += share[0] * self.noise["mesh_surge"]
         per_second[EXTERNAL] += share[1] * self.noise["external_surge"]
         per_second[MOTOR_RATE] += self.noise["current_walk"]
-        self.P = self.P + dt * np.diag(per_second[active])
-        self.current = joint_model.next_current(self.current, command, dt, self.known.p)
+        self.P = self.P + dt * np.diag(per_second[self.active])
 
     def see(self, state: int, reading: float, predicted: float, variance: float, count: float) -> tuple[float, float]:
         """Update with a reading whose derivative by a state is one; its innovation and what it was expected to vary by."""
@@ -236,3 +239,51 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
         assert size < most
         if state != EXTERNAL:
             assert 0.1 < size / believed < 5.0
+
+
+@pytest.mark.parametrize("name", ["dynamics_ekf", "dynamics_ukf"])
+def test_from_the_late_instant_to_now_by_the_model_and_the_motor_encoder(name):
+    """Sample by sample, through what the drive was given since: the external torque along the line through its last six delays,
+    known as that; the covariance by the last Jacobian and the process noise, less by every reading of the motor encoder."""
+    delay = 5.7e-3
+    signals, known = seen("plain")
+    known = replace(known, noise=replace(SMOOTH, motor_noise=4e-4)).told(link_delay=delay)
+    signals = signals.part(slice(600, 760))
+    estimator = registry.get(name)
+    record = estimator.process.record(known, 1e-3)[0]
+    step = estimator.step(known, 1e-3)
+    arrays, samples, p = step.arrays(), as_samples(signals, (), known), known.p
+    m, out, external = arrays[1].view(FILTER)[0], np.zeros((1, step.outputs)), {}
+    active = record["active"][: int(record["count"])].astype(int)
+    of_external = int(np.flatnonzero(active == EXTERNAL)[0])
+    ahead = 0
+    for k in range(len(samples)):
+        assert go_on(arrays, samples[k : k + 1], out) == (1, 0)
+        external[round(float(m["time"]) * 1e6)] = float(m["x"][EXTERNAL])
+        if k < 60:
+            continue
+        size, time = len(active), float(m["time"])
+        ours = Reference(known, record, None, m["x"].copy(), m["P"][:size, :size].copy())
+        ours.current, ours.ratios = float(m["current"]), (float(m["motor_ratio"]), float(m["link_ratio"]))
+        F = m["F"][:size, :size].copy()
+        ours.P[of_external, :] = ours.P[:, of_external] = 0.0
+        last = [t for t in external if t >= 1e6 * (time - 6.0 * delay)]
+        line = np.polyfit([1e-6 * t - time for t in last], [external[t] for t in last], 1)
+        for s in samples[: k + 1][samples["time"][: k + 1] > time + 1e-9]:
+            dt, command = s["time"] - time, s["motor_current"] - p["current_offset"]
+            ours.x[EXTERNAL] = np.polyval(line, time + 0.5 * dt - float(m["time"]))
+            ours.x = ours.moved(ours.x, command, time, dt)
+            ours.P = F @ ours.P @ F.T
+            ours.grow(dt)
+            ours.current = joint_model.next_current(ours.current, command, dt, p)
+            ours.P[of_external, of_external] = 0.0
+            ours.see(MOTOR, s["motor_position"], joint_model.read_motor(ours.x, p), record["motor_variance"], 0.0)
+            time = float(s["time"])
+            ahead += 1
+        np.testing.assert_allclose(m["now"], ours.x, rtol=1e-6, atol=1e-9)
+        scale = np.sqrt(np.diag(ours.P)) + 1e-30
+        apart = (m["now_P"][:size, :size] - ours.P) / np.outer(scale, scale)
+        assert np.abs(apart).max() < 1e-6
+        assert out[0, 0] == joint_model.joint_torque(m["now"], samples[k]["time"], p)
+        assert out[0, 1] == pytest.approx(ours.variance(samples[k]["time"]), rel=0.03)
+    assert ahead > 5 * 100
