@@ -14,6 +14,7 @@ from test_symmetry import MOTOR_ANGLES, RICH, TORQUES, in_units
 
 from flexspline.estimator import KnownJoint, SensorNoise, joint_model, registry
 from flexspline.estimator.filters import augmented
+from flexspline.models import laws
 from flexspline.models.joint import load_joint
 
 JOINT = load_joint("test-joint")
@@ -185,3 +186,83 @@ def test_states_that_a_joint_has_not_are_not_carried():
     assert n["start"][joint_model.STIFFNESS] == pytest.approx(0.05**2)
     assert n["start"][joint_model.CONSTANT] == pytest.approx(0.02**2)
     assert n["walk"][joint_model.STIFFNESS] > 0.0 == process.record(known(), 1e-3)[0]["walk"][joint_model.STIFFNESS]
+
+
+def uniform(width: float) -> float:
+    """Variance of what lies anywhere within a width."""
+    return width**2 / 12.0
+
+
+def test_sizes_of_the_augmented_filter():
+    """In the joint's own terms: torques in T2 and Fc, bristles in how far friction bends them, readings in counts."""
+    joint, a = known(), registry.get("augmented")
+    p, c = joint.p, registry.get("augmented").settings(joint, 1e-3)[0]
+    fc, t2, count = float(p["Fc"]), float(p["T2"]), NOISE.motor_resolution / float(p["N"])
+    white = NOISE.link_noise**2 + NOISE.link_error**2 + 2.0 * uniform(NOISE.link_resolution)
+    motor = (NOISE.motor_noise**2 + NOISE.motor_error**2) / p["N"] ** 2
+    friction = 3.0 * joint.friction  # every relative error of its model counts three times
+    bent = fc / p["s0"]
+    expected = {
+        "link_variance": white, "torsion_variance": white + motor + (count / 10) ** 2, "rotor_walk": p["Jm"] ** -2.0,
+        "torque_variance": p["Kt"] ** 2 * NOISE.current_variance(1e-3), "mesh_walk": (9e-4 * fc / p["Jw"]) ** 2,
+        "bristle_walk": (5.5e-3 * bent) ** 2, "presliding": 2.0 * bent * (2.0 * joint.friction) ** 2,
+        "spring_walk": (0.004 * t2) ** 2, "loose": (2.0 * t2) ** 2, "external_quiet": 4e-4 * t2, "external_loud": 8.0 * t2,
+        "level": np.sqrt(0.017**2 + friction**2) * fc, "level_loud": 1.1 * fc, "level_time": 5.0, "free": 1e-3 * t2, "gate": 4.0,
+        "back": 0.05, "least": 0.03 * t2, "wait": 0.2, "memory": 0.8, "low": 5.0, "high": 12.0, "wander": 1e-5, "interval": 1e-3,
+        "half": NOISE.motor_resolution / 2, "sliding": 2.5 * p["vs"], "settled": 0.1, "pause": 0.5, "every": 0.02,
+        "coarse": (0.01 * t2) ** 2, "stiffest": 1.25 * p["Cw"] * joint.rated_torque / p["N"],
+    }  # fmt: skip
+    for name, value in expected.items():
+        assert c[name] == pytest.approx(value, rel=1e-9), name
+    assert set(expected) == set(augmented.SETTINGS.names) - {"prior", "order"} and a.unsure == 3.0
+    prior = {
+        "LINK": np.sqrt(white), "LINK_RATE": 1.0 / p["N"], "ROTOR": 1.0, "WAVE_RATE": 1.0, "WOUND": 0.1 / p["Cw"],
+        "BRISTLE": p["Fs"] / p["s0"], "SPRING": t2, "EXTERNAL": 0.2 * t2, "MESH": c["level"], "COUNT": np.sqrt(uniform(count)),
+    }  # fmt: skip
+    for name, value in prior.items():
+        assert c["prior"][getattr(augmented, name)] == pytest.approx(value, rel=1e-9), name
+    late = a.settings(known(link_delay=3e-3), 1e-3)[0]
+    assert late["link_variance"] - white == pytest.approx((3.0 * count) ** 2)
+    assert late["torsion_variance"] - c["torsion_variance"] == pytest.approx((3.0 * count) ** 2)
+    steep = a.settings(known(Cw=1e9), 1e-3)[0]["stiffest"]
+    assert steep == pytest.approx(-np.log(laws.LOGARITHM_END)), "no stiffer than the law itself gets"
+
+
+def test_sizes_of_the_dynamics_filters():
+    """Likewise; of what forgets, noise that keeps it at its level."""
+    joint = known()
+    p, n = joint.p, process_noise(joint)
+    fc, t2, count = float(p["Fc"]), float(p["T2"]), NOISE.motor_resolution
+    walk = {
+        "wave_generator_velocity": (5.5e-4 * fc / p["Jw"]) ** 2, "bristle": (5.5e-3 * fc / p["s0"]) ** 2,
+        "external_torque": (1e-3 * t2) ** 2, "mesh_torque": 2.0 * (0.017 * fc) ** 2 / 5.0,
+        "hysteresis": (0.01 * p["hysteresis_extent"]) ** 2,
+    }  # fmt: skip
+    start = {
+        "motor_position": count**2 + NOISE.motor_noise**2, "wave_generator_position": (0.1 / (p["Cw"] * p["Kw0"])) ** 2,
+        "motor_velocity": 1.0, "wave_generator_velocity": 1.0, "link_velocity": p["N"] ** -2.0,
+        "link_position": NOISE.link_resolution**2 + NOISE.link_noise**2, "bristle": (p["Fs"] / p["s0"]) ** 2,
+        "external_torque": (0.2 * t2) ** 2, "mesh_torque": (0.017 * fc) ** 2, "hysteresis": p["hysteresis_extent"] ** 2,
+    }  # fmt: skip
+    for found, expected in ((n["walk"], walk), (n["start"], start)):
+        for name, value in expected.items():
+            assert found[STATES[name]] == pytest.approx(value, rel=1e-9), name
+    single = {
+        "current_walk": 1e-3 * NOISE.current_variance(1e-3) * (p["Kt"] / p["Jm"]) ** 2, "mesh_surge": (1.1 * fc) ** 2,
+        "external_surge": (4.0 * t2) ** 2, "motor_variance": NOISE.motor_noise**2 + NOISE.motor_error**2 + (count / 20) ** 2,
+        "link_variance": NOISE.link_noise**2 + NOISE.link_error**2, "motor_step": count, "link_step": NOISE.link_resolution,
+        "mesh_time": 5.0, "memory": 0.8, "low": 3.0, "high": 6.0,
+    }  # fmt: skip
+    for name, value in single.items():
+        assert n[name] == pytest.approx(value, rel=1e-9), name
+
+
+def test_an_error_of_the_current_that_lasts_counts_for_as_long():
+    """10 ms: of samples that are 1 ms apart ten go the same way and move a rotor as far as ten times the variance; none is of
+    less than a sample; without an interval noise is all that is known."""
+    quiet = replace(NOISE, current_noise=0.0)
+    for interval, longer in ((1e-3, 10.0), (5e-3, 2.0), (0.02, 1.0), (0.0, 0.0)):
+        assert quiet.current_variance(interval) == pytest.approx(longer * NOISE.current_error**2)
+        assert NOISE.current_variance(interval) == pytest.approx(
+            longer * NOISE.current_error**2 + NOISE.current_noise**2
+        )
