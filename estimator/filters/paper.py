@@ -191,7 +191,7 @@ class PaperFilter(CausalEstimator):
         return self.record()
 
     def reason(self, status: int, out: np.ndarray) -> str:
-        return self.failure(status, out[0], out[1] + self.W)
+        return self.failure(status, out[0], self.L**2 * (out[1] + self.W))
 
     def failure(self, status: int, torque: float, P: float) -> str:
         """Why an update failed, for people; `torque`: the last estimate [N·m], P: the largest eigenvalue of LPLᵀ."""

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from flexspline.estimator import FilterDiverged, FilterModel, PaperFilter, run, run_batch
+from flexspline.estimator import FilterDiverged, FilterModel, PaperFilter, get, run, run_batch
 
 
 def test_printed_alpha_diverges_at_zero_load():
@@ -99,6 +102,24 @@ def test_gamma_too_small():
     assert f"more than {needed:g} N·m" in str(caught.value)
     assert caught.value.step == 1
     assert np.isfinite(run(PaperFilter(rule="robust", gamma=1.01 * needed), np.zeros(10)).torque).all()
+
+
+@pytest.mark.parametrize("L", [1.0, 3.0])
+def test_a_little_more_than_the_gamma_that_is_asked_for_is_enough(L, known, signals):
+    """At the step that failed, over measurements and in the estimator alike."""
+    settings = PaperFilter(rule="robust", gamma=0.01, L=L)
+    torque = get("model").estimate(signals, known).mean
+    for estimate in (lambda one: run(one, torque), lambda one: one.estimate(signals, known)):
+        with pytest.raises(FilterDiverged, match="at step 1,") as caught:
+            estimate(settings)
+        asked = float(re.search(r"expected more than ([\d.e-]+) N·m", str(caught.value)).group(1))
+        for share, step in ((0.99, 1), (1.01, 2)):
+            try:
+                estimate(replace(settings, gamma=share * asked))
+                reached = len(torque)
+            except FilterDiverged as wrong:
+                reached = wrong.step
+            assert reached == 1 if step == 1 else reached > 1, (L, share)
 
 
 def test_batch_names_which_filter():
