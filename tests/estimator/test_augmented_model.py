@@ -381,6 +381,34 @@ def test_noise_grows_with_time_and_contradiction():
         assert unseen == pytest.approx(0.5 * c["loose"] * ((h - 1e-3) / 0.5) ** 2)
 
 
+def test_a_count_that_both_encoders_keep_is_worth_less_with_every_sample():
+    """The n-th in a row has n times a count's variance, to the link encoder as to torsion; a new count of either is news."""
+    midway = disturbed(Midway.of("plain"))
+    midway.settings["link_variance"], midway.settings["torsion_variance"] = 1e-11, 2e-11
+    midway.settings["prior"][AT["count"]] = 0.0
+    c, s = midway.settings, midway.sample
+    half, count = midway.joint.noise.link_resolution / 2, midway.joint.noise.link_resolution**2 / 6.0
+    motor_half = midway.joint.noise.motor_resolution / 2
+    for held, link, motor, expected in (
+        (0.0, 0.0, 0.0, 1.0), (6.0, 0.0, 0.0, 7.0), (6.0, 0.9 * half, -0.9 * motor_half, 7.0), (6.0, 1.1 * half, 0.0, 0.0),
+        (6.0, -1.1 * half, 0.0, 0.0), (6.0, 0.0, 1.1 * motor_half, 0.0), (6.0, 0.0, -1.1 * motor_half, 0.0),
+    ):  # fmt: skip
+        before = {"link_reading": s["link_position"] + link, "motor_reading": s["motor_position"] + motor}
+        _, _, o, m = midway.after(**before, held=held, link_ratio=1.0, torsion_ratio=1.0)
+        assert m["held"] == expected
+        none = midway.after(
+            **before | {"link_reading": s["link_position"] + 9.0}, held=0.0, link_ratio=1.0, torsion_ratio=1.0
+        )
+        share = (none[3]["link_ratio"] - c["memory"]) / (
+            m["link_ratio"] - c["memory"]
+        )  # of the variances: one innovation
+        assert share == pytest.approx((c["link_variance"] + expected * count) / c["link_variance"], rel=0.02)
+        assert o["innovation_variance"] / none[2]["innovation_variance"] == pytest.approx(
+            (c["torsion_variance"] + expected * count) / c["torsion_variance"], rel=0.02
+        )
+    assert count > 0.02 * c["torsion_variance"]
+
+
 def test_nobody_touches_it():
     """Left alone for a while, an external torque within its uncertainty is taken for nothing, over a time `back`."""
     midway = disturbed(Midway.of("plain"), external=0.02)

@@ -28,7 +28,7 @@ AUGMENTED = {
     "external_loud": (1, 0), "level": (1, -1), "level_time": (0, 0), "level_loud": (1, -1), "free": (1, 0), "gate": (0, 0),
     "memory": (0, 0), "low": (0, 0), "high": (0, 0), "wander": (0, 0), "interval": (0, 0), "back": (0, 0), "pause": (0, 0),
     "every": (0, 0), "wait": (0, 0), "least": (1, 0), "half": (0, 1), "sliding": (0, 1), "settled": (0, 0), "coarse": (2, 0),
-    "stiffest": (0, 0),
+    "stiffest": (0, 0), "link_half": (0, 0), "link_count": (0, 0),
 }  # fmt: skip
 """Powers of torque and of the motor side's angle by setting."""
 PRIOR = {"wound": (1, -1), "bristle": (0, 1), "spring": (1, 0), "external": (1, 0), "mesh": (1, -1)}
@@ -210,6 +210,7 @@ def test_sizes_of_the_augmented_filter():
         "level": np.sqrt(0.017**2 + friction**2) * fc, "level_loud": 1.1 * fc, "level_time": 5.0, "free": 1e-3 * t2, "gate": 4.0,
         "back": 0.05, "least": 0.03 * t2, "wait": 0.2, "memory": 0.8, "low": 5.0, "high": 12.0, "wander": 1e-5, "interval": 1e-3,
         "half": NOISE.motor_resolution / 2, "sliding": 2.5 * p["vs"], "settled": 0.1, "pause": 0.5, "every": 0.02,
+        "link_half": NOISE.link_resolution / 2, "link_count": 2.0 * uniform(NOISE.link_resolution),
         "coarse": (0.01 * t2) ** 2, "stiffest": 1.25 * p["Cw"] * joint.rated_torque / p["N"],
     }  # fmt: skip
     for name, value in expected.items():
