@@ -332,6 +332,54 @@ def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
         assert np.any(after != before) == learned, slid
 
 
+def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
+    """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then every 20 ms."""
+    midway = seeing("plain")
+    midway.sample["interval"], h = 1e-3, 1e-3
+    c, still = midway.settings, 0.9 * midway.settings["sliding"]
+    loud = float(c["high"])
+    quiet = {"torsion_ratio": 1.0, "link_ratio": 1.0, "free": 1.0, "calm": 0.1, "slid": 0.05}
+    for speed in (0.9, 1.1, -0.9, -1.1):
+        turning = midway.memory["x"].copy()
+        turning[AT["wave_rate"]] = speed * c["sliding"]
+        m = midway.after(turning, **quiet)[3]
+        assert m["calm"] == pytest.approx(0.1 + h)
+        assert m["slid"] == pytest.approx(0.05 + h if abs(speed) > 1.0 else 0.0)
+        for name, value in (("torsion_ratio", 1.01 * loud), ("link_ratio", 1.01 * loud), ("free", 0.0)):
+            m = midway.after(turning, **quiet | {name: value})[3]
+            assert m["calm"] == m["slid"] == 0.0, name
+        m = midway.after(turning, **quiet | {"torsion_ratio": 0.99 * loud, "link_ratio": 0.99 * loud})[3]
+        assert m["calm"] == pytest.approx(0.1 + h)
+    for calm, due in ((0.498, False), (0.4984, False), (0.4989, True), (0.52, True)):
+        m = midway.after(**quiet | {"calm": calm})[3]
+        assert m["calm"] == pytest.approx(calm + h - 0.02 * due)
+    assert still > 0.0
+
+
+@pytest.mark.parametrize("by", ["motion", "rest"])
+def test_at_rest_only_torsion_that_stands_out_teaches(by):
+    """Constants: in motion of any innovation; at rest of torsion's alone, where it is known no better than a hundredth of T2."""
+    midway = seeing("plain")
+    midway.sample["interval"] = 1e-3
+    c, before = midway.settings, midway.memory["x"][FIXED:].copy()
+    ready = {"torsion_ratio": 1.0, "link_ratio": 1.0, "free": 1.0, "calm": 5.0, "slid": 5.0}
+    x = midway.memory["x"].copy()
+    if by == "rest":
+        x[AT["wave_rate"]] = 0.5 * c["sliding"]
+    else:
+        x[AT["wave_rate"]] = 2.0 * c["sliding"]
+    assert c["coarse"] == pytest.approx((0.01 * midway.joint.p["T2"]) ** 2)
+    L = UNITS * np.random.default_rng(11).uniform(0.5, 1.5, SIZE) * np.random.default_rng(12).choice([-1.0, 1.0], SIZE)
+    midway.settings["torsion_variance"], midway.settings["link_variance"] = 1e-30, 1e30  # the link's own say nothing
+    P = np.outer(L, L)
+    none, some = (float(midway.after(x, share * P, **ready)[2]["innovation_variance"]) for share in (0.0, 1.0))
+    for share, learned in ((0.8, by == "motion"), (1.25, True)):
+        scale = (share * c["coarse"] - none) / (some - none)
+        after = midway.after(x, scale * P, **ready)
+        assert after[2]["innovation_variance"] == pytest.approx(share * c["coarse"], rel=1e-6)
+        assert np.any(after[0][FIXED:] != before) == learned, share
+
+
 def S0(midway: Midway) -> float:
     """Variance of torsion's torque [(N·m)²] that its readings alone leave: what is left of S where everything is known."""
     midway.settings["prior"][AT["count"]], kept = 0.0, midway.settings["prior"][AT["count"]]
