@@ -68,8 +68,7 @@ def measure(m, s, p):
         m: record of `TORSION`, moved on. s: record of `models.step.SAMPLE`. p: parameter record.
     """
     motor = dynamics.actual_motor_position(s.motor_position, p)
-    w = 0.0
-    beyond = laws.has_discrepancy(p)
+    w, beyond = UNREAD, laws.has_discrepancy(p)
     if beyond:
         lowpass(m.motor, motor, s.interval, _VELOCITY)
         w = m.motor.rate

@@ -203,7 +203,7 @@ def _relative(joint: Joint, symbol: str) -> float:
     number = joint.numbers[symbol]
     if number.std is not None:
         return number.std / number.value if number.value > 0.0 else 0.0
-    return math.hypot(number.tolerance, joint.shared_tolerances.get(number.shared, 0.0) if number.shared else 0.0)
+    return math.hypot(number.tolerance, 0.0 if number.shared is None else joint.shared_tolerances[number.shared])
 
 
 def _deviation(number: Any) -> float:

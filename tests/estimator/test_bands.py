@@ -75,14 +75,17 @@ def test_errors_of_current_pass_as_far_as_the_estimator_lets_them():
     assert not band["none"].any()
 
 
-def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis():
-    joint = stating({"joint_torque": 3.0, "link_balance": 4.0})
-    known = SILENT.told(hysteresis_torque=3.0 * np.sqrt(3.0))
+@pytest.mark.parametrize("stated, hysteresis, expected", [
+    ({"joint_torque": 3.0, "link_balance": 4.0}, 3.0, 5.0), ({"joint_torque": 0.4, "link_balance": 0.3}, 0.0, 0.4),
+    ({"joint_torque": 0.4}, 0.0, 0.4), ({"link_balance": 0.4}, 0.0, 0.4), ({}, 0.4, 0.4), ({}, 0.0, 0.0),
+])  # fmt: skip
+def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis(stated, hysteresis, expected):
+    joint, known = stating(stated), SILENT.told(hysteresis_torque=hysteresis * np.sqrt(3.0))
 
     def run(s: Signals, _):
         return {"torsion": P["K1"] * (s["motor_position"] / P["N"] - s["link_position"])}
 
-    assert rms(found(run, signals(RAMP), joint, known)["torsion"]) == pytest.approx(5.0, rel=0.2)
+    assert rms(found(run, signals(RAMP), joint, known)["torsion"]) == pytest.approx(expected, rel=0.2)
 
 
 @pytest.mark.parametrize("read", [

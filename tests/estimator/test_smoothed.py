@@ -82,6 +82,26 @@ def test_a_link_that_is_not_rigid_asks_for_another_torque():
     assert np.abs(found - torque)[late].max() < 0.02 * np.abs(torque[late]).max()
 
 
+@pytest.mark.parametrize("delay", [6e-3, 6.4e-3, 0.05])
+def test_a_late_encoder_is_read_where_its_readings_are_of(delay):
+    """What is over can be read earlier; what had not come yet when the recording ended moves as the rotor has since, or stays."""
+    joint = known().told(link_delay=delay)
+    time = 2.0 + TIME[:1000]
+    link, motor = np.sin(3.0 * time), 100.0 * np.cos(2.0 * time)
+    late = Signals(time, {"link_position": np.sin(3.0 * (time - delay)), "motor_position": motor})
+    found, told = smoothed.in_time(late, joint)
+    assert told.p["link_delay"] == 0.0 and np.array_equal(found["motor_position"], motor)
+    last = time[-1] - delay
+    come = time <= last
+    np.testing.assert_allclose(found["link_position"][come], link[come], atol=2e-6)  # between samples along a chord
+    since = np.cos(2.0 * time) - np.cos(2.0 * last)
+    np.testing.assert_allclose(found["link_position"][~come], (np.sin(3.0 * last) + since)[~come], atol=2e-6)
+    alone, _ = smoothed.in_time(late.without("motor_position"), joint)
+    np.testing.assert_allclose(alone["link_position"], np.where(come, link, np.sin(3.0 * last)), atol=2e-6)
+    prompt = late, known()
+    assert smoothed.in_time(*prompt) == prompt
+
+
 def test_the_bandwidth_is_the_highest_whose_noise_is_quiet(rng):
     """Noise of the angle, twice differentiated, through the drive's inertia; of the current through Kt; both times the ratio."""
     joint = known()
