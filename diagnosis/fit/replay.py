@@ -15,7 +15,8 @@ resonance. The motion is reconstructed from the encoders' readings with the para
 eccentricity) in the record. It has been smoothed, and so have current and torque: what is linear does not mind, and of the
 orders of motor and gear the replay has what the smoother leaves of them at that speed.
 
-The equations are those of `models.dynamics`; here is only how they are stepped.
+The equations are those of `models.dynamics`; here is only how they are stepped: with pulsation Ω and step h a linear transmission
+has its inertia to (Ωh)²/6 and its dampings to (Ωh)²/8, whatever its stiffness.
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
     reach = laws.wave_generator_torsion(_STIFFEST * p.Kt * p.current_limit, p)
     z, dahl, w, theta_w = 0.0, 0.0, rotor[0, 1], rotor[0, 0]
     m1, vm1, l1, vl1, al1 = 0.0, 0.0, 0.0, 0.0, 0.0
-    phi, phi_rate = 0.0, 0.0
+    phi, phi_rate, stiffness = 0.0, 0.0, 0.0
     rigid = p.Jl - laws.flexible_inertia(p)
     for i in range(n):
         m0, vm0, l0, vl0, al0 = m1, vm1, l1, vl1, al1
@@ -114,14 +115,18 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
                 else:
                     high = theta_w
         else:
-            # One linearly implicit midpoint step of the wave generator, and of the link where it is simulated.
-            m = 0.5 * (m0 + m1) + 0.125 * h * (vm0 - vm1)
+            # One linearly implicit midpoint step of the wave generator, and of the link where it is simulated. All angles in the
+            # middle are made in one way, or springs would see h²/8 of an acceleration: `bent` of the way from the mean of both
+            # ends to the cubic; the whole of it where nothing is stiff, none where it would not be stable.
             vm = 0.5 * (vm0 + vm1)
             if measured:
-                l = 0.5 * (l0 + l1) + 0.125 * h * (vl0 - vl1)
+                bent = max(1.0 - h * h * stiffness / (8.0 * p.Jw), 0.0)
+                l = 0.5 * (l0 + l1) + 0.125 * h * bent * (vl0 - vl1)
                 vl = 0.5 * (vl0 + vl1)
             else:
+                bent = 0.0
                 l, vl = l0 + 0.5 * h * vl0, vl0
+            m = 0.5 * (m0 + m1) + 0.125 * h * bent * (vm0 - vm1)
             x = theta_w + 0.5 * h * w
             middle = State(m, vm, x, w, l, vl, z, dahl, 0.0, time[i], temperature[i])
             if p.hysteresis_torque != 0.0:
@@ -139,7 +144,7 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
             kf = p.K1
             stiffness = laws.wave_generator_stiffness(m - x, p) + kf * t.ratio * t.ratio + p.s0 * sticking
             damping = p.dw + p.bw + p.df * t.ratio * t.ratio + p.s1 * sticking
-            a11 = p.Jw + h * (0.25 * h * stiffness + 0.5 * damping)
+            a11 = p.Jw + h * ((0.25 - 0.125 * bent) * h * stiffness + 0.5 * damping)
             if measured:
                 change = h * force / a11
                 w_middle = w + 0.5 * change

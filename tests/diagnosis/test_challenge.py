@@ -29,17 +29,6 @@ from flexspline.scenarios.scenario import Scenario, Waypoint
 pytestmark = pytest.mark.long
 SEED = 7
 NOMINAL = load_joint("test-joint")
-KNOWN_GAPS = {
-    "rotor_pulse": "unknown, but as an error of the current reading, which the same residual is: component sensor, not motor",
-    "current_drift": "named friction_asymmetry, friction_drift, link_encoder_eccentricity at 0.99 each",
-}
-"""Effects that the inference does not find in this test's draw, with what it said instead; measured, not accepted."""
-
-
-def gap(name: str):
-    """The name as a test's parameter, expected to fail where it is a known gap."""
-    marks = [pytest.mark.xfail(strict=False, reason=KNOWN_GAPS[name])] if name in KNOWN_GAPS else []
-    return pytest.param(name, marks=marks)
 
 
 @lru_cache(maxsize=1)
@@ -86,7 +75,7 @@ def require_found(drawn: Draw, found: Diagnosis) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [gap(n) for n in Challenge().pool()])
+@pytest.mark.parametrize("name", Challenge().pool())
 def test_every_cause_is_found(name):
     require_found(*diagnosed(name))
 
@@ -218,7 +207,7 @@ def test_two_causes_at_once(pair):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [gap(n) for n in OUTSIDE])
+@pytest.mark.parametrize("name", list(OUTSIDE))
 def test_effect_outside_the_library_is_unknown(name):
     drawn, found = diagnosed(name, hidden="outside")
     assert found.verdict == "discrepancy"

@@ -1,5 +1,7 @@
 """The replay: with the true numbers only the sensors' noise is left; with wrong ones only the right balance breaks."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hidden_joint import measure
@@ -90,6 +92,41 @@ def test_at_the_true_numbers_nothing_is_left_but_noise_at_any_speed(joint):
                 if use.sum() > 200:
                     # Below one where the counts happen to beat with the sampling.
                     assert 0.75 < np.std(left[use, c]) / np.std(share[use, c]) < 1.15, (segment.recording, slowest, c)
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 10.0, 50.0])
+@pytest.mark.parametrize("frequency", [20.0, 60.0])
+def test_a_linear_transmission_answers_as_its_equation_does(joint, replayed, frequency, stiffness):
+    """No friction: Jw θw'' = Kw (θm − θw) + dw (θm' − θw') − bw θw' − K1 θw/N² − df θw'/N², the rotor shaken and the link held.
+
+    A step h may change the inertia by (Ωh)²/6 and dampings by (Ωh)²/8. Were the angles in the middle of a step not all made in
+    one way, the spring would add Kw h²/8 to the inertia: 17 and 80 % of it at 10 and 50 N·m/rad."""
+    record = joint.record(replayed[0].mounting)
+    p = record[0]
+    for name in ("Fc", "Fs", "s0", "s1"):
+        p[name] = 1e-12
+    p["Kw0"], p["Cw"], p["amplitude"], p["K2"], p["K3"] = stiffness, 1e-9, 0.0, p["K1"], p["K1"]
+    time, pulsation = np.arange(0.0, 2.0, replayed[0].step), 2 * np.pi * frequency
+    shaken = 1e-2 * np.exp(1j * pulsation * time)
+    rotor = np.column_stack([(shaken * (1j * pulsation) ** k).imag for k in range(3)])
+    segment = replace(
+        replayed[0], time=time, rotor=rotor, link=np.zeros((len(time), 3)), external=np.zeros(len(time)),
+        temperature=np.full(len(time), 20.0),
+    )  # fmt: skip
+    found = transmission(segment, record)["wave_generator_position"]
+    coupled = p["Kw0"] + 1j * pulsation * p["dw"]
+    load = p["K1"] / p["N"] ** 2 + 1j * pulsation * (p["df"] / p["N"] ** 2 + p["bw"])
+    answer = coupled / (coupled + load - p["Jw"] * pulsation**2)
+    late = time > 1.0
+    turned = np.column_stack([shaken.imag, shaken.real])[late]
+    (real, imaginary), *_ = np.linalg.lstsq(turned, found[late], rcond=None)
+    # The torque that is wrong, of that which accelerates the wave generator.
+    accelerates = p["Jw"] * pulsation**2
+    wrong = abs((real + 1j * imaginary) / answer - 1.0) * abs(coupled + load - accelerates) / accelerates
+    damps = pulsation * (p["dw"] + p["bw"] + p["df"] / p["N"] ** 2) / accelerates
+    limit = (pulsation * segment.step) ** 2 * (1 / 6 + damps / 8)
+    print(f"{frequency:g} Hz, {stiffness:g} N·m/rad: {wrong:.4f} of the inertia's torque, limit {limit:.4f}")
+    assert wrong < limit
 
 
 @pytest.mark.parametrize("interval", [1e-3, 4e-3])
