@@ -54,7 +54,7 @@ class DescribedSettings:
     worst: float = 1.5
     alike: float = 1.5
     beside: float = 0.3
-    mean_beside: float = 1.0
+    mean_beside: float = 0.95
     margin: float = 0.05
     finalists: int = 8
 
