@@ -621,3 +621,14 @@ def test_stamps_are_followed_as_far_as_they_are_believed():
     for wrong in (0.2, -0.1):
         assert beliefs[wrong] - beliefs[0.0] == pytest.approx(wrong * share, rel=0.05)
     assert beliefs[40.0] == 1.0 and beliefs[-40.0] == 0.0
+    # One innovation tells of belief −1 to 2 at most, however far off it is: a touch is no clock.
+    evidence_before = 100.0 * moved**2 / V
+    told = {}
+    for wrong in (0.0, 40.0, -40.0):
+        midway.sample["link_position"] = x_after[AT["link"]] + wrong * moved + midway.joint.p["link_zero"]
+        given = {"period": 1e-3, "beats": 200.0, "phase": 0.0, "belief": 0.5, "evidence": evidence_before}
+        told[wrong] = float(midway.after(x, P, **given)[3]["belief"])
+    weight = moved**2 / V / (evidence_before + moved**2 / V)
+    assert told[40.0] == pytest.approx(0.5 + 1.5 * weight, rel=1e-3)
+    assert told[-40.0] == pytest.approx(0.5 - 1.5 * weight, rel=1e-3)
+    assert told[-40.0] < told[0.0] < told[40.0]
