@@ -476,14 +476,17 @@ def test_nobody_touches_it():
         "an encoder that contradicts"
     )
     # A push is none of that, and what lies between counts for less, and for doubt.
+    P[i, i] = 0.07**2
+    before = P[i, i] + h * c["external_quiet"] ** 2
     for external, free in ((2.0 * c["least"], False), (0.9 * c["least"], True)):
         x, after, o, m = midway.after(midway.moved(i, external - 0.02), P=P, untouched=5.0, link_ratio=1.0)
         assert m["free"] == free and (x[i] < external) == free
         if free:
-            assert external > c["gate"] * np.hypot(0.02, c["free"])
+            assert external > c["gate"] * np.hypot(0.07, c["free"])
             variance = (c["free"] ** 2 + external**2) * c["back"] / h
-            assert x[i] == pytest.approx(external * variance / (before + variance), rel=1e-3)
+            assert x[i] == pytest.approx(external * variance / (before + variance), rel=1e-4)
             assert o["variance"] == pytest.approx(x[i] ** 2, rel=1e-2)
+            assert after[i, i] == pytest.approx(before * variance / (before + variance), rel=1e-4)
 
 
 def test_the_torque_is_the_joints():

@@ -38,12 +38,12 @@ def test_an_instant_at_a_sample_is_that_sample(rng):
 
 
 @pytest.mark.parametrize("newest", [4, 30, RING + 40])
-@pytest.mark.parametrize("window", [1e-4, 0.02])
+@pytest.mark.parametrize("window", [1e-4, 0.02, 9.0])
 def test_a_line_through_the_last_samples_is_that_of_least_squares(rng, newest, window):
     times = 5.0 + np.cumsum(rng.uniform(5e-4, 2e-3, newest + 1))
     values = 3.0 * times + 0.1 * rng.standard_normal(newest + 1)
     last = times >= times[-1] - window
-    last[-5:] = True
+    last[-5:], last[:-RING] = True, False  # no more than the ring holds
     at = times[-1] + 2e-3
     _, offset = np.polyfit(times[last] - at, values[last], 1)
     assert last.sum() == 5 or window > 1e-3
