@@ -183,7 +183,7 @@ def _start(m, reading, link, torque, motor_torque, p, c):
         for j in (LINK_RATE, ROTOR, WAVE_RATE):
             P[i, j] += (1.0 if i == LINK_RATE else p.N) * (1.0 if j == LINK_RATE else p.N) * _START**2
     m.motor_reading, m.torsion_ratio, m.link_ratio = reading, 1.0, 1.0
-    m.link_reading, m.held = link, 0.0
+    m.held = 0.0
     m.belief, m.evidence = 1.0, _STAMPS
 
 
@@ -420,7 +420,6 @@ def _step(memory, sample, record, settings, out):
         m.held += 1.0
         if not abs(s.link_position - m.link_reading) <= c.link_half:
             m.held = 0.0
-        m.link_reading = s.link_position
         if not abs(s.motor_position - m.motor_reading) <= c.half:
             _new_count(m, c)
             m.held = 0.0
@@ -432,6 +431,7 @@ def _step(memory, sample, record, settings, out):
         S = _update(m, e, c.link_variance + c.link_count * m.held, learn)
         _believe(m, e, off * x[LINK_RATE], c)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
+    m.link_reading = s.link_position
     # Torsion.
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
     wound, asked = laws.wave_generator_torsion(x[WOUND], p), laws.wave_generator_torsion(found.motor_torque, p)
