@@ -117,7 +117,7 @@ def test_estimate(run, tmp_path):
     assert list(table.columns) == ["lowpass", "dynamics_ekf"] and table.index.name == "time [s]"
     assert table.attrs["unit"] == "N·m" and len(table) == 2000
     error = table["dynamics_ekf"] - run.truth("joint_torque")
-    assert np.sqrt(np.mean(error[500:] ** 2)) < 0.1
+    assert np.sqrt(np.mean(error.iloc[500:] ** 2)) < 0.1
     path = write_recording(run.as_recording(), tmp_path)
     for data in (path, str(path), read_recording(path), fs.load_recording(path)):
         pd.testing.assert_frame_equal(fs.estimate(data, "test-joint", "lowpass"), table[["lowpass"]])
