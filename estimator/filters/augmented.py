@@ -237,7 +237,7 @@ def _predict(m, s, found, h, p, c):
         stiff = p.Kw0 * math.exp(min(p.Cw * abs(x[WOUND]), c.stiffest))
         x[WOUND] += d * stiff * (x[ROTOR] - w)
         g = (1.0 + x[FRICTION]) * dynamics.sliding_friction(_state(x, found, s.time, warm), x[SPRING], p)
-        sign = 1.0 if w > 0.0 else -1.0
+        sign = 1.0 if w > 0.0 else (-1.0 if w < 0.0 else 0.0)
         slack = max(1.0 - sign * p.s0 * x[BRISTLE] / g, 0.0)
         decay = math.exp(-min(p.s0 * abs(w) / g * d, 40.0))
         x[BRISTLE] = laws.bristle_step(x[BRISTLE], w, g, d, p)

@@ -102,7 +102,7 @@ def estimated(name: str, signals: Signals, known: KnownJoint):
 
 BY_DIFFERENCES = ("dynamics_ekf", "rts_smoother")
 """Linearised by differences whose widths are fixed; and, with a link encoder that is late, from few samples far ahead."""
-GATED = 0.02
+GATED = 1e-3
 """Share of the largest torque, as RMS, that the augmented filter may be off: its gates decide by differences this way or that."""
 
 
