@@ -183,7 +183,6 @@ def _start(m, reading, link, torque, motor_torque, p, c):
         for j in (LINK_RATE, ROTOR, WAVE_RATE):
             P[i, j] += (1.0 if i == LINK_RATE else p.N) * (1.0 if j == LINK_RATE else p.N) * _START**2
     m.motor_reading, m.torsion_ratio, m.link_ratio = reading, 1.0, 1.0
-    m.held = 0.0
     m.belief, m.evidence = 1.0, _STAMPS
 
 
@@ -237,7 +236,7 @@ def _predict(m, s, found, h, p, c):
         stiff = p.Kw0 * math.exp(min(p.Cw * abs(x[WOUND]), c.stiffest))
         x[WOUND] += d * stiff * (x[ROTOR] - w)
         g = (1.0 + x[FRICTION]) * dynamics.sliding_friction(_state(x, found, s.time, warm), x[SPRING], p)
-        sign = 1.0 if w > 0.0 else (-1.0 if w < 0.0 else 0.0)
+        sign = np.sign(w)
         slack = max(1.0 - sign * p.s0 * x[BRISTLE] / g, 0.0)
         decay = math.exp(-min(p.s0 * abs(w) / g * d, 40.0))
         x[BRISTLE] = laws.bristle_step(x[BRISTLE], w, g, d, p)
