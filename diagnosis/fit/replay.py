@@ -139,7 +139,7 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
             z_middle = laws.bristle_step(z, w, g, 0.5 * h, p)
             middle = State(m, vm, x, w, l, vl, z_middle, middle.dahl, 0.0, time[i], temperature[i])
             force = t.wave_generator_torque - dynamics.mesh_torque(middle, t.load, g, p) - t.flexspline_torque * t.ratio
-            sliding = p.s0 * z_middle / g * (1.0 if w > 0.0 else -1.0)
+            sliding = p.s0 * z_middle / g * np.sign(w)
             sticking = max(1.0 - sliding, 0.0)
             kf = p.K1
             stiffness = laws.wave_generator_stiffness(m - x, p) + kf * t.ratio * t.ratio + p.s0 * sticking
