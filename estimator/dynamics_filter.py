@@ -176,15 +176,20 @@ def _catch_up(m, k, n, c, p, unscented):
         s = m.ring[k % RING]
         dt, command = s.time - time, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p)
         x[EXTERNAL] = line_in_ring(m.times, m.external, int(m.done) - 1, _AHEAD * p.link_delay, time + 0.5 * dt)
-        steps, forget = model.substeps(x, dt, p), math.exp(-dt / c.noise.mesh_time)
-        model.advance(x, current, command, time, dt, steps, temperature(s, p), p, m.work)
-        x[MESH] *= forget
+        _advance(x, current, command, time, dt, model.substeps(x, dt, p), temperature(s, p), noise, p, m.work)
         propagate(m.F, P, m.A, active, active)
         add_noise(m, P, dt, noise)
         P[external, external] = 0.0
         by_motor(m, x, P, s.motor_position, noise, p)
         current, time = model.next_current(current, command, dt, p), s.time
         k += 1
+
+
+@kernel
+def _advance(x, current, command, time, dt, steps, heat, noise, p, work):
+    """`joint_model.advance`, after which d has forgotten what `dt` [s] take."""
+    model.advance(x, current, command, time, dt, steps, heat, p, work)
+    x[MESH] *= math.exp(-dt / noise.mesh_time)
 
 
 @kernel
@@ -215,16 +220,13 @@ def linearise(m, command, dt, heat, noise, p):
     x, F, base, y = m.x, m.F, m.points[0], m.points[1]
     n = int(noise.count)
     steps = model.substeps(x, dt, p)
-    forget = math.exp(-dt / noise.mesh_time)
     base[:] = x
-    model.advance(base, m.current, command, m.time, dt, steps, heat, p, m.work)
-    base[MESH] *= forget
+    _advance(base, m.current, command, m.time, dt, steps, heat, noise, p, m.work)
     for j in range(n):
         a = int(noise.active[j])
         y[:] = x
         y[a] += STEPS[a]
-        model.advance(y, m.current, command, m.time, dt, steps, heat, p, m.work)
-        y[MESH] *= forget
+        _advance(y, m.current, command, m.time, dt, steps, heat, noise, p, m.work)
         for i in range(n):
             b = int(noise.active[i])
             F[i, j] = (y[b] - base[b]) / STEPS[a]
@@ -237,7 +239,6 @@ def predict_unscented(m, command, dt, heat, noise, kappa, p):
     x, P, C, points = m.x, m.P, m.A, m.points
     n = int(noise.count)
     steps = model.substeps(x, dt, p)
-    forget = math.exp(-dt / noise.mesh_time)
     cholesky(P, C, n)
     spread, first, other = math.sqrt(n + kappa), kappa / (n + kappa), 0.5 / (n + kappa)
     for j in range(2 * n + 1):
@@ -246,8 +247,7 @@ def predict_unscented(m, command, dt, heat, noise, kappa, p):
             column, sign = (j - 1, spread) if j <= n else (j - 1 - n, -spread)
             for i in range(column, n):
                 points[j, int(noise.active[i])] += sign * C[i, column]
-        model.advance(points[j], m.current, command, m.time, dt, steps, heat, p, m.work)
-        points[j, MESH] *= forget
+        _advance(points[j], m.current, command, m.time, dt, steps, heat, noise, p, m.work)
     # Means as differences from the first point: the angles are large, their spread is small.
     x[:] = points[0]
     for i in range(n):
