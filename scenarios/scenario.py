@@ -26,6 +26,9 @@ from ..sim.plant import TIMESTEP
 from ..sim.sensors import realistic, stream
 from .filters import PAPER, FilterEntry, paper_entries
 
+LAGGING = Controller().lagging(2e-3)
+"""The drive where `sensors: realistic` and none is stated."""
+
 
 class Waypoint(Strict):
     """A position of the link at a time; between waypoints the command moves with minimum jerk, or linearly."""
@@ -185,10 +188,7 @@ class Scenario(Strict):
         """`sensors: realistic` says what the clock and the drive are, too, where they are not stated."""
         if not isinstance(given, dict) or given.get("sensors") != "realistic":
             return given
-        found = {"current": "sensor", "jitter": 1e-4} | given
-        if "controller" not in given:
-            found["controller"] = Controller().lagging(2e-3)
-        return found
+        return {"current": "sensor", "jitter": 1e-4, "controller": LAGGING} | given
 
     @model_validator(mode="after")
     def _consistent(self) -> Scenario:

@@ -7,7 +7,7 @@ to chance, so that measures of draws are independent and an interval over them m
 * the joint: every number that has a tolerance, drawn within `tolerance` times it (`models.calibration`);
 * the motion: start angle, within one turn of the motor to either side or more, and with it the motor's phase; its duration;
 * pushes: onset, duration, size and sign;
-* the sensors' noise; with `sensors: realistic` also the drive's lag.
+* the sensors' noise; with `sensors: realistic` also the drive's lag, unless a controller is stated.
 
 The estimators are told the nominal numbers, and how well those are known.
 """
@@ -29,7 +29,7 @@ from ...sim.drive import Controller
 from ...sim.loop import Simulation
 from ...sim.sensors import stream
 from ..experiment import Experiment, signals_of
-from ..scenario import Disturbance, Scenario
+from ..scenario import LAGGING, Disturbance, Scenario
 from .intervals import Interval, interval
 
 TURNS = 3.0
@@ -85,7 +85,7 @@ def varied(scenario: Scenario, seed: int) -> Scenario:
     ]
     pushes = [_varied_push(d, rng, scenario.duration) for d in scenario.disturbances]
     found: dict[str, Any] = {"trajectory": waypoints, "disturbances": pushes, "seed": seed}
-    if scenario.sensors == "realistic":
+    if scenario.sensors == "realistic" and scenario.controller == LAGGING:
         found["controller"] = Controller().lagging(rng.uniform(0.0, LAG))
     return scenario.model_copy(update=found)
 

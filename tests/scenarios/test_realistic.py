@@ -81,3 +81,6 @@ def test_a_draw_has_a_lag_of_its_own():
     assert len(set(lags)) == 20 and 0 <= min(lags) < 1e-3 and 3e-3 < max(lags) <= 4e-3
     plain, _ = load_scenario("link_sweep")
     assert varied(plain, 1).controller == plain.controller
+    for stated in ("controller.kp=0.5", "controller.delay=0.001"):
+        own, _ = realistic(stated)
+        assert varied(own, 1).controller == own.controller, "what is stated holds"
