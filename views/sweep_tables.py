@@ -32,7 +32,7 @@ def metric_column(metric: str) -> Column:
 def with_interval(value: Interval, scale: float = 1.0) -> str:
     """`0.1452 ± 0.0003`: two digits of the interval where the first is 1, one else; `–` where there is no mean.
 
-    An interval below the fourth digit of the mean is left out.
+    An interval below the fourth digit of the mean is left out. A mean that would read 0 and is not gets one more.
     """
     if not math.isfinite(value.mean):
         return "–"
@@ -40,7 +40,7 @@ def with_interval(value: Interval, scale: float = 1.0) -> str:
     if not math.isfinite(half) or half <= 5e-4 * abs(mean):
         return f"{mean:.4g}"
     decimals = -math.floor(math.log10(half))
-    if round(half * 10**decimals) == 1:
+    if round(half * 10**decimals) == 1 or (mean != 0.0 and round(mean * 10**decimals) == 0):
         decimals += 1
     if decimals < 0:
         return f"{mean:.0f} ± {half:.0f}"

@@ -119,6 +119,8 @@ def test_numbers_have_the_digits_of_their_intervals():
     assert with_interval(Interval(1234.0, 1111.0, 1357.0, 9)) == "1234 ± 123"
     assert with_interval(Interval(0.05, 0.04, 0.06, 9), 100) == "5.0 ± 1.0"
     assert with_interval(Interval(0.25, 0.25, 0.25, 9)) == "0.25"
+    assert with_interval(Interval(0.48, -1.12, 2.08, 3)) == "0.5 ± 1.6"  # not 0: a mean that is small, not none
+    assert with_interval(Interval(0.0, -1.6, 1.6, 3)) == "0 ± 2"
     assert with_interval(Interval(float("nan"), float("nan"), float("nan"), 0)) == "–"
     assert with_interval(Interval(0.0, 0.0, 0.0, 9)) == "0"
     assert BETTER != WORSE
