@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -22,13 +20,14 @@ def pushed() -> DrawnExperiment:
 
 
 def test_on_a_joint_within_tolerance(pushed):
+    """Seeds 201 to 206 have 0.06 to 0.16 of RAREKF's error and a NEES of 0.3 to 0.7."""
     found = registry.get("augmented").estimate(pushed.signals, pushed.known)
     error = found.mean - pushed.truth
     torsion = registry.get("RAREKF").estimate(pushed.signals, pushed.known).mean - pushed.truth
-    print(f"{rms(error, pushed.kept):.4f} N·m, RAREKF {rms(torsion, pushed.kept):.4f} N·m")
-    assert rms(error, pushed.kept) < 0.5 * rms(torsion, pushed.kept)
     nees = np.mean(error[pushed.kept] ** 2 / found.variance[pushed.kept])
-    assert 0.05 < nees < 4.0
+    print(f"seed 201: {rms(error, pushed.kept):.4f} N·m, RAREKF {rms(torsion, pushed.kept):.4f} N·m, NEES {nees:.2f}")
+    assert rms(error, pushed.kept) < 0.25 * rms(torsion, pushed.kept)
+    assert 0.1 < nees < 1.5
     push = np.abs(pushed.external_torque) > 2.0
     assert np.corrcoef(found.external[push], pushed.external_torque[push])[0, 1] > 0.9
 
@@ -82,7 +81,7 @@ def test_rounding_decides_nothing(pushed):
 def test_an_exact_joint_has_nothing_to_learn(pushed):
     """Without spread every constant stays what the record says; with it, they move, within what is known of them."""
     told = registry.get("augmented").estimate(pushed.signals, pushed.known)
-    exact = registry.get("augmented").estimate(pushed.signals, replace(pushed.known.within(0.0)))
+    exact = registry.get("augmented").estimate(pushed.signals, pushed.known.within(0.0))
     for name in ("stiffness_error", "wave_generator_error", "weight_error", "friction_error", "constant_error"):
         assert not exact.columns[name].any()
         assert told.columns[name].any()
