@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..models.joint import Joint, Uncertainty
-from .data.segments import BALANCES
+from .data.segments import BALANCES, LINK, TORQUE
 from .fit.regions import Region, region_masks, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, covariances
@@ -47,7 +47,10 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
     n = len(names)
     factor = np.zeros((n, n))
     factor[:, : lower.shape[1]] = lower * np.sign(np.where(np.diag(lower) == 0, 1.0, np.diag(lower)))
-    rms = np.sqrt(np.sum(fit.noise.discrepancy**2, axis=1))
+    square = np.sum(fit.noise.discrepancy**2, axis=1)
+    if problem.has_torque:  # a torque reading has it, and nothing of the description
+        square[[TORQUE, LINK]] += problem.crosstalk_at(fit.theta, covariance) ** 2
+    rms = np.sqrt(square)
     formed = np.any([segment.balances for segment in problem.segments], axis=0)
     return Uncertainty(
         names=names,

@@ -1,7 +1,8 @@
 """A measurement, a joint and what may move: residuals and their derivatives at any parameters.
 
-Unknowns are the joint's calibration variables (`models.calibration`, standard normal by construction), the times by
-which the current and torque samples may be off, and the coordinates of the effects under test (`coordinates`).
+Unknowns are the joint's calibration variables (`models.calibration`, standard normal by construction), what sensors do that no
+description states (the times by which the current and torque samples may be off, the torque sensor's crosstalk), and the
+coordinates of the effects under test (`coordinates`).
 """
 
 from __future__ import annotations
@@ -14,12 +15,15 @@ import numpy as np
 from ...models.calibration import WITHIN, Calibration
 from ...models.errors import InputError
 from ...models.joint import Joint, Mounting
-from ..data.segments import BALANCES, CURRENT, TORQUE, Segment
+from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from .coordinates import Hypothesis
 from .replay import residuals
 
 TIMING = np.array([0.5e-3, 0.3e-3])
 """Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
+CROSSTALK = 0.01
+"""Prior standard deviation of the amplitude, over the cosine of the link's angle, of what the link's weight makes a torque sensor
+read across its axis: a share of the gravity moment (data sheets of six-axis sensors: 1 to 2 % of the load)."""
 REACH = 2.6
 """Standard deviations within which every calibration variable stays: joints are drawn within 2.5, and two variables that
 move the same number (its own tolerance and a shared one) reach little further together than the number's own limit
@@ -41,7 +45,8 @@ class Problem:
       joint: its description.
       calibration: the joint's variables.
       mountings: of the link, one a segment.
-      size: number of unknowns that every model has: calibration and two sample times.
+      size: number of unknowns that every model has: calibration, two sample times and the crosstalk.
+      crosstalk: prior standard deviation of its amplitude [N·m].
       linear: of these, the ones whose derivatives do not depend on where they are taken, shape (m,).
       zeros: of these, zeros of link encoder and torque sensor, of which a description says next to nothing.
       held: of these, the ones that stay as described, shape (size,), bool.
@@ -54,7 +59,8 @@ class Problem:
         self.joint = joint
         self.calibration = Calibration(joint)
         self.mountings = [s.mounting for s in self.segments]
-        self.size = self.calibration.size + len(_TIMED)
+        self.size = self.calibration.size + len(_TIMED) + 1
+        self.crosstalk = CROSSTALK * max(m.gravity_moment for m in (joint.mount(), *self.mountings))
         linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
         at = [i for i, name in enumerate(self.calibration.names) if name in linear]
         self.linear = np.array([*at, *range(self.calibration.size, self.size)])
@@ -140,10 +146,19 @@ class Problem:
         """Residuals, shape (k, len(BALANCES)), of segments under records, at the sample times of unknowns; in parallel."""
         found = residuals([(segment, record) for segment, record, _ in tasks])
         for (segment, _, theta), r in zip(tasks, found, strict=True):
-            times = theta[self.calibration.size : self.size] * TIMING
-            for balance, seconds in zip(_TIMED, times, strict=True):
-                r[:, balance] -= segment.measured_rate[:, balance] * seconds
+            for i, x in enumerate(theta[self.calibration.size : self.size]):
+                balances, off = self._read(segment, i)
+                r[:, balances] -= x * off
         return found
+
+    def _read(self, segment: Segment, i: int) -> tuple[list[int], np.ndarray]:
+        """What a standard deviation of the i-th of the sensors' unknowns adds to residuals: balances, and shape (k, 1 or 2)."""
+        if i < len(_TIMED):
+            balance = _TIMED[i]
+            return [balance], TIMING[i] * segment.measured_rate[:, [balance]]
+        size = self.crosstalk if segment.has_torque else 0.0
+        balances = [TORQUE, LINK]  # the link's is told as the sensor reads it
+        return balances, size * np.cos(segment.state[:, [1]]) * segment.balances[balances]
 
     def jacobian(
         self,
@@ -170,11 +185,16 @@ class Problem:
             for i, j in enumerate(columns):
                 if j in done:
                     J[..., i] = (done[j][s] - base[s]) / step[j]
-                elif not still[j]:  # a sample time: the reading's own rate
-                    which = j - self.calibration.size
-                    J[:, _TIMED[which], i] = -segment.measured_rate[:, _TIMED[which]] * TIMING[which]
+                elif not still[j]:
+                    balances, off = self._read(segment, j - self.calibration.size)
+                    J[:, balances, i] = -off
             found.append(J)
         return found
+
+    def crosstalk_at(self, theta: np.ndarray, covariance: np.ndarray) -> float:
+        """Amplitude of the torque sensor's crosstalk at a fit, and what is not known of it [N·m], root of the sum of squares."""
+        j = self.size - 1
+        return float(self.crosstalk * np.sqrt(theta[j] ** 2 + covariance[j, j]))
 
     def is_calibration(self, theta: np.ndarray, model: Model, within: float = WITHIN) -> bool:
         """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause.

@@ -52,6 +52,23 @@ def test_every_cause_is_found_within_tolerance(joint, name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("share", [-0.012, 0.012])
+def test_crosstalk_of_the_torque_sensor_is_not_the_payloads_angle(joint, share):
+    """What the weight makes a torque sensor read across its axis goes with the cosine of the angle, as a payload beside the link
+    would: it is no noise that longer data average out."""
+    measurement, truth = measure(joint, 700, ("payload",))
+    amplitude = share * joint.mount("link").gravity_moment
+    crossed = []
+    for r in measurement.recordings:
+        read = r.columns["joint_torque"] + amplitude * np.cos(r.columns["link_position"])
+        crossed.append(replace(r, columns={**r.columns, "joint_torque": read}))
+    d = diagnose(replace(measurement, recordings=tuple(crossed)), joint)
+    assert [c.name for c in d.causes] == ["payload"]
+    for name, p in d.causes[0].parameters.items():
+        assert abs(p.value - truth["payload"][name]) < 3 * p.std, f"{name}: {p} for {truth['payload'][name]}"
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(600, 606))
 def test_nothing_hidden_is_consistent(joint, seed):
     measurement, _ = measure(joint, seed)

@@ -82,13 +82,19 @@ def test_covariance_of_the_numbers_is_the_fits_by_their_derivatives():
 
 
 def test_what_no_description_holds_adds_up_in_power():
-    """Processes of four correlation times, independent of each other: 3, 4 and 12 are 13 together."""
+    """Processes of four correlation times, independent of each other: 3, 4 and 12 are 13 together; and the torque sensor's
+    crosstalk, what was found of it and what is not known, which no number of a description is."""
     drawn, problem, fit = fitted()
     levels = np.zeros_like(fit.noise.discrepancy)
     levels[0, :2], levels[1, 1:4], levels[2, 3] = (3e-3, 4e-3), (0.3, 0.4, 1.2), 0.05
     other = replace(fit, noise=replace(fit.noise, discrepancy=levels))
     found = stated(problem, other, calibrated(problem, fit, drawn.nominal), ()).discrepancy
-    assert found == {"motor_current": 5e-3, "joint_torque": 1.3, "link_balance": 0.05}
+    at, covariance = problem.size - 1, larger(*covariances(problem, other))
+    weight = 0.01 * drawn.nominal.mount("link").gravity_moment
+    crosstalk = weight * np.hypot(fit.theta[at], np.sqrt(covariance[at, at]))
+    assert 0.1 * weight < crosstalk < 3 * weight
+    expected = {"motor_current": 5e-3, "joint_torque": np.hypot(1.3, crosstalk), "link_balance": np.hypot(0.05, crosstalk)}
+    assert found == pytest.approx(expected, rel=5e-4)  # four digits are written
 
 
 def test_growth_beyond_the_data_is_what_regions_lost_by_depth():
