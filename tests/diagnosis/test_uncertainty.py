@@ -93,7 +93,11 @@ def test_what_no_description_holds_adds_up_in_power():
     weight = 0.01 * drawn.nominal.mount("link").gravity_moment
     crosstalk = weight * np.hypot(fit.theta[at], np.sqrt(covariance[at, at]))
     assert 0.1 * weight < crosstalk < 3 * weight
-    expected = {"motor_current": 5e-3, "joint_torque": np.hypot(1.3, crosstalk), "link_balance": np.hypot(0.05, crosstalk)}
+    expected = {
+        "motor_current": 5e-3,
+        "joint_torque": np.hypot(1.3, crosstalk),
+        "link_balance": np.hypot(0.05, crosstalk),
+    }
     assert found == pytest.approx(expected, rel=5e-4)  # four digits are written
 
 
