@@ -83,7 +83,7 @@ def test_ctrl_c_says_that_the_same_command_goes_on(tmp_path):
 @pytest.mark.slow
 def test_ctrl_c_leaves_a_dataset_that_goes_on(tmp_path):
     """SIGINT to the running command: exit code 130, one line, no traceback; the same command does the rest."""
-    command = [sys.executable, "-c", "from flexspline import commands; commands.main()", "sweep"]
+    command = [sys.executable, "-X", "faulthandler", "-c", "from flexspline import commands; commands.main()", "sweep"]
     command += [
         str(write(tmp_path, 60)),
         "--out",
@@ -101,7 +101,7 @@ def test_ctrl_c_leaves_a_dataset_that_goes_on(tmp_path):
         time.sleep(0.02)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)
-    assert process.returncode == 130
+    assert process.returncode == 130, err
     assert "goes on" in err and "Traceback" not in err
     parts = {path: path.stat().st_mtime_ns for path in tmp_path.glob("out/rows/*/*/runs-*.parquet")}
     assert 3 <= len(parts) < 90
