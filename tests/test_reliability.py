@@ -76,6 +76,7 @@ def test_a_programs_memory_is_its_own():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_hour_at_1_khz_fits_into_a_gigabyte():
     """`check` and `estimate` with three filters (`python -m benchmarks.reliability memory`)."""
     for name, megabytes, _ in memory(1.0, ("check", "estimate")):
