@@ -58,7 +58,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         f"{len(found[0].quiet)} runs of {scenario.duration:g} s without contact in each case, half of them for the thresholds "
         f"({RATE:g} false alarms an hour), half ({found[0].hours:.2g} h) for the false alarms that are counted; as many with "
         f"{found[0].size.shape[1]} pushes each of {contact.SIZES[0]:g} to {contact.SIZES[1]:g} N·m. Brackets are 95 % intervals, "
-        "bootstrapped over runs. All curves: [contact.csv](contact.csv), "
+        "bootstrapped over runs. All curves: [contact.csv](contact.csv); with sensors as described: "
         "[figure](figures/contact.png)."
     )
     fill(asked.page, {"contact about": about, "contact": "\n\n".join(parts)})
