@@ -73,7 +73,7 @@ class AnswerSettings:
     plain_share: float = 0.95
     nearly_all: float = 2 / 3
     minor: float = 0.12
-    quiet: float = 1.6
+    quiet: float = 1.25
     little: float = 0.015
     inflation: float = 5.0
     lookalike: float = 0.05

@@ -59,7 +59,7 @@ class AcceptSettings:
     alike: float = 0.3
     slight: float = 0.25
     little: float = 0.1
-    plain: float = 1.6
+    plain: float = 1.25
     held_out_share: float = 0.2
     race: float = 0.6
     finalists: int = 3
