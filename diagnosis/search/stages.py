@@ -23,7 +23,7 @@ from ..fit.coordinates import Hypothesis
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
-from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, hand_over
+from .calibrate import CalibrateSettings, afresh, better_of_both, calibrate, doubtful, hand_over
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
 from .rivals import against_rivals
 from .screen import Library, ScreenSettings, screen
@@ -212,12 +212,16 @@ def _one_by_one(
         slight = explains_little(problem, at, chosen, accept)
         alike = [f for f in fitted if f.removed > accept.alike * chosen.removed]
         last = (chosen, {f.name: f.gain for f in reversed(alike)})
-        at = _settled(problem, fitter, chosen, settings.calibrate)
+        at = _settled(problem, fitter, chosen, settings)
 
 
-def _settled(problem: Problem, fitter: Fitter, chosen: Finalist, settings: CalibrateSettings) -> Fit:
+def _settled(problem: Problem, fitter: Fitter, chosen: Finalist, settings: SearchSettings) -> Fit:
     """A finalist fitted to its end with derivatives of its own."""
     at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
-    if doubtful(problem, at, quiet_rms(problem, at), settings):
-        at = max((at, afresh(problem, fitter, at, settings)), key=lambda f: f.log_evidence)
+    if doubtful(problem, at, quiet_rms(problem, at), settings.calibrate):
+        at = max((at, afresh(problem, fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
+    if quiet_rms(problem, at) > settings.accept.far:
+        # Discrepancy holds nearly all that is left, and the fit creeps: further on from least squares.
+        other = better_of_both(fitter, at.model, at.theta, settings.calibrate)
+        at = max((at, other), key=lambda f: f.log_evidence)
     return at
