@@ -21,7 +21,7 @@ from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
 from .search import discrepancy
-from .search.acceptance import AcceptSettings, Decision, quiet_rms, significance, size_of, worth_of
+from .search.acceptance import MORE_THAN_NOISE, AcceptSettings, Decision, quiet_rms, significance, size_of, worth_of
 from .search.described import as_described
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
@@ -73,7 +73,7 @@ class AnswerSettings:
     plain_share: float = 0.95
     nearly_all: float = 2 / 3
     minor: float = 0.12
-    quiet: float = 1.25
+    quiet: float = MORE_THAN_NOISE
     little: float = 0.015
     inflation: float = 5.0
     lookalike: float = 0.05

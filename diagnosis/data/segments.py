@@ -130,6 +130,11 @@ class Segment:
         }
         return replace(self, **every, step=2 * self.step)
 
+    @cached_property
+    def link_cosine(self) -> np.ndarray:
+        """Cosine of the link's angle at the residuals, shape (k,)."""
+        return np.cos(self.state[:, 1])
+
     @property
     def motor_position(self) -> np.ndarray:
         """θm at the residuals [rad], shape (k,)."""

@@ -143,7 +143,7 @@ class Problem:
         return [[next(done) for _ in chosen] for _ in thetas]
 
     def replayed(self, tasks: Sequence[tuple[Segment, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
-        """Residuals, shape (k, len(BALANCES)), of segments under records, at the sample times of unknowns; in parallel."""
+        """Residuals, shape (k, len(BALANCES)), of segments under records, with the sensors' unknowns; in parallel."""
         found = residuals([(segment, record) for segment, record, _ in tasks])
         for (segment, _, theta), r in zip(tasks, found, strict=True):
             for i, x in enumerate(theta[self.calibration.size : self.size]):
@@ -158,7 +158,7 @@ class Problem:
             return [balance], TIMING[i] * segment.measured_rate[:, [balance]]
         size = self.crosstalk if segment.has_torque else 0.0
         balances = [TORQUE, LINK]  # the link's is told as the sensor reads it
-        return balances, size * np.cos(segment.state[:, [1]]) * segment.balances[balances]
+        return balances, size * segment.link_cosine[:, None] * segment.balances[balances]
 
     def jacobian(
         self,

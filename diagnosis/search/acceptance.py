@@ -11,6 +11,9 @@ from ..fit.residual import Problem
 from ..fit.solver import Fit, huber_loss
 from .worth import Worth, worth
 
+MORE_THAN_NOISE = 1.25
+"""Residual over the sensors' noise (RMS) from which on more than noise is left: sound joints have 1.00, real ones 1.5 or more."""
+
 
 @dataclass(frozen=True)
 class AcceptSettings:
@@ -59,7 +62,7 @@ class AcceptSettings:
     alike: float = 0.3
     slight: float = 0.25
     little: float = 0.1
-    plain: float = 1.25
+    plain: float = MORE_THAN_NOISE
     held_out_share: float = 0.2
     race: float = 0.6
     finalists: int = 3

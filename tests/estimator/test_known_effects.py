@@ -143,16 +143,16 @@ READ = ("current_offset", "torque_constant", "cogging", "discrepancy_motor_curre
 
 
 @cache
-def without(name: str, push: bool, command: bool = True) -> tuple[float, float]:
+def without(name: str, push: bool, command: bool = True, draws: tuple[int, ...] = DRAWS) -> tuple[float, float]:
     """RMS errors [N·m] on the joint without effects."""
-    return errors(registry.get(name), NONE, push, DRAWS, command=command)
+    return errors(registry.get(name), NONE, push, draws, command=command)
 
 
 def ratio_over_more(case: Case, push: bool, command: bool) -> float:
     """Geometric mean over `MORE` of the RMS error's ratio to that without the effect."""
     found = registry.get(DOUBTFUL)
     ratios = [
-        errors(found, case, push, (seed,), command=command)[0] / errors(found, NONE, push, (seed,), command=command)[0]
+        errors(found, case, push, (seed,), command=command)[0] / without(DOUBTFUL, push, command, (seed,))[0]
         for seed in MORE
     ]
     return float(np.exp(np.mean(np.log(ratios))))
