@@ -17,6 +17,8 @@ from .data.mistakes import Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
+from .fit.instruments import instrumented
+from .fit.noise_bias import without_noise_bias
 from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
@@ -40,7 +42,8 @@ class AnswerSettings:
       temper: by how much log evidence is divided before it becomes a probability: the laws are not exact and neither is the noise
         model; `inexact` of what other hypotheses still gain is added.
       significant: standard deviations that an effect must be away from absent where the fit ends; by those that are inflated, it
-        is no surer than `beside` below, and minor below `barely`; plainly: but for one worth so many times what nothing explains.
+        is no surer than `beside` below, and minor below `barely`; plainly: one worth so many times what nothing explains is never
+        minor for it, and may be sure from `barely` on.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
       plain_share: share of the explanations from which on a cause and its special cases are told apart.
@@ -51,7 +54,8 @@ class AnswerSettings:
       little: part of the rated torque that an unknown effect must be worth there, not to be a minor one.
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it; inexact_size: where only noise is left, part that may be the
-        reconstruction of the motion from counts.
+        reconstruction of the motion from counts; inexact_bias: part that is not known of what the motion's noise adds to a number
+        in the mean: it is one draw, and to second order.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
       diluted: part of the information about an inertia that may be the encoders' noise, for it to be sure.
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
@@ -78,6 +82,7 @@ class AnswerSettings:
     inflation: float = 5.0
     lookalike: float = 0.05
     inexact_size: float = 0.01
+    inexact_bias: float = 0.35
     slight: float = 0.25
     end: float = 2.9
     far: float = 5.0
@@ -133,6 +138,7 @@ def diagnose(
         if unknown is None
         else (with_dispersion(problem, unknown.fit), found)
     )
+    problem, final = _corrected(problem, final)
     final = _inflated(problem, final)
     progress("regions that a fit has not seen", 0.97)
     share, drawn, regions = drawn_back(problem, final)
@@ -323,6 +329,17 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
         final = with_dispersion(problem, fitter.polish(other))
 
 
+def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
+    """The fit without what the noise of the measured motion makes of it, and the problem less what it makes of the residuals."""
+    less, unbiased = without_noise_bias(problem, f)
+    found = instrumented(less, unbiased)
+    if found is f:
+        return problem, f
+    unknown = ANSWER.inexact_bias * (unbiased.theta - f.theta)
+    covariance = found.covariance + np.outer(unknown, unknown)
+    return less, replace(found, covariance=covariance, least=covariance)
+
+
 def _meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
     """The answer while mistakes in the data make physics meaningless."""
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
@@ -377,7 +394,8 @@ def _findings(
     total = max(sum(w.rms**2 for w in worths), 1e-30)
     named = len(final.model) - (unknown is not None)
     plain = [w.rms >= ANSWER.plainly * left for w in worths]
-    away = [np.inf if plain[i] else significance(problem, final, i) for i in range(named)]
+    away = [significance(problem, final, i) for i in range(named)]
+    away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
     confidences = _confidences(problem, found, final, unknown, away)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
@@ -399,7 +417,7 @@ def _findings(
             q.name: ParameterEstimate(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
             for q in h.cause.parameters
         }
-        small = real and (size_of(problem, final, i) < ANSWER.minor or away[i] < ANSWER.barely)
+        small = real and (size_of(problem, final, i) < ANSWER.minor or (away[i] < ANSWER.barely and not plain[i]))
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
         (minor if small else findings).append(

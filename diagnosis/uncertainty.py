@@ -34,6 +34,8 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
       regions: of the measurement, each kept from a fit of its own.
     """
     covariance = larger(*covariances(problem, fit))
+    if fit.least is not None:
+        covariance = larger(covariance, fit.least)
     names, period, values = _quantities(problem, fit, joint)
     base = values(fit.theta)
     changes = np.stack([values(fit.theta + _STEP * e) - base for e in np.eye(len(fit.theta))], axis=1)

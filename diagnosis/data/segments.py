@@ -191,6 +191,12 @@ def segments(
     return found, replicates
 
 
+def mirrored(segment: Segment, replicate: Segment) -> Segment:
+    """A segment's other noise replicate: what the first adds to motion and readings taken away from them."""
+    drawn = ("rotor", "link", "torque", "measured", "measured_rate")
+    return replace(segment, **{name: 2 * getattr(segment, name) - getattr(replicate, name) for name in drawn})
+
+
 def _segment(
     recording, index: int, part: slice, joint: Joint, rng, settings: SegmentSettings
 ) -> tuple[Segment, Segment]:

@@ -15,12 +15,14 @@ import numpy as np
 from ...models.calibration import WITHIN, Calibration
 from ...models.errors import InputError
 from ...models.joint import Joint, Mounting
-from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
+from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment, mirrored
 from .coordinates import Hypothesis
 from .replay import residuals
 
 TIMING = np.array([0.5e-3, 0.3e-3])
 """Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
+LATEST = 8.0
+"""Standard deviations within which these times stay: a torque sensor with a filter of its own is up to 2 ms late."""
 CROSSTALK = 0.01
 """Prior standard deviation of the amplitude, over the cosine of the link's angle, of what the link's weight makes a torque sensor
 read across its axis: a share of the gravity moment (data sheets of six-axis sensors: 1 to 2 % of the load)."""
@@ -48,6 +50,7 @@ class Problem:
       size: number of unknowns that every model has: calibration, two sample times and the crosstalk.
       crosstalk: prior standard deviation of its amplitude [N·m].
       linear: of these, the ones whose derivatives do not depend on where they are taken, shape (m,).
+      bias: of the residuals, taken from them: shape (k, len(BALANCES)) a segment; None for none (`noise_bias`).
       zeros: of these, zeros of link encoder and torque sensor, of which a description says next to nothing.
       held: of these, the ones that stay as described, shape (size,), bool.
       output_scale: newton metres at the output per unit of each balance, shape (len(BALANCES),): of a current N Kt, of a
@@ -57,6 +60,7 @@ class Problem:
     def __init__(self, segments: Sequence[Segment], replicates: Sequence[Segment], joint: Joint):
         self.segments, self.replicates = list(segments), list(replicates)
         self.joint = joint
+        self.bias: list[np.ndarray] | None = None
         self.calibration = Calibration(joint)
         self.mountings = [s.mounting for s in self.segments]
         self.size = self.calibration.size + len(_TIMED) + 1
@@ -75,6 +79,18 @@ class Problem:
         other.held = np.zeros(self.size, bool)
         other.held[: self.calibration.size] = True
         other.held[self.zeros] = False
+        return other
+
+    def mirrored(self) -> Problem:
+        """The same problem with the noise replicates' mirror images."""
+        other = copy(self)
+        other.replicates = [mirrored(a, b) for a, b in zip(self.segments, self.replicates, strict=True)]
+        return other
+
+    def less(self, bias: Sequence[np.ndarray]) -> Problem:
+        """The same problem with a bias taken from its residuals, shape (k, len(BALANCES)) a segment."""
+        other = copy(self)
+        other.bias = list(bias)
         return other
 
     @property
@@ -140,7 +156,8 @@ class Problem:
             for segment, record in zip(chosen, self.records(theta, model), strict=True)
         ]
         done = iter(self.replayed(tasks))
-        return [[next(done) for _ in chosen] for _ in thetas]
+        found = [[next(done) for _ in chosen] for _ in thetas]
+        return found if self.bias is None else [[r - b for r, b in zip(rs, self.bias, strict=True)] for rs in found]
 
     def replayed(self, tasks: Sequence[tuple[Segment, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
         """Residuals, shape (k, len(BALANCES)), of segments under records, with the sensors' unknowns; in parallel."""
@@ -219,6 +236,7 @@ class Problem:
     def bounds(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest value of every unknown."""
         common = np.where(self.held, 0.0, REACH)
+        common[self.calibration.size : self.calibration.size + len(_TIMED)] = LATEST
         limits = [h.limits for h in model]
         low = np.concatenate([-common, *(l for l, _ in limits)])
         return low, np.concatenate([common, *(u for _, u in limits)])

@@ -85,6 +85,7 @@ class Fit:
       log_evidence: Laplace approximation of the log of the marginal likelihood, up to a constant of the measurement.
       loss: robust sum of squares of the whitened residual, less the noise's share.
       history: objective after every iteration.
+      least: covariance of the unknowns that is the least there is, where not only noise is unknown; None for none.
     """
 
     model: Model
@@ -97,6 +98,7 @@ class Fit:
     log_evidence: float
     loss: float
     history: tuple[float, ...]
+    least: np.ndarray | None = field(default=None, repr=False)
 
 
 def evaluate_point(problem: Problem, theta: np.ndarray, model: Model) -> Point:
@@ -450,7 +452,7 @@ class Fitter:
         if noise_share(problem, f.noise, point) > settings.noisy:
             again = problem.jacobian(theta, f.model, replicate=True)
             extra = [b - a for a, b in zip(jacobian, again, strict=True)]
-        noise = self._learn(point, jacobian, f.covariance)
+        noise = self.learnt(point, jacobian, f.covariance)
         history = list(f.history)
         refused = np.zeros(len(theta))
         for _ in range(iterations):
@@ -492,7 +494,7 @@ class Fitter:
         total = loss + prior_cost(self.problem, theta, model)
         return total if np.isfinite(total) else np.inf
 
-    def _learn(self, point: Point, jacobian: Columns, covariance: np.ndarray) -> Noise:
+    def learnt(self, point: Point, jacobian: Columns, covariance: np.ndarray) -> Noise:
         """Noise at a point, with what the residual may still be off as the parameters are uncertain."""
         root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
         spread = [j @ root for j in jacobian]
@@ -515,7 +517,7 @@ class Fitter:
         prior = np.diag(1 / spread**2)
         S = normal.hessian - prior
         V = S + 2 * _positive(normal.share, spread)
-        covariance = _as_described(problem, _inverse(_godambe(S, V, prior, 1e-12) + prior))
+        covariance = as_described(problem, inverse(_godambe(S, V, prior, 1e-12) + prior))
         return Fit(
             model, theta, point, jacobian, extra, noise, covariance, float(evidence), normal.loss, tuple(history)
         )
@@ -531,7 +533,7 @@ def _put(before: Columns | None, part: Columns, columns: np.ndarray, size: int) 
     return found
 
 
-def _as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
+def as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
     """A covariance in which what is held is known as well as it was described, and no better."""
     held = np.flatnonzero(problem.held)
     found = covariance.copy()
@@ -540,7 +542,7 @@ def _as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
     return found
 
 
-def _inverse(A: np.ndarray) -> np.ndarray:
+def inverse(A: np.ndarray) -> np.ndarray:
     """Inverse of a positive matrix, scaled to unit diagonal first."""
     d = 1 / np.sqrt(np.diag(A))
     return d[:, None] * np.linalg.inv(A * d[:, None] * d) * d
@@ -567,24 +569,39 @@ def covariances(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -
     sandwich of Huber and White, clustered): what the laws leave over, in time together, then counts as what it is.
     """
     normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, settings)
-    rows = whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows
+    scattered = scatter(piece_scores(problem, f, f.noise, normal, settings))
+    prior = np.diag(1 / problem.spread(f.model) ** 2)
+    found = inverse(_godambe(normal.hessian - prior, scattered, prior, 1e-9) + prior)
+    return as_described(problem, inverse(normal.hessian)), as_described(problem, found)
+
+
+def piece_scores(
+    problem: Problem, f: Fit, noise: Noise, normal: Normal, settings: SolverSettings = SETTINGS
+) -> np.ndarray:
+    """Gradient of half the objective without the prior, piece by piece of `cluster` seconds and less, shape (pieces, n).
+
+    There must be more pieces than unknowns for their scatter to say something.
+    """
+    rows = whiten(problem.segments, noise, stacked(f.point.residual, f.jacobian)).rows
     score = _scores(rows, settings.huber, normal.weight)
     if f.noise_jacobian is not None:
-        rows = whiten(problem.segments, f.noise, stacked(f.point.noise, f.noise_jacobian)).rows
+        rows = whiten(problem.segments, noise, stacked(f.point.noise, f.noise_jacobian)).rows
         score -= _scores(rows, settings.huber, normal.weight)
     segment, _, at = rows_of(problem.segments)
-    # There must be more pieces than unknowns for their scatter to say something.
     seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)
     piece = min(settings.cluster, seconds / (4 * score.shape[1]))
-    _, cluster = np.unique(np.stack([segment, np.floor(at / piece)]), axis=1, return_inverse=True)
-    total = np.zeros((int(cluster.max()) + 1, score.shape[1]))
-    np.add.at(total, cluster.reshape(-1), score)
-    total = total[np.any(total, axis=1)]
-    prior = np.diag(1 / problem.spread(f.model) ** 2)
-    S, V = normal.hessian - prior, total.T @ total
-    unbiased = max(len(total) - len(V) - 1, 0.25 * len(total)) / len(total)  # of an inverse Wishart matrix
-    scattered = _inverse(unbiased * _godambe(S, V, prior, 1e-9) + prior)
-    return _as_described(problem, _inverse(normal.hessian)), _as_described(problem, scattered)
+    pieces = [int(s.at[-1] / piece) + 1 for s in problem.segments]
+    first = np.concatenate([[0], np.cumsum(pieces)])
+    total = np.zeros((first[-1], score.shape[1]))
+    np.add.at(total, first[segment] + (at / piece).astype(int), score)
+    return total
+
+
+def scatter(pieces: np.ndarray) -> np.ndarray:
+    """Variance of a score by the scatter of its pieces, shape (n, n), its inverse without bias (an inverse Wishart matrix's)."""
+    counted = pieces[np.any(pieces, axis=1)]
+    unbiased = max(len(counted) - counted.shape[1] - 1, 0.25 * len(counted)) / len(counted)
+    return counted.T @ counted / unbiased
 
 
 def _scores(rows: np.ndarray, limit: float, weight: np.ndarray) -> np.ndarray:
