@@ -204,12 +204,10 @@ def bristle_rate(z, w, g, p):
 def bristle_step(z, w, g, h, p):
     """Bristle deflection after a time `h` [s] at constant velocity: exact, as the rate is stiff at speed."""
     rate = p.s0 * abs(w) / g
-    x = rate * h
-    if x > _FORGOTTEN:
+    if rate * h > _FORGOTTEN:
         return w / rate
-    # Where nothing cancels the plain exponential is as exact, and this is what a replay spends much of its time on.
-    decay = 1.0 - math.exp(-x) if x > 0.5 else -math.expm1(-x)
-    return z + (w / rate - z) * decay if x > 1e-12 else z + w * h
+    decay = -math.expm1(-rate * h)
+    return z + (w / rate - z) * decay if rate * h > 1e-12 else z + w * h
 
 
 @kernel

@@ -63,8 +63,8 @@ def averaged(problem: Problem, period: float) -> Problem:
 
 def instrumented(problem: Problem, fit: Fit, settings: InstrumentSettings = SETTINGS) -> Fit:
     """A fit by equations that the noise of the motion does not lean on; as it is where that noise does not matter."""
-    if fit.noise_jacobian is None:
-        return fit
+    if fit.noise_jacobian is None or not problem.link_measured:
+        return fit  # with one encoder a ripple of the gear is faster than any motion, and averages have nothing of it
     slow = averaged(problem, settings.period)
     noise = Fitter(slow).learnt(fit.point, fit.jacobian, fit.covariance)
     low, high = problem.bounds(fit.model)
