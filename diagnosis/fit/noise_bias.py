@@ -16,7 +16,7 @@ import numpy as np
 
 from .noise import whiten
 from .residual import Model, Problem
-from .solver import Columns, Fit, Fitter, Point, bounded_step, evaluate_point, normal_equations, stacked
+from .solver import Columns, Fit, Fitter, Point, bounded_step, normal_equations, stacked, with_dispersion
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,8 @@ def without_noise_bias(problem: Problem, fit: Fit, settings: BiasSettings = SETT
     if np.all(np.abs(shift) < settings.matters * np.sqrt(np.diag(fit.covariance))):
         return problem, fit
     less = problem.less(bias)
-    theta = fit.theta + shift
-    point = evaluate_point(less, theta, fit.model)
-    found = Fitter(less).finish(fit.model, theta, point, fit.jacobian, fit.noise_jacobian, fit.noise, fit.history)
-    return less, replace(found, covariance=fit.covariance)
+    point = Point([r - x for r, x in zip(fit.point.residual, bias, strict=True)], fit.point.noise)
+    return less, with_dispersion(less, Fitter(less).settle(replace(fit, point=point)))
 
 
 def bias_of(problem: Problem, theta: np.ndarray, model: Model, point: Point) -> Columns:

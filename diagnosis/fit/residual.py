@@ -21,8 +21,6 @@ from .replay import residuals
 
 TIMING = np.array([0.5e-3, 0.3e-3])
 """Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
-LATEST = 8.0
-"""Standard deviations within which the joint torque's stays: a sensor with a filter of its own is up to 2 ms late."""
 CROSSTALK = 0.01
 """Prior standard deviation of the amplitude, over the cosine of the link's angle, of what the link's weight makes a torque sensor
 read across its axis: a share of the gravity moment (data sheets of six-axis sensors: 1 to 2 % of the load)."""
@@ -236,7 +234,6 @@ class Problem:
     def bounds(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
         """Smallest and largest value of every unknown."""
         common = np.where(self.held, 0.0, REACH)
-        common[self.calibration.size + _TIMED.index(TORQUE)] = LATEST
         limits = [h.limits for h in model]
         low = np.concatenate([-common, *(l for l, _ in limits)])
         return low, np.concatenate([common, *(u for _, u in limits)])

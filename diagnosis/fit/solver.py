@@ -475,6 +475,44 @@ class Fitter:
         # Where the corrected equations and the corrected objective disagree, neither is right to better than that.
         return replace(found, covariance=found.covariance + np.outer(refused, refused))
 
+    def settle(self, f: Fit, iterations: int = 4, held: np.ndarray | None = None) -> Fit:
+        """Where this problem's normal equations are solved, from the fit of a problem that is nearly the same, with its
+        derivatives and noise. A step that changes the residual by more beside what derivatives say than they say is damped.
+
+        Args:
+          f: its residuals are those of this problem.
+          held: unknowns that stay where they are, shape (n,).
+        """
+        problem, settings = self.problem, self.settings
+        low, high = problem.bounds(f.model)
+        if held is not None:
+            low, high = np.where(held, f.theta, low), np.where(held, f.theta, high)
+        theta, point = f.theta, f.point
+        refused = np.zeros(len(theta))
+        for _ in range(iterations):
+            normal = normal_equations(problem, f.noise, f.model, theta, point, f.jacobian, f.noise_jacobian, settings)
+            whole = bounded_step(normal.hessian, normal.gradient, low - theta, high - theta)
+            if whole @ normal.hessian @ whole < settings.tolerance:
+                break
+            refused = whole
+            for damping in (0.0, 0.1, 1.0, 10.0):
+                A = normal.hessian + damping * np.diag(np.diag(normal.hessian))
+                step = bounded_step(A, normal.gradient, low - theta, high - theta)
+                trial = evaluate_point(problem, theta + step, f.model)
+                change = [j @ step for j in f.jacobian]
+                beyond = [t - r - c for t, r, c in zip(trial.residual, point.residual, change, strict=True)]
+                rows = whiten(
+                    problem.segments, f.noise, [np.stack(p, -1) for p in zip(beyond, change, strict=True)]
+                ).rows
+                left, moved = normal.weight @ rows**2
+                if left <= moved:
+                    theta, point, refused = theta + step, trial, whole - step
+                    break
+            if left > moved or moved < settings.tolerance:
+                break
+        found = self.finish(f.model, theta, point, f.jacobian, f.noise_jacobian, f.noise, f.history)
+        return replace(found, covariance=found.covariance + np.outer(refused, refused))
+
     def _cost(
         self,
         noise: Noise,
