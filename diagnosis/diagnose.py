@@ -265,7 +265,8 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     values, vectors = np.linalg.eigh(0.5 * (known + known.T))
     inflation = min(ratio, ANSWER.inflation) ** 2
     scaled = (vectors / (1.0 + np.maximum(values, 0.0) / inflation)) @ vectors.T
-    return replace(f, covariance=scaled * spread[:, None] * spread + np.diag(inexact**2))
+    covariance = scaled * spread[:, None] * spread + np.diag(inexact**2)
+    return replace(f, covariance=covariance)
 
 
 def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
@@ -330,14 +331,23 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
 
 
 def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
-    """The fit without what the noise of the measured motion makes of it, and the problem less what it makes of the residuals."""
-    less, unbiased = without_noise_bias(problem, f)
+    """The fit without what the noise of the measured motion makes of it, and the problem less what it makes of the residuals.
+
+    Where more than noise is left the data count for less by how much more (Birge's ratio): numbers of which they say little stay
+    near the description.
+    """
+    ratio = quiet_rms(problem, f)
+    told = f
+    if ratio > ANSWER.quiet:
+        louder = f.noise.louder(min(ratio, ANSWER.inflation))
+        told = with_dispersion(problem, Fitter(problem).settle(replace(f, noise=louder)))
+    less, unbiased = without_noise_bias(problem, told)
     found = instrumented(less, unbiased)
     if found is f:
         return problem, f
-    unknown = ANSWER.inexact_bias * (unbiased.theta - f.theta)
+    unknown = ANSWER.inexact_bias * (unbiased.theta - told.theta)
     covariance = found.covariance + np.outer(unknown, unknown)
-    return less, replace(found, covariance=covariance, least=covariance)
+    return less, replace(found, noise=f.noise, covariance=covariance, least=covariance)
 
 
 def _meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:

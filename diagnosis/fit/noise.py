@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -85,6 +85,11 @@ class Noise:
     discrepancy: np.ndarray
     rest: np.ndarray
     settings: NoiseSettings = field(default=SETTINGS, repr=False)
+
+    def louder(self, factor: float) -> Noise:
+        """All of it so many times as large."""
+        sensors = tuple(tuple(replace(one, white=factor * one.white) for one in balances) for balances in self.sensors)
+        return replace(self, sensors=sensors, discrepancy=factor * self.discrepancy, rest=factor * self.rest)
 
 
 @kernel
