@@ -44,6 +44,8 @@ class AnswerSettings:
       significant: standard deviations that an effect must be away from absent where the fit ends; by those that are inflated, it
         is no surer than `beside` below, and minor below `barely`; plainly: one worth so many times what nothing explains is never
         minor for it, and may be sure from `barely` on.
+      slim: share of what all effects are worth together (mean square) below which one is sure only from `clearly` standard
+        deviations on: what a law of another leaves, in the hundredths, may look like it.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
       plain_share: share of the explanations from which on a cause and its special cases are told apart.
@@ -71,6 +73,8 @@ class AnswerSettings:
     significant: float = 3.0
     barely: float = 2.0
     plainly: float = 2.0
+    slim: float = 0.01
+    clearly: float = 5.0
     surest: float = 0.99
     unsure: float = 0.5
     beside: float = 0.7
@@ -405,8 +409,10 @@ def _findings(
     named = len(final.model) - (unknown is not None)
     plain = [w.rms >= ANSWER.plainly * left for w in worths]
     away = [significance(problem, final, i) for i in range(named)]
+    slim = [w.rms**2 < ANSWER.slim * total and x < ANSWER.clearly for w, x in zip(worths, away, strict=False)]
     away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
-    confidences = _confidences(problem, found, final, unknown, away)
+    doubtful = [x < ANSWER.significant or slim[i] for i, x in enumerate(away)]
+    confidences = _confidences(problem, found, final, unknown, doubtful)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
         share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
@@ -479,14 +485,14 @@ def _held_out_squares(problem: Problem, f: Fit) -> float:
 
 
 def _confidences(
-    problem: Problem, found: Search, final: Fit, unknown: Unknown | None, away: list[float]
+    problem: Problem, found: Search, final: Fit, unknown: Unknown | None, doubtful: list[bool]
 ) -> list[float]:
     """Probability of each of the final model's causes: among its rivals, and as far as those on which it rests are there.
 
     Where the sizes of two causes are correlated by ρ, the part ρ² of the one is what it is because the other is there too.
 
     Args:
-      away: of each its standard deviations from absent; infinite where it is plainly there.
+      doubtful: of each, whether it is too few standard deviations from absent to be sure.
     """
     model = final.model if unknown is None else final.model[:-1]
     alone, sizes = [], []
@@ -496,7 +502,7 @@ def _confidences(
             confidence = min(confidence, ANSWER.beside)
         if _at_bound(h, u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
             confidence = min(confidence, ANSWER.unsure)
-        if away[i] < ANSWER.significant:
+        if doubtful[i]:
             confidence = min(confidence, ANSWER.beside)
         alone.append(confidence)
         sizes.append(problem.place(final.model, i).start + np.asarray(h.magnitudes))
