@@ -227,6 +227,14 @@ class Problem:
         """Prior standard deviation of every unknown; of those that are held next to nothing."""
         return np.concatenate([np.where(self.held, _HELD, 1.0), *(h.spread for h in model)])
 
+    def replaced(self, model: Sequence[Hypothesis]) -> np.ndarray:
+        """Indices of the common unknowns whose numbers effects set to a value of their own: beside these they do nothing."""
+        fields = {field for h in model for field in h.cause.sets.values()}
+        names = {
+            name for s in self.calibration.slots if s.field in fields for name in (s.name, f"shared {s.number.shared}")
+        }
+        return np.array([i for i, name in enumerate(self.calibration.names) if name in names], int)
+
     def start(self, x: np.ndarray | None, model: Model) -> np.ndarray:
         """A vector of unknowns: the common ones at x, the effects absent."""
         return np.concatenate([np.zeros(self.size) if x is None else x, np.zeros(sum(h.size for h in model))])

@@ -386,7 +386,7 @@ class Fitter:
             other = problem.residuals([theta], [model], replicate=True)[0]
             replicates = [b - a for a, b in zip(residual, other, strict=True)]
         history: list[float] = []
-        common = None if near is None else [j[..., : problem.size] for j in near.jacobian]
+        common = None if near is None else self._taken_over(near, theta, model)
         sensed = sensor_noise(problem.segments, replicates, self.noise)
         fresh, damping = near is None, 0.0
         anew = near is None if anew is None else anew
@@ -441,6 +441,17 @@ class Fitter:
             sensors, sensed = own, sensor_noise(problem.segments, own, self.noise)
         noise = learn(problem.segments, residual, sensors, problem.quantum(), None, self.noise, sensed)
         return self.finish(model, theta, Point(residual, own), jacobian, None, noise, tuple(history))
+
+    def _taken_over(self, near: Fit, theta: np.ndarray, model: Model) -> Columns:
+        """Derivatives in the common unknowns as they are near by; those anew of numbers that an effect replaces in but one of the
+        two models."""
+        common = [j[..., : self.problem.size] for j in near.jacobian]
+        apart = [h for h in model if all(h is not g for g in near.model)]
+        apart += [g for g in near.model if all(g is not h for h in model)]
+        columns = self.problem.replaced(apart)
+        if not len(columns):
+            return common
+        return _put(common, self.problem.jacobian(theta, model, columns), columns, self.problem.size)
 
     def polish(self, f: Fit, iterations: int = 4) -> Fit:
         """The same model fitted to its end, the noise's share taken out (errors in variables), under noise that stays."""

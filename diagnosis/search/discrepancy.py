@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -131,6 +132,7 @@ class Spline:
 
     adds = True
     scales = ()
+    sets: ClassVar[dict[str, str]] = {}
 
     @property
     def size(self) -> int:
