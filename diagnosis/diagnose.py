@@ -56,8 +56,8 @@ class AnswerSettings:
       little: part of the rated torque that an unknown effect must be worth there, not to be a minor one.
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it; inexact_size: where only noise is left, part that may be the
-        reconstruction of the motion from counts; inexact_bias: part that is not known of what the motion's noise adds to a number
-        in the mean: it is one draw, and to second order.
+        reconstruction of the motion from counts; inexact_bias: part that is not known of by how much the motion's noise moves a
+        number: in the mean it is one draw, and to second order, and averages are not free of it.
       slight: part of the root mean square of what nothing explains that a cause beside an unknown effect must be worth.
       diluted: part of the information about an inertia that may be the encoders' noise, for it to be sure.
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
@@ -349,8 +349,10 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     found = instrumented(less, unbiased)
     if found is f:
         return problem, f
-    unknown = ANSWER.inexact_bias * (unbiased.theta - told.theta)
-    covariance = found.covariance + np.outer(unknown, unknown)
+    covariance = found.covariance
+    for after, before in ((unbiased, told), (found, unbiased)):
+        unknown = ANSWER.inexact_bias * (after.theta - before.theta)
+        covariance = covariance + np.outer(unknown, unknown)
     return less, replace(found, noise=f.noise, covariance=covariance, least=covariance)
 
 
