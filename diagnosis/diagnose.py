@@ -27,7 +27,7 @@ from .search.acceptance import MORE_THAN_NOISE, AcceptSettings, Decision, quiet_
 from .search.described import as_described
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
-from .search.settle import why_needed, without_effect
+from .search.settle import is_calibration, why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, search
 from .search.worth import left_by, mean_squares
@@ -137,12 +137,10 @@ def diagnose(
     progress("looking for unknown effects", 0.88)
     unknown = discrepancy.find(problem, fitter, found.base, found.chosen) if time.monotonic() < deadline else None
     progress("numbers and their uncertainty", 0.94)
-    final, found = (
-        _polished(problem, fitter, found, settings.accept)
-        if unknown is None
-        else (with_dispersion(problem, unknown.fit), found)
-    )
-    problem, final = _corrected(problem, final)
+    if unknown is None:
+        problem, final, found = _polished(problem, fitter, found, settings.accept)
+    else:
+        problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
     final = _inflated(problem, final)
     progress("regions that a fit has not seen", 0.97)
     share, drawn, regions = drawn_back(problem, final)
@@ -307,23 +305,43 @@ def _holds_back(outcome: _Outcome) -> str:
     )
 
 
-def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Fit, Search]:
-    """The chosen model at its end, without effects that the data do not tell from nothing there; the noise's share taken out."""
+def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Problem, Fit, Search]:
+    """The chosen model at its end and corrected, without effects that the data do not tell from nothing there."""
     kept: set[int] = set()
     final = with_dispersion(problem, fitter.polish(found.chosen))
     while True:
-        away = {i: significance(problem, final, i) for i, h in enumerate(final.model) if id(h) not in kept}
-        weak = [i for i, x in away.items() if x < ANSWER.significant]
+        less, corrected = problem, final
+        away = [significance(problem, final, i) for i in range(len(final.model))]
+        reasons = {
+            i: f"{x:.1f} standard deviations from absent where the fit ends"
+            for i, x in enumerate(away)
+            if x < ANSWER.significant
+        }
+        if all(id(final.model[i]) in kept for i in reasons):
+            less, corrected = _corrected(problem, final)
+            reasons = {
+                i: "what it changes is within the joint's tolerances where the fit ends"
+                for i in range(len(final.model))
+                if is_calibration(less, corrected, i)
+            }
+        weak = [i for i in reasons if id(final.model[i]) not in kept]
         if not weak:
-            return final, found
+            return less, corrected, found
         i = min(weak, key=lambda i: away[i])
         h = final.model[i]
         other = without_effect(problem, fitter, final, i, settings)
         needed = why_needed(problem, final, other, settings)
-        reason = needed or f"{away[i]:.1f} standard deviations from absent where the fit ends"
         nan = float("nan")
         decision = Decision(
-            "settle", h.cause.name, h.fixed, nan, nan, size_of(problem, final, i), True, bool(needed), reason
+            "settle",
+            h.cause.name,
+            h.fixed,
+            nan,
+            nan,
+            size_of(problem, final, i),
+            True,
+            bool(needed),
+            needed or reasons[i],
         )
         found = replace(found, decisions=(*found.decisions, decision))
         if needed:

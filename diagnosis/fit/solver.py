@@ -206,7 +206,7 @@ def leverage_weight(
     far = np.max(np.abs(X) / usual, axis=1) / limit
     if noise is not None:
         far = np.maximum(far, np.max(np.abs(noise) / usual, axis=1) / noise_limit)
-    return 1.0 / np.maximum(far, 1.0) ** 2
+    return 1.0 / np.clip(far, 1.0, 1e100) ** 2
 
 
 def tamed(problem: Problem, at: Fit, settings: SolverSettings = SETTINGS) -> Fit:

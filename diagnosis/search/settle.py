@@ -66,7 +66,7 @@ def settle(
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Of effects that were taken those that hold beside the others, beyond the joint's tolerances and as general as needed."""
     decisions: list[Decision] = []
-    near_edge = any(_is_calibration(problem, f, i, settings.edge) for i in range(len(f.model)))
+    near_edge = any(is_calibration(problem, f, i, settings.edge) for i in range(len(f.model)))
     if together or near_edge or len(f.model) > 1:
         f, rivals, decisions = _prune(problem, fitter, f, rivals, settings)
     before = f
@@ -79,7 +79,7 @@ def settle(
     return f, rivals, decisions
 
 
-def _is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN) -> bool:
+def is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN) -> bool:
     """Whether tolerances can express what one of a fit's effects makes of the joint that the others make."""
     order = [*(j for j in range(len(f.model)) if j != index), index]
     parts = problem.split(f.theta, f.model)
@@ -200,7 +200,7 @@ def _prune(
             w = worth_of(problem, f, linear, i)
             size, away = size_of(problem, f, i), significance(problem, honest, i)
             reason = ""
-            if _is_calibration(problem, f, i):
+            if is_calibration(problem, f, i):
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
@@ -224,13 +224,13 @@ def _prune(
             i = max(tried, key=lambda i: quick[i].log_evidence)
             other = _not_lost(problem, fitter, f, quick[i], settings)
             reason, gain = verdicts[i][2], float("nan")
-            needed = "" if _is_calibration(problem, f, i) else why_needed(problem, f, other, settings)
+            needed = "" if is_calibration(problem, f, i) else why_needed(problem, f, other, settings)
             if needed:
                 kept.add(id(f.model[i]))
                 reason, gain = needed, f.log_evidence - other.log_evidence
         else:
             near_edge = [
-                i for i, h in enumerate(f.model) if id(h) not in asked and _is_calibration(problem, f, i, settings.edge)
+                i for i, h in enumerate(f.model) if id(h) not in asked and is_calibration(problem, f, i, settings.edge)
             ]
             if not near_edge:
                 break
