@@ -53,7 +53,8 @@ class AnswerSettings:
       minor, quiet: part of the ordinary size below which an effect is minor, where the residual is more than `quiet` times the
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
         joint, and told, but none of the causes.
-      little: part of the rated torque that an unknown effect must be worth there, not to be a minor one.
+      little: part of the rated torque that an unknown effect must be worth there, not to be a minor one; or `mostly` of what all
+        effects are worth together (mean square).
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it; inexact_size: where only noise is left, part that may be the
         reconstruction of the motion from counts; inexact_bias: part that is not known of by how much the motion's noise moves a
@@ -83,6 +84,7 @@ class AnswerSettings:
     minor: float = 0.12
     quiet: float = MORE_THAN_NOISE
     little: float = 0.015
+    mostly: float = 0.6
     inflation: float = 5.0
     lookalike: float = 0.05
     inexact_size: float = 0.01
@@ -360,7 +362,8 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     """
     ratio = quiet_rms(problem, f)
     told = f
-    if ratio > ANSWER.quiet:
+    # Of an unknown effect nothing is known to which it should stay near.
+    if ratio > ANSWER.quiet and not any(isinstance(h, discrepancy.Spline) for h in f.model):
         louder = f.noise.louder(min(ratio, ANSWER.inflation))
         told = with_dispersion(problem, Fitter(problem).settle(replace(f, noise=louder)))
     less, unbiased = without_noise_bias(problem, told)
@@ -440,6 +443,7 @@ def _findings(
             confidence = float(np.clip(1 - np.exp(-unknown.gain / (8 * ANSWER.temper)), 0.3, 0.95))
             # Knees that are smooth, friction that is not quite viscous: many small things are in no library.
             little = real and w.rms < ANSWER.little * problem.joint.numbers["rated_torque"].value
+            little = little and w.rms**2 < ANSWER.mostly * total
             (minor if little else findings).append(
                 Finding(
                     "unknown", unknown.spline.component, confidence, {}, share, w.rms, discrepancy.describe(unknown),
