@@ -1,5 +1,7 @@
 """Fits that go on from other fits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,7 +9,7 @@ import flexspline as fs
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.fit.solver import Fitter
+from flexspline.diagnosis.fit.solver import Fitter, prior_cost
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
@@ -42,3 +44,19 @@ def test_what_an_effect_replaces_has_no_say_beside_it():
     without = fitter.fit((), found.theta[: problem.size], found)
     assert any(j[..., at].any() for j in without.jacobian)
     assert without.theta[at] == pytest.approx(base.theta[at], abs=0.3)
+
+
+def test_numbers_that_the_data_hardly_tell_stay_near_the_description_where_more_than_noise_is_left():
+    """Five times the noise: what the data know well stays, and the numbers are less far from the description altogether."""
+    print(f"seed {SEED}")
+    described = load_joint("test-joint")
+    run = fs.simulate("link_sweep", filters=["RAREKF"], duration=10, seed=SEED)
+    problem = Problem(*segments([run.as_recording()], described), described)
+    fitter = Fitter(problem)
+    fit = fitter.polish(calibrate(problem, fitter, CalibrateSettings(iterations=4)))
+    found = fitter.settle(replace(fit, noise=fit.noise.louder(5.0)))
+    known = np.sqrt(np.diag(fit.covariance)) < 0.04
+    assert known.sum() >= 3
+    assert np.all(np.abs(found.theta - fit.theta)[known] < 0.15)
+    assert prior_cost(problem, found.theta, ()) < 0.7 * prior_cost(problem, fit.theta, ())
+    assert np.all(np.diag(found.covariance) > 0.99 * np.diag(fit.covariance))
