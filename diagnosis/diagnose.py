@@ -269,8 +269,7 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     values, vectors = np.linalg.eigh(0.5 * (known + known.T))
     inflation = min(ratio, ANSWER.inflation) ** 2
     scaled = (vectors / (1.0 + np.maximum(values, 0.0) / inflation)) @ vectors.T
-    covariance = scaled * spread[:, None] * spread + np.diag(inexact**2)
-    return replace(f, covariance=covariance)
+    return replace(f, covariance=scaled * spread[:, None] * spread + np.diag(inexact**2))
 
 
 def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
@@ -333,17 +332,9 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
         h = final.model[i]
         other = without_effect(problem, fitter, final, i, settings)
         needed = why_needed(problem, final, other, settings)
-        nan = float("nan")
+        reason, nan = needed or reasons[i], float("nan")
         decision = Decision(
-            "settle",
-            h.cause.name,
-            h.fixed,
-            nan,
-            nan,
-            size_of(problem, final, i),
-            True,
-            bool(needed),
-            needed or reasons[i],
+            "settle", h.cause.name, h.fixed, nan, nan, size_of(problem, final, i), True, bool(needed), reason
         )
         found = replace(found, decisions=(*found.decisions, decision))
         if needed:
@@ -365,7 +356,7 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     # Of an unknown effect nothing is known to which it should stay near.
     if ratio > ANSWER.quiet and not any(isinstance(h, discrepancy.Spline) for h in f.model):
         louder = f.noise.louder(min(ratio, ANSWER.inflation))
-        told = with_dispersion(problem, Fitter(problem).settle(replace(f, noise=louder)))
+        told = Fitter(problem).settle(replace(f, noise=louder))
     less, unbiased = without_noise_bias(problem, told)
     found = instrumented(less, unbiased)
     if found is f:
@@ -442,8 +433,8 @@ def _findings(
         if unknown is not None and i == named:
             confidence = float(np.clip(1 - np.exp(-unknown.gain / (8 * ANSWER.temper)), 0.3, 0.95))
             # Knees that are smooth, friction that is not quite viscous: many small things are in no library.
-            little = real and w.rms < ANSWER.little * problem.joint.numbers["rated_torque"].value
-            little = little and w.rms**2 < ANSWER.mostly * total
+            rated = problem.joint.numbers["rated_torque"].value
+            little = real and w.rms < ANSWER.little * rated and w.rms**2 < ANSWER.mostly * total
             (minor if little else findings).append(
                 Finding(
                     "unknown", unknown.spline.component, confidence, {}, share, w.rms, discrepancy.describe(unknown),

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..data.segments import DECIMATION, STEP
 from .residual import Problem
-from .solver import Fit, Fitter, normal_equations, with_dispersion
+from .solver import Fit, Fitter, normal_equations
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ def instrumented(problem: Problem, fit: Fit, settings: InstrumentSettings = SETT
         return fit
     held = left < settings.slow * whole
     held[: problem.size] = False
-    found = with_dispersion(slow, Fitter(slow).settle(fit, held=held))
+    found = Fitter(slow).settle(fit, held=held)
     return replace(found, covariance=_beside(found.covariance, fit.covariance, held))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from .noise import whiten
 from .residual import Model, Problem
-from .solver import Columns, Fit, Fitter, Point, bounded_step, normal_equations, stacked, with_dispersion
+from .solver import Columns, Fit, Fitter, Point, bounded_step, normal_equations, stacked
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def without_noise_bias(problem: Problem, fit: Fit, settings: BiasSettings = SETT
         return problem, fit
     less = problem.less(bias)
     point = Point([r - x for r, x in zip(fit.point.residual, bias, strict=True)], fit.point.noise)
-    return less, with_dispersion(less, Fitter(less).settle(replace(fit, point=point)))
+    return less, Fitter(less).settle(replace(fit, point=point))
 
 
 def bias_of(problem: Problem, theta: np.ndarray, model: Model, point: Point) -> Columns:

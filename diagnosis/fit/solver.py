@@ -463,7 +463,7 @@ class Fitter:
         if noise_share(problem, f.noise, point) > settings.noisy:
             again = problem.jacobian(theta, f.model, replicate=True)
             extra = [b - a for a, b in zip(jacobian, again, strict=True)]
-        noise = self.learnt(point, jacobian, f.covariance)
+        noise = self._learn(point, jacobian, f.covariance)
         history = list(f.history)
         refused = np.zeros(len(theta))
         for _ in range(iterations):
@@ -522,7 +522,7 @@ class Fitter:
             if left > moved or moved < settings.tolerance:
                 break
         found = self.finish(f.model, theta, point, f.jacobian, f.noise_jacobian, f.noise, f.history)
-        return replace(found, covariance=found.covariance + np.outer(refused, refused))
+        return with_dispersion(problem, replace(found, covariance=found.covariance + np.outer(refused, refused)))
 
     def _cost(
         self,
@@ -543,7 +543,7 @@ class Fitter:
         total = loss + prior_cost(self.problem, theta, model)
         return total if np.isfinite(total) else np.inf
 
-    def learnt(self, point: Point, jacobian: Columns, covariance: np.ndarray) -> Noise:
+    def _learn(self, point: Point, jacobian: Columns, covariance: np.ndarray) -> Noise:
         """Noise at a point, with what the residual may still be off as the parameters are uncertain."""
         root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
         spread = [j @ root for j in jacobian]
@@ -566,7 +566,7 @@ class Fitter:
         prior = np.diag(1 / spread**2)
         S = normal.hessian - prior
         V = S + 2 * _positive(normal.share, spread)
-        covariance = as_described(problem, inverse(_godambe(S, V, prior, 1e-12) + prior))
+        covariance = _as_described(problem, _inverse(_godambe(S, V, prior, 1e-12) + prior))
         return Fit(
             model, theta, point, jacobian, extra, noise, covariance, float(evidence), normal.loss, tuple(history)
         )
@@ -582,7 +582,7 @@ def _put(before: Columns | None, part: Columns, columns: np.ndarray, size: int) 
     return found
 
 
-def as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
+def _as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
     """A covariance in which what is held is known as well as it was described, and no better."""
     held = np.flatnonzero(problem.held)
     found = covariance.copy()
@@ -591,7 +591,7 @@ def as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
     return found
 
 
-def inverse(A: np.ndarray) -> np.ndarray:
+def _inverse(A: np.ndarray) -> np.ndarray:
     """Inverse of a positive matrix, scaled to unit diagonal first."""
     d = 1 / np.sqrt(np.diag(A))
     return d[:, None] * np.linalg.inv(A * d[:, None] * d) * d
@@ -618,23 +618,21 @@ def covariances(problem: Problem, f: Fit, settings: SolverSettings = SETTINGS) -
     sandwich of Huber and White, clustered): what the laws leave over, in time together, then counts as what it is.
     """
     normal = normal_equations(problem, f.noise, f.model, f.theta, f.point, f.jacobian, f.noise_jacobian, settings)
-    scattered = scatter(piece_scores(problem, f, f.noise, normal, settings))
+    scattered = _scatter(_piece_scores(problem, f, normal, settings))
     prior = np.diag(1 / problem.spread(f.model) ** 2)
-    found = inverse(_godambe(normal.hessian - prior, scattered, prior, 1e-9) + prior)
-    return as_described(problem, inverse(normal.hessian)), as_described(problem, found)
+    found = _inverse(_godambe(normal.hessian - prior, scattered, prior, 1e-9) + prior)
+    return _as_described(problem, _inverse(normal.hessian)), _as_described(problem, found)
 
 
-def piece_scores(
-    problem: Problem, f: Fit, noise: Noise, normal: Normal, settings: SolverSettings = SETTINGS
-) -> np.ndarray:
+def _piece_scores(problem: Problem, f: Fit, normal: Normal, settings: SolverSettings) -> np.ndarray:
     """Gradient of half the objective without the prior, piece by piece of `cluster` seconds and less, shape (pieces, n).
 
     There must be more pieces than unknowns for their scatter to say something.
     """
-    rows = whiten(problem.segments, noise, stacked(f.point.residual, f.jacobian)).rows
+    rows = whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows
     score = _scores(rows, settings.huber, normal.weight)
     if f.noise_jacobian is not None:
-        rows = whiten(problem.segments, noise, stacked(f.point.noise, f.noise_jacobian)).rows
+        rows = whiten(problem.segments, f.noise, stacked(f.point.noise, f.noise_jacobian)).rows
         score -= _scores(rows, settings.huber, normal.weight)
     segment, _, at = rows_of(problem.segments)
     seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)
@@ -646,7 +644,7 @@ def piece_scores(
     return total
 
 
-def scatter(pieces: np.ndarray) -> np.ndarray:
+def _scatter(pieces: np.ndarray) -> np.ndarray:
     """Variance of a score by the scatter of its pieces, shape (n, n), its inverse without bias (an inverse Wishart matrix's)."""
     counted = pieces[np.any(pieces, axis=1)]
     unbiased = max(len(counted) - counted.shape[1] - 1, 0.25 * len(counted)) / len(counted)

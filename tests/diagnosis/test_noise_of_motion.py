@@ -1,4 +1,4 @@
-"""What the noise of the measured motion does to a fit, and that it is taken out. Seeds are in the test ids."""
+"""What the noise of the measured motion does to a fit, and that it is taken out. Seeds are in the docstrings."""
 
 import numpy as np
 import pytest
