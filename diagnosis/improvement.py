@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from ..estimator import registry
 from ..estimator.errors import FilterDiverged
@@ -92,6 +93,7 @@ class Improvement:
         }  # fmt: skip
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")
 def improvement(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> Improvement | None:
     """Error of estimators before and after; None where nothing was measured to hold them against, or nothing was computed.
 
