@@ -359,6 +359,7 @@ def learn(
     spread: Sequence[np.ndarray] | None = None,
     settings: NoiseSettings = SETTINGS,
     sensors: Sensors | None = None,
+    rest: np.ndarray | None = None,
 ) -> Noise:
     """Learn noise and model discrepancy from what a model leaves: expectation–maximisation, its last step.
 
@@ -369,12 +370,13 @@ def learn(
       spread: columns of what the residual may still be off as the parameters are uncertain, shape (k, len(BALANCES), m):
         Jacobian times a root of the posterior covariance. Without it what the fit has taken away is not counted.
       sensors: `sensor_noise` of the replicates, where it is known already.
+      rest: of the disturbance at rest, shape (segments, len(BALANCES)), where it is known already.
     """
     sensors = sensor_noise(segments, replicates, settings) if sensors is None else sensors
     scales = settings.scales
     shapes = np.stack([haar_of_band(t, scales) for t in settings.bands], axis=1)
     discrepancy = np.zeros((len(BALANCES), len(settings.bands)))
-    rest = np.zeros((len(segments), len(BALANCES)))
+    known_rest, rest = rest, np.zeros((len(segments), len(BALANCES)))
     for b in range(len(BALANCES)):
         energy, known, number = np.zeros(len(scales)), np.zeros(len(scales)), np.zeros(len(scales))
         for i, segment in enumerate(segments):
@@ -402,7 +404,7 @@ def learn(
                 base = float(np.var(residuals[i][moving, b])) if moving.sum() > 50 else 0.0
                 slow = max(slow, float(np.sqrt(max(np.mean(residuals[i][resting, b] ** 2) - base, 0.0))))
             rest[i, b] = slow
-    return Noise(sensors, discrepancy, rest, settings)
+    return Noise(sensors, discrepancy, rest if known_rest is None else known_rest, settings)
 
 
 def _clipped(x: np.ndarray, use: np.ndarray) -> np.ndarray:

@@ -362,7 +362,7 @@ class Fitter:
         theta: np.ndarray,
         near: Fit | None = None,
         iterations: int = 8,
-        sensors: Columns | None = None,
+        beside: Fit | None = None,
         *,
         anew: bool | None = None,
     ) -> Fit:
@@ -374,17 +374,18 @@ class Fitter:
           near: a fit whose derivatives in the common unknowns serve, and in the effects that both have; without it they are
             computed as often as a step is larger than they are good for.
           anew: whether derivatives in the common unknowns are computed anew as the fit moves far; as said without `near`.
-          sensors: what the noise replicates add to the residuals of the fit that others are compared with: sensor noise is then
-            the same for all of them.
+          beside: the fit with which it is compared: sensor noise and the disturbance at rest are then taken for the same. What
+            a model leaves at rest, where friction may be anything, decides by hundreds otherwise.
         """
         problem, settings = self.problem, self.settings
         low, high = problem.bounds(model)
         theta = np.clip(theta, low, high)
         residual = problem.residuals([theta], [model])[0]
-        replicates = sensors
-        if replicates is None:
+        if beside is None:
             other = problem.residuals([theta], [model], replicate=True)[0]
-            replicates = [b - a for a, b in zip(residual, other, strict=True)]
+            replicates, rest = [b - a for a, b in zip(residual, other, strict=True)], None
+        else:
+            replicates, rest = beside.point.noise, beside.noise.rest
         history: list[float] = []
         common = None if near is None else self._taken_over(near, theta, model)
         sensed = sensor_noise(problem.segments, replicates, self.noise)
@@ -399,7 +400,7 @@ class Fitter:
                 common = _put(common, problem.jacobian(theta, model, columns), columns, problem.size)
             assert common is not None
             jacobian = effects.beside(common, theta)
-            noise = learn(problem.segments, residual, replicates, problem.quantum(), None, self.noise, sensed)
+            noise = learn(problem.segments, residual, replicates, problem.quantum(), None, self.noise, sensed, rest)
             normal = normal_equations(
                 problem, noise, model, theta, Point(residual, replicates), jacobian, None, settings
             )
@@ -437,9 +438,9 @@ class Fitter:
         jacobian = effects.beside(common, theta)
         other = problem.residuals([theta], [model], replicate=True)[0]
         own = [b - a for a, b in zip(residual, other, strict=True)]
-        if sensors is None:
-            sensors, sensed = own, sensor_noise(problem.segments, own, self.noise)
-        noise = learn(problem.segments, residual, sensors, problem.quantum(), None, self.noise, sensed)
+        if beside is None:
+            replicates, sensed = own, sensor_noise(problem.segments, own, self.noise)
+        noise = learn(problem.segments, residual, replicates, problem.quantum(), None, self.noise, sensed, rest)
         return self.finish(model, theta, Point(residual, own), jacobian, None, noise, tuple(history))
 
     def _taken_over(self, near: Fit, theta: np.ndarray, model: Model) -> Columns:

@@ -500,7 +500,7 @@ def _refined(
     model: Model = tuple(chosen.model[i] for i in kept)
     start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
     near = replace(chosen, model=model, theta=chosen.theta[index], jacobian=[J[..., index] for J in chosen.jacobian])
-    f = fitter.fit((*model, candidate.spline), start, near, 4, chosen.point.noise)  # type: ignore[arg-type]
+    f = fitter.fit((*model, candidate.spline), start, near, 4, chosen)  # type: ignore[arg-type]
     before, after = left_by(problem, chosen), left_by(problem, f)
     needed = settings.penalty + _odds(candidate.spline, settings.penalty)
     if candidate.without:
@@ -508,7 +508,7 @@ def _refined(
         needed += settings.penalty
     if after < (1 - settings.share) * before and f.log_evidence - chosen.log_evidence <= needed:
         # Far from where the common derivatives were taken.
-        f = fitter.fit(f.model, f.theta, None, 6, chosen.point.noise)
+        f = fitter.fit(f.model, f.theta, None, 6, chosen)
         after = left_by(problem, f)
     gain = f.log_evidence - chosen.log_evidence
     if settings.lost * after < before:

@@ -75,7 +75,7 @@ def finalists_of(
     fitted = [
         as_finalist(
             problem, base,
-            fitter.fit((*base.model, s.hypothesis), _start(problem, base, s), base, 4, base.point.noise),
+            fitter.fit((*base.model, s.hypothesis), _start(problem, base, s), base, 4, base),
         )
         for s in chosen
     ]  # fmt: skip
@@ -84,7 +84,7 @@ def finalists_of(
         best = fitted[0].gain
         for i, f in enumerate(fitted):
             if f.gain > settings.race * best:
-                more = fitter.fit(f.fit.model, f.fit.theta, f.fit, 4, base.point.noise)
+                more = fitter.fit(f.fit.model, f.fit.theta, f.fit, 4, base)
                 fitted[i] = max((f, as_finalist(problem, base, more)), key=lambda x: x.gain)
     return ranked(fitted)
 
@@ -109,7 +109,7 @@ def coarse_finalists(
 ) -> list[Finalist]:
     """Hypotheses with which the uncalibrated joint comes closest, fitted from there."""
     return [
-        as_finalist(problem, base, fitter.fit((h,), start, None, iterations, base.point.noise))
+        as_finalist(problem, base, fitter.fit((h,), start, None, iterations, base))
         for h, start in _coarse_starts(problem, hypotheses, settings)
     ]
 

@@ -41,7 +41,7 @@ def against_rivals(
             continue
         without = without_effect(problem, fitter, f, index, settings)
         # Under the sensors' noise that the rivals' fits have, too.
-        here = fitter.fit(f.model, f.theta, f, 1, without.point.noise)
+        here = fitter.fit(f.model, f.theta, f, 1, without)
         own = here.log_evidence - without.log_evidence
         offered = [o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close]
         library = Library(problem, without, offered, screening.probe)

@@ -97,7 +97,7 @@ def _quickly_without(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fi
     block = problem.place(f.model, index)
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
-    return fitter.fit(model, f.theta[kept], f, 4)
+    return fitter.fit(model, f.theta[kept], f, 4, f)
 
 
 def _not_lost(problem: Problem, fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> Fit:
