@@ -29,6 +29,7 @@ class AcceptSettings:
         one of many things that the description does not hold, and no answer to what the simulation gets wrong.
       large, worth_large: from this part of the ordinary size on, so much is enough to be fitted beside the others; what holds
         there is decided by `worth` again.
+      chance: part of the sensors' noise (mean square) by which what two fits leave may differ by chance.
       alike: part of the mean square that a cause takes away that another one must take away to be its rival.
       slight: part of the root mean square of what nothing explains that it must be worth, where that is not far above the noise
         (where it is, something is there that the library does not have).
@@ -59,6 +60,7 @@ class AcceptSettings:
     worth: float = 0.5
     large: float = 0.3
     worth_large: float = 0.15
+    chance: float = 0.1
     alike: float = 0.3
     slight: float = 0.25
     little: float = 0.1

@@ -16,11 +16,17 @@ from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, significanc
 from .calibrate import better_of_both, hand_over
 from .screen import Library, Screened
 from .select import with_effect
-from .worth import left_by
+from .worth import by_chance, left_by
 
 
 def together(
-    problem: Problem, fitter: Fitter, at: Fit, library: Library, chosen: Sequence[Screened], rivals: list[Rivals]
+    problem: Problem,
+    fitter: Fitter,
+    at: Fit,
+    library: Library,
+    chosen: Sequence[Screened],
+    rivals: list[Rivals],
+    settings: AcceptSettings,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """All causes fitted together through the replay, from where the linear model puts them; as before where that is no gain."""
     here, rest = tamed(problem, at), library
@@ -30,15 +36,16 @@ def together(
     starts = [here.theta, np.concatenate([at.theta, here.theta[len(at.theta) :]]), half]
     found = problem.residuals(starts, [here.model] * len(starts))
     start = starts[int(np.nanargmin(losses_of(problem, here.noise, at, found)))]
-    f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6)
+    f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6, at)
 
     before = left_by(problem, at)
+    plainly_less = before - by_chance(problem, at, settings.chance)
 
     def no_gain(x: Fit) -> bool:
-        return x.log_evidence < at.log_evidence and left_by(problem, x) > before
+        return x.log_evidence < at.log_evidence and left_by(problem, x) > plainly_less
 
     if left_by(problem, f) < 0.5 * before or no_gain(f):
-        f = fitter.fit(f.model, f.theta, None, 4)  # far from where the common derivatives were taken
+        f = fitter.fit(f.model, f.theta, None, 4, at)  # far from where the common derivatives were taken
     if not no_gain(f):
         return f, rivals, []
     first = len(at.model)
@@ -110,7 +117,8 @@ def _not_lost(problem: Problem, fitter: Fitter, f: Fit, other: Fit, settings: Ac
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
     """Why an effect stays, however little is known of its size: without it the data are not explained. Empty where they are."""
     here, there = (left_by(problem, x) for x in (f, without))
-    if without.log_evidence < f.log_evidence - settings.threshold and there > (1 + settings.worth) * here:
+    plainly_more = (1 + settings.worth) * here + by_chance(problem, f, settings.chance)
+    if without.log_evidence < f.log_evidence - settings.threshold and there > plainly_more:
         return f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
     return ""
 

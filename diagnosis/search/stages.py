@@ -145,7 +145,7 @@ def _further(
         dropped: list[Decision] = []
         if more:
             progress("settling all causes", 0.75 + 0.08 * done)
-            at, rivals, dropped = together(problem, fitter, at, library, more, rivals)
+            at, rivals, dropped = together(problem, fitter, at, library, more, rivals, accept)
         at, rivals, compared = against_rivals(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
         at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
         decisions += [*dropped, *compared, *settled]

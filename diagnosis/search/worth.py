@@ -42,6 +42,11 @@ def left_by(problem: Problem, f: Fit) -> float:
     return float(np.sum(unexplained(problem, f.point)))
 
 
+def by_chance(problem: Problem, f: Fit, share: float) -> float:
+    """Mean square by which what two fits leave may differ by chance [N·m]²: so large a `share` of the sensors' noise."""
+    return share * float(np.sum(mean_squares(problem, f.point.noise)))
+
+
 @dataclass(frozen=True)
 class Worth:
     """What one effect of a model is worth.
