@@ -76,6 +76,12 @@ def doubtful(problem: Problem, f: Fit, quiet: float, settings: CalibrateSettings
     return bool(np.any(known & (np.abs(f.theta[:n]) > settings.stuck))) and quiet > settings.unsettled
 
 
+def fields_at_the_end(problem: Problem, f: Fit, settings: CalibrateSettings = SETTINGS) -> set[str]:
+    """Fields of the record whose numbers are at the end of their tolerances: a cause may go on where they cannot."""
+    at_end = {n for n, x in zip(problem.calibration.names, f.theta, strict=False) if abs(x) > settings.stuck}
+    return {s.field for s in problem.calibration.slots if {s.name, f"shared {s.number.shared}"} & at_end}
+
+
 def afresh(problem: Problem, fitter: Fitter, f: Fit, settings: CalibrateSettings) -> Fit:
     """The same model calibrated anew, its effects as they are: numbers that stood in for an effect let go of it."""
     theta = np.concatenate([np.zeros(problem.size), f.theta[problem.size :]])

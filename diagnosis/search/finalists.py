@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -56,14 +56,20 @@ def finalists_of(
     screened: Sequence[Screened],
     settings: AcceptSettings,
     done: Sequence[Finalist] = (),
+    ask: Collection[str] = (),
 ) -> list[Finalist]:
-    """The best hypotheses that are not done, fitted through the replay; a close race is decided by fits at their ends."""
+    """The best hypotheses that are not done, fitted through the replay; a close race is decided by fits at their ends.
+
+    Args:
+      ask: causes that are fitted whatever the linear model says of them.
+    """
     names = {f.name for f in done}
     good = [
         s for s in screened
         if s.noise and s.gain > 0.5 * settings.threshold and s.size > 0.5 * settings.smallest
         and s.hypothesis.cause.name not in names
     ]  # fmt: skip
+    asked = [s for s in screened if s.hypothesis.cause.name in ask and not any(s is g for g in good)]
     chosen: list[Screened] = []
     most = settings.finalists if quiet_rms(problem, base) < settings.far else settings.far_finalists
     for s in sorted(good, key=lambda s: -s.removed)[: most - 1 - most // 4] + good:
@@ -77,7 +83,7 @@ def finalists_of(
             problem, base,
             fitter.fit((*base.model, s.hypothesis), _start(problem, base, s), base, 4, base),
         )
-        for s in chosen
+        for s in (*chosen, *asked)
     ]  # fmt: skip
     fitted.sort(key=lambda f: -f.gain)
     if len(fitted) > 1 and fitted[1].gain > max(settings.race * fitted[0].gain, settings.threshold):

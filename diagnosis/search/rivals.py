@@ -1,7 +1,8 @@
 """What else could stand where a cause was chosen, asked again once all causes are fitted.
 
 A cause is chosen while others are still missing, often in the linear model alone: a rival that looked a little worse there may do
-better beside the others, or as well, which its confidence must say.
+better beside the others, or as well, which its confidence must say. So may one that goes on where a number has come to the end of
+its tolerance: many numbers move together on that way, and the linear model does not see it.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from ..fit.coordinates import Hypothesis
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, size_of
+from .calibrate import fields_at_the_end
 from .finalists import Finalist, finalists_of, objection
 from .screen import Library, ScreenSettings, screen
 from .select import others_than
@@ -35,7 +37,10 @@ def against_rivals(
     index = 0
     for _ in range(len(rivals)):
         r, h = told[index], f.model[index]
-        close = {n for n, g in r.others if g > settings.close * r.gain} - {g.cause.name for g in f.model}
+        ends = fields_at_the_end(problem, f)
+        further = {o.cause.name for o in hypotheses if ends & {*o.cause.sets.values(), *o.cause.scales}}
+        close = {n for n, g in r.others if g > settings.close * r.gain} | further
+        close -= {g.cause.name for g in f.model}
         if not close or size_of(problem, f, index) < settings.contested:
             index += 1
             continue
@@ -46,7 +51,7 @@ def against_rivals(
         offered = [o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close]
         library = Library(problem, without, offered, screening.probe)
         screened = screen(problem, without, library, screening)
-        fitted = finalists_of(problem, fitter, without, screened, settings)
+        fitted = finalists_of(problem, fitter, without, screened, settings, ask=further)
         gains: dict[str, float] = {}
         for other in fitted:
             gains.setdefault(other.name, other.gain)
