@@ -19,9 +19,10 @@ from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.instruments import instrumented
 from .fit.noise_bias import without_noise_bias
-from .fit.regions import Region, drawn_back, held_out_regions, mean_ratio, valid_range
+from .fit.regions import DrawnBack, Region, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
+from .improvement import serves
 from .search import discrepancy
 from .search.acceptance import MORE_THAN_NOISE, AcceptSettings, Decision, quiet_rms, significance, size_of, worth_of
 from .search.described import as_described
@@ -145,13 +146,14 @@ def diagnose(
         problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
     final = _inflated(problem, final)
     progress("regions that a fit has not seen", 0.97)
-    share, drawn, regions = drawn_back(problem, final)
+    no_worse = serves(measurement, joint)
+    drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    outcome = _Outcome(problem, found, unknown, final, drawn, share, regions, undetermined, alike)
-    if share == 0.0 or (found.chosen.model and outcome.nearly_all and problem.link_measured):
+    outcome = _Outcome(problem, found, unknown, final, drawn, undetermined, alike)
+    if drawn.share == 0.0 or (found.chosen.model and outcome.nearly_all and problem.link_measured):
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         described = _as_described(outcome, tried, missing, settings) if time.monotonic() < deadline else None
-        outcome = described or replace(outcome, surest=ANSWER.unsure if share == 0.0 else 1.0)
+        outcome = described or replace(outcome, surest=ANSWER.unsure if drawn.share == 0.0 else 1.0)
     return replace(_told(outcome), mistakes=mistakes, seconds=time.monotonic() - begin)
 
 
@@ -162,7 +164,6 @@ class _Outcome:
     Attributes:
       found, unknown: what the search came to, and an unknown effect beside it.
       final: the model at its end; drawn: the same, drawn back to what holds where it was not fitted.
-      share: of the way from the description that is left; regions: by which that was judged.
       undetermined: causes that could not have shown, with the reason; alike: pairs that look the same.
       surest: largest confidence of a cause.
     """
@@ -171,9 +172,7 @@ class _Outcome:
     found: Search
     unknown: Unknown | None
     final: Fit
-    drawn: Fit
-    share: float
-    regions: tuple[Region, ...]
+    drawn: DrawnBack
     undetermined: dict[str, str]
     alike: tuple[tuple[str, str], ...]
     surest: float = 1.0
@@ -194,16 +193,16 @@ def _as_described(
         return None
     final = _inflated(problem, with_dispersion(problem, other.chosen))
     regions = held_out_regions(problem, final)
-    if outcome.share > 0.0 and mean_ratio(regions) >= ANSWER.simpler * mean_ratio(outcome.regions):
+    if outcome.drawn.share > 0.0 and mean_ratio(regions) >= ANSWER.simpler * mean_ratio(outcome.drawn.regions):
         return None
     found = replace(other, decisions=(*outcome.found.decisions, *other.decisions), complete=outcome.found.complete)
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    return _Outcome(problem, found, None, final, final, 1.0, regions, undetermined, alike, ANSWER.beside)
+    return _Outcome(problem, found, None, final, DrawnBack(1.0, final, regions), undetermined, alike, ANSWER.beside)
 
 
 def _told(outcome: _Outcome) -> Diagnosis:
     """An outcome as the answer."""
-    problem, found, final, joint = outcome.problem, outcome.found, outcome.drawn, outcome.problem.joint
+    problem, found, final, joint = outcome.problem, outcome.found, outcome.drawn.fit, outcome.problem.joint
     findings, minor = _findings(problem, found, outcome.final, outcome.unknown)
     useless = bool(findings) and _explains_nothing(problem, found.base, outcome.final)
     surest = min(outcome.surest, ANSWER.unsure) if useless else outcome.surest
@@ -218,11 +217,11 @@ def _told(outcome: _Outcome) -> Diagnosis:
     calibration = parameter_shifts(problem, final)
     reason = _joined(reason, _at_the_end(calibration), _holds_back(outcome))
     extended_joint = joint
-    if outcome.share > 0.0:
+    if outcome.drawn.share > 0.0:
         extended_joint = extended(problem, final, joint, outcome.unknown)
         known = {
             "valid": valid_range(problem, final),
-            "uncertainty": stated(problem, final, extended_joint, outcome.regions),
+            "uncertainty": stated(problem, final, extended_joint, outcome.drawn.regions),
         }
         extended_joint = extended_joint.model_copy(update=known)
     alike = {(min(pair), max(pair)) for pair in (*outcome.alike, *_close(found), *found.confusable)}
@@ -234,7 +233,7 @@ def _told(outcome: _Outcome) -> Diagnosis:
         confusable=tuple(sorted(alike)),
         undetermined=outcome.undetermined,
         residual=residual,
-        regions=outcome.regions,
+        regions=outcome.drawn.regions,
         extended=extended_joint,
         minor=tuple(sorted(minor, key=lambda f: -f.worth)),
         decisions=found.decisions,
@@ -284,18 +283,21 @@ def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
 
 def _holds_back(outcome: _Outcome) -> str:
     """Why the extended joint is not what a fit of all numbers says; empty where it is."""
-    if outcome.share < 1.0 and not outcome.regions:
+    drawn = outcome.drawn
+    if drawn.share < 1.0 and not drawn.regions:
         return "too little motion to keep a region of it from the fit: joint.yaml is the description"
-    if outcome.share == 0.0:
-        return "what was found does worse than the description where a fit has not seen the data: joint.yaml is the description"
-    if outcome.share < 1.0:
-        return (
-            "what was found does worse than the description in a region that a fit has not seen: the numbers in joint.yaml are "
-            f"drawn back to {100 * outcome.share:.0f} % of the way"
-        )
+    if drawn.share < 1.0:
+        if drawn.asked:
+            why = "with what was found estimates of torque are worse than with the description"
+        elif drawn.share == 0.0:
+            why = "what was found does worse than the description where a fit has not seen the data"
+        else:
+            why = "what was found does worse than the description in a region that a fit has not seen"
+        left = f"the numbers in joint.yaml are drawn back to {100 * drawn.share:.0f} % of the way"
+        return f"{why}: {left if drawn.share else 'joint.yaml is the description'}"
     if not outcome.problem.held.any():
         return ""
-    worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in outcome.regions if r.worse)
+    worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in drawn.regions if r.worse)
     alike = dict.fromkeys(n for pair in outcome.found.confusable for n in pair)
     names = " or ".join(name.replace("_", " ") for name in alike)
     return _joined(
@@ -585,7 +587,7 @@ def _verdict(
     """
     problem = outcome.problem
     # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
-    taken_back = outcome.share < 1.0
+    taken_back = outcome.drawn.share < 1.0
     rated = problem.joint.numbers["rated_torque"].value
     scale = dict(zip(BALANCES, problem.output_scale, strict=True))
     times, worth = (ANSWER.far, ANSWER.worth) if findings or not taken_back else (ANSWER.near, 0.0)

@@ -8,7 +8,7 @@ in the regions of the measurement (`fit.regions`), there with the parameters of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -32,6 +32,8 @@ ESTIMATORS = ("EKF", "AREKF", "RAREKF", "current", "payload_smoothed")
 """By their names in the registry; of the first and of the last kind there is one for every recording that has a current."""
 MAIN = ("RAREKF", "current", "payload_smoothed")
 """The first of these that a measurement allows is the one that stands for all."""
+WORSE = 1.05
+"""Ratio of an estimator's errors from which on a joint serves worse than another."""
 TRUTHS = {"joint_torque": "the torque sensor", "external_torque": "the external torque that was measured"}
 """What estimates are held against, the first that there is; how it is called."""
 
@@ -133,6 +135,30 @@ def improvement(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) ->
             for _, recording, a, b in pairs
         ),
     )  # fmt: skip
+
+
+def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
+    """Whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors of `MAIN` over
+    all that was measured. Any does where nothing was measured to hold estimates against."""
+    quantity = next((name for name in TRUTHS if _sensed(measurement, name)), None)
+    sensed = [] if quantity is None else _sensed(measurement, quantity)
+
+    def errors(known: Joint) -> dict[str, float]:
+        squares: dict[str, list[np.ndarray]] = {}
+        for _, recording in sensed:
+            estimates = estimate_recording(recording, known, MAIN)
+            for name, estimate in _of(estimates, quantity or "").items():
+                squares.setdefault(name, []).append((estimate - recording[quantity or ""]) ** 2)
+        return {name: float(np.sqrt(np.nanmean(np.concatenate(x)))) for name, x in squares.items()}
+
+    before = errors(joint)
+
+    def no_worse(other: Joint) -> bool:
+        after = errors(other)
+        ratios = [after.get(name, np.inf) / max(before[name], 1e-12) for name in before]
+        return not ratios or float(np.mean(np.log(np.maximum(ratios, 1e-12)))) <= np.log(WORSE)
+
+    return no_worse
 
 
 def _sensed(measurement: Measurement, quantity: str) -> list[tuple[int, Recording]]:

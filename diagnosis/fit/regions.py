@@ -7,7 +7,7 @@ again without it (in the linear model about the fit, exact to first order) and j
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -108,17 +108,35 @@ def region_masks(problem: Problem, settings: RegionSettings = SETTINGS) -> dict[
     return found
 
 
-def drawn_back(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) -> tuple[float, Fit, tuple[Region, ...]]:
-    """The fit drawn back towards the description until it is worse than that in no region that it has not seen.
+@dataclass(frozen=True)
+class DrawnBack:
+    """A fit drawn back towards the description.
 
-    Returns:
-      Share of the way to the fit that is left; the fit there, what is not known of it wider by the way back; the regions.
+    Attributes:
+      share: of the way to the fit that is left.
+      fit: there; what is not known of it is wider by the way back.
+      regions: with it.
+      asked: whether no region asked for so much, but who was asked beside.
     """
+
+    share: float
+    fit: Fit
+    regions: tuple[Region, ...]
+    asked: bool = False
+
+
+def drawn_back(
+    problem: Problem,
+    f: Fit,
+    settings: RegionSettings = SETTINGS,
+    serves: Callable[[Fit], bool] = lambda f: True,
+) -> DrawnBack:
+    """The fit drawn back towards the description until it is worse than that in no region that it has not seen, and serves."""
     system = NormalEquations(problem, f)
     start = problem.start(None, f.model)
     start[problem.zeros] = f.theta[problem.zeros]  # of two encoders against each other nothing is described
     before = tare.described(problem)
-    at, regions = f, held_out_regions(problem, f, settings, system, described=before)
+    at, regions, asked = f, held_out_regions(problem, f, settings, system, described=before), False
     for share in settings.shares if regions else (0.0,):  # what nothing can be held against is not written
         if share < 1.0:
             theta = start + share * (f.theta - start)
@@ -128,9 +146,12 @@ def drawn_back(problem: Problem, f: Fit, settings: RegionSettings = SETTINGS) ->
                 f, theta=theta, point=Point(residual, f.point.noise), covariance=f.covariance + np.outer(away, away)
             )
             regions = held_out_regions(problem, at, settings, system, share, before)
-        if not any(r.worse for r in regions):
-            return share, at, regions
-    return 0.0, at, regions
+        if any(r.worse for r in regions):
+            continue
+        if share == 0.0 or serves(at):
+            return DrawnBack(share, at, regions, asked)
+        asked = True
+    return DrawnBack(0.0, at, regions, asked)
 
 
 def held_out_regions(
