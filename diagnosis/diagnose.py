@@ -19,7 +19,7 @@ from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.instruments import instrumented
 from .fit.noise_bias import without_noise_bias
-from .fit.regions import DrawnBack, Region, drawn_back, held_out_regions, mean_ratio, valid_range
+from .fit.regions import DrawnBack, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
 from .improvement import serves
