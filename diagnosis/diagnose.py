@@ -24,7 +24,16 @@ from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
 from .improvement import serves
 from .search import discrepancy
-from .search.acceptance import MORE_THAN_NOISE, AcceptSettings, Decision, quiet_rms, significance, size_of, worth_of
+from .search.acceptance import (
+    MORE_THAN_NOISE,
+    AcceptSettings,
+    Decision,
+    drowned,
+    quiet_rms,
+    significance,
+    size_of,
+    worth_of,
+)
 from .search.described import as_described
 from .search.discrepancy import Unknown
 from .search.identifiability import limits
@@ -320,20 +329,22 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
             for i, x in enumerate(away)
             if x < ANSWER.significant
         }
-        if all(id(final.model[i]) in kept for i in reasons):
+        lost = {i: why for i in range(len(final.model)) if (why := drowned(problem, final, i, settings))}
+        if not lost and all(id(final.model[i]) in kept for i in reasons):
             less, corrected = _corrected(problem, final)
             reasons = {
                 i: "what it changes is within the joint's tolerances where the fit ends"
                 for i in range(len(final.model))
                 if is_calibration(less, corrected, i)
             }
-        weak = [i for i in reasons if id(final.model[i]) not in kept]
+        reasons |= lost
+        weak = [i for i in reasons if i in lost or id(final.model[i]) not in kept]
         if not weak:
             return less, corrected, found
         i = min(weak, key=lambda i: away[i])
         h = final.model[i]
         other = without_effect(problem, fitter, final, i, settings)
-        needed = why_needed(problem, final, other, settings)
+        needed = "" if i in lost else why_needed(problem, final, other, settings)
         reason, nan = needed or reasons[i], float("nan")
         decision = Decision(
             "settle", h.cause.name, h.fixed, nan, nan, size_of(problem, final, i), True, bool(needed), reason

@@ -9,7 +9,7 @@ import numpy as np
 from ..fit.noise import normalised_rms, whiten
 from ..fit.residual import Problem
 from ..fit.solver import Fit, huber_loss
-from .worth import Worth, worth
+from .worth import Worth, mean_squares, unexplained, worth
 
 MORE_THAN_NOISE = 1.25
 """Residual over the sensors' noise (RMS) from which on more than noise is left: sound joints have 1.00, real ones 1.5 or more."""
@@ -31,6 +31,8 @@ class AcceptSettings:
         there is decided by `worth` again.
       chance: part of the sensors' noise (mean square) by which what two fits leave may differ by chance.
       alike: part of the mean square that a cause takes away that another one must take away to be its rival.
+      drowned: times what nothing explains that all of what a number makes must be, for an effect that scales it: of a signal that
+        is buried in errors, least squares finds a part.
       slight: part of the root mean square of what nothing explains that it must be worth, where that is not far above the noise
         (where it is, something is there that the library does not have).
       little: part of the mean square of what is not explained that a cause must take away, for another one to be fitted after it;
@@ -62,6 +64,7 @@ class AcceptSettings:
     worth_large: float = 0.15
     chance: float = 0.1
     alike: float = 0.3
+    drowned: float = 2.0
     slight: float = 0.25
     little: float = 0.1
     plain: float = MORE_THAN_NOISE
@@ -159,6 +162,23 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     where = block.start + np.asarray(h.magnitudes)
     away = amount_of(problem, f, index)[h.magnitudes]
     return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
+
+
+def drowned(problem: Problem, f: Fit, index: int, settings: AcceptSettings) -> str:
+    """Why a number that one of a fit's effects scales cannot be told: all of what it makes is hardly more than what nothing
+    explains, in every balance (regression dilution by what no replicate of the noise knows). Empty where it is not so."""
+    h, block = f.model[index], problem.place(f.model, index)
+    fields = {s.field for s in problem.calibration.slots}
+    if len(h.free) != 1 or not fields & {*h.cause.scales, *h.cause.sets.values()}:
+        return ""
+    whole = f.theta[block] - h.coordinates({h.free[0].name: 0.0})
+    if np.allclose(whole, amount_of(problem, f, index)):  # the number is nothing without the effect
+        return ""
+    made = mean_squares(problem, [J[..., block] @ whole for J in f.jacobian])
+    left = unexplained(problem, f.point)
+    if np.any(made > settings.drowned**2 * left):
+        return ""
+    return f"all of what it scales is {made.sum() ** 0.5:.2g} N·m RMS, and {left.sum() ** 0.5:.2g} is left that nothing explains"
 
 
 def held_out_cost(problem: Problem, f: Fit, under: Fit) -> float:

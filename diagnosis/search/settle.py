@@ -12,7 +12,7 @@ from ..fit.coordinates import Hypothesis
 from ..fit.noise import Noise
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, losses_of, tamed, with_dispersion
-from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, significance, size_of, worth_of
+from .acceptance import AcceptSettings, Decision, Rivals, drowned, quiet_rms, significance, size_of, worth_of
 from .calibrate import better_of_both, hand_over
 from .screen import Library, Screened
 from .select import with_effect
@@ -210,6 +210,8 @@ def _prune(
             reason = ""
             if is_calibration(problem, f, i):
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
+            elif lost := drowned(problem, f, i, settings):
+                reason = lost
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
             elif near and w.rms < settings.slight * left**0.5:
@@ -232,7 +234,8 @@ def _prune(
             i = max(tried, key=lambda i: quick[i].log_evidence)
             other = _not_lost(problem, fitter, f, quick[i], settings)
             reason, gain = verdicts[i][2], float("nan")
-            needed = "" if is_calibration(problem, f, i) else why_needed(problem, f, other, settings)
+            beyond = not (is_calibration(problem, f, i) or drowned(problem, f, i, settings))
+            needed = why_needed(problem, f, other, settings) if beyond else ""
             if needed:
                 kept.add(id(f.model[i]))
                 reason, gain = needed, f.log_evidence - other.log_evidence
