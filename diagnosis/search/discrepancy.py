@@ -62,8 +62,8 @@ class DiscrepancySettings:
       noise: of the sensors' noise, in the same balance, where it is not.
       penalty: log prior odds of a known cause against an unknown effect, and of a usual place against another; where two places
         are compared, times the residual over the sensors' noise, `loosest` at most: what no description holds speaks for either.
-      gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain
-        that it must explain more, or it is the little that real joints have of everything.
+      gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain,
+        and of what it makes itself, that it must explain more, or it is the little that real joints have of everything.
       lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need only be the
         likelier; where it stands in nothing's place, not even that: slow discrepancy holds in the noise what the effect would.
       likely: part of these shares that it must have in the linear model to be fitted through the replay.
@@ -522,7 +522,7 @@ def _refined(
             return None
     else:
         share = own / max(own + after, 1e-30)
-        if before - after < max(settings.gain * before, more) or own < least:
+        if before - after < max(settings.gain * before, more, settings.more * own) or own < least:
             return None
     return Unknown(candidate.spline, f, float(gain), float(share))
 

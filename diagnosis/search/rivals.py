@@ -20,7 +20,7 @@ from .calibrate import fields_at_the_end
 from .finalists import Finalist, finalists_of, objection
 from .screen import Library, ScreenSettings, screen
 from .select import others_than
-from .settle import without_effect
+from .settle import quickly_without, without_effect
 
 
 def against_rivals(
@@ -39,12 +39,16 @@ def against_rivals(
         r, h = told[index], f.model[index]
         ends = fields_at_the_end(problem, f)
         further = {o.cause.name for o in hypotheses if ends & {*o.cause.sets.values(), *o.cause.scales}}
-        close = {n for n, g in r.others if g > settings.close * r.gain} | further
-        close -= {g.cause.name for g in f.model}
+        further -= {g.cause.name for g in f.model}
+        near = {n for n, g in r.others if g > settings.close * r.gain} - {g.cause.name for g in f.model}
+        close = near | further
         if not close or size_of(problem, f, index) < settings.contested:
             index += 1
             continue
-        without = without_effect(problem, fitter, f, index, settings)
+        if near:
+            without = without_effect(problem, fitter, f, index, settings)
+        else:
+            without = quickly_without(problem, fitter, f, index)
         # Under the sensors' noise that the rivals' fits have, too.
         here = fitter.fit(f.model, f.theta, f, 1, without)
         own = here.log_evidence - without.log_evidence
