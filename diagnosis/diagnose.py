@@ -40,7 +40,7 @@ from .search.identifiability import limits
 from .search.settle import is_calibration, why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, search
-from .search.worth import left_by, mean_squares
+from .search.worth import by_chance, left_by, mean_squares
 from .uncertainty import stated
 
 
@@ -320,7 +320,7 @@ def _holds_back(outcome: _Outcome) -> str:
 def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Problem, Fit, Search]:
     """The chosen model at its end and corrected, without effects that the data do not tell from nothing there."""
     kept: set[int] = set()
-    final = with_dispersion(problem, fitter.polish(found.chosen))
+    final = _at_its_end(problem, fitter, found.chosen)
     while True:
         less, corrected = problem, final
         away = [significance(problem, final, i) for i in range(len(final.model))]
@@ -355,7 +355,23 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
             continue
         rivals = tuple(r for j, r in enumerate(found.rivals) if j != i)
         found = replace(found, chosen=other, rivals=rivals)
-        final = with_dispersion(problem, fitter.polish(other))
+        final = _at_its_end(problem, fitter, other)
+
+
+def _at_its_end(problem: Problem, fitter: Fitter, f: Fit) -> Fit:
+    """A model fitted to its end. Where taking out the noise's share leaves plainly more, as at a stop where noise is multiplied by
+    its stiffness, the fit stays, and neither is right to better than what is between them."""
+    polished = fitter.polish(f)
+    if _plainly_more(problem, polished, f):
+        away = polished.theta - f.theta
+        polished = replace(f, covariance=f.covariance + np.outer(away, away))
+    return with_dispersion(problem, polished)
+
+
+def _plainly_more(problem: Problem, after: Fit, before: Fit) -> bool:
+    """Whether a correction leaves plainly more than there was before it."""
+    accept = SEARCH.accept
+    return left_by(problem, after) > accept.lost * left_by(problem, before) + by_chance(problem, before, accept.chance)
 
 
 def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
@@ -374,6 +390,9 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     found = instrumented(less, unbiased)
     if found is f:
         return problem, f
+    if _plainly_more(problem, found, told):
+        away = found.theta - told.theta
+        return problem, replace(told, noise=f.noise, covariance=told.covariance + np.outer(away, away))
     covariance = found.covariance
     for after, before in ((unbiased, told), (found, unbiased)):
         unknown = ANSWER.inexact_bias * (after.theta - before.theta)

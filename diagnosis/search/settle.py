@@ -99,12 +99,16 @@ def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, setting
     return _not_lost(problem, fitter, f, quickly_without(problem, fitter, f, index), settings)
 
 
-def quickly_without(problem: Problem, fitter: Fitter, f: Fit, index: int) -> Fit:
-    """The same with the derivatives of the fit with it, which may end where those do not serve any more."""
+def quickly_without(problem: Problem, fitter: Fitter, f: Fit, index: int, beside: Fit | None = None) -> Fit:
+    """The same with the derivatives of the fit with it, which may end where those do not serve any more.
+
+    Args:
+      beside: the fit with which it is compared, as in `Fitter.fit`.
+    """
     block = problem.place(f.model, index)
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
-    return fitter.fit(model, f.theta[kept], f, 4, f)
+    return fitter.fit(model, f.theta[kept], f, 4, beside)
 
 
 def _not_lost(problem: Problem, fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> Fit:
@@ -230,7 +234,7 @@ def _prune(
         if bad:
             # Of those, the one without which the rest is most probable.
             tried = sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
-            quick |= {i: quickly_without(problem, fitter, f, i) for i in tried if i not in quick}
+            quick |= {i: quickly_without(problem, fitter, f, i, f) for i in tried if i not in quick}
             i = max(tried, key=lambda i: quick[i].log_evidence)
             other = _not_lost(problem, fitter, f, quick[i], settings)
             reason, gain = verdicts[i][2], float("nan")
