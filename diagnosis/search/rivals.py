@@ -15,12 +15,12 @@ import numpy as np
 from ..fit.coordinates import Hypothesis
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
-from .acceptance import AcceptSettings, Decision, Rivals, size_of
+from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, size_of
 from .calibrate import fields_at_the_end
-from .finalists import Finalist, finalists_of, objection
+from .finalists import Finalist, explains_little, finalists_of, objection
 from .screen import Library, ScreenSettings, screen
 from .select import others_than
-from .settle import quickly_without, without_effect
+from .settle import without_effect
 
 
 def against_rivals(
@@ -37,25 +37,18 @@ def against_rivals(
     index = 0
     for _ in range(len(rivals)):
         r, h = told[index], f.model[index]
-        ends = fields_at_the_end(problem, f)
-        further = {o.cause.name for o in hypotheses if ends & {*o.cause.sets.values(), *o.cause.scales}}
-        further -= {g.cause.name for g in f.model}
-        near = {n for n, g in r.others if g > settings.close * r.gain} - {g.cause.name for g in f.model}
-        close = near | further
+        close = {n for n, g in r.others if g > settings.close * r.gain} - {g.cause.name for g in f.model}
         if not close or size_of(problem, f, index) < settings.contested:
             index += 1
             continue
-        if near:
-            without = without_effect(problem, fitter, f, index, settings)
-        else:
-            without = quickly_without(problem, fitter, f, index)
+        without = without_effect(problem, fitter, f, index, settings)
         # Under the sensors' noise that the rivals' fits have, too.
         here = fitter.fit(f.model, f.theta, f, 1, without)
         own = here.log_evidence - without.log_evidence
         offered = [o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close]
         library = Library(problem, without, offered, screening.probe)
         screened = screen(problem, without, library, screening)
-        fitted = finalists_of(problem, fitter, without, screened, settings, ask=further)
+        fitted = finalists_of(problem, fitter, without, screened, settings)
         gains: dict[str, float] = {}
         for other in fitted:
             gains.setdefault(other.name, other.gain)
@@ -80,6 +73,34 @@ def against_rivals(
         told = [*told[:index], *told[index + 1 :], Rivals(best.name, best.gain, tuple(gains.items()))]
         f = best.fit
     return f, told, decisions
+
+
+def beyond_the_ends(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: Sequence[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+    screening: ScreenSettings,
+) -> tuple[Fit, list[Rivals], list[Decision]]:
+    """With the cause that goes on where a number has come to the end of its tolerance, where that is likelier; what stood in its
+    place is taken back afterwards (`settle`)."""
+    ends = fields_at_the_end(problem, f)
+    further = {o.cause.name for o in hypotheses if ends & {*o.cause.sets.values(), *o.cause.scales}}
+    offered = [o for o in others_than(problem, hypotheses, f.model) if o.cause.name in further]
+    if not offered or quiet_rms(problem, f) < settings.plain:
+        return f, list(rivals), []
+    screened = screen(problem, f, Library(problem, f, offered, screening.probe), screening)
+    best = _better(problem, f, finalists_of(problem, fitter, f, screened, settings, ask=further), 0.0, settings)
+    if best is None or explains_little(problem, f, best, settings):
+        return f, list(rivals), []
+    rms = float(np.sqrt(max(best.removed, 0.0)))
+    reason = f"a number is at the end of its tolerance; to go on adds {best.gain:.0f} to the log evidence"
+    decision = Decision(
+        "settle", best.name, best.fit.model[-1].fixed, best.gain, rms, size_of(problem, best.fit), True, True, reason
+    )
+    return best.fit, [*rivals, Rivals(best.name, best.gain, ())], [decision]
 
 
 def _better(

@@ -96,10 +96,10 @@ def is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN)
 
 def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
     """A fit without one of its effects."""
-    return _not_lost(problem, fitter, f, quickly_without(problem, fitter, f, index), settings)
+    return _not_lost(problem, fitter, f, _quickly_without(problem, fitter, f, index), settings)
 
 
-def quickly_without(problem: Problem, fitter: Fitter, f: Fit, index: int, beside: Fit | None = None) -> Fit:
+def _quickly_without(problem: Problem, fitter: Fitter, f: Fit, index: int, beside: Fit | None = None) -> Fit:
     """The same with the derivatives of the fit with it, which may end where those do not serve any more.
 
     Args:
@@ -234,7 +234,7 @@ def _prune(
         if bad:
             # Of those, the one without which the rest is most probable.
             tried = sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
-            quick |= {i: quickly_without(problem, fitter, f, i, f) for i in tried if i not in quick}
+            quick |= {i: _quickly_without(problem, fitter, f, i, f) for i in tried if i not in quick}
             i = max(tried, key=lambda i: quick[i].log_evidence)
             other = _not_lost(problem, fitter, f, quick[i], settings)
             reason, gain = verdicts[i][2], float("nan")

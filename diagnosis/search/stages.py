@@ -25,7 +25,7 @@ from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
 from .calibrate import CalibrateSettings, afresh, better_of_both, calibrate, doubtful, hand_over
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
-from .rivals import against_rivals
+from .rivals import against_rivals, beyond_the_ends
 from .screen import Library, ScreenSettings, screen
 from .select import gains_of, others_than, select
 from .settle import settle, together
@@ -147,8 +147,9 @@ def _further(
             progress("settling all causes", 0.75 + 0.08 * done)
             at, rivals, dropped = together(problem, fitter, at, library, more, rivals, accept)
         at, rivals, compared = against_rivals(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
-        at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more))
-        decisions += [*dropped, *compared, *settled]
+        at, rivals, gone_on = beyond_the_ends(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
+        at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more or gone_on))
+        decisions += [*dropped, *compared, *gone_on, *settled]
         gone = [d for d in (*dropped, *settled) if not d.taken]
         # An effect that was taken back stood for something, as numbers at the end of their tolerances do.
         unsettled = any(d.size > accept.large for d in gone)
