@@ -359,8 +359,8 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
 
 
 def _at_its_end(problem: Problem, fitter: Fitter, f: Fit) -> Fit:
-    """A model fitted to its end. Where taking out the noise's share leaves plainly more, as at a stop where noise is multiplied by
-    its stiffness, the fit stays, and neither is right to better than what is between them."""
+    """A model fitted to its end. Where taking out the noise's share leaves plainly more, as at a stop, whose stiffness multiplies
+    noise, the fit stays, and neither is right to better than what is between them."""
     polished = fitter.polish(f)
     if _plainly_more(problem, polished, f):
         away = polished.theta - f.theta
