@@ -141,22 +141,24 @@ def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
     """Whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors of `MAIN` over
     all that was measured. Any does where nothing was measured to hold estimates against."""
     quantity = next((name for name in TRUTHS if _sensed(measurement, name)), None)
-    sensed = [] if quantity is None else _sensed(measurement, quantity)
+    if quantity is None:
+        return lambda other: True
+    sensed = _sensed(measurement, quantity)
 
     def errors(known: Joint) -> dict[str, float]:
         squares: dict[str, list[np.ndarray]] = {}
         for _, recording in sensed:
-            estimates = estimate_recording(recording, known, MAIN)
-            for name, estimate in _of(estimates, quantity or "").items():
-                squares.setdefault(name, []).append((estimate - recording[quantity or ""]) ** 2)
-        return {name: float(np.sqrt(np.nanmean(np.concatenate(x)))) for name, x in squares.items()}
+            for name, estimate in _of(estimate_recording(recording, known, MAIN), quantity).items():
+                error = estimate - recording[quantity]
+                squares.setdefault(name, []).append(error[np.isfinite(error)] ** 2)
+        return {name: float(np.sqrt(np.mean(np.concatenate(x)))) for name, x in squares.items() if any(map(len, x))}
 
     before = errors(joint)
 
     def no_worse(other: Joint) -> bool:
         after = errors(other)
-        ratios = [after.get(name, np.inf) / max(before[name], 1e-12) for name in before]
-        return not ratios or float(np.mean(np.log(np.maximum(ratios, 1e-12)))) <= np.log(WORSE)
+        ratios = [max(after.get(name, np.inf), 1e-12) / max(error, 1e-12) for name, error in before.items()]
+        return not ratios or float(np.mean(np.log(ratios))) <= np.log(WORSE)
 
     return no_worse
 

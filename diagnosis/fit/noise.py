@@ -376,7 +376,7 @@ def learn(
     scales = settings.scales
     shapes = np.stack([haar_of_band(t, scales) for t in settings.bands], axis=1)
     discrepancy = np.zeros((len(BALANCES), len(settings.bands)))
-    known_rest, rest = rest, np.zeros((len(segments), len(BALANCES)))
+    resting_noise = np.zeros((len(segments), len(BALANCES)))
     for b in range(len(BALANCES)):
         energy, known, number = np.zeros(len(scales)), np.zeros(len(scales)), np.zeros(len(scales))
         for i, segment in enumerate(segments):
@@ -403,8 +403,8 @@ def learn(
                 moving = segment.usable[:, b] & ~segment.at_rest
                 base = float(np.var(residuals[i][moving, b])) if moving.sum() > 50 else 0.0
                 slow = max(slow, float(np.sqrt(max(np.mean(residuals[i][resting, b] ** 2) - base, 0.0))))
-            rest[i, b] = slow
-    return Noise(sensors, discrepancy, rest if known_rest is None else known_rest, settings)
+            resting_noise[i, b] = slow
+    return Noise(sensors, discrepancy, resting_noise if rest is None else rest, settings)
 
 
 def _clipped(x: np.ndarray, use: np.ndarray) -> np.ndarray:
