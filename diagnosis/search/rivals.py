@@ -34,10 +34,13 @@ def against_rivals(
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Every cause of some size against its close rivals, beside all others: the likelier stays, the gains are told anew."""
     told, decisions = list(rivals), list[Decision]()
+    unsettled = quiet_rms(problem, f) > settings.plain
     index = 0
     for _ in range(len(rivals)):
         r, h = told[index], f.model[index]
         close = {n for n, g in r.others if g > settings.close * r.gain} - {g.cause.name for g in f.model}
+        if h.alternatives > 1 and unsettled:
+            close.add(h.cause.name)  # another order: two may each be a part of what one is
         if not close or size_of(problem, f, index) < settings.contested:
             index += 1
             continue
@@ -45,7 +48,9 @@ def against_rivals(
         # Under the sensors' noise that the rivals' fits have, too.
         here = fitter.fit(f.model, f.theta, f, 1, without)
         own = here.log_evidence - without.log_evidence
-        offered = [o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close]
+        offered = [
+            o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close and o.key != h.key
+        ]
         library = Library(problem, without, offered, screening.probe)
         screened = screen(problem, without, library, screening)
         fitted = finalists_of(problem, fitter, without, screened, settings)
