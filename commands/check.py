@@ -37,7 +37,7 @@ def command(
     from ..models import causes
     from ..models.files import json_text
     from ..models.memory import give_back_large_arrays
-    from ..models.recording import read_measurement
+    from ..models.recording import GAP, read_measurement
     from ._console import console
     from ._mistakes import print_mistakes
 
@@ -75,8 +75,13 @@ def command(
     for heading, cells in _rows(data.recordings, summaries):
         table.add_row(Text(heading), *cells)
     terminal.print(table)
-    for s in summaries:
-        for begin, end in s.gaps:
+    for recording, s in zip(data.recordings, summaries, strict=True):
+        if recording.sparse:
+            terminal.print(
+                f"{s.name}: samples are {s.interval:.3g} s apart, and more than {GAP:g} s is a gap: what happens between them "
+                "is unknown; record at 50 Hz at least, 250 Hz and more serve"
+            )
+        for begin, end in () if recording.sparse else s.gaps:
             text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
             terminal.print(text)
         if s.clipped:

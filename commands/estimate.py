@@ -43,7 +43,7 @@ def command(
     from ..models.joint import beyond_sentence
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
-    from ..models.recording import read_measurement
+    from ..models.recording import GAP, read_measurement
     from ._console import console
 
     give_back_large_arrays()
@@ -60,9 +60,10 @@ def command(
     require_sound(data, described)
     give_back_free_pages()
     if all(s.stop - s.start < SHORTEST for recording in data.recordings for s in recording.segments):
-        raise InputError(
-            f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got none: too short to estimate"
-        )
+        got = "none: too short to estimate"
+        if all(recording.sparse for recording in data.recordings):
+            got = f"samples that are {data.recordings[0].interval:.3g} s apart, and more than {GAP:g} s is a gap"
+        raise InputError(f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
     terminal = console()
     report: dict[str, dict[str, Any]] = {}
     bands = described.uncertainty is not None

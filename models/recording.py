@@ -210,6 +210,11 @@ class Recording:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
 
+    @property
+    def sparse(self) -> bool:
+        """Whether gaps are the rule: samples so far apart that hardly two of them belong together."""
+        return len(self.gaps) > 0.1 * len(self.time)
+
 
 @dataclass(frozen=True)
 class Measurement:
