@@ -159,7 +159,8 @@ def diagnose(
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
     undetermined, alike = _limits(problem, found, final, tried, missing)
     outcome = _Outcome(problem, found, unknown, final, drawn, undetermined, alike)
-    if drawn.share == 0.0 or (found.chosen.model and outcome.nearly_all and problem.link_measured):
+    few = bool(found.chosen.model) and outcome.nearly_all and problem.link_measured
+    if drawn.share == 0.0 or few or outcome.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         described = _as_described(outcome, tried, missing, settings) if time.monotonic() < deadline else None
         outcome = described or replace(outcome, surest=ANSWER.unsure if drawn.share == 0.0 else 1.0)
@@ -191,6 +192,11 @@ class _Outcome:
         """Whether nearly all causes could not have shown."""
         return len(self.undetermined) >= ANSWER.nearly_all * len(causes.of(self.problem.joint))
 
+    @property
+    def only_unknown(self) -> bool:
+        """Whether no known cause was found, and what else was does not hold everywhere that it was not fitted."""
+        return self.unknown is not None and not self.found.chosen.model and self.drawn.share < 1.0
+
 
 def _as_described(
     outcome: _Outcome, tried: list[Hypothesis], missing: dict[str, str], settings: SearchSettings
@@ -202,7 +208,8 @@ def _as_described(
         return None
     final = _inflated(problem, with_dispersion(problem, other.chosen))
     regions = held_out_regions(problem, final)
-    if outcome.drawn.share > 0.0 and mean_ratio(regions) >= ANSWER.simpler * mean_ratio(outcome.drawn.regions):
+    most = 1.0 if outcome.only_unknown else ANSWER.simpler
+    if outcome.drawn.share > 0.0 and mean_ratio(regions) >= most * mean_ratio(outcome.drawn.regions):
         return None
     found = replace(other, decisions=(*outcome.found.decisions, *other.decisions), complete=outcome.found.complete)
     undetermined, alike = _limits(problem, found, final, tried, missing)
