@@ -55,7 +55,7 @@ class AnswerSettings:
         is no surer than `beside` below, and minor below `barely`; plainly: one worth so many times what nothing explains is never
         minor for it, and may be sure from `barely` on.
       slim: share of what all effects are worth together (mean square) below which one is sure only from `clearly` standard
-        deviations on: what a law of another leaves, in the hundredths, may look like it.
+        deviations on, and an unknown one never: what a law of another leaves, in the hundredths, may look like it.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
       plain_share: share of the explanations from which on a cause and its special cases are told apart.
@@ -471,6 +471,8 @@ def _findings(
         share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
         if unknown is not None and i == named:
             confidence = float(np.clip(1 - np.exp(-unknown.gain / (8 * ANSWER.temper)), 0.3, 0.95))
+            if w.rms**2 < ANSWER.slim * total:
+                confidence = min(confidence, ANSWER.beside)
             # Knees that are smooth, friction that is not quite viscous: many small things are in no library.
             rated = problem.joint.numbers["rated_torque"].value
             little = real and w.rms < ANSWER.little * rated and w.rms**2 < ANSWER.mostly * total
