@@ -81,9 +81,10 @@ def command(
                 f"{s.name}: samples are {s.interval:.3g} s apart, and more than {GAP:g} s is a gap: what happens between them "
                 "is unknown; record at 50 Hz at least, 250 Hz and more serve"
             )
-        for begin, end in () if recording.sparse else s.gaps:
-            text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
-            terminal.print(text)
+        else:
+            for begin, end in s.gaps:
+                text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
+                terminal.print(text)
         if s.clipped:
             terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples")
     if missing:

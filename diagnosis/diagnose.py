@@ -40,7 +40,7 @@ from .search.identifiability import limits
 from .search.settle import is_calibration, why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, search
-from .search.worth import by_chance, left_by, mean_squares
+from .search.worth import left_by, noise_of
 from .uncertainty import stated
 
 
@@ -303,7 +303,7 @@ def _holds_back(outcome: _Outcome) -> str:
     if drawn.share < 1.0 and not drawn.regions:
         return "too little motion to keep a region of it from the fit: joint.yaml is the description"
     if drawn.share < 1.0:
-        if drawn.asked:
+        if drawn.refused:
             why = "with what was found estimates of torque are worse than with the description"
         elif drawn.share == 0.0:
             why = "what was found does worse than the description where a fit has not seen the data"
@@ -369,16 +369,19 @@ def _at_its_end(problem: Problem, fitter: Fitter, f: Fit) -> Fit:
     """A model fitted to its end. Where taking out the noise's share leaves plainly more, as at a stop, whose stiffness multiplies
     noise, the fit stays, and neither is right to better than what is between them."""
     polished = fitter.polish(f)
-    if _plainly_more(problem, polished, f):
-        away = polished.theta - f.theta
-        polished = replace(f, covariance=f.covariance + np.outer(away, away))
-    return with_dispersion(problem, polished)
+    return with_dispersion(problem, _as_it_was(f, polished) if _plainly_more(problem, polished, f) else polished)
+
+
+def _as_it_was(before: Fit, after: Fit) -> Fit:
+    """A fit without its correction, known no better than what is between them."""
+    away = after.theta - before.theta
+    return replace(before, covariance=before.covariance + np.outer(away, away))
 
 
 def _plainly_more(problem: Problem, after: Fit, before: Fit) -> bool:
     """Whether a correction leaves plainly more than there was before it."""
     accept = SEARCH.accept
-    return left_by(problem, after) > accept.lost * left_by(problem, before) + by_chance(problem, before, accept.chance)
+    return left_by(problem, after) > accept.lost * left_by(problem, before) + accept.chance * noise_of(problem, before)
 
 
 def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
@@ -398,8 +401,7 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     if found is f:
         return problem, f
     if _plainly_more(problem, found, told):
-        away = found.theta - told.theta
-        return problem, replace(told, noise=f.noise, covariance=told.covariance + np.outer(away, away))
+        return problem, replace(_as_it_was(told, found), noise=f.noise)
     covariance = found.covariance
     for after, before in ((unbiased, told), (found, unbiased)):
         unknown = ANSWER.inexact_bias * (after.theta - before.theta)
@@ -501,7 +503,7 @@ def _findings(
 def _explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:
     """Whether a model with causes leaves more of the simulation's error than the calibrated joint, whatever the evidence says."""
     before, after = (left_by(problem, f) for f in (base, final))
-    noise = float(np.sum(mean_squares(problem, base.point.noise)))
+    noise = noise_of(problem, base)
     return after > ANSWER.useless * before + (ANSWER.useless - 1) * noise
 
 

@@ -102,7 +102,7 @@ def improvement(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) ->
     Args:
       joint: the description that diagnosis was given.
     """
-    quantity = next((name for name in TRUTHS if _sensed(measurement, name)), None)
+    quantity = _measured_torque(measurement)
     if quantity is None or diagnosis.problem is None or diagnosis.search is None:
         return None
     before = calibrated(diagnosis.problem, diagnosis.search.base, joint) if diagnosis.causes else joint
@@ -140,18 +140,18 @@ def improvement(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) ->
 def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
     """Whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors of `MAIN` over
     all that was measured. Any does where nothing was measured to hold estimates against."""
-    quantity = next((name for name in TRUTHS if _sensed(measurement, name)), None)
+    quantity = _measured_torque(measurement)
     if quantity is None:
         return lambda other: True
-    sensed = _sensed(measurement, quantity)
+    recordings = [recording for _, recording in _sensed(measurement, quantity)]
 
     def errors(known: Joint) -> dict[str, float]:
-        squares: dict[str, list[np.ndarray]] = {}
-        for _, recording in sensed:
-            for name, estimate in _of(estimate_recording(recording, known, MAIN), quantity).items():
-                error = estimate - recording[quantity]
-                squares.setdefault(name, []).append(error[np.isfinite(error)] ** 2)
-        return {name: float(np.sqrt(np.mean(np.concatenate(x)))) for name, x in squares.items() if any(map(len, x))}
+        found: dict[str, float] = {}
+        estimates = [(recording, estimate_recording(recording, known, MAIN)) for recording in recordings]
+        for name in MAIN:
+            pairs = [(recording, e) for recording, e in estimates if name in _of(e, quantity)]
+            found[name] = _rms(pairs, quantity, name, [slice(None)] * len(pairs))
+        return {name: error for name, error in found.items() if np.isfinite(error)}
 
     before = errors(joint)
 
@@ -161,6 +161,11 @@ def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
         return not ratios or float(np.mean(np.log(ratios))) <= np.log(WORSE)
 
     return no_worse
+
+
+def _measured_torque(measurement: Measurement) -> str | None:
+    """The first of `TRUTHS` that was measured."""
+    return next((name for name in TRUTHS if _sensed(measurement, name)), None)
 
 
 def _sensed(measurement: Measurement, quantity: str) -> list[tuple[int, Recording]]:
@@ -177,13 +182,19 @@ _Pair = tuple[int, Recording, Estimates, Estimates]
 
 def _errors(pairs: Sequence[_Pair], quantity: str, name: str, use: Sequence[np.ndarray]) -> tuple[float, float]:
     """RMS [N·m] before and after over some samples, one mask a recording."""
-    squares: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
-    for (_, recording, *both), kept in zip(pairs, use, strict=True):
-        for k, estimates in enumerate(both):
-            error = (_of(estimates, quantity)[name] - recording[quantity])[kept]
-            squares[k].append(error[np.isfinite(error)] ** 2)
-    before, after = (float(np.sqrt(np.mean(np.concatenate(x)))) if any(map(len, x)) else float("nan") for x in squares)
+    before, after = (_rms([(recording, both[k]) for _, recording, *both in pairs], quantity, name, use) for k in (0, 1))
     return before, after
+
+
+def _rms(
+    pairs: Sequence[tuple[Recording, Estimates]], quantity: str, name: str, use: Sequence[np.ndarray | slice]
+) -> float:
+    """RMS error of an estimator [N·m] over some samples of recordings; NaN where there are none."""
+    squares = []
+    for (recording, estimates), kept in zip(pairs, use, strict=True):
+        error = (_of(estimates, quantity)[name] - recording[quantity])[kept]
+        squares.append(error[np.isfinite(error)] ** 2)
+    return float(np.sqrt(np.mean(np.concatenate(squares)))) if any(map(len, squares)) else float("nan")
 
 
 def _in_regions(diagnosis: Diagnosis, pairs: Sequence[_Pair], quantity: str, name: str) -> tuple[RegionError, ...]:

@@ -376,7 +376,6 @@ def learn(
     scales = settings.scales
     shapes = np.stack([haar_of_band(t, scales) for t in settings.bands], axis=1)
     discrepancy = np.zeros((len(BALANCES), len(settings.bands)))
-    resting_noise = np.zeros((len(segments), len(BALANCES)))
     for b in range(len(BALANCES)):
         energy, known, number = np.zeros(len(scales)), np.zeros(len(scales)), np.zeros(len(scales))
         for i, segment in enumerate(segments):
@@ -396,15 +395,22 @@ def learn(
         if good.any():
             variance = _variances(energy[good] / number[good], known[good] / number[good], number[good], shapes[good])
             discrepancy[b] = np.sqrt(variance)
-        for i, segment in enumerate(segments):
+    rest = _at_rest(segments, residuals, quantum) if rest is None else rest
+    return Noise(sensors, discrepancy, rest, settings)
+
+
+def _at_rest(segments: Sequence[Segment], residuals: Sequence[np.ndarray], quantum: np.ndarray) -> np.ndarray:
+    """Standard deviation of the disturbance at rest, shape (segments, len(BALANCES)): what is left beyond what motion leaves."""
+    rest = np.tile(np.asarray(quantum, float), (len(segments), 1))
+    for i, segment in enumerate(segments):
+        for b in range(len(BALANCES)):
             resting = segment.usable[:, b] & segment.at_rest
-            slow = float(quantum[b])
             if resting.sum() > 50:
                 moving = segment.usable[:, b] & ~segment.at_rest
                 base = float(np.var(residuals[i][moving, b])) if moving.sum() > 50 else 0.0
-                slow = max(slow, float(np.sqrt(max(np.mean(residuals[i][resting, b] ** 2) - base, 0.0))))
-            resting_noise[i, b] = slow
-    return Noise(sensors, discrepancy, resting_noise if rest is None else rest, settings)
+                more = np.sqrt(max(np.mean(residuals[i][resting, b] ** 2) - base, 0.0))
+                rest[i, b] = max(rest[i, b], more)
+    return rest
 
 
 def _clipped(x: np.ndarray, use: np.ndarray) -> np.ndarray:

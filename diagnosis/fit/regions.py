@@ -116,13 +116,13 @@ class DrawnBack:
       share: of the way to the fit that is left.
       fit: there; what is not known of it is wider by the way back.
       regions: with it.
-      asked: whether no region asked for so much, but who was asked beside.
+      refused: whether a larger share, with which no region is worse, does not serve.
     """
 
     share: float
     fit: Fit
     regions: tuple[Region, ...]
-    asked: bool = False
+    refused: bool = False
 
 
 def drawn_back(
@@ -136,7 +136,7 @@ def drawn_back(
     start = problem.start(None, f.model)
     start[problem.zeros] = f.theta[problem.zeros]  # of two encoders against each other nothing is described
     before = tare.described(problem)
-    at, regions, asked = f, held_out_regions(problem, f, settings, system, described=before), False
+    at, regions, refused = f, held_out_regions(problem, f, settings, system, described=before), False
     for share in settings.shares if regions else (0.0,):  # what nothing can be held against is not written
         if share < 1.0:
             theta = start + share * (f.theta - start)
@@ -149,9 +149,9 @@ def drawn_back(
         if any(r.worse for r in regions):
             continue
         if share == 0.0 or serves(at):
-            return DrawnBack(share, at, regions, asked)
-        asked = True
-    return DrawnBack(0.0, at, regions, asked)
+            return DrawnBack(share, at, regions, refused)
+        refused = True
+    return DrawnBack(0.0, at, regions, refused)
 
 
 def held_out_regions(

@@ -24,7 +24,7 @@ from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight
 from .acceptance import quiet_rms
 from .screen import plain_noise
-from .worth import left_by, mean_squares
+from .worth import left_by, mean_squares, noise_of
 
 COMPONENT = {
     "rotor": "motor", "mesh": "transmission", "flexspline": "transmission", "link": "link",
@@ -411,7 +411,7 @@ def find(
     rated = problem.joint.numbers["rated_torque"].value
     left = left_by(problem, chosen)
     explained = left_by(problem, base) - left
-    floor = settings.noise * float(np.sum(mean_squares(problem, chosen.point.noise)))
+    floor = settings.noise * noise_of(problem, chosen)
     least = max((settings.worth * rated) ** 2, 0.0) if left > floor else np.inf
     drops = _drops(problem, chosen)
     if left < least and not (drops and explained > least):

@@ -15,7 +15,7 @@ from ..fit.tare import roughness, tared
 from .acceptance import AcceptSettings, Decision, Rivals, held_out_cost, quiet_rms, significance, size_of
 from .calibrate import hand_over
 from .screen import Screened
-from .worth import by_chance, left_by
+from .worth import left_by, noise_of
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ def first_cause(
     chosen = max(good, key=lambda f: f.removed, default=None)
     if chosen is not None:
         # Of those that explain about the same the likeliest.
-        least = min(chosen.removed / 1.5, chosen.removed - by_chance(problem, base, settings.chance))
+        least = min(chosen.removed / 1.5, chosen.removed - settings.chance * noise_of(problem, base))
         chosen = max((f for f in good if f.removed >= least), key=lambda f: f.gain)
         # Two causes that are well known may stand for one that is not.
         nearly = replace(settings, significant=settings.nearly)

@@ -7,7 +7,7 @@ its tolerance: many numbers move together on that way, and the linear model does
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -51,9 +51,7 @@ def against_rivals(
         offered = [
             o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close and o.key != h.key
         ]
-        library = Library(problem, without, offered, screening.probe)
-        screened = screen(problem, without, library, screening)
-        fitted = finalists_of(problem, fitter, without, screened, settings)
+        fitted = _fitted(problem, fitter, without, offered, settings, screening)
         gains: dict[str, float] = {}
         for other in fitted:
             gains.setdefault(other.name, other.gain)
@@ -96,8 +94,7 @@ def beyond_the_ends(
     offered = [o for o in others_than(problem, hypotheses, f.model) if o.cause.name in further]
     if not offered or quiet_rms(problem, f) < settings.plain:
         return f, list(rivals), []
-    screened = screen(problem, f, Library(problem, f, offered, screening.probe), screening)
-    best = _better(problem, f, finalists_of(problem, fitter, f, screened, settings, ask=further), 0.0, settings)
+    best = _better(problem, f, _fitted(problem, fitter, f, offered, settings, screening, ask=further), 0.0, settings)
     if best is None or explains_little(problem, f, best, settings):
         return f, list(rivals), []
     rms = float(np.sqrt(max(best.removed, 0.0)))
@@ -106,6 +103,20 @@ def beyond_the_ends(
         "settle", best.name, best.fit.model[-1].fixed, best.gain, rms, size_of(problem, best.fit), True, True, reason
     )
     return best.fit, [*rivals, Rivals(best.name, best.gain, ())], [decision]
+
+
+def _fitted(
+    problem: Problem,
+    fitter: Fitter,
+    base: Fit,
+    offered: Sequence[Hypothesis],
+    settings: AcceptSettings,
+    screening: ScreenSettings,
+    ask: Collection[str] = (),
+) -> list[Finalist]:
+    """Of the hypotheses that are offered on top of a fit the best, through the replay; those that are asked for in any case."""
+    screened = screen(problem, base, Library(problem, base, offered, screening.probe), screening)
+    return finalists_of(problem, fitter, base, screened, settings, ask=ask)
 
 
 def _better(

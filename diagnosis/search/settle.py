@@ -16,7 +16,7 @@ from .acceptance import AcceptSettings, Decision, Rivals, drowned, quiet_rms, si
 from .calibrate import better_of_both, hand_over
 from .screen import Library, Screened
 from .select import with_effect
-from .worth import by_chance, left_by
+from .worth import left_by, noise_of
 
 
 def together(
@@ -39,7 +39,7 @@ def together(
     f = fitter.fit(here.model, hand_over(problem, start, here.model), at, 6, at)
 
     before = left_by(problem, at)
-    plainly_less = before - by_chance(problem, at, settings.chance)
+    plainly_less = before - settings.chance * noise_of(problem, at)
 
     def no_gain(x: Fit) -> bool:
         return x.log_evidence < at.log_evidence and left_by(problem, x) > plainly_less
@@ -121,7 +121,7 @@ def _not_lost(problem: Problem, fitter: Fitter, f: Fit, other: Fit, settings: Ac
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
     """Why an effect stays, however little is known of its size: without it the data are not explained. Empty where they are."""
     here, there = (left_by(problem, x) for x in (f, without))
-    plainly_more = (1 + settings.worth) * here + by_chance(problem, f, settings.chance)
+    plainly_more = (1 + settings.worth) * here + settings.chance * noise_of(problem, f)
     if without.log_evidence < f.log_evidence - settings.threshold and there > plainly_more:
         return f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
     return ""
@@ -208,20 +208,22 @@ def _prune(
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
         left, near = left_by(problem, f), quiet_rms(problem, f) < settings.far
         verdicts = []
+        for_good: set[int] = set()  # effects that are taken back whatever they explain
         for i, h in enumerate(f.model):
             w = worth_of(problem, f, linear, i)
             size, away = size_of(problem, f, i), significance(problem, honest, i)
-            reason = ""
             if is_calibration(problem, f, i):
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
-            elif lost := drowned(problem, f, i, settings):
-                reason = lost
+            else:
+                reason = drowned(problem, f, i, settings)
+            if reason:
+                for_good.add(i)
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
             elif near and w.rms < settings.slight * left**0.5:
                 reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error, {left**0.5:.2g} is left that nothing explains"
             elif id(h) in kept:
-                reason = ""
+                pass
             elif away < settings.significant:
                 reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
             elif w.share < settings.worth:
@@ -238,8 +240,7 @@ def _prune(
             i = max(tried, key=lambda i: quick[i].log_evidence)
             other = _not_lost(problem, fitter, f, quick[i], settings)
             reason, gain = verdicts[i][2], float("nan")
-            beyond = not (is_calibration(problem, f, i) or drowned(problem, f, i, settings))
-            needed = why_needed(problem, f, other, settings) if beyond else ""
+            needed = "" if i in for_good else why_needed(problem, f, other, settings)
             if needed:
                 kept.add(id(f.model[i]))
                 reason, gain = needed, f.log_evidence - other.log_evidence

@@ -42,9 +42,9 @@ def left_by(problem: Problem, f: Fit) -> float:
     return float(np.sum(unexplained(problem, f.point)))
 
 
-def by_chance(problem: Problem, f: Fit, share: float) -> float:
-    """Mean square by which what two fits leave may differ by chance [N·m]²: so large a `share` of the sensors' noise."""
-    return share * float(np.sum(mean_squares(problem, f.point.noise)))
+def noise_of(problem: Problem, f: Fit) -> float:
+    """Mean square of the sensors' noise in what a fit leaves, over all balances [N·m]²."""
+    return float(np.sum(mean_squares(problem, f.point.noise)))
 
 
 @dataclass(frozen=True)
