@@ -27,3 +27,5 @@ def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str) ->
         cells = (m.name, column, m.recording or "all", m.description, m.change, f"{m.confidence:.2f}")
         table.add_row(*map(Text, cells))
     terminal.print(table)
+    if not all(m.sure for m in mistakes):
+        terminal.print("no change makes the channels fit this joint; what is at most half sure would mend most, and stays with --fix")

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..models.errors import InputError
+from ..models.errors import InputError, InputWarning
 from ._listing import AsJson
 from ._options import with_plugins
 
@@ -54,7 +55,7 @@ def command(
     With `--fix`, what people get wrong (units, signs, columns exchanged or late, …) is named and mended; a measurement in this
     program's own format can be given as well then: `flexspline import MEASUREMENT --fix --out DIR`.
     """
-    from ..diagnosis.data.mistakes import find_mistakes, mended
+    from ..diagnosis.data.mistakes import NO_CHANGE, find_mistakes, mended
     from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..models.recording import edited, write_recording
@@ -73,7 +74,13 @@ def command(
     mistakes: list[Mistake] = []
     if fix:
         described = measurement.load_joint(joint)
-        mistakes = list(find_mistakes(measurement, described))
+        found = find_mistakes(measurement, described)
+        mistakes = [m for m in found if m.sure]
+        for m in found:
+            if not m.sure:
+                where = ": ".join(part for part in (m.recording, m.column) if part)
+                text = f"{where}: not mended: {NO_CHANGE}; what would mend most: {m.description}, {m.change}"
+                warnings.warn(text, InputWarning, stacklevel=2)
         if not as_json:
             print_mistakes(terminal, mistakes, "mended")
         measurement = mended(measurement, described, mistakes)

@@ -136,6 +136,11 @@ class Diagnosis:
     complete: bool = True
     seconds: float = 0.0
 
+    @property
+    def mendable(self) -> bool:
+        """Whether every mistake that makes physics meaningless has a change that mends it."""
+        return all(m.sure for m in self.mistakes if m.severe)
+
     def _repr_html_(self) -> str:
         causes_ = [
             (

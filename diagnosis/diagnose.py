@@ -13,7 +13,7 @@ from ..models.joint import Joint
 from ..models.recording import Measurement
 from .answer import BalanceResidual, Diagnosis, Finding, ParameterEstimate, ParameterShift
 from .data import coverage
-from .data.mistakes import Mistake, find_mistakes
+from .data.mistakes import NO_CHANGE, Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, segments
 from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
@@ -414,7 +414,8 @@ def _meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
     reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
     everything = {n: "mistakes in the data" for n in causes.of(joint)}
-    return Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
+    told = Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
+    return told if told.mendable else replace(told, reason=f"{NO_CHANGE}; what would mend most: {named}")
 
 
 def _nothing(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from .joint import Joint
 
 Severity = Literal["error", "warning"]
 
@@ -39,3 +43,21 @@ def contradictions(value: Mapping[str, float], fitted: Collection[str]) -> Itera
     yield from ordered("K1", "K2", "a strain wave gear stiffens with torque", "warning")
     yield from ordered("K2", "K3", "a strain wave gear stiffens with torque", "warning")
     yield from ordered("Fc", "Fs", "static friction is no less than Coulomb friction")
+
+
+def unlike_mjcf(stated: Mapping[str, float], joint: Joint) -> Iterator[Fault]:
+    """That a joint's MJCF has numbers otherwise than its description, which counts: beyond tolerance of any it had.
+
+    Args:
+      stated: by symbol, of `mjcf.stated_numbers`.
+    """
+    other = []
+    for symbol, got in stated.items():
+        n = joint.numbers[symbol]
+        shared = joint.shared_tolerances.get(n.shared or "", 0.0)
+        left_open = math.hypot(n.tolerance * n.value, n.deviation, shared * n.value)
+        near = max(4 * left_open, 1e-3 * abs(n.value))
+        if min(abs(got - known) for known in (n.value, n.nominal) if known is not None) > near:
+            other.append(f"{symbol} = {got:.6g} for {n.value:.6g} {n.unit}")
+    if other:
+        yield Fault("warning", "model", f"{', '.join(other)} in the MJCF; the description's numbers count")

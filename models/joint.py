@@ -14,9 +14,9 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_valid
 
 from . import causes, units
 from .errors import InputError, InputWarning, is_there, nearest
-from .faults import contradictions
+from .faults import contradictions, unlike_mjcf
 from .files import Line, Strict, load, write_into_place, yaml_text
-from .mjcf import mjcf_files
+from .mjcf import mjcf_files, stated_numbers
 from .notebook import html_table, paragraph
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
 from .signals import CHANNELS, Channel
@@ -557,6 +557,10 @@ class Joint(Strict):
             )
         return beside
 
+    def stated_by_mjcf(self) -> dict[str, float]:
+        """Numbers of the description that its own MJCF states too, by symbol; none of a shipped one, which serves for looks."""
+        return {} if self.mjcf.parent == shipped() else stated_numbers(self.mjcf)
+
     def mount(self, name: str | None = None) -> Mounting:
         """Return a mounting by name; `InputError` names the known ones."""
         wanted = self.mounting if name is None else name
@@ -722,7 +726,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
       InputError: no such joint, or a description that is wrong; one line.
 
     Warns:
-      InputWarning: numbers that contradict each other (`faults`), a line each.
+      InputWarning: numbers that contradict each other, or that the MJCF has otherwise (`faults`), a line each.
     """
     known = known_joints()
     name = str(source).replace("_", "-")
@@ -744,6 +748,8 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
         for problem in contradictions(value, fitted):
             if problem.severity == "error":
                 warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
+        for problem in unlike_mjcf(joint.stated_by_mjcf(), joint):
+            warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
     return joint
 
 

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from . import causes
 from .errors import InputError
-from .faults import Fault, Severity, contradictions
+from .faults import Fault, Severity, contradictions, unlike_mjcf
 from .files import descriptions, kind_of, read_yaml
 from .joint import SYMBOLS, Effect, Joint, Mounting, Number, known_joints, load_joint, number_faults
 from .mjcf import check_mjcf
@@ -132,7 +132,7 @@ def _mjcf(joint: Joint) -> list[Fault]:
         check_mjcf(mjcf)
     except InputError as error:
         return [Fault("error", "model", str(error))]
-    return []
+    return list(unlike_mjcf(joint.stated_by_mjcf(), joint))
 
 
 def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Fault]:

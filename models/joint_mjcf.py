@@ -5,6 +5,7 @@ from __future__ import annotations
 import xml.etree.ElementTree as ElementTree
 
 from .joint import Joint, shipped
+from .mjcf import STATED
 from .parameters import GRAVITY
 
 _LEVER = 0.25  # m: largest distance of the link's centre of mass from the axis
@@ -40,22 +41,12 @@ def mjcf_text(joint: Joint) -> str:
         for name, value in attributes.items():
             element.set(name, value)
 
-    put(".//joint[@name='rotor']", damping=n["bm"])
-    put(".//joint[@name='link']", damping=n["bl"])
-    put(".//body[@name='rotor']/inertial", diaginertia=" ".join([n["Jm"]] * 3))
-    put(".//body[@name='wave_generator']/inertial", diaginertia=" ".join([n["Jw"]] * 3))
+    for path, attribute, symbols in STATED:
+        put(path, **{attribute: " ".join(n.get(symbol, symbol) for symbol in symbols)})
     put(".//body[@name='link']/inertial", **_inertial(float(p["Jl"]), float(p["Mg"])))
-    put(".//tendon/fixed[@name='flexspline']", stiffness=n["K1"], damping=n["df"])
-    put(".//tendon/fixed[@name='flexspline']/joint[@joint='wave_generator']", coef=f"{1 / p['N']:.12g}")
-    put(".//tendon/fixed[@name='wave_generator']", stiffness=n["Kw0"], damping=n["dw"])
     put(
-        ".//dcmotor[@name='motor']", motorconst=f"{n['Kt']} {n['Kt']}", resistance=n["R"], inductance=f"{n['L']} 0",
-        saturation=f"0 {n['current_limit']} 0", controller=f"0 0 0 0 0 {n['supply_voltage']}",
-    )  # fmt: skip
-    put(
-        ".//dcmotor[@name='mesh_friction']", lugre=" ".join(n[symbol] for symbol in ("s0", "s1", "Fc", "Fs", "vs")),
-        damping=n["bw"],
-    )  # fmt: skip
+        ".//tendon/fixed[@name='flexspline']/joint[@joint='wave_generator']", coef=f"{1 / p['N']:.12g}"
+    )
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 

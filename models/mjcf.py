@@ -7,6 +7,24 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from .errors import InputError, read_text
 
+STATED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
+    (".//joint[@name='rotor']", "damping", ("bm",)),
+    (".//joint[@name='link']", "damping", ("bl",)),
+    (".//body[@name='rotor']/inertial", "diaginertia", ("Jm", "Jm", "Jm")),
+    (".//body[@name='wave_generator']/inertial", "diaginertia", ("Jw", "Jw", "Jw")),
+    (".//tendon/fixed[@name='flexspline']", "stiffness", ("K1",)),
+    (".//tendon/fixed[@name='flexspline']", "damping", ("df",)),
+    (".//tendon/fixed[@name='wave_generator']", "stiffness", ("Kw0",)),
+    (".//tendon/fixed[@name='wave_generator']", "damping", ("dw",)),
+    (".//dcmotor[@name='motor']", "motorconst", ("Kt", "Kt")),
+    (".//dcmotor[@name='motor']", "resistance", ("R",)),
+    (".//dcmotor[@name='motor']", "inductance", ("L", "0")),
+    (".//dcmotor[@name='motor']", "saturation", ("0", "current_limit", "0")),
+    (".//dcmotor[@name='motor']", "controller", ("0", "0", "0", "0", "0", "supply_voltage")),
+    (".//dcmotor[@name='mesh_friction']", "lugre", ("s0", "s1", "Fc", "Fs", "vs")),
+    (".//dcmotor[@name='mesh_friction']", "damping", ("bw",)),
+)
+"""Where a joint's MJCF states numbers of its description: element, attribute, symbols in the order of its values."""
 _LARGEST = 10_000_000
 """Characters of an MJCF file; meshes and textures lie beside it."""
 _DEEPEST = 10  # of includes within includes
@@ -19,6 +37,24 @@ def check_mjcf(path: Path) -> None:
       InputError: a file that is no XML, has document type declarations or plugins, or names a file elsewhere; one line.
     """
     _check(path, path.resolve().parent, _DEEPEST)
+
+
+def stated_numbers(path: Path) -> dict[str, float]:
+    """Numbers of a joint's description that its MJCF states too, by symbol, as far as they stand in the file itself."""
+    try:
+        root = ElementTree.fromstring(read_text(path, "an MJCF file", _LARGEST))
+    except (InputError, ElementTree.ParseError):  # said where the file is used
+        return {}
+    found: dict[str, float] = {}
+    for element, attribute, symbols in STATED:
+        one = root.find(element)
+        for symbol, text in zip(symbols, "" if one is None else one.get(attribute, "").split(), strict=False):
+            try:
+                found.setdefault(symbol, float(text))
+            except ValueError:
+                continue
+    found.pop("0", None)
+    return found
 
 
 def mjcf_files(path: Path) -> list[Path]:

@@ -26,7 +26,11 @@ _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physi
 _WRONG = -1.2  # misfit of a relation after all changes from which on they are unsure: sound data keep above −0.9
 _TURN = 2 * np.pi
 _BESIDE = ("position_command", "temperature")  # columns that no balance takes
+_UNSURE = 0.5  # largest confidence where no change makes the channels fit
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
+
+
+NO_CHANGE = "the channels do not fit this joint, whatever unit, sign or place is changed"
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,11 @@ class Mistake:
     rows: tuple[int, ...] | None = None
     also: tuple[str, ...] = ()
     severe: bool = True
+
+    @property
+    def sure(self) -> bool:
+        """Whether its change makes the channels fit the joint; where it is only the one that mends most, it may be something else."""
+        return self.confidence > _UNSURE
 
     @property
     def change(self) -> str:
@@ -129,7 +138,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         further += [Mistake("late", one.column, n, text, one.confidence, seconds=one.seconds) for n in where]
     if not late and suspicions.misfit < _WRONG:
         # What mends most leaves channels that cannot be of this joint: it may be something else.
-        further = [replace(m, confidence=min(m.confidence, 0.5)) for m in further]
+        further = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in further]
     return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in (*found, *further))
 
 
@@ -142,6 +151,8 @@ def require_sound(measurement: Measurement, joint: Joint) -> None:
     for m in find_mistakes(measurement, joint):
         if m.severe and m.column not in _UNREAD:
             where = ": ".join(name for name in (m.recording or measurement.name, m.column) if name)
+            if not m.sure:
+                raise InputError(f"{where}: {NO_CHANGE}; what would mend most: {m.description}, {m.change}")
             raise InputError(
                 f"{where}: {m.description}, mended by: {m.change}; "
                 f"`flexspline import {shlex.quote(str(measurement.path))} --fix --out DIR` writes it mended"

@@ -17,7 +17,7 @@ from benchmarks.mistakes import Hidden, hidden_mistakes, hide
 from flexspline import commands
 from flexspline.diagnosis.data.mistakes import find_mistakes, mended
 from flexspline.diagnosis.trials.draw import Challenge, draw
-from flexspline.models.errors import InputError
+from flexspline.models.errors import InputError, InputWarning
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, Recording, read_measurement, write_recording
 
@@ -120,6 +120,24 @@ def test_of_a_column_that_is_nothing_of_the_joint_no_unit_is_sure(column, height
     square = height * np.sign(np.sin(np.pi * r.time + 0.1))
     found = find_mistakes(measurement(replace(r, columns={**r.columns, column: square})), JOINT)
     assert all(m.confidence <= 0.5 for m in found if m.name not in ("stuck", "glitch", "clipped")), found
+
+
+def test_what_no_change_mends_is_not_mended(tmp_path):
+    """A square wave where the motor's angle belongs: nobody is told to write it with another unit."""
+    r = recording()
+    square = 1e5 * np.sign(np.sin(np.pi * r.time + 0.1))
+    write_recording(replace(r, columns={**r.columns, "motor_current": square}), tmp_path / "in")
+    spoilt = str(tmp_path / "in")
+    assert any(not m.sure and m.severe for m in find_mistakes(read_measurement(spoilt), JOINT))
+    told = CliRunner().invoke(commands.app, ["estimate", spoilt, "--out", str(tmp_path / "estimates")])
+    assert isinstance(told.exception, InputError)
+    assert "the channels do not fit this joint" in str(told.exception) and "--fix" not in str(told.exception)
+    told = CliRunner().invoke(commands.app, ["diagnose", spoilt, "--out", str(tmp_path / "diagnosis")])
+    assert "the channels do not fit this joint" in " ".join(told.stdout.split()) and "--fix" not in told.stdout
+    with pytest.warns(InputWarning, match="not mended: the channels do not fit this joint"):
+        CliRunner().invoke(commands.app, ["import", spoilt, "--fix", "--out", str(tmp_path / "mended")])
+    (written,) = read_measurement(tmp_path / "mended").recordings
+    assert np.array_equal(written["motor_current"], square)
 
 
 def test_check_says_it_and_import_mends_it(tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from pathlib import Path
 
 import mujoco
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from flexspline.models import causes
-from flexspline.models.errors import InputError
+from flexspline.models.errors import InputError, InputWarning
 from flexspline.models.joint import (
     OPTIONAL_SYMBOLS,
     SYMBOLS,
@@ -255,6 +256,22 @@ def test_effects_that_add_may_stand_beside_each_other():
 def test_a_model_elsewhere_is_refused(tmp_path, model):
     with pytest.raises(InputError, match=r"model: expected an MJCF file \(\.xml\) in the joint file's folder, got"):
         load_joint(changed(tmp_path, "model: test_joint.xml", f"model: {model!r}"))
+
+
+def test_an_mjcf_that_contradicts_the_description_is_told(tmp_path):
+    """The description's numbers count; a tolerance's width is no contradiction, and a fit keeps what it was."""
+    text = load_joint("test-joint").mjcf.read_text()
+    path = changed(tmp_path, "model: test_joint.xml", "model: own.xml")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for same in (text, text.replace('stiffness="8400"', 'stiffness="8900"')):
+            (tmp_path / "own.xml").write_text(same)
+            load_joint(path)
+    other = text.replace('stiffness="8400"', 'stiffness="840"').replace("1.38e-5 1.38e-5 1.38e-5", "1e-3 1e-3 1e-3")
+    (tmp_path / "own.xml").write_text(other)
+    with pytest.warns(InputWarning, match=r"model: Jm = 0.001 for 1.38e-05 kg·m², K1 = 840 for 8400 N·m/rad in the MJCF"):
+        load_joint(path)
+    assert [(p.severity, p.field) for p in check(path).problems] == [("warning", "model")]
 
 
 def test_a_link_out_of_the_folder_is_refused(tmp_path):

@@ -102,6 +102,7 @@ def context(report: Report) -> dict[str, Any]:
         "verdict": d.verdict,
         "sentence": verdict_sentence(d),
         "mistakes": [_mistake(m) for m in d.mistakes],
+        "mendable": d.mendable,
         "computed": d.problem is not None,
         "recordings": [(r.name, float(r.time[-1] - r.time[0])) for r in report.measurement.recordings],
         "rate": 1 / report.measurement.recordings[0].interval,
@@ -169,7 +170,7 @@ def _mistake(m: Mistake) -> dict[str, Any]:
         mends.append(f"{len(m.rows)} row{'s' if len(m.rows) != 1 else ''}, the first {m.rows[0] + 1}" if m.rows else "")
     return {
         "name": plain(m.name), "column": m.column, "recording": m.recording, "text": m.description,
-        "mends": "; ".join(x for x in mends if x), "confidence": m.confidence, "severe": m.severe,
+        "mends": ("" if m.sure else "most: ") + "; ".join(x for x in mends if x), "confidence": m.confidence, "severe": m.severe,
     }  # fmt: skip
 
 
