@@ -28,4 +28,6 @@ def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str) ->
         table.add_row(*map(Text, cells))
     terminal.print(table)
     if not all(m.sure for m in mistakes):
-        terminal.print("no change makes the channels fit this joint; what is at most half sure would mend most, and stays with --fix")
+        terminal.print(
+            "no change makes the channels fit this joint; what is half sure at most would mend most, and --fix leaves it"
+        )

@@ -142,7 +142,9 @@ def show(
         page.heading("Mistakes in the data")
         for m in found.mistakes:
             mends = "mended by" if m.sure else "no change makes the channels fit the joint; most would"
-            page.item(f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {mends}: {m.change}")
+            page.item(
+                f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {mends}: {m.change}"
+            )
     for heading, findings in (("Causes", found.causes), ("There, but too small to be a cause", found.minor)):
         if findings:
             page.heading(heading)
@@ -207,7 +209,9 @@ def _commands(found: Diagnosis, measurement: Path, out: Path, report: bool) -> l
     """Command lines to go on with, to copy."""
     measured, folder = shlex.quote(str(measurement)), shlex.quote(str(out))
     if any(m.severe for m in found.mistakes):
-        return [f"flexspline import {measured} --fix --out MENDED" if found.mendable else f"flexspline check {measured}"]
+        return [
+            f"flexspline import {measured} --fix --out MENDED" if found.mendable else f"flexspline check {measured}"
+        ]
     lines = [f"flexspline view {folder}"] if report else []
     if found.problem is not None:
         lines += [

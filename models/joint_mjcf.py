@@ -44,9 +44,7 @@ def mjcf_text(joint: Joint) -> str:
     for path, attribute, symbols in STATED:
         put(path, **{attribute: " ".join(n.get(symbol, symbol) for symbol in symbols)})
     put(".//body[@name='link']/inertial", **_inertial(float(p["Jl"]), float(p["Mg"])))
-    put(
-        ".//tendon/fixed[@name='flexspline']/joint[@joint='wave_generator']", coef=f"{1 / p['N']:.12g}"
-    )
+    put(".//tendon/fixed[@name='flexspline']/joint[@joint='wave_generator']", coef=f"{1 / p['N']:.12g}")
     return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 

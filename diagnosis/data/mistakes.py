@@ -64,7 +64,7 @@ class Mistake:
 
     @property
     def sure(self) -> bool:
-        """Whether its change makes the channels fit the joint; where it is only the one that mends most, it may be something else."""
+        """Whether its change makes the channels fit the joint; that which only mends most may be something else."""
         return self.confidence > _UNSURE
 
     @property

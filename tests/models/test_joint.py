@@ -269,7 +269,9 @@ def test_an_mjcf_that_contradicts_the_description_is_told(tmp_path):
             load_joint(path)
     other = text.replace('stiffness="8400"', 'stiffness="840"').replace("1.38e-5 1.38e-5 1.38e-5", "1e-3 1e-3 1e-3")
     (tmp_path / "own.xml").write_text(other)
-    with pytest.warns(InputWarning, match=r"model: Jm = 0.001 for 1.38e-05 kg·m², K1 = 840 for 8400 N·m/rad in the MJCF"):
+    with pytest.warns(
+        InputWarning, match=r"model: Jm = 0.001 for 1.38e-05 kg·m², K1 = 840 for 8400 N·m/rad in the MJCF"
+    ):
         load_joint(path)
     assert [(p.severity, p.field) for p in check(path).problems] == [("warning", "model")]
 

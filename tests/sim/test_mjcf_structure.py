@@ -129,6 +129,7 @@ LOOKS = {
 
 
 @pytest.mark.parametrize("case", LOOKS)
+@pytest.mark.filterwarnings("ignore:.*in the MJCF:flexspline.models.errors.InputWarning")
 def test_looks_change_nothing(tmp_path, case):
     """Geometry and colours are the MJCF's; what the YAML states too is the YAML's: the same motion to the bit."""
 
