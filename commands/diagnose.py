@@ -191,7 +191,7 @@ def _cause(page: _Page, c: Finding) -> None:
 
     page.item(
         f"{title(c)} ({c.component}): {100 * c.confidence:.0f} % sure, explains {100 * c.explains:.0f} %, "
-        f"worth {c.worth:.2g} N·m"
+        f"worth {c.worth:.2g} N·m" + (f" ({c.estimation:.2g} of estimates)" if math.isfinite(c.estimation) else "")
     )
     if c.description:
         page.item(c.description, "    ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +39,8 @@ class Finding:
       confidence: probability that this, and no other cause, is there.
       parameters: of the extended model.
       explains: share of the held-out discrepancy that it removes, in mean squares of output torque.
-      worth: root mean square that it alone removes from the simulation's error [N·m at the output].
+      worth: root mean square that it alone removes from the simulation's error [N·m at the output], and of several causes, from
+        that of estimates of the joint torque; estimation: the latter [N·m], NaN where there is but one.
       description, depends_on: of an unknown effect.
     """
 
@@ -50,6 +52,7 @@ class Finding:
     worth: float
     description: str = ""
     depends_on: tuple[str, ...] = ()
+    estimation: float = float("nan")
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in `diagnosis.json`."""
@@ -61,6 +64,8 @@ class Finding:
             "explains": round(self.explains, 4),
             "worth": {"value": self.worth, "unit": "N·m"},
         }
+        if math.isfinite(self.estimation):
+            entry["worth"]["estimation"] = self.estimation
         if self.name == "unknown":
             entry["description"] = self.description
             entry["depends_on"] = list(self.depends_on)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +23,7 @@ from .fit.noise_bias import without_noise_bias
 from .fit.regions import DrawnBack, drawn_back, held_out_regions, mean_ratio, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, normal_equations, tamed, with_dispersion
-from .improvement import serves
+from .improvement import removed, serves
 from .search import discrepancy
 from .search.acceptance import (
     MORE_THAN_NOISE,
@@ -32,6 +33,7 @@ from .search.acceptance import (
     quiet_rms,
     significance,
     size_of,
+    without_it,
     worth_of,
 )
 from .search.described import as_described
@@ -164,7 +166,7 @@ def diagnose(
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         described = _as_described(outcome, tried, missing, settings) if time.monotonic() < deadline else None
         outcome = described or replace(outcome, surest=ANSWER.unsure if drawn.share == 0.0 else 1.0)
-    return replace(_told(outcome), mistakes=mistakes, seconds=time.monotonic() - begin)
+    return replace(_told(outcome, measurement), mistakes=mistakes, seconds=time.monotonic() - begin)
 
 
 @dataclass(frozen=True)
@@ -216,10 +218,10 @@ def _as_described(
     return _Outcome(problem, found, None, final, DrawnBack(1.0, final, regions), undetermined, alike, ANSWER.beside)
 
 
-def _told(outcome: _Outcome) -> Diagnosis:
+def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
     """An outcome as the answer."""
     problem, found, final, joint = outcome.problem, outcome.found, outcome.drawn.fit, outcome.problem.joint
-    findings, minor = _findings(problem, found, outcome.final, outcome.unknown)
+    findings, minor = _findings(outcome, measurement)
     useless = bool(findings) and _explains_nothing(problem, found.base, outcome.final)
     surest = min(outcome.surest, ANSWER.unsure) if useless else outcome.surest
     findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
@@ -449,16 +451,15 @@ def _limits(
     return {n: r for n, r in sorted(undetermined.items()) if n not in named}, tuple(alike)
 
 
-def _findings(
-    problem: Problem, found: Search, final: Fit, unknown: Unknown | None
-) -> tuple[list[Finding], list[Finding]]:
+def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding], list[Finding]]:
     """The effects of the final model, each with what it is worth: causes, and minor ones."""
+    problem, found, final, unknown = outcome.problem, outcome.found, outcome.final, outcome.unknown
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, final))
     explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
     real = quiet_rms(problem, final) > ANSWER.quiet
     left = left_by(problem, final) ** 0.5
-    findings: list[Finding] = []
-    minor: list[Finding] = []
+    findings: dict[int, Finding] = {}  # by their places in the model
+    minor: dict[int, Finding] = {}
     linear = tamed(problem, final)
     worths = [worth_of(problem, final, linear, i) for i in range(len(final.model))]
     total = max(sum(w.rms**2 for w in worths), 1e-30)
@@ -479,11 +480,9 @@ def _findings(
             # Knees that are smooth, friction that is not quite viscous: many small things are in no library.
             rated = problem.joint.numbers["rated_torque"].value
             little = real and w.rms < ANSWER.little * rated and w.rms**2 < ANSWER.mostly * total
-            (minor if little else findings).append(
-                Finding(
-                    "unknown", unknown.spline.component, confidence, {}, share, w.rms, discrepancy.describe(unknown),
-                    discrepancy.depends_on(unknown.spline.variable),
-                )
+            (minor if little else findings)[i] = Finding(
+                "unknown", unknown.spline.component, confidence, {}, share, w.rms, discrepancy.describe(unknown),
+                discrepancy.depends_on(unknown.spline.variable),
             )  # fmt: skip
             continue
         block = problem.place(final.model, i)
@@ -495,10 +494,28 @@ def _findings(
         small = real and (size_of(problem, final, i) < ANSWER.minor or (away[i] < ANSWER.barely and not plain[i]))
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
-        (minor if small else findings).append(
-            Finding(h.cause.name, h.cause.component, confidences[i], parameters, share, w.rms)
+        (minor if small else findings)[i] = Finding(
+            h.cause.name, h.cause.component, confidences[i], parameters, share, w.rms
         )
-    return findings, minor
+    if len(findings) > 1:
+        gained = _gained(outcome, measurement, linear, list(findings))
+        whole = total + sum(gained.values())
+        for i, g in gained.items():
+            both = float(np.hypot(worths[i].rms, g**0.5))
+            share = float(np.clip(explained * both**2 / whole, 0.0, 1.0))
+            findings[i] = replace(findings[i], explains=share, worth=both, estimation=g**0.5)
+    return list(findings.values()), list(minor.values())
+
+
+def _gained(outcome: _Outcome, measurement: Measurement, linear: Fit, indices: Sequence[int]) -> dict[int, float]:
+    """Mean square of estimators' error [N·m]² that each of some effects removes, as far as other unknowns would not instead."""
+    problem, final, joint = outcome.problem, outcome.final, outcome.problem.joint
+    without = []
+    for i in indices:
+        unknown = None if i < len(final.model) and final.model[i].cause.name == "unknown" else outcome.unknown
+        without.append(extended(problem, without_it(problem, final, linear, i), joint, unknown))
+    gained = removed(measurement, extended(problem, final, joint, outcome.unknown), without)
+    return dict(zip(indices, gained, strict=True))
 
 
 def _explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:

@@ -140,27 +140,40 @@ def improvement(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) ->
 def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
     """Whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors of `MAIN` over
     all that was measured. Any does where nothing was measured to hold estimates against."""
-    quantity = _measured_torque(measurement)
-    if quantity is None:
-        return lambda other: True
-    recordings = [recording for _, recording in _sensed(measurement, quantity)]
-
-    def errors(known: Joint) -> dict[str, float]:
-        found: dict[str, float] = {}
-        estimates = [(recording, estimate_recording(recording, known, MAIN)) for recording in recordings]
-        for name in MAIN:
-            pairs = [(recording, e) for recording, e in estimates if name in _of(e, quantity)]
-            found[name] = _rms(pairs, quantity, name, [slice(None)] * len(pairs))
-        return {name: error for name, error in found.items() if np.isfinite(error)}
-
-    before = errors(joint)
+    before = _errors_with(measurement, joint)
 
     def no_worse(other: Joint) -> bool:
-        after = errors(other)
+        after = _errors_with(measurement, other)
         ratios = [max(after.get(name, np.inf), 1e-12) / max(error, 1e-12) for name, error in before.items()]
         return not ratios or float(np.mean(np.log(ratios))) <= np.log(WORSE)
 
     return no_worse
+
+
+def removed(measurement: Measurement, whole: Joint, without: Sequence[Joint]) -> list[float]:
+    """Mean square of the estimators' error that a joint has less than each of others, [N·m]²: mean over `MAIN`, and all that was
+    measured. Nothing where no torque was."""
+    with ThreadPoolExecutor(2) as pool:
+        best, *others = pool.map(lambda known: _errors_with(measurement, known), (whole, *without))
+    return [
+        max(float(np.mean([other.get(name, error) ** 2 - error**2 for name, error in best.items()])), 0.0)
+        if best
+        else 0.0
+        for other in others
+    ]
+
+
+def _errors_with(measurement: Measurement, known: Joint) -> dict[str, float]:
+    """RMS error of `MAIN` [N·m] over all that was measured, told one joint; none where no torque was measured."""
+    quantity = _measured_torque(measurement)
+    if quantity is None:
+        return {}
+    estimates = [(r, estimate_recording(r, known, MAIN)) for _, r in _sensed(measurement, quantity)]
+    found: dict[str, float] = {}
+    for name in MAIN:
+        pairs = [(recording, e) for recording, e in estimates if name in _of(e, quantity)]
+        found[name] = _rms(pairs, quantity, name, [slice(None)] * len(pairs))
+    return {name: error for name, error in found.items() if np.isfinite(error)}
 
 
 def _measured_torque(measurement: Measurement) -> str | None:

@@ -9,7 +9,7 @@ import numpy as np
 from ..fit.noise import normalised_rms, whiten
 from ..fit.residual import Problem
 from ..fit.solver import Fit, huber_loss
-from .worth import Worth, mean_squares, unexplained, worth
+from .worth import Worth, instead, mean_squares, unexplained, worth
 
 MORE_THAN_NOISE = 1.25
 """Residual over the sensors' noise (RMS) from which on more than noise is left: sound joints have 1.00, real ones 1.5 or more."""
@@ -196,3 +196,13 @@ def worth_of(problem: Problem, f: Fit, linear: Fit, index: int) -> Worth:
     effect = block.start + np.asarray(h.magnitudes)
     others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     return worth(problem, f, linear.jacobian, effect, others, amount_of(problem, f, index)[h.magnitudes])
+
+
+def without_it(problem: Problem, f: Fit, linear: Fit, index: int) -> Fit:
+    """A fit as it would be without one of its effects, in the linear model: the other unknowns do what they can instead."""
+    h, block = f.model[index], problem.place(f.model, index)
+    effect = block.start + np.asarray(h.magnitudes)
+    others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
+    step = instead(problem, f, linear.jacobian, effect, others, amount_of(problem, f, index)[h.magnitudes])
+    model = tuple(g for j, g in enumerate(f.model) if j != index)
+    return replace(f, model=model, theta=f.theta[others] + step, covariance=f.covariance[np.ix_(others, others)])

@@ -76,15 +76,23 @@ def worth(
       columns: derivatives, shape (k, len(BALANCES), n) a segment; `effect`, `others`: indices of columns.
       amount: of the effect's coordinates, from absent.
     """
+    answer = instead(problem, f, columns, effect, others, amount)
+    own = [c[..., effect] @ amount - c[..., others] @ answer for c in columns]
+    return Worth(mean_squares(problem, own), _share(problem, own, f.point))
+
+
+def instead(
+    problem: Problem, f: Fit, columns: Columns, effect: np.ndarray, others: np.ndarray, amount: np.ndarray
+) -> np.ndarray:
+    """By how much the other unknowns would move if an effect of a linear model were not there, shape (len(others),); arguments as
+    of `worth`."""
     rows = whiten(problem.segments, f.noise, columns).rows
     X, made = rows[:, others], rows[:, effect] @ amount
     low, high = (limit - f.theta for limit in problem.bounds(f.model))
     precision = 1 / problem.spread(f.model)[others] ** 2
-    answer = bounded_step(
+    return bounded_step(
         X.T @ X + np.diag(precision), precision * f.theta[others] - X.T @ made, low[others], high[others]
     )
-    own = [c[..., effect] @ amount - c[..., others] @ answer for c in columns]
-    return Worth(mean_squares(problem, own), _share(problem, own, f.point))
 
 
 def _share(problem: Problem, own: Columns, point: Point) -> float:

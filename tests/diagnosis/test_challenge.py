@@ -500,3 +500,16 @@ def test_output_that_cannot_be_written_is_refused_before_the_work(tmp_path, flex
     for out in (tmp_path / "draws.txt", tmp_path / "file" / "draws.json"):
         code, _, err = flexspline("challenge", "--draws", 500, "--out", out)
         assert code == 2 and err.count("\n") == 1, err
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_causes_are_told_by_what_they_are_worth_to_estimators_too():
+    """A friction nearly twice as large, which in a simulation tolerances can do instead, beside a link that is not rigid."""
+    one = draw(Challenge(seed=331, hidden="one", real=True), 1)
+    found = diagnose(one.measurement, one.nominal)
+    assert [e.name for e in one.effects] == ["mesh_friction"]
+    assert found.causes[0].name == "mesh_friction" and found.causes[0].confidence > 0.9
+    assert [c.worth for c in found.causes] == sorted((c.worth for c in found.causes), reverse=True)
+    assert all(0.0 <= c.estimation <= c.worth for c in found.causes)
+    assert sum(c.explains for c in found.causes) <= 1.0 + 1e-9

@@ -15,10 +15,11 @@ from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.regions import held_out_regions
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter
-from flexspline.diagnosis.improvement import ESTIMATORS, Improvement, held_out, improvement, with_improvement
+from flexspline.diagnosis.improvement import ESTIMATORS, Improvement, held_out, improvement, removed, with_improvement
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.estimator.offline import estimate_recording
+from flexspline.models.joint import Effect, Estimate
 
 SEED = 31
 
@@ -98,3 +99,16 @@ def test_nothing_is_gained_where_nothing_was_computed():
     drawn, found = diagnosed()
     empty = replace(found, problem=None, search=None, final=None)
     assert improvement(drawn.measurement, drawn.nominal, empty) is None
+
+
+def test_what_an_effect_is_worth_to_estimators():
+    """Mesh friction twice as large is nothing to a simulation that friction's tolerance follows, and much to an estimate from
+    current."""
+    drawn, found = diagnosed()
+    twice = Effect(name="mesh_friction", parameters={"scale": Estimate(value=2.0, unit="1")})
+    other = found.extended.model_copy(update={"effects": [twice]})
+    other._path = found.extended._path
+    same, more = removed(drawn.measurement, found.extended, [found.extended, other])
+    assert same == 0.0 and more > 0.1**2
+    bare = tuple(r.without("joint_torque") for r in drawn.measurement.recordings)
+    assert removed(replace(drawn.measurement, recordings=bare), found.extended, [other]) == [0.0]

@@ -233,6 +233,7 @@ def _cause(report: Report, c: Finding) -> dict[str, Any]:
         "confidence": c.confidence,
         "explains": c.explains,
         "worth": c.worth,
+        "of": "simulation error" if np.isnan(c.estimation) else "simulation and estimation error",
         "parameters": rows,
     }
 
