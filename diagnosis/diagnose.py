@@ -146,8 +146,8 @@ def diagnose(
     present = {effect.name: effect.values for effect in joint.effects}
     offered = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n))]
     tried = problem.with_room((), offered)
-    found = search(problem, tried, settings, progress, deadline)
     fitter = Fitter(problem)
+    found = search(problem, tried, settings, progress, deadline, fitter)
     progress("looking for unknown effects", 0.88)
     unknown = discrepancy.find(problem, fitter, found.base, found.chosen) if time.monotonic() < deadline else None
     progress("numbers and their uncertainty", 0.94)

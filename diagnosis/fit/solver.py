@@ -13,7 +13,7 @@ objective, gradient and curvature; taking it out leaves what the signal says (co
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -355,6 +355,14 @@ class Fitter:
 
     def __init__(self, problem: Problem, settings: SolverSettings = SETTINGS, noise: NoiseSettings = NOISE):
         self.problem, self.settings, self.noise = problem, settings, noise
+        self._kept: dict[tuple[int, ...], Fit] = {}
+
+    def once(self, model: Model, thoroughly: Callable[[], Fit]) -> Fit:
+        """A model's thorough fit, which does not depend on where it is asked for: made the first time, and kept."""
+        key = tuple(map(id, model))  # a fit that is kept holds its hypotheses
+        if key not in self._kept:
+            self._kept[key] = thoroughly()
+        return self._kept[key]
 
     def fit(
         self,

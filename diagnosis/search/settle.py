@@ -115,7 +115,7 @@ def _not_lost(problem: Problem, fitter: Fitter, f: Fit, other: Fit, settings: Ac
     """A fit without an effect, thoroughly where it leaves much more: only then is that for want of the effect."""
     if left_by(problem, other) < settings.lost * left_by(problem, f):
         return other
-    return better_of_both(fitter, other.model, other.theta, near=other)
+    return fitter.once(other.model, lambda: better_of_both(fitter, other.model, other.theta, near=other))
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:

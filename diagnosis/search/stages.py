@@ -96,14 +96,16 @@ def search(
     settings: SearchSettings = SETTINGS,
     progress: Progress = lambda stage, done: None,
     deadline: float = np.inf,
+    fitter: Fitter | None = None,
 ) -> Search:
     """Find the causes.
 
     Args:
       progress: told the stages as they begin.
       deadline: of `time.monotonic` [s], after which no further stage begins and the best so far is the answer.
+      fitter: of this problem, with what it has kept.
     """
-    fitter, accept = Fitter(problem), settings.accept
+    fitter, accept = fitter or Fitter(problem), settings.accept
     progress("calibrating the joint", 0.02)
     first = calibrate(problem, fitter, settings.calibrate)
     found = _one_by_one(problem, fitter, first, hypotheses, settings, progress, deadline)
