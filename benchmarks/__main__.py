@@ -19,6 +19,7 @@ NAMED_ONLY = (
     "sysid",
     "contact",
     "torque_control",
+    "bound",
     "studies",
     "arms",
 )

@@ -28,7 +28,8 @@ from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
-from .estimators import ROOT, SCENARIOS, drawn, fill, text
+from .estimators import SCENARIOS, drawn
+from .pages import ROOT, fill, text
 
 READINGS = ("max", "inverse", "printed", "one")
 """Of Eq. (23); `one`: α = 1, the AREKF."""

@@ -19,9 +19,8 @@ from flexspline.scenarios.scenario import load_scenario
 from flexspline.views import contact_views
 from flexspline.views.figures.sheet import save
 
-from .estimators import fill
+from .pages import ROOT, fill
 
-ROOT = Path(__file__).resolve().parents[1]
 CASES = (("ideal", 0.0), ("ideal", 0.2), ("ideal", 1.0), ("realistic", 0.2))
 """Sensors as the joint's description has them, or `realistic`; share of the tolerances within which the joint is drawn."""
 LABELS = {"ideal": "sensors as described", "realistic": "`sensors: realistic`"}

@@ -1,5 +1,5 @@
 """What each estimator is worth on joints that nobody knows exactly: `python -m benchmarks estimators` writes the tables of
-docs/estimators.md and their numbers, docs/estimators.csv.
+docs/estimators.md, their numbers, docs/estimators.csv, and README's table.
 
 Every number is over independent draws (`scenarios.evaluation.draws`): joint within a share of its tolerances, start, pace, pushes
 and noise, all drawn per seed; every estimator over the same signals. Ratios are geometric means of the ratio of RMS errors to
@@ -12,11 +12,10 @@ from __future__ import annotations
 import argparse
 import csv
 import pickle
-import re
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +34,7 @@ from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
+from .pages import ROOT, fill, share, text
 from .timing import alternately
 
 SCENARIOS = ("no_load", "link_sweep", "external_push")
@@ -49,7 +49,6 @@ COSTLY_AT = (1.0, 0.0)
 """Tolerances at which the estimators that simulate the joint run; a second each, where the others take a hundredth."""
 APART = 0.25
 """Time [s] between errors that count for NEES."""
-ROOT = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -75,6 +74,8 @@ def chosen(names: Iterable[str] = NAMES) -> dict[str, Estimator]:
     return {name: inverse if name == "inverse" else registry.get(name) for name in names}
 
 
+UNTARED_AT = (1.0, 0.2)
+"""Tolerances at which joints are drawn whose link encoder's zero nobody has tared."""
 REALISTIC = ("sensors=realistic",)
 """Changes of a scenario that make sensors, clock and drive what they are."""
 
@@ -86,16 +87,18 @@ def drawn(
     folder: Path | None,
     changes: Sequence[str] = (),
     load: float | None = None,
+    tared: bool = True,
 ) -> DrawnExperiment:
     """A draw, from a folder where it has been kept; `changes`: of the scenario, `key=value`; `load`: gravity moment at
-    horizontal of what is bolted on [N·m], instead of the scenario's."""
+    horizontal of what is bolted on [N·m], instead of the scenario's; `tared`: whether the link encoder's zero is known."""
     of = "".join(f"_{change}" for change in changes) + ("" if load is None else f"_load={load:g}")
+    of += "" if tared else "_untared"
     kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}{of}.pkl"
     if kept is not None and kept.is_file():
         with kept.open("rb") as file:
             return pickle.load(file)
     described, home = load_scenario(scenario, list(changes))
-    found = draw(described, home, seed, tolerance, load=load)
+    found = draw(described, home, seed, tolerance, tared, load=load)
     if kept is not None:
         kept.parent.mkdir(parents=True, exist_ok=True)
         with write_into_place(kept) as temporary:
@@ -168,13 +171,6 @@ class Results:
         return geometric_over(*both)
 
 
-def text(found: Interval, digits: int = 2) -> str:
-    """A mean with its interval."""
-    if not np.isfinite(found.mean):
-        return "–"
-    return f"{found.mean:.{digits}f} [{found.low:.{digits}f}, {found.high:.{digits}f}]"
-
-
 def overall_table(results: Results) -> str:
     """Ratio to RAREKF over the three experiments, by tolerance; the best at ×1 first."""
 
@@ -214,7 +210,7 @@ def scenario_table(results: Results, tolerance: float) -> str:
     for n in results.at(tolerance):
         row = [n]
         for s in SCENARIOS:
-            row += [f"{np.mean(results.values(s, tolerance, n, m)):.3f}" for m in ("rms", "moving", "resting")]
+            row += [text(interval(results.values(s, tolerance, n, m)), 3) for m in ("rms", "moving", "resting")]
             largest = np.max(results.values(s, tolerance, n) / results.values(s, tolerance, REFERENCE))
             row += [text(results.ratio(s, tolerance, n)), f"{largest:.2f}"]
         rows.append(row)
@@ -246,7 +242,7 @@ def push_table(results: Results) -> str:
                 row += ["–", "–"]
                 continue
             row.append(text(interval(results.values("external_push", t, n, "response")), 1))
-            row.append(f"{100 * np.mean(results.values('external_push', t, n, 'missed')):.0f}")
+            row.append(share(results.values("external_push", t, n, "missed")))
         rows.append(row)
     heads = ["estimator"]
     for t in results.tolerances:
@@ -331,8 +327,8 @@ def reading_table(seeds: Sequence[int], kept: Path | None, threads: int) -> str:
     return markdown(("estimator", "tolerance", *SCENARIOS), [r for r in rows if "–" not in r])
 
 
-def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment) -> str:
-    """Core time of an update, median of nine measured in turns, and over RAREKF's."""
+def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment, path: Path) -> str:
+    """Core time of an update, median of nine measured in turns, and over RAREKF's; kept in a CSV as well."""
     part = one.signals.part(slice(0, 4000))
     runs = {n: lambda estimator=e: estimator.estimate(part, one.known) for n, e in estimators.items()}
     cost = {name: 1e6 * timing.core / len(part.time) for name, timing in alternately(runs, 9).items()}
@@ -340,6 +336,8 @@ def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment) -> str:
         (name, f"{cost[name]:.2f}", f"{cost[name] / cost[REFERENCE]:.1f}")
         for name in sorted(cost, key=cost.__getitem__)
     ]
+    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([("estimator", "us", "ratio"), *rows])
     return markdown(("estimator", "µs per update", f"/ {REFERENCE}"), rows)
 
 
@@ -399,37 +397,70 @@ def load_table(results: Results) -> str:
     return markdown(heads, rows)
 
 
+OVERALL = "all three"
+"""In the CSV, the geometric mean over the three experiments."""
+MEASURES = ("rms", "moving", "resting", "nees", "response", "missed")
+
+
 def write_csv(results: Results, path: Path) -> None:
-    """Means over draws and the ratio with its interval, a line for each scenario, tolerance and estimator."""
+    """Means over draws and the ratio, each with its interval, a line for each scenario, tolerance and estimator; the ratio over
+    all three experiments in lines of its own."""
+
+    def cells(found: Interval) -> list[str]:
+        return ["" if np.isnan(x) else f"{x:.5g}" for x in (found.mean, found.low, found.high)]
+
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(
-            ["scenario", "tolerance", "estimator", "draws", "rms", "moving", "resting", "ratio", "low", "high", "nees",
-             "response_ms", "missed"]
-        )  # fmt: skip
+        heads = ["scenario", "tolerance", "estimator", "draws"]
+        for measure in ("ratio", *MEASURES):
+            heads += [measure, f"{measure}_low", f"{measure}_high"]
+        writer.writerow(heads)
         for (scenario, tolerance, name), rows in results._by.items():
-            r = results.ratio(scenario, tolerance, name)
-            with np.errstate(invalid="ignore"):
-                means = [np.nanmean(column) if np.isfinite(column).any() else np.nan for column in (
-                    np.array([list(asdict(row).values())[4:] for row in rows], dtype=np.float64).T
-                )]  # fmt: skip
-            cells = [*means[:3], r.mean, r.low, r.high, *means[3:]]
-            writer.writerow(
-                [scenario, f"{tolerance:g}", name, len(rows), *("" if np.isnan(c) else f"{c:.5g}" for c in cells)]
-            )
+            line = [scenario, f"{tolerance:g}", name, str(len(rows)), *cells(results.ratio(scenario, tolerance, name))]
+            for measure in MEASURES:
+                values = results.values(scenario, tolerance, name, measure)
+                line += cells(interval(values[np.isfinite(values)])) if np.isfinite(values).any() else [""] * 3
+            writer.writerow(line)
+        for tolerance in results.tolerances:
+            for name in results.names if (SCENARIOS[0], tolerance, REFERENCE) in results._by else ():
+                if results.has(tolerance, name):
+                    line = [OVERALL, f"{tolerance:g}", name, str(len(results.values(SCENARIOS[0], tolerance, name)))]
+                    writer.writerow([*line, *cells(results.overall(tolerance, name)), *[""] * 3 * len(MEASURES)])
 
 
-def fill(page: Path, tables: dict[str, str]) -> None:
-    """Put each table between its markers."""
-    whole = page.read_text(encoding="utf-8")
-    for name, table in tables.items():
-        begin, end = f"<!-- begin {name} -->", f"<!-- end {name} -->"
-        if begin not in whole or end not in whole:
-            raise SystemExit(f"{page}: expected the markers {begin} and {end}")
-        pattern = re.escape(begin) + ".*?" + re.escape(end)
-        whole = re.sub(pattern, lambda _, t=table, b=begin, e=end: f"{b}\n{t}\n{e}", whole, flags=re.DOTALL)
-    with write_into_place(page) as temporary:
-        temporary.write_text(whole, encoding="utf-8")
+def read_csv(path: Path) -> dict[tuple[str, float, str], dict[str, str]]:
+    """The lines of `write_csv`, by scenario, tolerance and estimator."""
+    with path.open(newline="", encoding="utf-8") as file:
+        return {(r["scenario"], float(r["tolerance"]), r["estimator"]): r for r in csv.DictReader(file)}
+
+
+WORTH = ("augmented", "momentum_torsion", "current")
+"""The estimators of README's table."""
+
+
+def worth_table(docs: Path) -> str:
+    """README's: shares of RAREKF's error over the three experiments, with ideal sensors and with `sensors: realistic`, and cost;
+    from what the other runs wrote beside the page."""
+    ideal, real = (read_csv(docs / f"{name}.csv") for name in ("estimators", "estimators_realistic"))
+    if any(OVERALL not in {scenario for scenario, _, _ in some} for some in (ideal, real)):
+        return "(needs a run with and one without --realistic)"
+    with (docs / "estimators_cost.csv").open(newline="", encoding="utf-8") as file:
+        cost = {r["estimator"]: float(r["us"]) for r in csv.DictReader(file)}
+    tolerances = (1.0, 0.2, 0.0)
+
+    def cell(line: Mapping[str, str], measure: str, digits: int) -> str:
+        return text(
+            Interval(*(float(line[f"{measure}{end}"]) for end in ("", "_low", "_high")), int(line["draws"])), digits
+        )
+
+    rows = []
+    for name in WORTH:
+        shares = [cell(some[OVERALL, t, name], "ratio", 2) for some in (ideal, real) for t in tolerances]
+        rows.append((f"`{name}`", *shares, f"{cost[name]:.1f}"))
+    errors = [cell(some["link_sweep", t, REFERENCE], "rms", 3) for some in (ideal, real) for t in tolerances]
+    rows.append((f"{REFERENCE} in the link sweep [N·m]", *errors, f"{cost[REFERENCE]:.1f}"))
+    heads = ("tolerance ×1", "×0.2", "exact", "sensors as they are: ×1", "×0.2", "exact")
+    return markdown(("estimator", *heads, "µs per update"), rows)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -449,6 +480,12 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument(
         "--loads", action="store_true", help="over light and heavy loads alone: writes that section and its own CSV"
     )
+    parser.add_argument(
+        "--untared",
+        action="store_true",
+        help="with the link encoder's zero drawn and not tared: writes that section and its own CSV",
+    )
+    parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     asked = parser.parse_args(arguments)
     if asked.loads:
         loaded = Results(load_rows(range(101, 101 + asked.seeds), asked.draws, asked.threads))
@@ -457,7 +494,23 @@ def main(arguments: Sequence[str] = ()) -> None:
         return
     if asked.cost:
         some = drawn(SCENARIOS[0], asked.tolerances[0], 101, asked.draws)
-        fill(asked.page, {"cost": cost_table(chosen(), some)})
+        fill(asked.page, {"cost": cost_table(chosen(), some, asked.page.with_name("estimators_cost.csv"))})
+        fill(asked.readme, {"worth": worth_table(asked.page.parent)})
+        return
+    if asked.untared:
+        cheap = {name: one for name, one in chosen().items() if not one.costly}
+        found = Results(
+            [
+                row
+                for tolerance in UNTARED_AT
+                for s in SCENARIOS
+                for row in _rows(
+                    s, tolerance, range(101, 101 + asked.seeds), cheap, asked.draws, asked.threads, tared=False
+                )
+            ]
+        )
+        fill(asked.page, {"untared": realistic_table(found)})
+        write_csv(found, asked.page.with_name("estimators_untared.csv"))
         return
     estimators, rows, began = chosen(), [], time.perf_counter()
     seeds, changes = range(101, 101 + asked.seeds), REALISTIC if asked.realistic else ()
@@ -478,8 +531,10 @@ def main(arguments: Sequence[str] = ()) -> None:
             further = {"told": told_table, "reading": reading_table}
             fill(asked.page, {name: make(seeds, asked.draws, asked.threads) for name, make in further.items()})
         last = drawn(SCENARIOS[0], asked.tolerances[0], seeds[0], asked.draws)
-        fill(asked.page, tables(results, asked.seeds, estimators, last))
+        cost = cost_table(estimators, last, asked.page.with_name("estimators_cost.csv"))
+        fill(asked.page, {**tables(results, asked.seeds), "cost": cost})
         write_csv(results, asked.page.with_suffix(".csv"))
+    fill(asked.readme, {"worth": worth_table(asked.page.parent)})
 
 
 def _rows(
@@ -490,23 +545,23 @@ def _rows(
     kept: Path | None,
     threads: int,
     changes: Sequence[str] = (),
+    tared: bool = True,
 ) -> list[Row]:
     def one(seed: int) -> list[Row]:
-        return assess(drawn(scenario, tolerance, seed, kept, changes), scenario, tolerance, estimators)
+        return assess(drawn(scenario, tolerance, seed, kept, changes, tared=tared), scenario, tolerance, estimators)
 
     with ThreadPoolExecutor(threads) as pool:
         return [row for several in pool.map(one, seeds) for row in several]
 
 
-def tables(results: Results, seeds: int, estimators: dict[str, Estimator], one: DrawnExperiment) -> dict[str, str]:
-    """The page's tables by name; `one`: a draw on which the time of updates is measured."""
+def tables(results: Results, seeds: int) -> dict[str, str]:
+    """The page's tables by name."""
     return {
         "about": about(seeds),
         "overall": overall_table(results),
         **{f"scenarios {t:g}": scenario_table(results, t) for t in results.tolerances},
         "nees": nees_table(results),
         "push": push_table(results),
-        "cost": cost_table(estimators, one),
     }
 
 

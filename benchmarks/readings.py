@@ -29,7 +29,8 @@ from flexspline.views.limit_tables import markdown
 
 from . import kept
 from .claims import READINGS, V, settings
-from .estimators import REALISTIC, ROOT, TOLERANCES, fill, text
+from .estimators import REALISTIC, TOLERANCES
+from .pages import ROOT, fill, text
 
 EXPERIMENTS: tuple[tuple[str, float | None], ...] = (
     ("no_load", None), ("link_sweep", 4.0), ("link_sweep", None), ("link_sweep", 12.0), ("external_push", 4.0),

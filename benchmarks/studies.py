@@ -23,7 +23,7 @@ from flexspline.views.limit_tables import markdown
 from flexspline.views.sweep_figures import sweep_figure
 from flexspline.views.sweep_tables import cell, metric_column, value_text
 
-from .estimators import ROOT, fill
+from .pages import ROOT, fill
 
 STUDIES = ("load_dependent_alpha", "noise_and_load", "model_error")
 """On the page; `tolerance` is what docs/estimators.md measures."""

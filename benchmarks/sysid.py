@@ -57,9 +57,8 @@ from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
 from .convergence import MAGIC, callback, set_numbers, springs
-from .estimators import fill
+from .pages import ROOT, fill
 
-ROOT = Path(__file__).resolve().parents[1]
 SEED = 4001
 HIDDEN = ("friction_periodic", "link_encoder_eccentricity")
 TIMESTEP = 5e-4  # s: of the rollouts, that of the joint's MJCF

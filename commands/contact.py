@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -50,7 +51,7 @@ def command(
     Thresholds come from runs without contact, false alarms from others of them, delay and the smallest push from runs with drawn
     pushes. Every run is another joint within tolerance, another motion and another noise.
     """
-    from ..models.errors import InputError
+    from ..models.errors import InputError, InputWarning
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import contact
     from ..scenarios.filters import estimators
@@ -66,6 +67,11 @@ def command(
     contact.check(loaded, chosen)
     if out is not None:
         check_output(out, "contact", writes=("contact.csv", "contact.md", "contact.png"))
+    seconds = contact.runs_of(loaded, hours) / 2 * (loaded.duration - loaded.transient)
+    if rate * seconds < 3600.0:
+        asked = f"for thresholds of {rate:g} false alarms an hour"
+        text = f"--hours: expected at least {2 / rate:.2g} {asked}, got {hours:g}: curves alone"
+        warnings.warn(text, InputWarning, stacklevel=2)
     terminal, rows, texts, points = console(), [], [], {}
     with progress() as bar:
         for share in shares:

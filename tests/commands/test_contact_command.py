@@ -37,6 +37,7 @@ def test_too_little_time_for_a_threshold_is_said(flexspline):
     code, out, err = flexspline("contact", *QUICK[:-1], 10, "--tolerance", 0)
     assert code == 0, err
     assert "nan" not in out and "which takes at least 0.2 h" in " ".join(out.split())
+    assert "--hours: expected at least 0.2 for thresholds of 10 false alarms an hour, got 0.05" in err  # before it runs
 
 
 @pytest.mark.parametrize(
