@@ -42,7 +42,7 @@ from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
-from .filters.payload import DECIMATION, PayloadObserver, observe
+from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
 from .motion import CUTOFF
 from .payload_model import MEMORY, NOISE, friction_error, slow_friction
 
@@ -419,9 +419,10 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
 
     # The payload first, as it shows how much of the load-dependent friction acts when the load drives.
     cutoff = smoothed.bandwidth(signals, joint)
+    current = slow_current(signals)
     motion = smoothed.smooth_motion(signals, joint, cutoff)
     own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
-    payload = observe(signals, joint, motion.every(DECIMATION), own[::DECIMATION])
+    payload = observe(joint, motion.every(DECIMATION), own[::DECIMATION], current)
     joint = joint.told(back_driven_friction=payload.back_driven_friction)
     note |= {"bandwidth": cutoff} | payload._asdict()
     own = motion.at(signals.time, own)

@@ -77,8 +77,10 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int
     heat = np.full(len(s.time), p["reference_temperature"])
     if "temperature" in signals:
         heat = np.interp(s.time, time, signals["temperature"])
+    start = joint.since(time[:1])[0]
+    since = s.time if start == time[0] == 0.0 else s.time - time[0] + start  # of an hour, 30 MB
     return Motion(
-        s.time, s.time - time[0] + joint.since(time[:1])[0], position[0], velocity[0], acceleration[0], position[1], velocity[1],
+        s.time, since, position[0], velocity[0], acceleration[0], position[1], velocity[1],
         acceleration[1], position[2], heat, cutoff,
     )  # fmt: skip
 

@@ -131,33 +131,37 @@ class PayloadSmoothed(Estimator):
     def _observed(self, signals: Signals, joint: KnownJoint) -> tuple[Posterior, KnownPayload]:
         for name in self.needs:
             signals[name]
+        current = slow_current(signals)  # before an hour's motion is there, 290 MB
         motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
         own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
-        few = motion.every(DECIMATION)
-        grid, angle, acceleration = motion.time, motion.link_position.copy(), motion.link_acceleration.copy()
-        del motion  # of an hour, 350 MB
-        x = observe(signals, joint, few, own[::DECIMATION])
-        external = x.payload_sin * np.sin(angle) + x.payload_cos * np.cos(angle)
-        external -= x.payload_inertia * acceleration
-        torque, external = (np.interp(signals.time, grid, values) for values in (own - external, external))
+        x = observe(joint, motion.every(DECIMATION), own[::DECIMATION], current)
+        known, grid, external = np.array(x[:4]), motion.time, np.empty(len(own))
+        _external_torques(known, motion.link_position, motion.link_acceleration, external)
+        del motion
+        own -= external
+        torque, external = (np.interp(signals.time, grid, values) for values in (own, external))
         return Posterior(self.name, signals.time, torque, external=external), x
 
 
-def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray) -> KnownPayload:
+def slow_current(signals: Signals) -> np.ndarray:
+    """The current [A] as `observe` takes it, shape (n,): smoothed, at every `DECIMATION`-th point of the grid."""
+    read = signals["motor_current"][:, None]
+    return np.ascontiguousarray(smooth(signals.time, read, smoothed.STEP, CUTOFF, DECIMATION).value[:, 0])
+
+
+def observe(joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray, current: np.ndarray) -> KnownPayload:
     """What a recording's part shows of the payload in the end.
 
     Args:
-        motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque`, shape (n,) [N·m]; at every `DECIMATION`-th point of
-            the grid.
+        motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque` [N·m]; current: of `slow_current` [A]; shape (n,), at
+            every `DECIMATION`-th point of the grid.
     """
-    read = signals["motor_current"][:, None]
-    current = smooth(signals.time, read, smoothed.STEP, CUTOFF, DECIMATION).value[:, 0]
     columns = [
         motion.since, motion.motor_position, motion.motor_velocity, motion.motor_acceleration, motion.link_position,
         motion.link_velocity, motion.link_acceleration, motion.temperature, own,
     ]  # fmt: skip
     *given, own = (np.ascontiguousarray(c) for c in columns)
-    given += [np.ascontiguousarray(current), own]
+    given += [current, own]
     sigma, first = noise(joint), prior(joint)
     share = math.exp(-smoothed.STEP * DECIMATION / MEMORY)
     x = _filter(*given, joint.record, first, sigma, share, np.empty(0))
@@ -168,6 +172,12 @@ def observe(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, own: n
         if np.allclose(x[:4], about, rtol=1e-3, atol=1e-3):
             break
     return KnownPayload(*map(float, x[:4]))
+
+
+@kernel
+def _external_torques(x, link, a, out):
+    for i in range(len(out)):
+        out[i] = external_torque(x, link[i], a[i])
 
 
 @kernel
