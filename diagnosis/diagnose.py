@@ -512,7 +512,7 @@ def _gained(outcome: _Outcome, measurement: Measurement, linear: Fit, indices: S
     problem, final, joint = outcome.problem, outcome.final, outcome.problem.joint
     without = []
     for i in indices:
-        unknown = None if i < len(final.model) and final.model[i].cause.name == "unknown" else outcome.unknown
+        unknown = None if final.model[i].cause.name == "unknown" else outcome.unknown
         without.append(extended(problem, without_it(problem, final, linear, i), joint, unknown))
     gained = removed(measurement, extended(problem, final, joint, outcome.unknown), without)
     return dict(zip(indices, gained, strict=True))

@@ -192,17 +192,19 @@ def held_out_cost(problem: Problem, f: Fit, under: Fit) -> float:
 
 def worth_of(problem: Problem, f: Fit, linear: Fit, index: int) -> Worth:
     """What one of a fit's effects is worth; `linear`: the fit with `solver.tamed` derivatives."""
-    h, block = f.model[index], problem.place(f.model, index)
-    effect = block.start + np.asarray(h.magnitudes)
-    others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
-    return worth(problem, f, linear.jacobian, effect, others, amount_of(problem, f, index)[h.magnitudes])
+    return worth(problem, f, linear.jacobian, *_alone(problem, f, index))
 
 
 def without_it(problem: Problem, f: Fit, linear: Fit, index: int) -> Fit:
     """A fit as it would be without one of its effects, in the linear model: the other unknowns do what they can instead."""
-    h, block = f.model[index], problem.place(f.model, index)
-    effect = block.start + np.asarray(h.magnitudes)
-    others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
-    step = instead(problem, f, linear.jacobian, effect, others, amount_of(problem, f, index)[h.magnitudes])
+    effect, others, amount = _alone(problem, f, index)
+    step = instead(problem, f, linear.jacobian, effect, others, amount)
     model = tuple(g for j, g in enumerate(f.model) if j != index)
     return replace(f, model=model, theta=f.theta[others] + step, covariance=f.covariance[np.ix_(others, others)])
+
+
+def _alone(problem: Problem, f: Fit, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of one of a fit's effects and of all other unknowns, and the effect's coordinates from absent."""
+    magnitudes, block = f.model[index].magnitudes, problem.place(f.model, index)
+    others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
+    return block.start + np.asarray(magnitudes), others, amount_of(problem, f, index)[magnitudes]
