@@ -40,7 +40,7 @@ class Finding:
       parameters: of the extended model.
       explains: share of the held-out discrepancy that it removes, in mean squares of output torque.
       worth: root mean square that it alone removes from the simulation's error [N·m at the output], and of several causes, from
-        that of estimates of the joint torque; estimation: the latter [N·m], NaN where there is but one.
+        that of estimates of the joint torque; estimation: the latter [N·m], NaN where there is but one or no torque was measured.
       description, depends_on: of an unknown effect.
     """
 

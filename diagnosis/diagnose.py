@@ -508,14 +508,15 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
 
 
 def _gained(outcome: _Outcome, measurement: Measurement, linear: Fit, indices: Sequence[int]) -> dict[int, float]:
-    """Mean square of estimators' error [N·m]² that each of some effects removes, as far as other unknowns would not instead."""
+    """Mean square of estimators' error [N·m]² that each of some effects removes, as far as other unknowns would not instead; none
+    where no torque was measured."""
     problem, final, joint = outcome.problem, outcome.final, outcome.problem.joint
     without = []
     for i in indices:
         unknown = None if final.model[i].cause.name == "unknown" else outcome.unknown
         without.append(extended(problem, without_it(problem, final, linear, i), joint, unknown))
     gained = removed(measurement, extended(problem, final, joint, outcome.unknown), without)
-    return dict(zip(indices, gained, strict=True))
+    return dict(zip(indices, gained, strict=False))
 
 
 def _explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:

@@ -152,15 +152,13 @@ def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
 
 def removed(measurement: Measurement, whole: Joint, without: Sequence[Joint]) -> list[float]:
     """Mean square of the estimators' error that a joint has less than each of others, [N·m]²: mean over `MAIN`, and all that was
-    measured. Nothing where no torque was."""
+    measured. Empty where no torque was."""
     with ThreadPoolExecutor(2) as pool:
         best, *others = pool.map(lambda known: _errors_with(measurement, known), (whole, *without))
-    return [
-        max(float(np.mean([other.get(name, error) ** 2 - error**2 for name, error in best.items()])), 0.0)
-        if best
-        else 0.0
-        for other in others
-    ]
+    if not best:
+        return []
+    more = [[other.get(name, error) ** 2 - error**2 for name, error in best.items()] for other in others]
+    return [max(float(np.mean(squares)), 0.0) for squares in more]
 
 
 def _errors_with(measurement: Measurement, known: Joint) -> dict[str, float]:
