@@ -67,7 +67,9 @@ def command(
         return
     terminal = console()
     print_mistakes(terminal, mistakes, "and what mends them (flexspline import MEASUREMENT --fix --out DIR)")
-    title = f"{given.name}: {len(summaries)} recording(s) of {described.name}" + (", as mended" if mistakes else "")
+    title = f"{given.name}: {len(summaries)} recording(s) of {described.name}" + (
+        ", as mended" if any(m.sure for m in mistakes) else ""
+    )
     table = Table(title=Text(title))
     table.add_column("")
     for s in summaries:

@@ -160,8 +160,9 @@ def require_sound(measurement: Measurement, joint: Joint) -> None:
 
 
 def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:
-    """The measurement without these mistakes: columns as they were meant, samples that nothing can mend left out."""
-    return replace(measurement, recordings=_apply(measurement.recordings, joint, mistakes))
+    """The measurement without those of the mistakes that are sure: columns as they were meant, samples that nothing can mend left
+    out."""
+    return replace(measurement, recordings=_apply(measurement.recordings, joint, [m for m in mistakes if m.sure]))
 
 
 def _of_samples(found: SampleMistake, recording: Recording) -> Mistake:
