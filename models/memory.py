@@ -27,7 +27,10 @@ def give_back_large_arrays() -> None:
 
 
 def give_back_free_pages() -> None:
-    """Give back to the system the heap's pages that nothing lies on any more, where that can be asked for (glibc)."""
+    """Give back to the system the heap's pages that nothing lies on any more, where that can be asked for (glibc), and what Arrow
+    keeps of the tables that it has read, which it would give back in time."""
+    if "pyarrow" in sys.modules:
+        sys.modules["pyarrow"].default_memory_pool().release_unused()
     if not sys.platform.startswith("linux"):
         return
     try:
