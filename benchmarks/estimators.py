@@ -422,10 +422,10 @@ def write_csv(results: Results, path: Path) -> None:
                 line += cells(interval(values[np.isfinite(values)])) if np.isfinite(values).any() else [""] * 3
             writer.writerow(line)
         for tolerance in results.tolerances:
-            for name in results.names if (SCENARIOS[0], tolerance, REFERENCE) in results._by else ():
-                if results.has(tolerance, name):
-                    line = [OVERALL, f"{tolerance:g}", name, str(len(results.values(SCENARIOS[0], tolerance, name)))]
-                    writer.writerow([*line, *cells(results.overall(tolerance, name)), *[""] * 3 * len(MEASURES)])
+            for name in (n for n in results.names if results.has(tolerance, n)):
+                found = results.overall(tolerance, name)
+                blank = [""] * 3 * len(MEASURES)
+                writer.writerow([OVERALL, f"{tolerance:g}", name, found.n, *cells(found), *blank])
 
 
 def read_csv(path: Path) -> dict[tuple[str, float, str], dict[str, str]]:
@@ -499,18 +499,11 @@ def main(arguments: Sequence[str] = ()) -> None:
         return
     if asked.untared:
         cheap = {name: one for name, one in chosen().items() if not one.costly}
-        found = Results(
-            [
-                row
-                for tolerance in UNTARED_AT
-                for s in SCENARIOS
-                for row in _rows(
-                    s, tolerance, range(101, 101 + asked.seeds), cheap, asked.draws, asked.threads, tared=False
-                )
-            ]
-        )
-        fill(asked.page, {"untared": realistic_table(found)})
-        write_csv(found, asked.page.with_name("estimators_untared.csv"))
+        cases, seeds = [(s, t) for t in UNTARED_AT for s in SCENARIOS], range(101, 101 + asked.seeds)
+        found = [_rows(*case, seeds, cheap, asked.draws, asked.threads, tared=False) for case in cases]
+        untared = Results([row for some in found for row in some])
+        fill(asked.page, {"untared": realistic_table(untared)})
+        write_csv(untared, asked.page.with_name("estimators_untared.csv"))
         return
     estimators, rows, began = chosen(), [], time.perf_counter()
     seeds, changes = range(101, 101 + asked.seeds), REALISTIC if asked.realistic else ()

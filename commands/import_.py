@@ -55,7 +55,7 @@ def command(
     With `--fix`, what people get wrong (units, signs, columns exchanged or late, …) is named and mended; a measurement in this
     program's own format can be given as well then: `flexspline import MEASUREMENT --fix --out DIR`.
     """
-    from ..diagnosis.data.mistakes import NO_CHANGE, find_mistakes, mended
+    from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..models.recording import edited, write_recording
@@ -79,8 +79,7 @@ def command(
         for m in found:
             if not m.sure:
                 where = ": ".join(part for part in (m.recording, m.column) if part)
-                text = f"{where}: not mended: {NO_CHANGE}; what would mend most: {m.description}, {m.change}"
-                warnings.warn(text, InputWarning, stacklevel=2)
+                warnings.warn(f"{where}: not mended: {m.unmended}", InputWarning, stacklevel=2)
         if not as_json:
             print_mistakes(terminal, mistakes, "mended")
         measurement = mended(measurement, described, mistakes)

@@ -45,14 +45,10 @@ def contradictions(value: Mapping[str, float], fitted: Collection[str]) -> Itera
     yield from ordered("Fc", "Fs", "static friction is no less than Coulomb friction")
 
 
-def unlike_mjcf(stated: Mapping[str, float], joint: Joint) -> Iterator[Fault]:
-    """That a joint's MJCF has numbers otherwise than its description, which counts: beyond tolerance of any it had.
-
-    Args:
-      stated: by symbol, of `mjcf.stated_numbers`.
-    """
+def unlike_mjcf(joint: Joint) -> Iterator[Fault]:
+    """That a joint's MJCF has numbers otherwise than its description, which counts: beyond tolerance of any it had."""
     other = []
-    for symbol, got in stated.items():
+    for symbol, got in joint.stated_by_mjcf().items():
         n = joint.numbers[symbol]
         shared = joint.shared_tolerances.get(n.shared or "", 0.0)
         left_open = math.hypot(n.tolerance * n.value, n.deviation, shared * n.value)

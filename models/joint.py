@@ -745,10 +745,8 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
     if name not in known:
         value = {symbol: number.value for symbol, number in joint.numbers.items()}
         fitted = {symbol for symbol, number in joint.numbers.items() if number.nominal is not None}
-        for problem in contradictions(value, fitted):
-            if problem.severity == "error":
-                warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
-        for problem in unlike_mjcf(joint.stated_by_mjcf(), joint):
+        wrong = [problem for problem in contradictions(value, fitted) if problem.severity == "error"]
+        for problem in (*wrong, *unlike_mjcf(joint)):
             warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
     return joint
 

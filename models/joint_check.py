@@ -132,7 +132,7 @@ def _mjcf(joint: Joint) -> list[Fault]:
         check_mjcf(mjcf)
     except InputError as error:
         return [Fault("error", "model", str(error))]
-    return list(unlike_mjcf(joint.stated_by_mjcf(), joint))
+    return list(unlike_mjcf(joint))
 
 
 def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Fault]:

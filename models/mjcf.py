@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
+from contextlib import suppress
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from .errors import InputError, read_text
@@ -49,11 +50,9 @@ def stated_numbers(path: Path) -> dict[str, float]:
     for element, attribute, symbols in STATED:
         one = root.find(element)
         for symbol, text in zip(symbols, "" if one is None else one.get(attribute, "").split(), strict=False):
-            try:
-                found.setdefault(symbol, float(text))
-            except ValueError:
-                continue
-    found.pop("0", None)
+            with suppress(ValueError):
+                if symbol != "0":
+                    found.setdefault(symbol, float(text))
     return found
 
 

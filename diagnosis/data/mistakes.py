@@ -68,6 +68,11 @@ class Mistake:
         return self.confidence > _UNSURE
 
     @property
+    def unmended(self) -> str:
+        """What is said of it where it is not sure."""
+        return f"{NO_CHANGE}; what would mend most: {self.description}, {self.change}"
+
+    @property
     def change(self) -> str:
         """The change that mends it, in a few words."""
         if self.name == "sign":
@@ -152,7 +157,7 @@ def require_sound(measurement: Measurement, joint: Joint) -> None:
         if m.severe and m.column not in _UNREAD:
             where = ": ".join(name for name in (m.recording or measurement.name, m.column) if name)
             if not m.sure:
-                raise InputError(f"{where}: {NO_CHANGE}; what would mend most: {m.description}, {m.change}")
+                raise InputError(f"{where}: {m.unmended}")
             raise InputError(
                 f"{where}: {m.description}, mended by: {m.change}; "
                 f"`flexspline import {shlex.quote(str(measurement.path))} --fix --out DIR` writes it mended"
