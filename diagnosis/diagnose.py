@@ -541,13 +541,6 @@ def _diluted(problem: Problem, f: Fit, index: int) -> bool:
     return bool(np.any(noise > ANSWER.diluted * whole))
 
 
-def _at_bound(h: Hypothesis, u: np.ndarray) -> bool:
-    """Whether a size sits at the end of what the cause's parameters can be."""
-    low, high = h.limits
-    sizes = np.asarray(h.magnitudes)
-    return bool(np.any((u[sizes] <= low[sizes] + 1e-6) | (u[sizes] >= high[sizes] - 1e-6)))
-
-
 def _held_out_squares(problem: Problem, f: Fit) -> float:
     """Mean square of held-out residuals beyond the sensors' noise, over all balances [N·m]²."""
     total = 0.0
@@ -577,7 +570,7 @@ def _confidences(
         confidence = _confidence(found, h.cause.name, i, unknown)
         if h.cause.resonance and not problem.link_measured:
             confidence = min(confidence, ANSWER.beside)
-        if _at_bound(h, u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
+        if h.at_bound(u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
             confidence = min(confidence, ANSWER.unsure)
         if doubtful[i]:
             confidence = min(confidence, ANSWER.beside)

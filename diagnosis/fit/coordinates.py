@@ -73,7 +73,7 @@ class Hypothesis:
         if self.polar:
             amplitude, phase = (q.name for q in self.free)
             z = complex(u[0], u[1]) * self.scale[amplitude] + self.centre[amplitude] * np.exp(1j * self.centre[phase])
-            values[amplitude] = float(abs(z))
+            values[amplitude] = min(float(abs(z)), self.free[0].bounds[1])
             values[phase] = float(np.angle(z))
             return values
         for q, x in zip(self.free, u, strict=True):
@@ -110,6 +110,14 @@ class Hypothesis:
             elif q.magnitude:
                 low[i], high[i] = ((b - self.centre[q.name]) / self.scale[q.name] for b in q.bounds)
         return low, high
+
+    def at_bound(self, u: np.ndarray) -> bool:
+        """Whether a size sits at the end of what the cause's parameters can be."""
+        if self.polar:
+            amplitude = self.free[0]
+            return self.values(u)[amplitude.name] >= amplitude.bounds[1]
+        low, high = (limit[self.magnitudes] for limit in self.limits)
+        return bool(np.any((u[self.magnitudes] <= low + 1e-6) | (u[self.magnitudes] >= high - 1e-6)))
 
     def confine(self, u: np.ndarray) -> np.ndarray:
         """Coordinates moved into their limits."""

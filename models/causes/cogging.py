@@ -17,7 +17,7 @@ class Cogging(Cause):
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
         CauseParameter("order", "1", (1, 64), ((2, 13),), integer=True),
-        CauseParameter("amplitude", "N·m", (0.0, 0.1), ((4e-3, 10e-3),), magnitude=True),
+        CauseParameter("amplitude", "N·m", (0.0, 1.0), ((4e-3, 10e-3),), magnitude=True),
         PHASE,
     )
 

@@ -17,7 +17,7 @@ class PositionDependentFriction(Cause):
     requires = Requirements(sliding=0.5, link_travel=0.5)
     parameters = (
         CauseParameter("order", "1", (1, 32), ((1, 3),), integer=True),
-        CauseParameter("amplitude", "N·m", (0.0, 0.1), ((6e-3, 12e-3),), magnitude=True),
+        CauseParameter("amplitude", "N·m", (0.0, 1.0), ((6e-3, 12e-3),), magnitude=True),
         PHASE,
     )
 

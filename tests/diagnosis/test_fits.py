@@ -12,7 +12,7 @@ from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter, prior_cost
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
 from flexspline.models import causes
-from flexspline.models.joint import load_joint
+from flexspline.models.joint import Effect, Estimate, load_joint
 
 SEED = 5
 
@@ -60,3 +60,18 @@ def test_numbers_that_the_data_hardly_tell_stay_near_the_description_where_more_
     assert np.all(np.abs(found.theta - fit.theta)[known] < 0.15)
     assert prior_cost(problem, found.theta, ()) < 0.7 * prior_cost(problem, fit.theta, ())
     assert np.all(np.diag(found.covariance) > 0.99 * np.diag(fit.covariance))
+
+
+@pytest.mark.parametrize("name", causes.names())
+def test_whatever_a_fit_does_its_effects_can_be_written(name):
+    """A model without one of its effects, on a big joint, had a periodic friction larger than a joint's file may hold."""
+    print(f"seed {SEED}")
+    rng = np.random.default_rng(SEED)
+    cause = causes.get(name)
+    for effect in hypotheses(cause, load_joint("test-joint").record()):
+        low, high = effect.limits
+        assert not effect.at_bound(np.where(np.isin(range(effect.size), effect.magnitudes), 0.1, 0.0))
+        for far in (*rng.uniform(np.maximum(low, -300), np.minimum(high, 300), (20, effect.size)), high):
+            values = effect.values(far)
+            Effect(name=name, parameters={q: Estimate(value=values[q], unit="") for q in values})
+        assert effect.at_bound(high) == bool(effect.magnitudes)
