@@ -12,6 +12,7 @@ NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views"
 NAMED_ONLY = (
     "convergence",
     "estimators",
+    "quotes",
     "claims",
     "readings",
     "mistakes",

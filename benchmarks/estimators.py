@@ -35,11 +35,12 @@ from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
 from .pages import ROOT, fill, share, text
+from .quotes import OVERALL, REFERENCE
+from .quotes import write as write_quotes
 from .timing import alternately
 
 SCENARIOS = ("no_load", "link_sweep", "external_push")
 TOLERANCES = (1.0, 0.2, 0.05, 0.0)
-REFERENCE = "RAREKF"
 NAMES = (
     "augmented", "dynamics_ekf", "momentum_torsion", "momentum", "current", "EKF", "AREKF", REFERENCE, "REKF", "inverse",
     "lowpass", "kalman", "strong_tracking", "h_infinity", "huber",
@@ -199,6 +200,16 @@ def realistic_table(results: Results) -> str:
         rows.append(row)
     heads = ["estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)]
     return markdown([*heads, *(f"×{least:g}, {s}: RMS [N·m]" for s in SCENARIOS)], rows)
+
+
+def worst_nees(results: Results, name: str = "augmented") -> str:
+    """The draw in which an estimator knows its own error least."""
+    one = max((row for row in results.rows if row.estimator == name), key=lambda row: row.nees)
+    (other,) = (row.rms for row in results._by[one.scenario, one.tolerance, REFERENCE] if row.seed == one.seed)
+    return (
+        f"`{name}` knows its own error least in one draw of `{one.scenario}` at ×{one.tolerance:g}: {one.rms:.2g} N·m RMS with a "
+        f"NEES of {one.nees:.1f}, where {REFERENCE} has {other:.2g} N·m."
+    )
 
 
 def scenario_table(results: Results, tolerance: float) -> str:
@@ -397,8 +408,6 @@ def load_table(results: Results) -> str:
     return markdown(heads, rows)
 
 
-OVERALL = "all three"
-"""In the CSV, the geometric mean over the three experiments."""
 MEASURES = ("rms", "moving", "resting", "nees", "response", "missed")
 
 
@@ -426,41 +435,6 @@ def write_csv(results: Results, path: Path) -> None:
                 found = results.overall(tolerance, name)
                 blank = [""] * 3 * len(MEASURES)
                 writer.writerow([OVERALL, f"{tolerance:g}", name, found.n, *cells(found), *blank])
-
-
-def read_csv(path: Path) -> dict[tuple[str, float, str], dict[str, str]]:
-    """The lines of `write_csv`, by scenario, tolerance and estimator."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return {(r["scenario"], float(r["tolerance"]), r["estimator"]): r for r in csv.DictReader(file)}
-
-
-WORTH = ("augmented", "momentum_torsion", "current")
-"""The estimators of README's table."""
-
-
-def worth_table(docs: Path) -> str:
-    """README's: shares of RAREKF's error over the three experiments, with ideal sensors and with `sensors: realistic`, and cost;
-    from what the other runs wrote beside the page."""
-    ideal, real = (read_csv(docs / f"{name}.csv") for name in ("estimators", "estimators_realistic"))
-    if any(OVERALL not in {scenario for scenario, _, _ in some} for some in (ideal, real)):
-        return "(needs a run with and one without --realistic)"
-    with (docs / "estimators_cost.csv").open(newline="", encoding="utf-8") as file:
-        cost = {r["estimator"]: float(r["us"]) for r in csv.DictReader(file)}
-    tolerances = (1.0, 0.2, 0.0)
-
-    def cell(line: Mapping[str, str], measure: str, digits: int) -> str:
-        return text(
-            Interval(*(float(line[f"{measure}{end}"]) for end in ("", "_low", "_high")), int(line["draws"])), digits
-        )
-
-    rows = []
-    for name in WORTH:
-        shares = [cell(some[OVERALL, t, name], "ratio", 2) for some in (ideal, real) for t in tolerances]
-        rows.append((f"`{name}`", *shares, f"{cost[name]:.1f}"))
-    errors = [cell(some["link_sweep", t, REFERENCE], "rms", 3) for some in (ideal, real) for t in tolerances]
-    rows.append((f"{REFERENCE} in the link sweep [N·m]", *errors, f"{cost[REFERENCE]:.1f}"))
-    heads = ("tolerance ×1", "×0.2", "exact", "sensors as they are: ×1", "×0.2", "exact")
-    return markdown(("estimator", *heads, "µs per update"), rows)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -495,14 +469,14 @@ def main(arguments: Sequence[str] = ()) -> None:
     if asked.cost:
         some = drawn(SCENARIOS[0], asked.tolerances[0], 101, asked.draws)
         fill(asked.page, {"cost": cost_table(chosen(), some, asked.page.with_name("estimators_cost.csv"))})
-        fill(asked.readme, {"worth": worth_table(asked.page.parent)})
+        write_quotes(asked.page, asked.readme)
         return
     if asked.untared:
         cheap = {name: one for name, one in chosen().items() if not one.costly}
         cases, seeds = [(s, t) for t in UNTARED_AT for s in SCENARIOS], range(101, 101 + asked.seeds)
         found = [_rows(*case, seeds, cheap, asked.draws, asked.threads, tared=False) for case in cases]
         untared = Results([row for some in found for row in some])
-        fill(asked.page, {"untared": realistic_table(untared)})
+        fill(asked.page, {"untared": realistic_table(untared), "untared worst": worst_nees(untared)})
         write_csv(untared, asked.page.with_name("estimators_untared.csv"))
         return
     estimators, rows, began = chosen(), [], time.perf_counter()
@@ -527,7 +501,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         cost = cost_table(estimators, last, asked.page.with_name("estimators_cost.csv"))
         fill(asked.page, {**tables(results, asked.seeds), "cost": cost})
         write_csv(results, asked.page.with_suffix(".csv"))
-    fill(asked.readme, {"worth": worth_table(asked.page.parent)})
+    write_quotes(asked.page, asked.readme)
 
 
 def _rows(

@@ -160,7 +160,7 @@ def diagnose(
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    outcome = _Outcome(problem, found, unknown, final, drawn, undetermined, alike)
+    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike)
     few = bool(found.chosen.model) and outcome.nearly_all and problem.link_measured
     if drawn.share == 0.0 or few or outcome.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
@@ -176,7 +176,8 @@ class _Outcome:
     Attributes:
       found, unknown: what the search came to, and an unknown effect beside it.
       final: the model at its end; drawn: the same, drawn back to what holds where it was not fitted.
-      undetermined: causes that could not have shown, with the reason; alike: pairs that look the same.
+      missing: causes that such a measurement cannot show at ordinary size, with the reason.
+      undetermined: these and others that could not have shown; alike: pairs that look the same.
       surest: largest confidence of a cause.
     """
 
@@ -185,6 +186,7 @@ class _Outcome:
     unknown: Unknown | None
     final: Fit
     drawn: DrawnBack
+    missing: dict[str, str]
     undetermined: dict[str, str]
     alike: tuple[tuple[str, str], ...]
     surest: float = 1.0
@@ -215,7 +217,8 @@ def _as_described(
         return None
     found = replace(other, decisions=(*outcome.found.decisions, *other.decisions), complete=outcome.found.complete)
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    return _Outcome(problem, found, None, final, DrawnBack(1.0, final, regions), undetermined, alike, ANSWER.beside)
+    drawn = DrawnBack(1.0, final, regions)
+    return _Outcome(problem, found, None, final, drawn, missing, undetermined, alike, ANSWER.beside)
 
 
 def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
@@ -468,7 +471,8 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
     away = [significance(problem, final, i) for i in range(named)]
     slim = [w.rms**2 < ANSWER.slim * total and x < ANSWER.clearly for w, x in zip(worths, away, strict=False)]
     away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
-    doubtful = [x < ANSWER.significant or slim[i] for i, x in enumerate(away)]
+    unseen = [h.cause.name in outcome.missing for h in final.model]
+    doubtful = [x < ANSWER.significant or slim[i] or unseen[i] for i, x in enumerate(away)]
     confidences = _confidences(problem, found, final, unknown, doubtful)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
@@ -562,7 +566,7 @@ def _confidences(
     Where the sizes of two causes are correlated by ρ, the part ρ² of the one is what it is because the other is there too.
 
     Args:
-      doubtful: of each, whether it is too few standard deviations from absent to be sure.
+      doubtful: of each, whether it is too few standard deviations from absent to be sure, or the measurement none that shows it.
     """
     model = final.model if unknown is None else final.model[:-1]
     alone, sizes = [], []

@@ -102,9 +102,9 @@ def tuned_table(found: Sequence[Tuned], title: str) -> Table:
     return table
 
 
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table; the first column to the left, the others to the right."""
-    lines = [f"| {' | '.join(heads)} |", "|---|" + "---:|" * (len(heads) - 1)]
+def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], left: bool = False) -> str:
+    """A Markdown table; the first column to the left, the others to the right, or all to the left."""
+    lines = [f"| {' | '.join(heads)} |", "|---|" + ("---|" if left else "---:|") * (len(heads) - 1)]
     return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
 
 

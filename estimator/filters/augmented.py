@@ -124,6 +124,8 @@ _START = 1.0
 """Velocity [rad/s] with which a recording may begin."""
 _STIFFENS = 2e-3
 """Time [s] in which the wave generator may become e times as stiff."""
+_TRIES = 8
+"""Steps in which the likeliest zero is found."""
 _HELD, _RIPPLE = 1e-3, 0.1
 """Time [s] for which a drive holds its current at least; over which the mean square of its changes is taken."""
 _UNSEEN = 0.5
@@ -169,20 +171,40 @@ def _share(ratio, c):
 
 
 @kernel
-def _start(m, reading, link, torque, motor_torque, p, c):
-    """Begin at the first readings in equilibrium: elastic torque [N·m], motor torque [N·m, motor side]; the whole joint at rest
-    or in motion."""
+def _likely_zero(found, weight, p, c):
+    """Zero of the link encoder [rad] that the first torsion and the link's weight [N·m] make likeliest: the spring has knees, and
+    torsion from a zero that is far off is on the wrong side of them."""
+    zero, known = 0.0, c.prior[EXTERNAL] ** 2
+    for _ in range(_TRIES):
+        K = _flank(found.torsion + zero, p)
+        off = _torque(found, found.torsion + zero, p) - weight
+        zero = K * (K * zero - off) * c.prior[ZERO] ** 2 / ((K * c.prior[ZERO]) ** 2 + known)
+    return zero
+
+
+@kernel
+def _torque(found, torsion, p):
+    """What a reading's elastic torque [N·m] would be at another torsion [rad]."""
+    return found.torque + laws.flexspline_spring(torsion, p) - laws.flexspline_spring(found.torsion, p)
+
+
+@kernel
+def _start(m, s, found, p, c):
+    """Begin at the first readings in equilibrium, the whole joint at rest or in motion."""
     x, P = m.x, m.P
     x[:] = 0.0
     P[:] = 0.0
-    x[LINK], x[SPRING], x[WOUND] = link, torque, motor_torque
-    x[BRISTLE] = min(max((motor_torque - torque / p.N) / p.s0, -p.Fs / p.s0), p.Fs / p.s0)
+    x[LINK], x[WOUND] = found.link_position, found.motor_torque
+    weight = -dynamics.link_torque(_state(x, found, s.time, temperature(s, p)), found.torque, p)
+    x[ZERO] = _likely_zero(found, weight, p, c)
+    x[SPRING] = _torque(found, found.torsion + x[ZERO], p)
+    x[BRISTLE] = min(max((found.motor_torque - x[SPRING] / p.N) / p.s0, -p.Fs / p.s0), p.Fs / p.s0)
     for i in range(SIZE):
         P[i, i] = c.prior[i] ** 2
     for i in (LINK_RATE, ROTOR, WAVE_RATE):
         for j in (LINK_RATE, ROTOR, WAVE_RATE):
             P[i, j] += (1.0 if i == LINK_RATE else p.N) * (1.0 if j == LINK_RATE else p.N) * _START**2
-    m.motor_reading, m.torsion_ratio, m.link_ratio = reading, 1.0, 1.0
+    m.motor_reading, m.torsion_ratio, m.link_ratio = s.motor_position, 1.0, 1.0
     m.belief, m.evidence = 1.0, _STAMPS
 
 
@@ -196,7 +218,7 @@ def _predict(m, s, found, h, p, c):
     x, F = m.x, m.F
     theta, warm = found.wave_generator_position, temperature(s, p)
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
-    K = (1.0 + x[STIFFNESS]) * laws.flexspline_stiffness(found.torsion, p)
+    K = (1.0 + x[STIFFNESS]) * laws.flexspline_stiffness(found.torsion + x[ZERO], p)
     F[:] = 0.0
     for i in range(MOVING):
         F[i, i] = 1.0
@@ -413,7 +435,7 @@ def _step(memory, sample, record, settings, out):
     m.motor_torque = found.motor_torque
     m.ripple += (0.5 * change * change - m.ripple) * -math.expm1(-s.interval / _RIPPLE)
     if s.interval == 0.0:
-        _start(m, s.motor_position, found.link_position, found.torque, found.motor_torque, p, c)
+        _start(m, s, found, p, c)
     else:
         _predict(m, s, found, h, p, c)
         m.held += 1.0
@@ -434,8 +456,9 @@ def _step(memory, sample, record, settings, out):
     # Torsion.
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
     wound, asked = laws.wave_generator_torsion(x[WOUND], p), laws.wave_generator_torsion(found.motor_torque, p)
-    torsion = found.torsion + (asked - wound) * ratio
-    seen = found.torque + laws.flexspline_spring(torsion, p) - laws.flexspline_spring(found.torsion, p)
+    # As far as the encoder's zero is known: knees of the spring are where it says.
+    torsion = found.torsion + (asked - wound) * ratio + x[ZERO]
+    seen = _torque(found, torsion, p)
     K = _flank(torsion, p)
     soft = _softness(x[WOUND], p)
     H[:] = 0.0
@@ -448,6 +471,7 @@ def _step(memory, sample, record, settings, out):
     e = seen
     for i in range(SIZE):
         e -= H[i] * x[i]
+    e -= K * x[ZERO]  # which is in the torsion already
     H[WOUND] = K * soft * ratio
     o.innovation = e
     o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion)

@@ -13,5 +13,6 @@ class Backlash(Cause):
     description = "the flexspline's spring has a dead zone"
     parameters = (CauseParameter("width", "rad", (0.0, 0.01), ((0.2e-3, 0.6e-3),), magnitude=True),)
     sets = {"width": "backlash"}
-    requires = Requirements(sliding=0.5, reversal=True)
+    # Without load the joint rattles in it, which a resonance's damping looks like.
+    requires = Requirements(sliding=0.5, reversal=True, load_span=0.2)
     torsion = True

@@ -132,3 +132,18 @@ def test_time_stamps_that_jitter_are_no_touch():
     nees = np.mean(error**2 / found.variance[quiet.kept])
     print(f"seed 3: interval off by {1e3 * widest:.2f} ms, external torque up to {largest:.2f} N·m, NEES {nees:.2f}")
     assert widest > 5e-4 and largest < 5.0 and nees < 1.2
+
+
+@pytest.mark.parametrize(
+    ("name", "seed"), [("link_sweep", 129), ("link_sweep", 123), ("no_load", 128), ("external_push", 107)]
+)
+def test_a_zero_that_nobody_tared_is_found_and_no_surer_than_it_may_be(name, seed):
+    """Zeros off by more than the torsion between two knees of the spring: it was 1 to 6 N·m off, and sure to 0.15 N·m."""
+    scenario, folder = load_scenario(name)
+    one = draw(scenario.model_copy(update={"duration": 14.0}), folder, seed, tared=False)
+    off, torsion = one.record["link_zero"][0], one.known.p["T2"] / one.known.p["K2"]
+    print(f"seed {seed}: zero off by {1e3 * off:.2f} mrad, {abs(off) / torsion:.1f} times the torsion at T2")
+    found = registry.get("augmented").estimate(one.signals, one.known)
+    error = found.mean - one.truth
+    assert rms(error, one.kept) < 0.3
+    assert np.mean((error**2 / found.variance)[one.kept][::250]) < 5.0
