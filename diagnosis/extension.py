@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..models import causes
@@ -78,7 +80,8 @@ def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
 
 
 def extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -> Joint:
-    """The joint with calibrated numbers (their nominal kept beside them) and effects."""
+    """The joint with calibrated numbers (their nominal kept beside them) and effects; `unknown`: the fit's last effect, if it is
+    one that no cause explains."""
     found = calibrated(problem, at, joint)
     effects: list[Effect] = []
     for i, (h, u) in enumerate(zip(at.model, problem.split(at.theta, at.model), strict=True)):
@@ -94,4 +97,4 @@ def extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -
     kept = [e for e in joint.effects if e.name not in names or causes.get(e.name).adds]
     found = found.model_copy(update={"effects": [*kept, *effects]})
     found._path = joint._path
-    return discrepancy.extend(found, unknown) if unknown is not None else found
+    return discrepancy.extend(found, replace(unknown, fit=at)) if unknown is not None else found
