@@ -186,7 +186,7 @@ def overall_table(results: Results) -> str:
     return markdown(("estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)), rows)
 
 
-def realistic_table(results: Results) -> str:
+def realistic_table(results: Results, digits: int = 2) -> str:
     """Ratio to RAREKF over the three experiments, by tolerance, and errors in each of them at the smallest."""
     least = min(results.tolerances)
     rows = []
@@ -194,7 +194,7 @@ def realistic_table(results: Results) -> str:
         row = [n]
         for t in results.tolerances:
             some = results.has(t, n)
-            row.append("1" if n == REFERENCE else text(results.overall(t, n)) if some else "–")
+            row.append("1" if n == REFERENCE else text(results.overall(t, n), digits) if some else "–")
         for s in SCENARIOS:
             row.append(text(interval(results.values(s, least, n)), 3) if results.has(least, n) else "–")
         rows.append(row)
@@ -476,7 +476,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         cases, seeds = [(s, t) for t in UNTARED_AT for s in SCENARIOS], range(101, 101 + asked.seeds)
         found = [_rows(*case, seeds, cheap, asked.draws, asked.threads, tared=False) for case in cases]
         untared = Results([row for some in found for row in some])
-        fill(asked.page, {"untared": realistic_table(untared), "untared worst": worst_nees(untared)})
+        fill(asked.page, {"untared": realistic_table(untared, 3), "untared worst": worst_nees(untared)})
         write_csv(untared, asked.page.with_name("estimators_untared.csv"))
         return
     estimators, rows, began = chosen(), [], time.perf_counter()

@@ -232,7 +232,11 @@ def test_effect_outside_the_library_is_unknown(name):
     assert found.causes[0].name == "unknown", [(c.name, c.confidence) for c in found.causes]
     assert found.causes[0].component == drawn.effects[0].component, found.causes[0].description
     assert found.causes[0].depends_on
-    assert found.extended.discrepancies, "the model is extended all the same"
+    (written,) = found.extended.discrepancies
+    spline = found.final.model[-1]
+    assert written == spline.as_discrepancy(found.final.theta[-spline.count :]), (
+        "as the fit has it that the joint is made of"
+    )
 
 
 @pytest.mark.slow
