@@ -28,10 +28,12 @@ torsion Δθf as it comes from the readings:
     k(Δθf) =  T − κ·T − K·(ζ + ε − Σ(a_k sin kθw + b_k cos kθw) + r·(β·δ + χ·(δ − Tw·exp(−Cw|Tw|)/Kw0)))
     0      =  τ                                          while τ is within its own uncertainty of nothing
 
-δ, the wave generator's torsion, is that of Tw. Regressors are predictions (κ·T, not κ·k(Δθf)): one that shares its noise with the
-innovation would be learned from noise (errors in variables). Constants are learned only in calm motion that nobody disturbs, and
-not from every sample: what the laws leave out is no white noise, and at rest it is always the same. At rest they are learned from
-torsion alone, as long as it says more than they were known by. In between they are considered, not estimated (Schmidt 1966).
+δ, the wave generator's torsion, is that of Tw; K is that of the torsion Δθf + ζ, with the zero as far as it is known: one that
+is off by more torsion than lies between two knees would make it another spring's. Regressors are predictions (κ·T, not κ·k(Δθf)):
+one that shares its noise with the innovation would be learned from noise (errors in variables). Constants are learned only in
+calm motion that nobody disturbs, and not from every sample: what the laws leave out is no white noise, and at rest it is always
+the same. At rest they are learned from torsion alone, as long as it says more than they were known by. In between they are
+considered, not estimated (Schmidt 1966).
 
 Time stamps of samples that are even may jitter: a velocity by an interval that is off by 0.14 ms is off by 14 %. How far stamps
 are believed is learned from the link encoder: what it moved in a stamp's deviation from the period shows in its innovation, or
@@ -125,7 +127,7 @@ _START = 1.0
 _STIFFENS = 2e-3
 """Time [s] in which the wave generator may become e times as stiff."""
 _TRIES = 8
-"""Steps in which the likeliest zero is found."""
+"""Steps at most in which the zero is found about which torsion is linearised."""
 _HELD, _RIPPLE = 1e-3, 0.1
 """Time [s] for which a drive holds its current at least; over which the mean square of its changes is taken."""
 _UNSEEN = 0.5
@@ -138,17 +140,33 @@ _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), po
 
 
 @kernel
+def _gain(m, i):
+    """Covariance of a state with what `m.H` measures."""
+    total = 0.0
+    for j in range(SIZE):
+        if m.H[j] != 0.0:
+            total += m.P[i, j] * m.H[j]
+    return total
+
+
+@kernel
+def _variance(m):
+    """Variance of what `m.H` measures."""
+    total = 0.0
+    for i in range(SIZE):
+        if m.H[i] != 0.0:
+            total += m.H[i] * _gain(m, i)
+    return total
+
+
+@kernel
 def _update(m, e, variance, least):
     """Update with a scalar innovation along `m.H`; returns its variance S. Where S is below `least`, what is constant is
     considered and not changed (Schmidt 1966)."""
     x, P, H, PH = m.x, m.P, m.H, m.PH
     S = variance
     for i in range(SIZE):
-        total = 0.0
-        for j in range(SIZE):
-            if H[j] != 0.0:
-                total += P[i, j] * H[j]
-        PH[i] = total
+        PH[i] = _gain(m, i)
     for i in range(SIZE):
         S += H[i] * PH[i]
     learn = S >= least
@@ -171,40 +189,41 @@ def _share(ratio, c):
 
 
 @kernel
-def _likely_zero(found, weight, p, c):
-    """Zero of the link encoder [rad] that the first torsion and the link's weight [N·m] make likeliest: the spring has knees, and
-    torsion from a zero that is far off is on the wrong side of them."""
-    zero, known = 0.0, c.prior[EXTERNAL] ** 2
-    for _ in range(_TRIES):
-        K = _flank(found.torsion + zero, p)
-        off = _torque(found, found.torsion + zero, p) - weight
-        zero = K * (K * zero - off) * c.prior[ZERO] ** 2 / ((K * c.prior[ZERO]) ** 2 + known)
-    return zero
+def _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c):
+    """Innovation [N·m] of a torsion [rad] about a zero of the link encoder [rad], and the stiffness [N·m/rad] by which it
+    counts; its row in `m.H`."""
+    x, H, theta = m.x, m.H, found.wave_generator_position
+    K = _flank(torsion + zero, p)
+    H[:] = 0.0
+    H[SPRING], H[STIFFNESS], H[ZERO], H[COUNT] = 1.0, -x[SPRING], -K, -K
+    H[WAVE], H[CURVE] = -K * wound * ratio, -K * (wound - x[WOUND] * soft) * ratio
+    for k in range(ORDERS):
+        if c.order[k] != 0.0:
+            H[KINEMATIC + 2 * k] = K * math.sin(c.order[k] * theta)
+            H[KINEMATIC + 2 * k + 1] = K * math.cos(c.order[k] * theta)
+    e = found.torque + laws.flexspline_spring(torsion + zero, p) - laws.flexspline_spring(found.torsion, p)
+    for i in range(SIZE):
+        e -= H[i] * x[i]
+    e -= K * zero
+    H[WOUND] = K * soft * ratio
+    return e, K
 
 
 @kernel
-def _torque(found, torsion, p):
-    """What a reading's elastic torque [N·m] would be at another torsion [rad]."""
-    return found.torque + laws.flexspline_spring(torsion, p) - laws.flexspline_spring(found.torsion, p)
-
-
-@kernel
-def _start(m, s, found, p, c):
-    """Begin at the first readings in equilibrium, the whole joint at rest or in motion."""
+def _start(m, reading, link, torque, motor_torque, p, c):
+    """Begin at the first readings in equilibrium: elastic torque [N·m], motor torque [N·m, motor side]; the whole joint at rest
+    or in motion."""
     x, P = m.x, m.P
     x[:] = 0.0
     P[:] = 0.0
-    x[LINK], x[WOUND] = found.link_position, found.motor_torque
-    weight = -dynamics.link_torque(_state(x, found, s.time, temperature(s, p)), found.torque, p)
-    x[ZERO] = _likely_zero(found, weight, p, c)
-    x[SPRING] = _torque(found, found.torsion + x[ZERO], p)
-    x[BRISTLE] = min(max((found.motor_torque - x[SPRING] / p.N) / p.s0, -p.Fs / p.s0), p.Fs / p.s0)
+    x[LINK], x[SPRING], x[WOUND] = link, torque, motor_torque
+    x[BRISTLE] = min(max((motor_torque - torque / p.N) / p.s0, -p.Fs / p.s0), p.Fs / p.s0)
     for i in range(SIZE):
         P[i, i] = c.prior[i] ** 2
     for i in (LINK_RATE, ROTOR, WAVE_RATE):
         for j in (LINK_RATE, ROTOR, WAVE_RATE):
             P[i, j] += (1.0 if i == LINK_RATE else p.N) * (1.0 if j == LINK_RATE else p.N) * _START**2
-    m.motor_reading, m.torsion_ratio, m.link_ratio = s.motor_position, 1.0, 1.0
+    m.motor_reading, m.torsion_ratio, m.link_ratio = reading, 1.0, 1.0
     m.belief, m.evidence = 1.0, _STAMPS
 
 
@@ -435,7 +454,7 @@ def _step(memory, sample, record, settings, out):
     m.motor_torque = found.motor_torque
     m.ripple += (0.5 * change * change - m.ripple) * -math.expm1(-s.interval / _RIPPLE)
     if s.interval == 0.0:
-        _start(m, s, found, p, c)
+        _start(m, s.motor_position, found.link_position, found.torque, found.motor_torque, p, c)
     else:
         _predict(m, s, found, h, p, c)
         m.held += 1.0
@@ -456,23 +475,16 @@ def _step(memory, sample, record, settings, out):
     # Torsion.
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
     wound, asked = laws.wave_generator_torsion(x[WOUND], p), laws.wave_generator_torsion(found.motor_torque, p)
-    # As far as the encoder's zero is known: knees of the spring are where it says.
-    torsion = found.torsion + (asked - wound) * ratio + x[ZERO]
-    seen = _torque(found, torsion, p)
-    K = _flank(torsion, p)
-    soft = _softness(x[WOUND], p)
-    H[:] = 0.0
-    H[SPRING], H[STIFFNESS], H[ZERO], H[COUNT] = 1.0, -x[SPRING], -K, -K
-    H[WAVE], H[CURVE] = -K * wound * ratio, -K * (wound - x[WOUND] * soft) * ratio
-    for k in range(ORDERS):
-        if c.order[k] != 0.0:
-            H[KINEMATIC + 2 * k] = K * math.sin(c.order[k] * theta)
-            H[KINEMATIC + 2 * k + 1] = K * math.cos(c.order[k] * theta)
-    e = seen
-    for i in range(SIZE):
-        e -= H[i] * x[i]
-    e -= K * x[ZERO]  # which is in the torsion already
-    H[WOUND] = K * soft * ratio
+    torsion, soft, zero = found.torsion + (asked - wound) * ratio, _softness(x[WOUND], p), x[ZERO]
+    e, K = _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c)
+    # Where constants are learned, about the zero that comes of it (an iterated update, Bell and Cathey 1993).
+    for _ in range(_TRIES if learn_torsion < math.inf else 0):
+        S = c.torsion_variance * K * K + _variance(m)
+        likelier = x[ZERO] + _gain(m, ZERO) * e / S
+        if S < learn_torsion or abs(likelier - zero) <= math.sqrt(c.torsion_variance):
+            break
+        zero = likelier
+        e, K = _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c)
     o.innovation = e
     o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance

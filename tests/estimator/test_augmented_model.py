@@ -246,6 +246,7 @@ def seeing(case: str, deviation: float = 0.02) -> Midway:
     midway = disturbed(Midway.of(case, interval=MOMENT), friction=0.0, constant=0.0, weight=0.0, stiffness=0.0)
     midway.memory["x"][AT["zero"] :] = 0.0
     midway.settings["torsion_variance"] = (deviation / midway.joint.p["K1"]) ** 2
+    midway.settings["presliding"] = 0.0  # a bristle that is beyond its end comes back at once
     return midway
 
 
