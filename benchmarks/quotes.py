@@ -105,10 +105,10 @@ def _realistic_nees(real: Lines) -> str:
     """Between which values the mean NEES of those that state a variance lies with sensors as they are."""
     told = []
     for name in ("augmented", "dynamics_ekf"):
-        found = {t: [] for _, t, n in real if n == name}
+        found: dict[float, list[float]] = {}
         for (scenario, tolerance, n), line in real.items():
             if n == name and scenario != OVERALL:
-                found[tolerance].append(float(line["nees"]))
+                found.setdefault(tolerance, []).append(float(line["nees"]))
         each = (
             f"{min(values):.1f} to {max(values):.1f} at ×{t:g}" for t, values in sorted(found.items(), reverse=True)
         )
