@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -184,9 +185,9 @@ class Run:
         if self.tip_force is not None:
             errors = self.tip_force.errors(self.reference.kept)
             shown = ", ".join(f"{name} {value:.2f}" for name, value in sorted(errors.items(), key=lambda item: item[1]))
-            force = (
-                f"force at the link, RMS error [N]: {shown}; it acts at {self.tip_force.lever:.3f} m, says the wrench"
-            )
+            lever = self.tip_force.lever
+            where = "" if math.isnan(lever) else f"; it acts at {lever:.3f} m, says the wrench"
+            force = f"force at the link, RMS error [N]: {shown}{where}"
         return notes_of(
             self,
             len(self.time),

@@ -71,7 +71,8 @@ def tip_force(
     own = mass * GRAVITY * np.sin(angle + p["gravity_angle"]) + p["Mg"] / GRAVITY * acceleration
     forces = {WRENCH: own - lowpassed(time, simulation.readings["force_x"], _CUTOFF)[:, 0]}
     torque = external_torque(signals, -simulation.readings["torque_y"], known, _CUTOFF)
-    strong = np.abs(forces[WRENCH]) > _SEEN * max(float(np.abs(truth).max()), 1e-9)
+    largest = float(np.abs(truth).max())
+    strong = (np.abs(forces[WRENCH]) > _SEEN * largest) & (largest > 0.0)
     at = float(np.median((torque / np.where(strong, forces[WRENCH], 1.0))[strong])) if strong.any() else math.nan
     for name, one in estimates.items():
         external = external_torque(signals, one.mean, known) if one.external is None else one.external

@@ -35,3 +35,12 @@ def test_a_torque_alone_is_no_force_and_levers_must_agree():
         changed = f"disturbances=[{', '.join(push % lever for lever in several)}]"
         assert run_scenario(*load_scenario("tip_force", [*quick, changed])).tip_force is None
     assert run_scenario(*load_scenario("external_push", quick)).metrics["tip_force"] is None
+
+
+def test_no_push_no_lever(tmp_path):
+    """A run that ends before the first push was told where "it" acts, from noise."""
+    run = run_scenario(*load_scenario("tip_force", ["duration=3", "filters=[RAREKF]"]))
+    assert run.tip_force is not None and np.isnan(run.tip_force.lever)
+    assert any("force at the link" in note for note in run.notes) and not any("acts at" in note for note in run.notes)
+    saved = json.loads((save_run(run, tmp_path / "run") / "metrics.json").read_text())
+    assert saved["tip_force"]["lever"] is None
