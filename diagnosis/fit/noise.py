@@ -97,13 +97,16 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
     """Innovations of x, shape (k, c), over their standard deviation into out; zero where unusable. Returns Σ log S.
 
     State: the autoregression's last values, the bands, the disturbance at rest; the residual is the sum of the first and all
-    others.
+    others. Row by row of the state one loop over the series each, which the compiler vectorises.
     """
     k, c = x.shape
     p, m = len(ar), len(bands)
     d = p + m + 1
     state = np.zeros((d, c))
-    new = np.zeros(c)
+    # The autoregression's newest value is the row `newest` of the first p, the one before it the next, and so on in a ring.
+    newest = 0
+    rates = np.empty(m + 1)
+    rates[:m], rates[m] = decay, rest_decay
     P, work = np.zeros((d, d)), np.zeros((d, d))
     gain, last = np.zeros(d), np.zeros(d)
     steady, S = 0, 1.0
@@ -115,23 +118,22 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
     total = 0.0
     for i in range(k):
         if i > 0:
-            if at_rest[i] or at_rest[i - 1] or not usable[i] or not usable[i - 1]:
+            if at_rest[i] != at_rest[i - 1] or not usable[i] or not usable[i - 1]:
                 steady = 0
             if steady < _STEADY:
                 _step_covariance(P, work, ar, white, bands, decay, rest if at_rest[i] else 0.0, rest_decay, p, m)
+            # What is forgotten now is the oldest value's row, in which the newest is written.
+            oldest = (newest + p - 1) % p
             for j in range(c):
-                value = 0.0
-                for l in range(p):
-                    value += ar[l] * state[l, j]
-                new[j] = value
-            for l in range(p - 1, 0, -1):
-                state[l] = state[l - 1]
-            state[0] = new
-            for l in range(m):
+                state[oldest, j] *= ar[p - 1]
+            for l in range(p - 1):
+                before = (newest + l) % p
                 for j in range(c):
-                    state[p + l, j] *= decay[l]
-            for j in range(c):
-                state[p + m, j] *= rest_decay
+                    state[oldest, j] += ar[l] * state[before, j]
+            newest = oldest
+            for l in range(m + 1):
+                for j in range(c):
+                    state[p + l, j] *= rates[l]
         elif at_rest[0]:
             P[p + m, p + m] = rest * rest
         if not usable[i]:
@@ -157,14 +159,16 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
         norm = 1.0 / np.sqrt(S)
         total += np.log(S)
         for j in range(c):
-            e = x[i, j] - state[0, j]
-            for l in range(p, d):
-                e -= state[l, j]
-            out[i, j] = e * norm
-            new[j] = e / S
-        for a in range(d):
+            out[i, j] = x[i, j] - state[newest, j]
+        for l in range(p, d):
             for j in range(c):
-                state[a, j] += gain[a] * new[j]
+                out[i, j] -= state[l, j]
+        for a in range(d):
+            row, factor = (newest + a) % p if a < p else a, gain[a] / S
+            for j in range(c):
+                state[row, j] += factor * out[i, j]
+        for j in range(c):
+            out[i, j] *= norm
     log_s[0] = total
 
 

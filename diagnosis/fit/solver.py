@@ -18,6 +18,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...models.kernels import kernel
 from ..data.segments import BALANCES
 from .noise import SETTINGS as NOISE
 from .noise import Noise, NoiseSettings, White, learn, rows_of, sensor_noise, whiten
@@ -197,16 +198,49 @@ def leverage_weight(
 
     `noise`, what noise replicates add to them, may lie as far out elsewhere: rows count by the farther one.
     """
-    counted = np.flatnonzero(np.any(X, axis=1))
+    energy, counted = _energy(X)
     if not len(counted):
         return np.ones(len(X))
     part = np.abs(X[counted[:: max(len(counted) // 4000, 1)]])
-    rms = np.sqrt(np.mean(X[counted] ** 2, axis=0))
-    usual = np.maximum(np.partition(part, int(0.9 * len(part)), axis=0)[int(0.9 * len(part))], 0.03 * rms) + 1e-300
-    far = np.max(np.abs(X) / usual, axis=1) / limit
+    rms = np.sqrt(energy / len(counted))
+    ninth = int(0.9 * len(part))
+    usual = np.maximum(np.partition(part, ninth, axis=0)[ninth], 0.03 * rms) + 1e-300
+    far = _farthest(X, 1.0 / usual) / limit
     if noise is not None:
-        far = np.maximum(far, np.max(np.abs(noise) / usual, axis=1) / noise_limit)
+        far = np.maximum(far, _farthest(noise, 1.0 / usual) / noise_limit)
     return 1.0 / np.clip(far, 1.0, 1e100) ** 2
+
+
+@kernel
+def _energy(X):
+    """Sums of squares of the columns of X, shape (n,), and the rows that are not zero."""
+    rows, n = X.shape
+    energy, counted, k = np.zeros(n), np.empty(rows, np.int64), 0
+    for i in range(rows):
+        any_of_it = 0.0
+        for j in range(n):
+            square = X[i, j] * X[i, j]
+            energy[j] += square
+            any_of_it += abs(X[i, j])
+        if any_of_it != 0.0:
+            counted[k] = i
+            k += 1
+    return energy, counted[:k]
+
+
+@kernel
+def _farthest(X, scale):
+    """Largest entry of every row of X in units of its column's, shape (rows,); no number where one of a row is none."""
+    rows, n = X.shape
+    found = np.empty(rows)
+    for i in range(rows):
+        most = 0.0
+        for j in range(n):
+            x = abs(X[i, j]) * scale[j]
+            if x > most or x != x:
+                most = x
+        found[i] = most
+    return found
 
 
 def tamed(problem: Problem, at: Fit, settings: SolverSettings = SETTINGS) -> Fit:
@@ -254,19 +288,25 @@ def normal_equations(
     jacobian: Columns,
     noise_jacobian: Columns | None,
     settings: SolverSettings = SETTINGS,
+    weight: np.ndarray | None = None,
 ) -> Normal:
-    """Normal equations of the posterior, the noise's share taken out where its derivatives are given."""
+    """Normal equations of the posterior, the noise's share taken out where its derivatives are given.
+
+    Args:
+      weight: of the rows, shape (total,); by leverage (`leverage_weight`) where it is not given.
+    """
     curvature = 1 / problem.spread(model) ** 2
     white = whiten(problem.segments, noise, stacked(point.residual, jacobian))
     common, noise_rows = slice(1, problem.size + 1), None
     if noise_jacobian is not None:
         noise_rows = whiten(problem.segments, noise, stacked(point.noise, noise_jacobian)).rows
-    weight = leverage_weight(
-        white.rows[:, common],
-        settings.leverage,
-        None if noise_rows is None else noise_rows[:, common],
-        settings.noise_leverage,
-    )
+    if weight is None:
+        weight = leverage_weight(
+            white.rows[:, common],
+            settings.leverage,
+            None if noise_rows is None else noise_rows[:, common],
+            settings.noise_leverage,
+        )
     information, g = products(white.rows, settings.huber, weight)
     g = g + curvature * theta
     share = np.zeros_like(information)
@@ -558,10 +598,10 @@ class Fitter:
         spread = [j @ root for j in jacobian]
         return learn(self.problem.segments, point.residual, point.noise, self.problem.quantum(), spread, self.noise)
 
-    def finish(self, model, theta, point, jacobian, extra, noise, history=()) -> Fit:
-        """The Laplace approximation of a model at its maximum, under a noise."""
+    def finish(self, model, theta, point, jacobian, extra, noise, history=(), weight=None) -> Fit:
+        """The Laplace approximation of a model at its maximum, under a noise; rows by leverage unless weights are given."""
         problem = self.problem
-        normal = normal_equations(problem, noise, model, theta, point, jacobian, extra, self.settings)
+        normal = normal_equations(problem, noise, model, theta, point, jacobian, extra, self.settings, weight)
         spread = problem.spread(model)
         _, logdet = np.linalg.slogdet(normal.hessian * spread[:, None] * spread)
         cost = normal.loss + normal.white.log_determinant + prior_cost(problem, theta, model)

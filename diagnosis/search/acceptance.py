@@ -74,8 +74,8 @@ class AcceptSettings:
     far_finalists: int = 6
     far: float = 10.0
     per_cause: int = 2
-    general: float = 30.0
-    temper: float = 25.0
+    general: float = 8.0
+    temper: float = 3.0
     loosest: float = 5.0
     edge: float = 6.0
     polish: int = 8

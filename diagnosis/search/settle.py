@@ -11,7 +11,7 @@ from ...models.calibration import WITHIN
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import Noise
 from ..fit.residual import Problem
-from ..fit.solver import Fit, Fitter, losses_of, tamed, with_dispersion
+from ..fit.solver import Fit, Fitter, losses_of, normal_equations, tamed, with_dispersion
 from .acceptance import AcceptSettings, Decision, Rivals, drowned, quiet_rms, significance, size_of, worth_of
 from .calibrate import better_of_both, hand_over
 from .screen import Library, Screened
@@ -142,16 +142,27 @@ def _at_the_edge(problem: Problem, fitter: Fitter, f: Fit, without: Fit, setting
     )
 
 
-def added_under_one_noise(fitter: Fitter, general: Fit, special: Fit) -> float:
-    """Log evidence that a more general model adds, both under one noise: the mean over that learned with either.
+def added(problem: Problem, fitter: Fitter, general: Fit, special: Fit) -> float:
+    """Log evidence that a more general model adds to a special case, both under one noise and the same weights of the rows: the
+    mean over the noise learned with either.
 
-    Noise learned for each of two models that leave next to nothing differs by chance, and with it the evidence by hundreds.
+    Noise learned for each of two models that leave next to nothing differs by chance, and with it the evidence by hundreds; the
+    weights that their derivatives give to rows, by tens. A row counts as little as with either.
     """
 
-    def evidence(f: Fit, noise: Noise) -> float:
-        return fitter.finish(f.model, f.theta, f.point, f.jacobian, None, noise).log_evidence
+    def evidence(f: Fit, noise: Noise, weight: np.ndarray) -> float:
+        return fitter.finish(f.model, f.theta, f.point, f.jacobian, None, noise, weight=weight).log_evidence
 
-    return 0.5 * sum(evidence(general, f.noise) - evidence(special, f.noise) for f in (general, special))
+    found = []
+    for noise in (general.noise, special.noise):
+        weight = np.minimum(
+            *(
+                normal_equations(problem, noise, f.model, f.theta, f.point, f.jacobian, None).weight
+                for f in (general, special)
+            )
+        )
+        found.append(evidence(general, noise, weight) - evidence(special, noise, weight))
+    return float(np.mean(found))
 
 
 def _as_general_as_needed(
@@ -170,16 +181,15 @@ def _as_general_as_needed(
             simpler = g.cause.name in h.cause.generalises
             if not (simpler or h.cause.name in g.cause.generalises) or any(o.key == g.key for o in f.model):
                 continue
-            parts = problem.split(f.theta, f.model)
-            model = tuple(g if j == i else o for j, o in enumerate(f.model))
-            values = h.values(parts[i]) if simpler else g.cause.present(problem.records(f.theta, f.model)[0][0])
-            u = g.confine(g.coordinates({q.name: values[q.name] for q in g.cause.parameters}))
-            theta = np.concatenate([f.theta[: problem.size], *(u if j == i else p for j, p in enumerate(parts))])
-            other = fitter.fit(model, theta, None, 6)
+            other = _in_place_of(problem, fitter, f, i, g)
             general, special = (f, other) if simpler else (other, f)
-            more = added_under_one_noise(fitter, general, special)
+            more = added(problem, fitter, general, special)
             # What no description holds speaks for the more general one too.
             loose = float(np.clip(quiet_rms(problem, f), 1.0, settings.loosest))
+            if simpler and more < settings.general * loose:
+                # It can do all that the special one can: from there.
+                again = _in_place_of(problem, fitter, special, i, h)
+                general, more = max(((x, added(problem, fitter, x, special)) for x in (f, again)), key=lambda x: x[1])
             asked = more > loose * settings.general
             sure = 1.0 / (1.0 + np.exp(-abs(more / loose - settings.general) / settings.temper))
             name = general.model[i].cause.name.replace("_", " ")
@@ -187,13 +197,23 @@ def _as_general_as_needed(
             taken = asked != simpler
             size, gain = size_of(problem, other, i), -more if simpler else more
             decisions.append(Decision("settle", g.cause.name, g.fixed, gain, float("nan"), size, True, taken, reason))
-            if taken:
-                f = other
+            f = general if asked else special
             if i < len(rivals):
                 rivals = list(rivals)
                 rivals[i] = replace(rivals[i], cause=f.model[i].cause.name, share=rivals[i].share * float(sure))
             break
     return f, rivals, decisions
+
+
+def _in_place_of(problem: Problem, fitter: Fitter, f: Fit, index: int, g: Hypothesis) -> Fit:
+    """A fit with a more general hypothesis, or a special case, in an effect's place, from where it makes the same."""
+    h, parts = f.model[index], problem.split(f.theta, f.model)
+    simpler = g.cause.name in h.cause.generalises
+    values = h.values(parts[index]) if simpler else g.cause.present(problem.records(f.theta, f.model)[0][0])
+    u = g.confine(g.coordinates({q.name: values[q.name] for q in g.cause.parameters}))
+    theta = np.concatenate([f.theta[: problem.size], *(u if j == index else p for j, p in enumerate(parts))])
+    model = tuple(g if j == index else o for j, o in enumerate(f.model))
+    return fitter.fit(model, theta, f, 6, f, anew=True)
 
 
 def _prune(
