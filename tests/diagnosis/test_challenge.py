@@ -112,6 +112,25 @@ def test_a_cause_is_as_general_as_the_data_ask_for(index):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("challenge", "index"),
+    [
+        (Challenge(seed=353, real=True), 22),
+        (Challenge(seed=902, only=("load_dependent_friction",)), 4),
+    ],
+    ids=["general", "special"],
+)
+def test_neither_a_cause_nor_its_special_case_stands_for_the_other(challenge, index):
+    """Fits from places and with weights of their own differ by tens: a back-driving was its special case, at 0.81, as the general
+    model, which cannot be less likely, came out 83 worse."""
+    drawn = draw(challenge, index)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    (hidden,) = (e.name for e in drawn.effects)
+    assert hidden in ("load_dependent_friction", "back_driving")
+    assert found.causes[0].name == hidden, [(c.name, c.confidence) for c in found.causes]
+
+
+@pytest.mark.slow
 def test_a_reading_that_drifts_is_no_sure_offset():
     """Slow discrepancy holds what an offset leaves of a drift: the simulation's error, which the drift halves, says more."""
     drawn = draw(Challenge(seed=233, hidden="outside", real=True), 8)
