@@ -50,7 +50,8 @@ def posterior_information(F: ArrayLike, Q: ArrayLike, H: ArrayLike, R: ArrayLike
 
     Args:
         F: Shape (T − 1, n, n), Jacobians from step k to k + 1; or (M, T − 1, n, n), of M equally likely trajectories.
-        Q: Shape (n, n), positive definite. R: Shape (m, m), positive definite.
+        Q: Shape (n, n), positive definite; J is a difference of numbers as large as its inverse, exact to 1e-16 of them.
+            R: Shape (m, m), positive definite.
         H: Shape (T, m, n) or (M, T, m, n), Jacobians of the measurements; that of step 0 is not used.
         J0: Shape (n, n), information about the first state; it contains the first measurement, if there is one.
 
