@@ -243,13 +243,18 @@ def _farthest(X, scale):
     return found
 
 
+def weights_of(problem: Problem, noise: Noise, at: Fit, settings: SolverSettings = SETTINGS) -> np.ndarray:
+    """Weights of the rows by leverage of a fit's derivatives under a noise, shape (total,)."""
+    white = whiten(problem.segments, noise, [j[..., : problem.size] for j in at.jacobian]).rows
+    return leverage_weight(white, settings.leverage)
+
+
 def tamed(problem: Problem, at: Fit, settings: SolverSettings = SETTINGS) -> Fit:
     """A fit with derivatives for a linear model: small in rows of extreme leverage.
 
     Where the replay is about to leave the range of a law, derivatives are huge and say nothing of a change of any size.
     """
-    white = whiten(problem.segments, at.noise, [j[..., : problem.size] for j in at.jacobian]).rows
-    root = np.sqrt(leverage_weight(white, settings.leverage))
+    root = np.sqrt(weights_of(problem, at.noise, at, settings))
     jacobian, first = [], 0
     for one, j in zip(problem.segments, at.jacobian, strict=True):
         blocks = len(one.at[:: one.block])

@@ -11,7 +11,7 @@ from ...models.calibration import WITHIN
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import Noise
 from ..fit.residual import Problem
-from ..fit.solver import Fit, Fitter, losses_of, normal_equations, tamed, with_dispersion
+from ..fit.solver import Fit, Fitter, losses_of, tamed, weights_of, with_dispersion
 from .acceptance import AcceptSettings, Decision, Rivals, drowned, quiet_rms, significance, size_of, worth_of
 from .calibrate import better_of_both, hand_over
 from .screen import Library, Screened
@@ -142,7 +142,7 @@ def _at_the_edge(problem: Problem, fitter: Fitter, f: Fit, without: Fit, setting
     )
 
 
-def added(problem: Problem, fitter: Fitter, general: Fit, special: Fit) -> float:
+def added(fitter: Fitter, general: Fit, special: Fit) -> float:
     """Log evidence that a more general model adds to a special case, both under one noise and the same weights of the rows: the
     mean over the noise learned with either.
 
@@ -155,12 +155,7 @@ def added(problem: Problem, fitter: Fitter, general: Fit, special: Fit) -> float
 
     found = []
     for noise in (general.noise, special.noise):
-        weight = np.minimum(
-            *(
-                normal_equations(problem, noise, f.model, f.theta, f.point, f.jacobian, None).weight
-                for f in (general, special)
-            )
-        )
+        weight = np.minimum(*(weights_of(fitter.problem, noise, f) for f in (general, special)))
         found.append(evidence(general, noise, weight) - evidence(special, noise, weight))
     return float(np.mean(found))
 
@@ -183,13 +178,13 @@ def _as_general_as_needed(
                 continue
             other = _in_place_of(problem, fitter, f, i, g)
             general, special = (f, other) if simpler else (other, f)
-            more = added(problem, fitter, general, special)
+            more = added(fitter, general, special)
             # What no description holds speaks for the more general one too.
             loose = float(np.clip(quiet_rms(problem, f), 1.0, settings.loosest))
             if simpler and more < settings.general * loose:
                 # It can do all that the special one can: from there.
                 again = _in_place_of(problem, fitter, special, i, h)
-                general, more = max(((x, added(problem, fitter, x, special)) for x in (f, again)), key=lambda x: x[1])
+                general, more = max(((x, added(fitter, x, special)) for x in (f, again)), key=lambda x: x[1])
             asked = more > loose * settings.general
             sure = 1.0 / (1.0 + np.exp(-abs(more / loose - settings.general) / settings.temper))
             name = general.model[i].cause.name.replace("_", " ")

@@ -119,7 +119,7 @@ def walk(record, seed: int, intensity: float, n: int = 1500):
 
 
 @pytest.mark.parametrize("delay, warmer", [(0.0, 0.0), (6e-3, 20.0)])
-def test_joint_bound_is_the_information_recursion(record, delay, warmer):
+def test_joint_bound_is_the_covariance_recursion(record, delay, warmer):
     """Against the Riccati recursion of the covariance with Jacobians of its own and a little noise on every state. That of the
     information would take the difference of numbers of 1e10 there, 5 % off on some processors. A link encoder that is late reads
     the link where it was, θl − delay·ωl; a warm gear has another friction."""
