@@ -85,7 +85,7 @@ class Torques(NamedTuple):
     ratio: float
 
 
-@kernel
+@kernel(forceinline=True)
 def transmission(state, p, passband=0.0):
     """Torques between the bodies, `Transmission`.
 
@@ -97,8 +97,9 @@ def transmission(state, p, passband=0.0):
         error, slope = laws.kinematic_error(x, p), laws.kinematic_error_slope(x, p)
     else:
         error, slope = laws.smoothed_kinematic_error(x, abs(w) * passband, p)
-    ratio = 1.0 / p.N - slope
-    torsion = x / p.N - state.link_position - error
+    turn = 1.0 / p.N
+    ratio = turn - slope
+    torsion = x * turn - state.link_position - error
     rate = w * ratio - state.link_velocity
     load = laws.flexspline_spring(torsion, p) + p.df * rate
     if p.hysteresis_torque != 0.0:
@@ -123,7 +124,7 @@ def flexspline_discrepancy(state, load, p):
     return _discrepancy(_FLEXSPLINE, state, load, p)
 
 
-@kernel
+@kernel(forceinline=True)
 def sliding_friction(state, load, p):
     """Stribeck curve g(w) at a state under a load [N·m]: `laws.stribeck_friction` [N·m, motor side]."""
     return laws.stribeck_friction(
@@ -131,7 +132,7 @@ def sliding_friction(state, load, p):
     )
 
 
-@kernel
+@kernel(forceinline=True)
 def mesh_torque(state, load, g, p):
     """Friction torque of the mesh [N·m, motor side] with its viscous part, at a sliding friction g."""
     w = state.wave_generator_velocity
@@ -141,7 +142,7 @@ def mesh_torque(state, load, g, p):
     return torque
 
 
-@kernel
+@kernel(forceinline=True)
 def rotor_torque(state, Tw, load, p, passband=0.0):
     """All that acts on the rotor [N·m, motor side] under a wave generator torque Tw; `passband` as in `transmission`."""
     cogging = laws.cogging_torque(state.motor_position, p, abs(state.motor_velocity) * passband)
@@ -151,7 +152,7 @@ def rotor_torque(state, Tw, load, p, passband=0.0):
     return torque
 
 
-@kernel
+@kernel(forceinline=True)
 def link_torque(state, load, p):
     """All that acts on the link but the joint's own torque and external torque [N·m]: gravity, cable, stop."""
     torque = laws.gravity_torque(state.link_position, p) + laws.link_torque(state.link_position, p)

@@ -30,6 +30,8 @@ import numba
 from numba.core import config as numba_config
 
 _PACKAGE = __name__.split(".")[0]
+_DUAL = f"{_PACKAGE}.models.dual"
+"""Whatever is compiled may be compiled for dual numbers, too, by whoever calls it with them."""
 _BEGAN = time.time()
 _IMPORT = re.compile(r"^\s*from\s+(\.*[\w.]*)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
 _KEPT = 4
@@ -105,7 +107,7 @@ def _forget_old(top: Path, name: str) -> None:
 def digest(module: str) -> str:
     """Sixteen hexadecimal digits of a module's source, of all sources that it imports from here, and of the compiler."""
     whole = hashlib.blake2b(" ".join([*_versions(), sys.version]).encode(), digest_size=8)
-    for name in sorted(_imported(module)):
+    for name in sorted(_imported(module) | _imported(_DUAL)):
         path = _file(name)
         assert path is not None
         whole.update(path.read_bytes())

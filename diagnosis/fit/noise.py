@@ -20,8 +20,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
+from typing import Any
 
 import numpy as np
+from numba.np.unsafe import ndarray
 
 from ...models.kernels import kernel
 from ..data.segments import BALANCES, DECIMATION, STEP, Segment
@@ -53,6 +55,12 @@ class NoiseSettings:
 SETTINGS = NoiseSettings()
 EVEN = NoiseSettings(bands=SETTINGS.bands[:1])
 """All model discrepancy in the fastest band: fits are least squares, and nothing slow is taken for discrepancy."""
+_ORDER, _BANDS = SETTINGS.order, len(SETTINGS.bands)
+"""Largest order of an autoregression and number of bands that are filtered, known to the compiler."""
+_fixed: Any = ndarray.to_fixed_tuple
+_STATE = _ORDER + _BANDS + 1
+_WIDTH = 8
+"""Series that are filtered at once."""
 _STEADY = 3
 """Samples in a row with the same gain after which a filter's covariance is taken for its steady one."""
 _STATIONARY = 0.9999
@@ -93,26 +101,23 @@ class Noise:
 
 
 @kernel
-def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, log_s):
-    """Innovations of x, shape (k, c), over their standard deviation into out; zero where unusable. Returns Σ log S.
+def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, balance, out):
+    """Innovations of x[:, balance], shape (k, c), over their standard deviation into out; zero where unusable. Returns Σ log S.
 
     State: the autoregression's last values, the bands, the disturbance at rest; the residual is the sum of the first and all
-    others. Row by row of the state one loop over the series each, which the compiler vectorises.
+    others. `ar`, `bands` and `decay` have `_ORDER`, `_BANDS` and as many entries.
     """
-    k, c = x.shape
-    p, m = len(ar), len(bands)
-    d = p + m + 1
-    state = np.zeros((d, c))
-    # The autoregression's newest value is the row `newest` of the first p, the one before it the next, and so on in a ring.
-    newest = 0
-    rates = np.empty(m + 1)
-    rates[:m], rates[m] = decay, rest_decay
+    k, c = out.shape
+    p, m, d = _ORDER, _BANDS, _STATE
+    # Series side by side in groups, each with its state and, behind it, its value: what the compiler makes vectors of.
+    groups = (c + _WIDTH - 1) // _WIDTH
+    state = np.zeros((groups, (d + 1) * _WIDTH))
     P, work = np.zeros((d, d)), np.zeros((d, d))
-    gain, last = np.zeros(d), np.zeros(d)
+    gain, last, step, nothing = np.zeros(d), np.zeros(d), np.zeros(d), np.zeros(d)
     steady, S = 0, 1.0
     # The stationary covariance of the autoregression: by letting it run; the bands' are their variances.
     for _ in range(200):
-        _step_covariance(P, work, ar, white, bands, decay, 0.0, rest_decay, p, m)
+        _step_covariance(P, work, ar, white, bands, decay, 0.0, rest_decay)
     for j in range(m):
         P[p + j, p + j] = bands[j] ** 2
     total = 0.0
@@ -121,61 +126,71 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, out, 
             if at_rest[i] != at_rest[i - 1] or not usable[i] or not usable[i - 1]:
                 steady = 0
             if steady < _STEADY:
-                _step_covariance(P, work, ar, white, bands, decay, rest if at_rest[i] else 0.0, rest_decay, p, m)
-            # What is forgotten now is the oldest value's row, in which the newest is written.
-            oldest = (newest + p - 1) % p
-            for j in range(c):
-                state[oldest, j] *= ar[p - 1]
-            for l in range(p - 1):
-                before = (newest + l) % p
-                for j in range(c):
-                    state[oldest, j] += ar[l] * state[before, j]
-            newest = oldest
-            for l in range(m + 1):
-                for j in range(c):
-                    state[p + l, j] *= rates[l]
+                _step_covariance(P, work, ar, white, bands, decay, rest if at_rest[i] else 0.0, rest_decay)
         elif at_rest[0]:
             P[p + m, p + m] = rest * rest
-        if not usable[i]:
-            out[i] = 0.0
-            continue
-        if steady < _STEADY:
-            S = 0.0
-            for a in range(d):
-                value = P[a, 0]
-                for b in range(p, d):
-                    value += P[a, b]
-                gain[a] = value
-                if a == 0 or a >= p:
-                    S += value
-            moved = 0.0
-            for a in range(d):
-                moved = max(moved, abs(gain[a] - last[a]))
-                last[a] = gain[a]
-            steady = steady + 1 if moved < 1e-7 * S else 0
-            for a in range(d):
-                for b in range(d):
-                    P[a, b] -= gain[a] * gain[b] / S
-        norm = 1.0 / np.sqrt(S)
-        total += np.log(S)
-        for j in range(c):
-            out[i, j] = x[i, j] - state[newest, j]
-        for l in range(p, d):
-            for j in range(c):
-                out[i, j] -= state[l, j]
-        for a in range(d):
-            row, factor = (newest + a) % p if a < p else a, gain[a] / S
-            for j in range(c):
-                state[row, j] += factor * out[i, j]
-        for j in range(c):
-            out[i, j] *= norm
-    log_s[0] = total
+        norm = 0.0
+        if usable[i]:
+            if steady < _STEADY:
+                S = 0.0
+                for a in range(d):
+                    value = P[a, 0]
+                    for b in range(p, d):
+                        value += P[a, b]
+                    gain[a] = value
+                    if a == 0 or a >= p:
+                        S += value
+                moved = 0.0
+                for a in range(d):
+                    moved = max(moved, abs(gain[a] - last[a]))
+                    last[a] = gain[a]
+                steady = steady + 1 if moved < 1e-7 * S else 0
+                for a in range(d):
+                    step[a] = gain[a] / S
+                for a in range(d):
+                    for b in range(d):
+                        P[a, b] -= step[a] * gain[b]
+            norm = 1.0 / np.sqrt(S)
+            total += np.log(S)
+        for group in range(groups):
+            one, first = state[group], group * _WIDTH
+            number = min(_WIDTH, c - first)
+            for j in range(number):
+                one[d * _WIDTH + j] = x[i, balance, first + j]
+            _advance(one, ar, decay, rest_decay, step if usable[i] else nothing, norm)
+            for j in range(number):
+                out[i, first + j] = one[d * _WIDTH + j]
+    return total
 
 
 @kernel
-def _step_covariance(P, work, ar, white, bands, decay, rest, rest_decay, p, m):
+def _advance(one, ar, decay, rest_decay, step, norm):
+    """One step of the filter for a group of series: `one`, shape ((d + 1) · `_WIDTH`,): state predicted and updated by `step`,
+    the gain over the innovation's variance, and behind it the value, which becomes the innovation times `norm`."""
+    d = _STATE
+    a, b = _fixed(ar, _ORDER), _fixed(decay, _BANDS)  # no memory that writing could change
+    g = _fixed(step, _STATE)
+    for j in range(_WIDTH):
+        new = 0.0
+        for l in range(_ORDER):
+            new += a[l] * one[l * _WIDTH + j]
+        slow = rest_decay * one[(d - 1) * _WIDTH + j]
+        innovation = one[d * _WIDTH + j] - new - slow
+        for l in range(_BANDS):
+            innovation -= b[l] * one[(_ORDER + l) * _WIDTH + j]
+        for l in range(_ORDER - 1, 0, -1):
+            one[l * _WIDTH + j] = one[(l - 1) * _WIDTH + j] + g[l] * innovation
+        one[j] = new + g[0] * innovation
+        for l in range(_BANDS):
+            one[(_ORDER + l) * _WIDTH + j] = b[l] * one[(_ORDER + l) * _WIDTH + j] + g[_ORDER + l] * innovation
+        one[(d - 1) * _WIDTH + j] = slow + g[d - 1] * innovation
+        one[d * _WIDTH + j] = norm * innovation
+
+
+@kernel
+def _step_covariance(P, work, ar, white, bands, decay, rest, rest_decay):
     """P ← A P Aᵀ + Q of the state's transition, in place."""
-    d = p + m + 1
+    p, m, d = _ORDER, _BANDS, _STATE
     # Rows: A P.
     for b in range(d):
         value = 0.0
@@ -223,24 +238,34 @@ def whiten(segments: Sequence[Segment], noise: Noise, series: Sequence[np.ndarra
     decay = np.exp(-INTERVAL / np.array(s.bands))
     rest_decay = float(np.exp(-INTERVAL / s.rest_time))
 
+    decay, no_band = _padded(decay, _BANDS), np.zeros(_BANDS)
+
     def one(index: int) -> tuple[np.ndarray, float]:
-        segment, x = segments[index], series[index]
-        out = np.zeros((len(BALANCES), len(segment.at), x.shape[2]))
-        total, log_s = 0.0, np.zeros(1)
+        segment, x = segments[index], np.ascontiguousarray(series[index])
+        out = np.empty((len(BALANCES), len(segment.at), x.shape[2]))
+        total = 0.0
         for b in range(len(BALANCES)):
             if not segment.usable[:, b].any():
+                out[b] = 0.0
                 continue
-            sensor = noise.sensors[index][b]
-            _filter(
-                segment.usable[:, b], segment.at_rest, sensor.ar, sensor.white, noise.discrepancy[b], decay,
-                float(noise.rest[index, b]), rest_decay, np.ascontiguousarray(x[:, b]), out[b], log_s,
+            sensor, bands = noise.sensors[index][b], no_band.copy()
+            bands[: len(s.bands)] = noise.discrepancy[b]
+            total += _filter(
+                segment.usable[:, b], segment.at_rest, _padded(sensor.ar, _ORDER), sensor.white, bands, decay,
+                float(noise.rest[index, b]), rest_decay, x, b, out[b],
             )  # fmt: skip
-            total += float(log_s[0])
         counts = segment.usable.T
         return _blocks(out, counts, segment.block).reshape(-1, x.shape[2]), total / segment.block
 
     parts = parallel(one, list(range(len(segments))))
     return White(np.concatenate([rows for rows, _ in parts]), float(sum(total for _, total in parts)))
+
+
+def _padded(x: np.ndarray, size: int) -> np.ndarray:
+    """A vector with zeros behind it, shape (size,): an autoregression of lower order, fewer bands."""
+    found = np.zeros(size)
+    found[: len(x)] = x
+    return found
 
 
 def _blocks(white: np.ndarray, counts: np.ndarray, block: int) -> np.ndarray:
@@ -272,22 +297,32 @@ def haar(x: np.ndarray, use: np.ndarray, scales: Sequence[int]) -> tuple[np.ndar
 
     A wavelet of scale L: mean of L samples less the mean of the L before. Returns shape (scales, c) and (scales,).
     """
-    k = len(x)
-    total = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(np.where(use[:, None], x, 0.0), axis=0)])
-    count = np.concatenate([[0], np.cumsum(use)])
-    energy, number = np.zeros((len(scales), x.shape[1])), np.zeros(len(scales))
-    for i, scale in enumerate(scales):
-        begin = np.arange(0, k - 2 * scale + 1, max(scale, 1))
-        if not len(begin):
-            continue
-        middle, end = begin + scale, begin + 2 * scale
-        whole = count[end] - count[begin] == 2 * scale
-        if not whole.any():
-            continue
-        begin, middle, end = begin[whole], middle[whole], end[whole]
-        d = (total[end] - 2 * total[middle] + total[begin]) / scale
-        energy[i] = np.mean(d * d, axis=0)
-        number[i] = 0.5 * len(begin)  # neighbours overlap by half
+    return _haar(np.where(use[:, None], x, 0.0), use, np.array(scales))
+
+
+@kernel
+def _haar(x, use, scales):
+    k, c = x.shape
+    total, count = np.zeros((k + 1, c)), np.zeros(k + 1, np.int64)
+    for i in range(k):
+        count[i + 1] = count[i] + use[i]
+        for j in range(c):
+            total[i + 1, j] = total[i, j] + x[i, j]
+    energy, number = np.zeros((len(scales), c)), np.zeros(len(scales))
+    for s in range(len(scales)):
+        scale = scales[s]
+        whole = 0
+        for begin in range(0, k - 2 * scale + 1, scale):
+            middle, end = begin + scale, begin + 2 * scale
+            if count[end] - count[begin] == 2 * scale:
+                whole += 1
+                for j in range(c):
+                    d = total[end, j] - 2 * total[middle, j] + total[begin, j]
+                    energy[s, j] += d * d
+        if whole:
+            for j in range(c):
+                energy[s, j] /= whole * scale * scale
+            number[s] = 0.5 * whole  # neighbours overlap by half
     return energy, number
 
 

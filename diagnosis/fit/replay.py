@@ -21,6 +21,7 @@ has its inertia to (Ωh)²/6 and its dampings to (Ωh)²/8, whatever its stiffne
 
 from __future__ import annotations
 
+import math
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -31,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from ...models import dynamics, laws
+from ...models.dual import LANES, dual_records, dual_table, value_of
 from ...models.dynamics import State
 from ...models.kernels import kernel
 from ..data.segments import BALANCES, CURRENT, DECIMATION, LINK, STEP, TORQUE, WINDOW, Segment
@@ -50,6 +52,21 @@ INNER = np.dtype(
     ]
 )  # fmt: skip
 """What the replay knows of every step inside the joint: motion of both ends as corrected, and what lies between."""
+MOVING = np.dtype(
+    [
+        (name, np.float64)
+        for name in (
+            "wave_generator_position", "wave_generator_velocity", "bristle", "dahl", "motor_position", "motor_velocity",
+            "link_position", "link_velocity", "link_acceleration", "flexible_position", "flexible_velocity", "stiffness",
+        )
+    ]
+)  # fmt: skip
+"""What one step of the transmission takes from the one before."""
+SWINGING = np.dtype([(name, np.float64) for name in ("position", "velocity", "link_acceleration")])
+"""Likewise of the part that hangs on the link by a spring, where the link's motion is measured."""
+_INNER, _MOVING, _SWINGING = (dtype.itemsize // 8 for dtype in (INNER, MOVING, SWINGING))
+_BLOCK = 64
+"""Steps that are replayed before they are read out: as many as stay in a processor's nearest memory."""
 
 READ_OUT = (
     "Jm", "Kt", "Kt_drive", "bm", "R", "L", "supply_voltage", "current_limit", "bl", "Jl", "Mg", "gravity_angle",
@@ -69,7 +86,7 @@ _LINK_NUMBERS = (
 def _between(reading, i, shift, h):
     """A reading's value and derivatives `shift` steps after step i: cubic of value and slope; shape (n, 3)."""
     n = len(reading)
-    j = min(i + int(shift), n - 2)
+    j = min(i + math.floor(shift), n - 2)
     f = min(i + shift - j, 1.0)
     d = reading[j + 1, 0] - reading[j, 0]
     a0 = h * reading[j, 1] - d
@@ -83,37 +100,68 @@ def _between(reading, i, shift, h):
 
 
 @kernel
-def _transmission(p, time, temperature, rotor, link, measured, external, passband, h, inner):
-    """Move what is not measured through a segment; fills `inner`, records of `INNER`. False: runaway."""
-    n = len(time)
+def _equilibrium(m, l, p):
+    """Wave generator's angle at which its torque and the flexspline's balance without friction, at a rotor and a link angle."""
+    low = value_of(m - 1.0 / (p.Cw * p.Kw0))
+    high = value_of(m + 1.0 / (p.Cw * p.Kw0))
+    x = low
+    for _ in range(40):
+        x = 0.5 * (low + high)
+        torsion = x / p.N - l - laws.kinematic_error(x, p)
+        if laws.wave_generator_spring(m - x, p) > laws.flexspline_spring(torsion, p) / p.N:
+            low = x
+        else:
+            high = x
+    # One step of Newton's, which dual numbers have their derivatives from.
+    torsion = x / p.N - l - laws.kinematic_error(x, p)
+    excess = laws.wave_generator_spring(m - x, p) - laws.flexspline_spring(torsion, p) / p.N
+    slope = laws.flexspline_stiffness(torsion, p) * (1.0 / p.N - laws.kinematic_error_slope(x, p)) / p.N
+    return x + excess / (laws.wave_generator_stiffness(m - x, p) + slope)
+
+
+@kernel
+def _transmission(
+    p,
+    time,
+    temperature,
+    rotor,
+    link,
+    measured,
+    external,
+    passband,
+    h,
+    begin,
+    end,
+    moving,
+    inner,
+):
+    """Move what is not measured through the steps from `begin` on; fills `inner`, records of `INNER`. False: runaway.
+
+    `moving`, a record of `MOVING`: where it came to before, and where it comes to.
+    """
     shift = p.link_delay / h
     reach = laws.wave_generator_torsion(_STIFFEST * p.Kt * p.current_limit, p)
-    z, dahl, w, theta_w = 0.0, 0.0, rotor[0, 1], rotor[0, 0]
-    m1, vm1, l1, vl1, al1 = 0.0, 0.0, 0.0, 0.0, 0.0
-    phi, phi_rate, stiffness = 0.0, 0.0, 0.0
     rigid = p.Jl - laws.flexible_inertia(p)
-    for i in range(n):
+    z, dahl, w, theta_w = moving.bristle, moving.dahl, moving.wave_generator_velocity, moving.wave_generator_position
+    m1, vm1, l1, vl1, al1 = (
+        moving.motor_position, value_of(moving.motor_velocity), moving.link_position, moving.link_velocity,
+        moving.link_acceleration,
+    )  # fmt: skip
+    phi, phi_rate, stiffness = moving.flexible_position, moving.flexible_velocity, moving.stiffness
+    for i in range(begin, end):
         m0, vm0, l0, vl0, al0 = m1, vm1, l1, vl1, al1
         # Rotor and link as they moved: readings without the encoders' own errors, the link's earlier by its delay.
         m1, vm1, am1 = dynamics.actual_motor_position(rotor[i, 0], p), rotor[i, 1], rotor[i, 2]
         if measured:
             reading, vl1, al1 = _between(link, i, shift, h)
             l1 = dynamics.actual_link_position(reading, rotor[i, 0], rotor[i, 1], time[i], p)
-        else:
-            al1 = 0.0
         if i == 0:
             # Start in equilibrium, friction unstressed; what is wrong with that is forgotten after a little travel.
             if not measured:
-                l1, vl1 = dynamics.actual_link_position(link[0, 0], rotor[0, 0], rotor[0, 1], time[0], p), link[0, 1]
-            low = m1 - 1.0 / (p.Cw * p.Kw0)
-            high = m1 + 1.0 / (p.Cw * p.Kw0)
-            for _ in range(40):
-                theta_w = 0.5 * (low + high)
-                torsion = theta_w / p.N - l1 - laws.kinematic_error(theta_w, p)
-                if laws.wave_generator_spring(m1 - theta_w, p) > laws.flexspline_spring(torsion, p) / p.N:
-                    low = theta_w
-                else:
-                    high = theta_w
+                l1 = dynamics.actual_link_position(link[0, 0], rotor[0, 0], rotor[0, 1], time[0], p)
+                vl1 = vl1 + link[0, 1]
+            w = w + rotor[0, 1]
+            theta_w = _equilibrium(m1, l1, p)
         else:
             # One linearly implicit midpoint step of the wave generator, and of the link where it is simulated. All angles in the
             # middle are made in one way, or springs would see h²/8 of an acceleration: `bent` of the way from the mean of both
@@ -124,7 +172,7 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
                 l = 0.5 * (l0 + l1) + 0.125 * h * bent * (vl0 - vl1)
                 vl = 0.5 * (vl0 + vl1)
             else:
-                bent = 0.0
+                bent = 0.0 * stiffness
                 l, vl = l0 + 0.5 * h * vl0, vl0
             m = 0.5 * (m0 + m1) + 0.125 * h * bent * (vm0 - vm1)
             x = theta_w + 0.5 * h * w
@@ -170,40 +218,62 @@ def _transmission(p, time, temperature, rotor, link, measured, external, passban
             z = laws.bristle_step(z, w_middle, g, h, p)
             if abs(m1 - theta_w) > reach:  # where the compliance is all but rigid
                 theta_w = m1 - (reach if m1 > theta_w else -reach)
-                w = vm1
+                w = 0.0 * w + vm1
             if p.hysteresis_torque != 0.0:
                 dahl = laws.dahl_step(dahl, w_middle * t.ratio - vl, h, p)
-        if p.flexible_share > 0.0 and not measured:
+        if p.flexible_share != 0.0 and not measured:
             phi, phi_rate = laws.flexible_step(phi, phi_rate, al0, al1, h, p)
-        end = dynamics.transmission(
+        ends = dynamics.transmission(
             State(m1, vm1, theta_w, w, l1, vl1, z, dahl, 0.0, time[i], temperature[i]), p, passband
         )
-        s = inner[i]
+        s = inner[i - begin]
         s.wave_generator_position, s.wave_generator_velocity = theta_w, w
         s.motor_position, s.motor_velocity, s.motor_acceleration = m1, vm1, am1
         s.link_position, s.link_velocity, s.link_acceleration = l1, vl1, al1
         s.bristle, s.dahl, s.flexible_position, s.flexible_velocity = z, dahl, phi, phi_rate
         s.flexspline_torque, s.load, s.wave_generator_torque = (
-            end.flexspline_torque,
-            end.load,
-            end.wave_generator_torque,
+            ends.flexspline_torque,
+            ends.load,
+            ends.wave_generator_torque,
         )
+    moving.bristle, moving.dahl, moving.wave_generator_velocity, moving.wave_generator_position = z, dahl, w, theta_w
+    moving.motor_position, moving.motor_velocity, moving.link_position = m1, vm1, l1
+    moving.link_velocity, moving.link_acceleration = vl1, al1
+    moving.flexible_position, moving.flexible_velocity, moving.stiffness = phi, phi_rate, stiffness
     return True
 
 
 @kernel
-def _readings(p, time, temperature, torque, measured, external, stiffness, inner, passband, h, every, window, out):
-    """Means of current reading, torque reading and link balance; fills out, shape (k, len(BALANCES)).
+def _readings(
+    p,
+    time,
+    temperature,
+    torque,
+    measured,
+    external,
+    stiffness,
+    passband,
+    h,
+    every,
+    window,
+    begin,
+    end,
+    inner,
+    swinging,
+    out,
+):
+    """Window-weighted sums of current reading, torque reading and link balance over the steps from `begin` on, added to out,
+    shape (k, len(BALANCES)).
 
-    Where the link's motion is measured, the part that hangs on it by a spring moves here: it does nothing inside.
+    Where the link's motion is measured, the part that hangs on it by a spring moves here: it does nothing inside. `swinging`, a
+    record of `SWINGING`: where it came to before, and where it comes to.
     """
-    n = len(time)
-    phi, phi_rate, before = 0.0, 0.0, 0.0
-    out[:] = 0.0
-    weights = np.zeros(len(out))
+    phi, phi_rate, before = swinging.position, swinging.velocity, swinging.link_acceleration
     has_torque = len(torque) > 0
-    for i in range(n):
-        s = inner[i]
+    k = begin // every
+    r = begin - k * every
+    for i in range(begin, end):
+        s = inner[i - begin]
         state = State(
             s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, s.link_position,
             s.link_velocity, s.bristle, s.dahl, 0.0, time[i], temperature[i],
@@ -218,7 +288,7 @@ def _readings(p, time, temperature, torque, measured, external, stiffness, inner
         balance = dynamics.link_torque(state, s.load, p) + external[i]
         if not measured:
             phi, phi_rate = s.flexible_position, s.flexible_velocity
-        elif p.flexible_share > 0.0:
+        elif p.flexible_share != 0.0:
             phi, phi_rate = laws.flexible_step(phi, phi_rate, before, s.link_acceleration, h, p)
             before = s.link_acceleration
         balance += laws.flexible_torque(phi, phi_rate, p)
@@ -231,32 +301,137 @@ def _readings(p, time, temperature, torque, measured, external, stiffness, inner
             balance = (Ts + balance) * stiffness / (p.K1 + p.K2 + p.K3)
         read_current = dynamics.read_motor_current(state, s.load, p)
         read_torque = dynamics.read_joint_torque(Ts, state, s.load, p)
-        k = i // every
-        r = i - k * every
         u = window[r]
         out[k, CURRENT] += u * read_current
         out[k, TORQUE] += u * read_torque
         out[k, LINK] += u * balance
-        weights[k] += u
         if r > 0 and k + 1 < len(out):
             u = window[every - r]
             out[k + 1, CURRENT] += u * read_current
             out[k + 1, TORQUE] += u * read_torque
             out[k + 1, LINK] += u * balance
-            weights[k + 1] += u
-    for k in range(len(out)):
-        for c in range(out.shape[1]):
-            out[k, c] /= weights[k]
+        r += 1
+        if r == every:
+            k, r = k + 1, 0
+    swinging.position, swinging.velocity, swinging.link_acceleration = phi, phi_rate, before
+
+
+@kernel
+def _replay(
+    p,
+    time,
+    temperature,
+    rotor,
+    link,
+    torque,
+    measured,
+    external,
+    stiffness,
+    passband,
+    h,
+    every,
+    window,
+    moving,
+    inner,
+    swinging,
+    out,
+):
+    """Both of the above through a whole segment, as many steps at a time as there are records in `inner`. False: runaway."""
+    begin, n = 0, len(time)
+    while begin < n:
+        end = min(begin + len(inner), n)
+        if not _transmission(
+            p, time, temperature, rotor, link, measured, external, passband, h, begin, end, moving, inner
+        ):
+            return False
+        _readings(
+            p, time, temperature, torque, measured, external, stiffness, passband, h, every, window, begin, end, inner,
+            swinging, out,
+        )  # fmt: skip
+        begin = end
+    return True
+
+
+_readings_table = dual_table(len(BALANCES))
+
+
+@kernel
+def _replay_dual(
+    record,
+    directions,
+    time,
+    temperature,
+    rotor,
+    link,
+    torque,
+    measured,
+    external,
+    stiffness,
+    passband,
+    h,
+    every,
+    window,
+    out,
+    derivatives,
+):
+    """The same for dual numbers: derivatives of `out`, shape (k, len(BALANCES), LANES), in directions of the record."""
+    moving, moving_d = np.zeros(1, MOVING), np.zeros((1, _MOVING, LANES))
+    swinging, swinging_d = np.zeros(1, SWINGING), np.zeros((1, _SWINGING, LANES))
+    inner, inner_d = np.empty(_BLOCK, INNER), np.empty((_BLOCK, _INNER, LANES))
+    return _replay(
+        dual_records(record, directions)[0], time, temperature, rotor, link, torque, measured, external, stiffness,
+        passband, h, every, window, dual_records(moving, moving_d)[0], dual_records(inner, inner_d),
+        dual_records(swinging, swinging_d)[0], _readings_table(out, derivatives),
+    )  # fmt: skip
+
+
+@cache
+def _weights(count: int, n: int, every: int) -> np.ndarray:
+    """Sums of the window's weights in each of `count` means over n steps, shape (count,)."""
+    window = WINDOW[:: DECIMATION // every] if every > 1 else np.ones(1)
+    found = np.zeros(count)
+    step, behind = np.divmod(np.arange(n), every)
+    np.add.at(found, step, window[behind])
+    before = (behind > 0) & (step + 1 < count)
+    np.add.at(found, step[before] + 1, window[every - behind[before]])
+    return found
+
+
+def _motion(segment: Segment) -> tuple[Any, ...]:
+    """Of a segment what moves inside the transmission depends on."""
+    return (
+        segment.time, segment.temperature, segment.rotor, segment.link, segment.link_measured, segment.external,
+        segment.passband, segment.step,
+    )  # fmt: skip
+
+
+def _sensed(segment: Segment, every: int, window: np.ndarray) -> tuple[Any, ...]:
+    """Of a segment what readings depend on."""
+    return (
+        segment.time, segment.temperature, segment.torque, segment.link_measured, segment.external, segment.stiffness,
+        segment.passband, segment.step, every, window,
+    )  # fmt: skip
+
+
+def _whole(segment: Segment, every: int, window: np.ndarray) -> tuple[Any, ...]:
+    """Of a segment all that a replay depends on."""
+    return (
+        segment.time, segment.temperature, segment.rotor, segment.link, segment.torque, segment.link_measured,
+        segment.external, segment.stiffness, segment.passband, segment.step, every, window,
+    )  # fmt: skip
+
+
+def _means(segment: Segment) -> tuple[int, np.ndarray]:
+    """Steps from one mean to the next, and the window's half from its middle."""
+    every = round(STEP * DECIMATION / segment.step)
+    return every, WINDOW[:: DECIMATION // every]
 
 
 def transmission(segment: Segment, record: np.ndarray) -> np.ndarray:
     """What moves between rotor and link, shape (n,), records of `INNER`; not a number where the record is beyond reason."""
-    inner = np.empty(len(segment.time), INNER)
-    good = _transmission(
-        record[0], segment.time, segment.temperature, segment.rotor, segment.link, segment.link_measured, segment.external,
-        segment.passband, segment.step, inner,
-    )  # fmt: skip
-    if not good:
+    n = len(segment.time)
+    inner, moving = np.empty(n, INNER), np.zeros(1, MOVING)
+    if not _transmission(record[0], *_motion(segment), 0, n, moving[0], inner):
         inner.view(np.float64)[:] = np.nan
     return inner
 
@@ -267,26 +442,25 @@ def replay(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None
     Args:
       inner: of `transmission` for a record that differs in numbers that only read out (`READ_OUT`).
     """
-    inner = transmission(segment, record) if inner is None else inner
-    out = np.empty((len(segment.at), len(BALANCES)))
-    every = round(STEP * DECIMATION / segment.step)
-    _readings(
-        record[0], segment.time, segment.temperature, segment.torque, segment.link_measured, segment.external,
-        segment.stiffness, inner,
-        segment.passband, segment.step, every, WINDOW[:: DECIMATION // every], out,
-    )  # fmt: skip
-    return out
+    every, window = _means(segment)
+    n, out, swinging = len(segment.time), np.zeros((len(segment.at), len(BALANCES))), np.zeros(1, SWINGING)
+    good = True
+    if inner is None:
+        moving, block = np.zeros(1, MOVING), np.empty(_BLOCK, INNER)
+        good = _replay(record[0], *_whole(segment, every, window), moving[0], block, swinging[0], out)
+    else:
+        _readings(record[0], *_sensed(segment, every, window), 0, n, inner, swinging[0], out)
+    if not good:
+        out[:] = np.nan
+    return out / _weights(len(out), n, every)[:, None]
 
 
 def readings(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
     """What `replay` predicts at every one of its steps instead of means over them, shape (n, len(BALANCES))."""
     inner = transmission(segment, record) if inner is None else inner
-    out = np.empty((len(segment.time), len(BALANCES)))
-    _readings(
-        record[0], segment.time, segment.temperature, segment.torque, segment.link_measured, segment.external,
-        segment.stiffness, inner,
-        segment.passband, segment.step, 1, np.ones(1), out,
-    )  # fmt: skip
+    n, swinging = len(segment.time), np.zeros(1, SWINGING)
+    out = np.zeros((n, len(BALANCES)))
+    _readings(record[0], *_sensed(segment, 1, np.ones(1)), 0, n, inner, swinging[0], out)
     return out
 
 
@@ -306,6 +480,43 @@ def residuals(pairs: Sequence[tuple[Segment, np.ndarray]]) -> list[np.ndarray]:
     inner = dict(zip(shared, parallel(lambda pair: transmission(*pair), list(shared.values())), strict=True))
     tasks = [(*pair, inner.get(key)) for key, pair in zip(keys, pairs, strict=True)]
     return parallel(lambda task: residual(*task), tasks)
+
+
+def derivatives(trios: Sequence[tuple[Segment, np.ndarray, np.ndarray]]) -> list[np.ndarray]:
+    """Derivatives of `residual` for segments and records, in directions of the record, in parallel: exact, of the replay as it
+    is computed (`models.dual`).
+
+    Args:
+      trios: segment, record, and derivatives of the record's numbers, shape (m, SIZE).
+
+    Returns:
+      Of each, shape (k, len(BALANCES), m).
+    """
+    tasks = [
+        (segment, record, directions[first : first + LANES])
+        for segment, record, directions in trios
+        for first in range(0, len(directions), LANES)
+    ]
+    parts = iter(parallel(lambda task: _derivatives(*task), tasks))
+    return [
+        np.concatenate([next(parts) for _ in range(0, len(directions), LANES)], axis=-1) for _, _, directions in trios
+    ]
+
+
+def _derivatives(segment: Segment, record: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """The same in up to `LANES` directions, shape (k, len(BALANCES), m)."""
+    every, window = _means(segment)
+    m = len(directions)
+    lanes = np.zeros((1, directions.shape[1], LANES))
+    lanes[0, :, :m] = directions.T
+    out = np.zeros((len(segment.at), len(BALANCES)))
+    found = np.zeros((*out.shape, LANES))
+    if not _replay_dual(record, lanes, *_whole(segment, every, window), out, found):
+        found[:] = np.nan
+    sign = np.ones(len(BALANCES))
+    sign[[CURRENT, TORQUE]] = -1.0
+    sign[~segment.balances] = 0.0
+    return found[..., :m] * (sign / _weights(len(out), len(segment.time), every)[:, None])[..., None]
 
 
 def _inside(segment: Segment, record: np.ndarray) -> bytes:

@@ -15,9 +15,11 @@ import numpy as np
 from ...models.calibration import WITHIN, Calibration
 from ...models.errors import InputError
 from ...models.joint import Joint, Mounting
+from ...models.parameters import SIZE as PARAMETERS_SIZE
+from ...models.parameters import as_floats
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment, mirrored
 from .coordinates import Hypothesis
-from .replay import residuals
+from .replay import derivatives, residuals
 
 TIMING = np.array([0.5e-3, 0.3e-3])
 """Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
@@ -28,7 +30,10 @@ REACH = 2.6
 """Standard deviations within which every calibration variable stays: joints are drawn within 2.5, and two variables that
 move the same number (its own tolerance and a shared one) reach little further together than the number's own limit
 (`models.calibration.WITHIN`)."""
-_STEP_X, _STEP_U = 0.05, 0.03  # of the differences that stand for derivatives
+_STEP, _FAR = 1e-6, 1e-4  # of differences of the record's numbers
+_STEP_X, _STEP_U = 0.05, 0.03  # of differences of residuals, where these stand for derivatives
+_BENT = 0.2  # part of a number's change over such a step by which it may differ from its derivative
+_UNBOUNDED = 100.0  # times what nine of ten are at most
 _HELD = 1e-4  # prior standard deviation of what stays as described
 _LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
 _ZEROS = ("link_encoder_zero", "torque_sensor_offset")
@@ -182,28 +187,74 @@ class Problem:
         columns: np.ndarray | None = None,
         replicate: bool = False,
     ) -> list[np.ndarray]:
-        """Derivatives of the residuals, shape (k, len(BALANCES), len(columns)) a segment, by differences.
+        """Derivatives of the residuals, shape (k, len(BALANCES), len(columns)) a segment.
 
         They are zero of what is held.
         """
         n = len(theta)
         columns = np.arange(n) if columns is None else columns
-        step = np.where(np.arange(n) < self.size, _STEP_X, _STEP_U)
         still = np.concatenate([self.held, np.zeros(n - self.size, bool)])
-        replayed = [j for j in columns if not self.calibration.size <= j < self.size and not still[j]]
-        points = [theta, *(theta + step[j] * np.eye(n)[j] for j in replayed)]
-        base, *moved = self.residuals(points, [model] * len(points), replicate)
-        done = dict(zip(replayed, moved, strict=True))
+        replayed = [int(j) for j in columns if not self.calibration.size <= j < self.size and not still[j]]
+        segments = self.replicates if replicate else self.segments
+        parts = self._replayed_derivatives(theta, model, replayed, segments)
         found = []
-        for s, segment in enumerate(self.replicates if replicate else self.segments):
-            J = np.zeros((*base[s].shape, len(columns)))
+        for segment, done in zip(segments, parts, strict=True):
+            J = np.zeros((len(segment.at), len(BALANCES), len(columns)))
             for i, j in enumerate(columns):
-                if j in done:
-                    J[..., i] = (done[j][s] - base[s]) / step[j]
+                if j in replayed:
+                    J[..., i] = done[..., replayed.index(j)]
                 elif not still[j]:
                     balances, off = self._read(segment, j - self.calibration.size)
                     J[:, balances, i] = -off
             found.append(J)
+        return found
+
+    def _replayed_derivatives(
+        self, theta: np.ndarray, model: Model, columns: Sequence[int], segments: Sequence[Segment]
+    ) -> list[np.ndarray]:
+        """Derivatives in unknowns of the record, shape (k, len(BALANCES), len(columns)) a segment.
+
+        Exact ones (`replay.derivatives`), but by differences where those say nothing of a change of any size: in unknowns of
+        which the record is no smooth function there (an amplitude with a phase, where it is next to nothing), and where the
+        replay runs into the end of a law again and again and an exact derivative grows without bound.
+        """
+        steps = {j: _STEP_X if j < self.size else _STEP_U for j in columns}
+        records = self.records(theta, model)
+        mountings = {mounting: s for s, mounting in reversed(list(enumerate(self.mountings)))}
+        directions = {m: np.empty((len(columns), PARAMETERS_SIZE)) for m in mountings}
+        bent = np.zeros(len(columns), bool)
+        for i, j in enumerate(columns):
+            near, far = (self.records(theta + h * np.eye(len(theta))[j], model) for h in (_STEP, _FAR))
+            for mounting, s in mountings.items():
+                slope, secant = ((as_floats(r[s]) - as_floats(records[s])) / h for r, h in ((near, _STEP), (far, _FAR)))
+                directions[mounting][i] = slope
+                largest = np.maximum(np.abs(slope), np.abs(secant))
+                bent[i] |= bool(np.any(np.abs(slope - secant) > _BENT * largest + 1e-9))
+        smooth = np.flatnonzero(~bent).tolist()
+        trios = [
+            (segment, record, directions[mounting][smooth])
+            for segment, record, mounting in zip(segments, records, self.mountings, strict=True)
+        ]
+        found, rough = [], []
+        for s, exact in enumerate(derivatives(trios) if len(smooth) else [None] * len(segments)):
+            J = np.empty((len(segments[s].at), len(BALANCES), len(columns)))
+            wild = bent.copy()
+            if exact is not None:
+                J[..., smooth] = exact
+                wild[smooth] = _unbounded(exact)
+            found.append(J)
+            rough += [(s, i) for i in np.flatnonzero(wild).tolist()]
+        # Differences, where they are asked for: one replay each, and one of each segment as it is.
+        bases = sorted({s for s, _ in rough})
+        points = [theta + steps[columns[i]] * np.eye(len(theta))[columns[i]] for _, i in rough]
+        tasks = [(segments[s], records[s], theta) for s in bases]
+        tasks += [
+            (segments[s], self.records(point, model)[s], point) for (s, _), point in zip(rough, points, strict=True)
+        ]
+        replayed = self.replayed(tasks)
+        base = dict(zip(bases, replayed, strict=False))
+        for (s, i), moved in zip(rough, replayed[len(bases) :], strict=True):
+            found[s][..., i] = (moved - base[s]) / steps[columns[i]]
         return found
 
     def crosstalk_at(self, theta: np.ndarray, covariance: np.ndarray) -> float:
@@ -253,3 +304,12 @@ class Problem:
         found = np.zeros(len(BALANCES))
         found[CURRENT], found[TORQUE] = value["Kw0"] * rms / value["Kt"], value["K1"] * rms / value["N"]
         return found
+
+
+def _unbounded(J: np.ndarray) -> np.ndarray:
+    """Whether derivatives, shape (k, len(BALANCES), n), are anywhere far beyond what they usually are in their balance, or no
+    numbers; shape (n,)."""
+    size = np.abs(J)
+    most = np.max(size, axis=0)
+    usual = np.partition(size, int(0.9 * len(J)), axis=0)[int(0.9 * len(J))]
+    return ~np.all(most <= _UNBOUNDED * np.maximum(usual, 0.1 * np.sqrt(np.mean(J * J, axis=0))), axis=0)

@@ -7,7 +7,10 @@ import pytest
 from hidden_joint import measure
 
 from flexspline.diagnosis.data.segments import _encoder_noise, segments
+from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.replay import READ_OUT, residual, residuals, transmission
+from flexspline.diagnosis.fit.residual import Problem
+from flexspline.diagnosis.fit.tare import tared
 from flexspline.estimator.motion import smooth
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
@@ -142,3 +145,60 @@ def test_noise_replicates_are_as_noisy_as_the_encoder(interval, joint, rng):
     for part in (s.value, s.rate, s.acceleration):
         first, second = np.std(part[inside], axis=0)
         assert 0.8 < second / first < 1.25
+
+
+@pytest.fixture(scope="module")
+def problem(joint):
+    measurement, _ = measure(joint, seed=3, exact=True)
+    return Problem(*segments(list(measurement.recordings), joint), joint)
+
+
+def difference(problem, theta, model, j, step=1e-6):
+    """Derivative of the residuals by an unknown, from a replay beside; shape (total, len(BALANCES)).
+
+    The step is as small as rounding lets it be: friction that turns round a sample later makes jumps of a larger one.
+    """
+    base, ahead = problem.residuals([theta, theta + step * np.eye(len(theta))[j]], [model, model])
+    return np.concatenate([(b - a) / step for a, b in zip(base, ahead, strict=True)])
+
+
+def test_derivatives_of_the_replay_are_those_of_differences(problem):
+    """Every number with a tolerance, and the times of the samples."""
+    theta = np.random.default_rng(7).normal(0, 0.5, problem.size)
+    theta = tared(problem, theta, ())
+    J = np.concatenate(problem.jacobian(theta, ()))
+    for j in range(problem.size):
+        numeric = difference(problem, theta, (), j)
+        assert np.any(numeric), j
+        assert np.linalg.norm(J[..., j] - numeric) < 0.01 * np.linalg.norm(numeric), j
+
+
+@pytest.mark.parametrize("name", [n for n in causes.names() if n != "friction_temperature"])  # no temperature was read
+def test_derivatives_by_an_effect_are_those_of_differences(problem, name):
+    """At a quarter of the ordinary size, and where the effect is absent, from the side on which it may be."""
+    cause = causes.get(name)
+    record = problem.calibration.record(np.zeros(problem.calibration.size))
+    h = hypotheses(cause, record)[0]
+    absent = h.coordinates(h.cause.centre(record[0], h.fixed))
+    for size in (0.25, 0.0):
+        theta = np.concatenate([np.zeros(problem.size), absent])
+        for j in h.magnitudes:
+            theta[problem.size + j] += size
+        theta[problem.size :] = h.confine(theta[problem.size :])
+        # Coordinates of place say nothing while there is no effect.
+        columns = [problem.size + j for j in (range(h.size) if size else h.magnitudes)]
+        J = np.concatenate(problem.jacobian(theta, (h,), np.array(columns)))
+        for i, j in enumerate(columns):
+            # Where there is no effect, differences stand for derivatives by an amplitude with a phase, and the like.
+            bent = not size and (h.polar or name in ("back_driving", "payload"))
+            numeric = difference(problem, theta, (h,), j)
+            assert np.linalg.norm(J[..., i] - numeric) <= (0.05 if bent else 0.01) * np.linalg.norm(numeric), (size, j)
+
+
+def test_where_the_replay_runs_into_the_end_of_a_law_derivatives_stay_bounded(problem):
+    """A link encoder that is said to be 5 ms late, and is not: its motion winds the wave generator up to where it is rigid."""
+    h = hypotheses(causes.get("encoder_delay"), problem.calibration.record(np.zeros(problem.calibration.size)))[0]
+    theta = np.concatenate([np.zeros(problem.size), h.coordinates({"seconds": 5e-3})])
+    J = np.concatenate(problem.jacobian(theta, (h,), np.array([problem.size])))[..., 0]
+    numeric = difference(problem, theta, (h,), problem.size, 0.03)
+    assert np.abs(J).max() < 3 * np.abs(numeric).max()

@@ -1,0 +1,530 @@
+"""Dual numbers: compiled code that computes derivatives along with values (forward-mode automatic differentiation).
+
+A dual number is a value with its derivatives in `LANES` directions, a + b₁ε₁ + … + bₙεₙ with εᵢεⱼ = 0 (Griewank & Walther,
+*Evaluating Derivatives*, 2008, chapter 3). A kernel that takes a record of numbers takes one of dual numbers just as well, and
+computes the same values and, by the chain rule, their exact derivatives: one set of laws for both. The derivatives of a number
+lie side by side in vector registers, so a dozen of them cost about as much again as the value.
+
+Of branches the one is taken that the value takes. Two numbers are equal where their derivatives are, too: an effect that is not
+there but about to move is not skipped as one that is absent.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba.core import types
+from numba.core.cgutils import create_struct_proxy
+from numba.core.typeconv import Conversion
+from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, infer_getattr, infer_global, signature
+from numba.extending import (
+    intrinsic,
+    lower_builtin,
+    lower_cast,
+    lower_getattr_generic,
+    lower_setattr_generic,
+    models,
+    overload,
+    register_model,
+)
+
+LANES = 8
+"""Directions in which a dual number has derivatives."""
+
+_DOUBLE, _INDEX = ir.DoubleType(), ir.IntType(64)
+_VECTOR = ir.VectorType(_DOUBLE, LANES)
+_CONTRACT = ("contract", "reassoc")  # products and sums of derivatives may be fused
+_REAL = (types.Float, types.Integer)
+
+
+# --- types -----------------------------------------------------------------------------------------------------------
+
+
+class _Tangent(types.Type):
+    """Derivatives, one vector."""
+
+
+class Dual(types.Type):
+    """A dual number; a number becomes one whose derivatives are zero."""
+
+    def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
+        return self if isinstance(other, _REAL) else None
+
+    def can_convert_from(self, typingctx: Any, other: types.Type) -> Conversion | None:
+        return Conversion.safe if isinstance(other, _REAL) else None
+
+
+class _Memory(types.Type):
+    """Values, and derivatives beside them, in memory of somebody else's."""
+
+
+class DualRecord(_Memory):
+    """A record of dual numbers, as a `types.Record` of float64 fields."""
+
+    def __init__(self, record: types.Record):
+        self.record = record
+        super().__init__(f"DualRecord({record})")
+
+
+class DualRecords(_Memory):
+    """A one-dimensional array of records of dual numbers."""
+
+    def __init__(self, record: types.Record):
+        self.record = record
+        super().__init__(f"DualRecords({record})")
+
+
+class DualArray(_Memory):
+    """An array of dual numbers, its shape known at compile time but for the first axis."""
+
+    def __init__(self, inner: tuple[int, ...]):
+        self.inner = inner
+        super().__init__(f"DualArray({inner})")
+
+
+tangent, dual = _Tangent("Tangent"), Dual("Dual")
+
+
+@register_model(_Tangent)
+class _TangentModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, kind: types.Type):
+        super().__init__(manager, kind, _VECTOR)
+
+
+@register_model(Dual)
+class _DualModel(models.StructModel):
+    def __init__(self, manager: Any, kind: types.Type):
+        super().__init__(manager, kind, [("value", types.float64), ("tangent", tangent)])
+
+
+@register_model(DualRecord)
+@register_model(DualRecords)
+@register_model(DualArray)
+class _MemoryModel(models.StructModel):
+    def __init__(self, manager: Any, kind: types.Type):
+        numbers = types.CPointer(types.float64)
+        super().__init__(manager, kind, [("values", numbers), ("tangents", numbers), ("length", types.intp)])
+
+
+# --- arithmetic ------------------------------------------------------------------------------------------------------
+
+
+def _splat(builder: Any, x: Any) -> Any:
+    """A number in all lanes."""
+    one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), x, ir.Constant(ir.IntType(32), 0))
+    mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
+
+
+def _parts(context: Any, builder: Any, kind: types.Type, x: Any) -> tuple[Any, Any]:
+    """Value and derivatives; None for those of a plain number."""
+    if kind == dual:
+        pair = create_struct_proxy(dual)(context, builder, value=x)
+        return pair.value, pair.tangent
+    return context.cast(builder, x, kind, types.float64), None
+
+
+def _made(context: Any, builder: Any, value: Any, derivatives: Any) -> Any:
+    pair = create_struct_proxy(dual)(context, builder)
+    pair.value, pair.tangent = value, derivatives
+    return pair._getvalue()
+
+
+def _times(builder: Any, derivatives: Any, factor: Any) -> Any:
+    return None if derivatives is None else builder.fmul(derivatives, _splat(builder, factor), flags=_CONTRACT)
+
+
+def _plus(builder: Any, a: Any, b: Any) -> Any:
+    if a is None or b is None:
+        return a if b is None else b
+    return builder.fadd(a, b, flags=_CONTRACT)
+
+
+def _minus(builder: Any, a: Any) -> Any:
+    return None if a is None else builder.fneg(a)
+
+
+def _add(builder: Any, x: Any, dx: Any, y: Any, dy: Any) -> tuple[Any, Any]:
+    return builder.fadd(x, y), _plus(builder, dx, dy)
+
+
+def _sub(builder: Any, x: Any, dx: Any, y: Any, dy: Any) -> tuple[Any, Any]:
+    if dx is not None and dy is not None:
+        return builder.fsub(x, y), builder.fsub(dx, dy, flags=_CONTRACT)
+    return builder.fsub(x, y), _plus(builder, dx, _minus(builder, dy))
+
+
+def _mul(builder: Any, x: Any, dx: Any, y: Any, dy: Any) -> tuple[Any, Any]:
+    return builder.fmul(x, y), _plus(builder, _times(builder, dx, y), _times(builder, dy, x))
+
+
+def _div(builder: Any, x: Any, dx: Any, y: Any, dy: Any) -> tuple[Any, Any]:
+    ratio, inverse = builder.fdiv(x, y), builder.fdiv(ir.Constant(_DOUBLE, 1.0), y)
+    change = _plus(builder, dx, _minus(builder, _times(builder, dy, ratio)))
+    return ratio, _times(builder, change, inverse)
+
+
+_OPERATIONS: dict[Any, Callable[..., tuple[Any, Any]]] = {
+    operator.add: _add,
+    operator.iadd: _add,
+    operator.sub: _sub,
+    operator.isub: _sub,
+    operator.mul: _mul,
+    operator.imul: _mul,
+    operator.truediv: _div,
+    operator.itruediv: _div,
+}
+_COMPARISONS = {operator.lt: "<", operator.le: "<=", operator.gt: ">", operator.ge: ">="}
+_PAIRS = ((Dual, Dual), (Dual, types.Float), (types.Float, Dual), (Dual, types.Integer), (types.Integer, Dual))
+
+
+def _is_pair(args: tuple[types.Type, ...]) -> bool:
+    return len(args) == 2 and dual in args and all(a == dual or isinstance(a, _REAL) for a in args)
+
+
+def _with_operation(name: Any, operation: Callable[..., tuple[Any, Any]]) -> None:
+    @infer_global(name)
+    class _Typed(AbstractTemplate):
+        def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+            return signature(dual, *args) if _is_pair(args) else None
+
+    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        (x, dx), (y, dy) = (_parts(context, builder, k, a) for k, a in zip(sig.args, args, strict=True))
+        return _made(context, builder, *operation(builder, x, dx, y, dy))
+
+    for pair in _PAIRS:
+        lower_builtin(name, *pair)(lower)
+
+
+def _with_comparison(name: Any, sign: str) -> None:
+    @infer_global(name)
+    class _Typed(AbstractTemplate):
+        def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+            return signature(types.boolean, *args) if _is_pair(args) else None
+
+    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        (x, dx), (y, dy) = (_parts(context, builder, k, a) for k, a in zip(sig.args, args, strict=True))
+        if sign in ("==", "!="):
+            zero = ir.Constant(_VECTOR, [0.0] * LANES)
+            apart = builder.fcmp_unordered("!=", dx or zero, dy or zero)
+            any_apart = builder.icmp_unsigned("!=", builder.bitcast(apart, ir.IntType(LANES)), ir.IntType(LANES)(0))
+            differ = builder.or_(builder.fcmp_unordered("!=", x, y), any_apart)
+            return differ if sign == "!=" else builder.not_(differ)
+        return builder.fcmp_ordered(sign, x, y)
+
+    for pair in _PAIRS:
+        lower_builtin(name, *pair)(lower)
+
+
+for _name, _operation in _OPERATIONS.items():
+    _with_operation(_name, _operation)
+for _name, _symbol in (_COMPARISONS | {operator.eq: "==", operator.ne: "!="}).items():
+    _with_comparison(_name, _symbol)
+
+
+@infer_global(operator.neg)
+class _Negative(AbstractTemplate):
+    def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+        return signature(dual, dual) if args == (dual,) else None
+
+
+@lower_builtin(operator.neg, Dual)
+def _lower_negative(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+    x, dx = _parts(context, builder, dual, args[0])
+    return _made(context, builder, builder.fneg(x), builder.fneg(dx))
+
+
+@lower_cast(types.Float, Dual)
+@lower_cast(types.Integer, Dual)
+def _lower_cast(context: Any, builder: Any, fromty: types.Type, toty: types.Type, x: Any) -> Any:
+    value, _ = _parts(context, builder, fromty, x)
+    return _made(context, builder, value, ir.Constant(_VECTOR, [0.0] * LANES))
+
+
+# --- functions -------------------------------------------------------------------------------------------------------
+
+
+@intrinsic
+def _value(typingctx: Any, x: Any) -> Any:
+    """The value of a dual number; a plain number as it is."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        return _parts(context, builder, sig.args[0], args[0])[0]
+
+    return types.float64(x), lower
+
+
+value_of: Any = _value
+"""`value_of(x)` in a kernel: the value of a dual number without its derivatives, a plain number as it is."""
+
+
+@intrinsic
+def _chain_rule(typingctx: Any, x: Any, value: Any, slope: Any) -> Any:
+    """A function of a dual number, of which value and slope are known: the chain rule."""
+
+    def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+        _, derivatives = _parts(context, builder, sig.args[0], args[0])
+        return _made(context, builder, args[1], _times(builder, derivatives, args[2]))
+
+    return dual(x, types.float64, types.float64), lower
+
+
+_chained: Any = _chain_rule
+
+
+def _with_function(function: Any, kernel: Callable[[Any], Any]) -> None:
+    def typed(x):
+        return kernel if x == dual else None
+
+    overload(function)(typed)
+
+
+def _sin(x):
+    return _chained(x, math.sin(value_of(x)), math.cos(value_of(x)))
+
+
+def _cos(x):
+    return _chained(x, math.cos(value_of(x)), -math.sin(value_of(x)))
+
+
+def _exp(x):
+    y = math.exp(value_of(x))
+    return _chained(x, y, y)
+
+
+def _expm1(x):
+    return _chained(x, math.expm1(value_of(x)), math.exp(value_of(x)))
+
+
+def _log(x):
+    return _chained(x, math.log(value_of(x)), 1.0 / value_of(x))
+
+
+def _sqrt(x):
+    y = math.sqrt(value_of(x))
+    return _chained(x, y, 0.5 / y)
+
+
+def _tanh(x):
+    y = math.tanh(value_of(x))
+    return _chained(x, y, 1.0 - y * y)
+
+
+def _floor(x):
+    return math.floor(value_of(x))
+
+
+def _sign(x):
+    return np.sign(value_of(x))
+
+
+def _abs(x):
+    return x if value_of(x) >= 0.0 else -x
+
+
+for _function, _kernel in (
+    (math.sin, _sin), (math.cos, _cos), (math.exp, _exp), (math.expm1, _expm1), (math.log, _log), (math.sqrt, _sqrt),
+    (math.tanh, _tanh), (math.floor, _floor), (np.sign, _sign), (abs, _abs),
+):  # fmt: skip
+    _with_function(_function, _kernel)
+
+
+@overload(min)
+def _min(a, b):
+    if _is_pair((a, b)):
+        return lambda a, b: b if value_of(b) < value_of(a) else a
+    return None
+
+
+@overload(max)
+def _max(a, b):
+    if _is_pair((a, b)):
+        return lambda a, b: b if value_of(b) > value_of(a) else a
+    return None
+
+
+@overload(operator.pow)
+def _pow(x, y):
+    if not _is_pair((x, y)):
+        return None
+    if y == dual:
+
+        def power(x, y):
+            base = value_of(x)
+            whole = base ** value_of(y)
+            return _chained(y, whole, whole * math.log(base)) + (x - base) * (value_of(y) * base ** (value_of(y) - 1.0))
+
+        return power
+
+    def fixed(x, y):
+        return _chained(x, value_of(x) ** y, y * value_of(x) ** (y - 1))
+
+    return fixed
+
+
+# --- memory ----------------------------------------------------------------------------------------------------------
+
+
+def _at(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any) -> tuple[Any, Any]:
+    """Where value and derivatives of the number at an offset lie."""
+    m = create_struct_proxy(kind)(context, builder, value=memory)
+    derivatives = builder.gep(m.tangents, [builder.mul(offset, _INDEX(LANES))])
+    return builder.gep(m.values, [offset]), builder.bitcast(derivatives, _VECTOR.as_pointer())
+
+
+def _loaded(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any) -> Any:
+    value, derivatives = _at(context, builder, kind, memory, offset)
+    return _made(context, builder, builder.load(value), builder.load(derivatives, align=8))
+
+
+def _stored(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any, number: Any) -> None:
+    value, derivatives = _at(context, builder, kind, memory, offset)
+    x, dx = _parts(context, builder, dual, number)
+    builder.store(x, value)
+    builder.store(dx, derivatives, align=8)
+
+
+def _moved(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any, to: _Memory, length: int = 0) -> Any:
+    """Memory that begins at an offset of other memory."""
+    m = create_struct_proxy(kind)(context, builder, value=memory)
+    found = create_struct_proxy(to)(context, builder)
+    found.values = builder.gep(m.values, [offset])
+    found.tangents = builder.gep(m.tangents, [builder.mul(offset, _INDEX(LANES))])
+    found.length = _INDEX(length)
+    return found._getvalue()
+
+
+def _field(kind: DualRecord, name: str) -> tuple[Any, int]:
+    """Type of a field of a record of dual numbers, and where it begins in it."""
+    of: Any = kind.record.typeof(name)
+    found = DualArray(of.shape[1:]) if isinstance(of, types.NestedArray) else dual
+    return found, kind.record.offset(name) // 8
+
+
+@infer_getattr
+class _Fields(AttributeTemplate):
+    key = DualRecord
+
+    def generic_resolve(self, kind: Any, name: str) -> Any:  # type: ignore[override]
+        return _field(kind, name)[0] if name in kind.record.fields else None
+
+
+@lower_getattr_generic(DualRecord)
+def _lower_getattr(context: Any, builder: Any, kind: DualRecord, record: Any, name: str) -> Any:
+    found, offset = _field(kind, name)
+    if found == dual:
+        return _loaded(context, builder, kind, record, _INDEX(offset))
+    of: Any = kind.record.typeof(name)
+    return _moved(context, builder, kind, record, _INDEX(offset), found, of.shape[0])
+
+
+@lower_setattr_generic(DualRecord)
+def _lower_setattr(context: Any, builder: Any, sig: Any, args: tuple[Any, ...], name: str) -> None:
+    _, offset = _field(sig.args[0], name)
+    _stored(context, builder, sig.args[0], args[0], _INDEX(offset), args[1])
+
+
+@infer_global(operator.getitem)
+class _GetItem(AbstractTemplate):
+    def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+        memory, index = args
+        if isinstance(memory, DualRecords) and isinstance(index, types.Integer):
+            return signature(DualRecord(memory.record), memory, types.intp)
+        if isinstance(memory, DualArray):
+            if isinstance(index, types.Integer):
+                return signature(DualArray(memory.inner[1:]) if memory.inner else dual, memory, types.intp)
+            if isinstance(index, types.BaseTuple) and len(index) == 1 + len(memory.inner) == 2:
+                return signature(dual, memory, types.UniTuple(types.intp, 2))
+        return None
+
+
+@lower_builtin(operator.getitem, DualRecords, types.Integer)
+def _lower_record_at(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+    offset = builder.mul(args[1], _INDEX(sig.args[0].record.size // 8))
+    return _moved(context, builder, sig.args[0], args[0], offset, sig.return_type)
+
+
+@lower_builtin(operator.getitem, DualArray, types.Integer)
+def _lower_getitem(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+    kind = sig.args[0]
+    if not kind.inner:
+        return _loaded(context, builder, kind, args[0], args[1])
+    offset = builder.mul(args[1], _INDEX(math.prod(kind.inner)))
+    return _moved(context, builder, kind, args[0], offset, sig.return_type, kind.inner[0])
+
+
+def _offset(builder: Any, kind: DualArray, index: Any) -> Any:
+    row, column = (builder.extract_value(index, i) for i in range(2))
+    return builder.add(builder.mul(row, _INDEX(kind.inner[0])), column)
+
+
+@lower_builtin(operator.getitem, DualArray, types.UniTuple)
+def _lower_getitem_2d(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+    return _loaded(context, builder, sig.args[0], args[0], _offset(builder, sig.args[0], args[1]))
+
+
+@infer_global(operator.setitem)
+class _SetItem(AbstractTemplate):
+    def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+        memory, index, _ = args
+        if isinstance(memory, DualArray) and isinstance(index, types.BaseTuple):
+            return signature(types.none, memory, types.UniTuple(types.intp, 2), dual)
+        return None
+
+
+@lower_builtin(operator.setitem, DualArray, types.UniTuple, Dual)
+def _lower_setitem(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+    _stored(context, builder, sig.args[0], args[0], _offset(builder, sig.args[0], args[1]), args[2])
+    return context.get_dummy_value()
+
+
+@infer_global(len)
+class _Length(AbstractTemplate):
+    def generic(self, args: tuple[types.Type, ...], kws: Any) -> Any:
+        return signature(types.intp, *args) if isinstance(args[0], DualRecords | DualArray) else None
+
+
+@lower_builtin(len, DualRecords)
+@lower_builtin(len, DualArray)
+def _lower_length(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+    return create_struct_proxy(sig.args[0])(context, builder, value=args[0]).length
+
+
+def _memory(kind: Callable[[Any], _Memory], shaped: Callable[[Any], bool]) -> Any:
+    """An intrinsic that lays dual numbers over two arrays: values, and derivatives of shape (…, LANES)."""
+
+    def typed(typingctx: Any, values: Any, tangents: Any) -> Any:
+        if not (isinstance(values, types.Array) and shaped(values) and values.layout == tangents.layout == "C"):
+            return None
+
+        def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
+            numbers = context.get_value_type(types.CPointer(types.float64))
+            found = create_struct_proxy(sig.return_type)(context, builder)
+            a, b = (create_struct_proxy(k)(context, builder, value=x) for k, x in zip(sig.args, args, strict=True))
+            found.values = builder.bitcast(a.data, numbers)
+            found.tangents = builder.bitcast(b.data, numbers)
+            found.length = builder.extract_value(a.shape, 0)
+            return found._getvalue()
+
+        return kind(values)(values, tangents), lower
+
+    return intrinsic(typed)
+
+
+def _of_records(values: Any) -> bool:
+    return values.ndim == 1 and isinstance(values.dtype, types.Record)
+
+
+dual_records = _memory(lambda values: DualRecords(values.dtype), _of_records)
+"""`dual_records(values, tangents)` in a kernel: records of dual numbers, which can be written. Values: shape (n,), records of
+float64 fields; tangents: shape (n, fields, LANES), C-contiguous both."""
+
+
+def dual_table(columns: int) -> Any:
+    """`table(values, tangents)` for kernels: an array of dual numbers, shape (n, columns), tangents (n, columns, LANES)."""
+    return _memory(lambda values: DualArray((columns,)), lambda values: values.ndim == 2)
