@@ -17,7 +17,9 @@ import numpy as np
 from ..models.kernels import kernel
 
 CUTOFF = 120.0
-"""Passband fc of the smoother [Hz]; at half of the Nyquist frequency where sampling is slower than that."""
+"""Passband fc of the smoother [Hz]; at `SHARE` of the sampling rate where that is less."""
+SHARE = 0.25
+"""Passband over sampling rate of a slow log: half of the Nyquist frequency, for what is differentiated twice."""
 BLOCK = 1 << 15
 """Samples of which the smoother keeps everything at a time."""
 
@@ -197,9 +199,9 @@ class Smooth:
     acceleration: np.ndarray
 
 
-def passband(time: np.ndarray, cutoff: float = CUTOFF) -> float:
-    """Passband fc [Hz] of the smoother for samples at these times [s]."""
-    return min(cutoff, 0.25 / _interval(time))
+def passband(time: np.ndarray, cutoff: float = CUTOFF, share: float = SHARE) -> float:
+    """Passband fc [Hz] of the smoother for samples at these times [s], at most `share` of their rate."""
+    return min(cutoff, share / _interval(time))
 
 
 def _interval(time: np.ndarray) -> float:
@@ -215,6 +217,7 @@ def smooth(
     every: int = 1,
     block: int = BLOCK,
     moving: int | None = None,
+    share: float = SHARE,
 ) -> Smooth:
     """Smooth channels sampled at `time` and evaluate them on a uniform grid; each as it would be alone, to the bit.
 
@@ -224,9 +227,10 @@ def smooth(
       every: of the grid's points one is evaluated, the first among them.
       block: samples of which everything is kept at a time; the result does not depend on it.
       moving: how many channels, the first ones, derivatives are wanted of; all by default.
+      share: of the sampling rate, at which the passband is at most.
     """
     interval = _interval(time)
-    scale = 2 * np.pi * min(cutoff, 0.25 / interval)  # time in units of 1/ωc keeps the covariances near one
+    scale = 2 * np.pi * min(cutoff, share / interval)  # time in units of 1/ωc keeps the covariances near one
     since, y = (np.ascontiguousarray(x, dtype=np.float64) for x in (time, channels))
     # A last sample on the grid counts as such, whatever its time has lost by rounding.
     count = int((time[-1] - time[0]) / step + 1e-3) // every + 1

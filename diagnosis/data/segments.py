@@ -7,10 +7,15 @@ the two tells what the noise of the motion does to a residual, at any parameters
 
 With one encoder the other end's motion is not known. The rotor's motion then follows from the encoder that there is and the
 joint's description, and the link moves as the replay simulates it (`Segment.link_measured`).
+
+Where that encoder is the link's, what it sees of the gear's kinematic error and of the link's own swinging is not the rotor's
+motion: the rotor is taken to turn as the link does below the frequency at which the link swings against it, and evenly above.
+The gear's orders are then in the simulation alone, at full size, and readings need no smoothing that motion would.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -18,7 +23,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
-from ...estimator.motion import CUTOFF, passband, smooth
+from ...estimator.motion import CUTOFF, SHARE, Smooth, passband, smooth
 from ...models import dynamics, laws
 from ...models.joint import EncoderSpec, Joint, Mounting
 from ...models.kernels import kernel
@@ -33,6 +38,7 @@ DECIMATION = 8
 BALANCES = ("motor_current", "joint_torque", "link_balance")
 """The torque balances of a joint, by what their residual is told in: current [A], transmission [N·m], link [N·m]."""
 CURRENT, TORQUE, LINK = range(len(BALANCES))
+ENCODERS = ("motor_position", "link_position")
 UNITS = {"motor_current": "A", "joint_torque": "N·m", "link_balance": "N·m"}
 
 
@@ -50,6 +56,9 @@ class SegmentSettings:
       mistimed: passband [Hz] of the smoother where time stamps are wrong: an error of the time is one of the acceleration.
       block: most residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
       above_noise: power of the measured acceleration over its noise's, from which on it is motion.
+      following: passband of the rotor's motion where the link's encoder stands for it, over the frequency at which the link as
+        described swings against a rotor that is held; slowest: the least that it is [Hz].
+      readings: passband of the smoother over the sampling rate for readings beside such a motion.
     """
 
     held_out_block: float = 0.5
@@ -61,6 +70,9 @@ class SegmentSettings:
     block: int = 8
     mistimed: float = 25.0
     above_noise: float = 10.0
+    following: float = 0.5
+    slowest: float = 1.0
+    readings: float = 0.45
 
 
 SETTINGS = SegmentSettings()
@@ -207,8 +219,18 @@ def _segment(
     mistimed = {"link_position", "motor_position"} <= set(recording.columns) and timing_error(
         time, channels["motor_position"], channels["link_position"]
     ) > 0.0
-    cutoff = settings.mistimed if mistimed else CUTOFF
-    s = smooth(time, values, STEP, cutoff)
+    cutoff, share, settle = settings.mistimed if mistimed else CUTOFF, SHARE, settings.settle_time
+    if "motor_position" in recording:
+        s = smooth(time, values, STEP, cutoff)
+    else:
+        share = settings.readings
+        following = max(settings.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), settings.slowest)
+        s = _joined(
+            [name in ENCODERS for name in (*names, *names)],
+            smooth(time, values, STEP, following),
+            smooth(time, values, STEP, cutoff, share=share),
+        )
+        settle = max(settle, 1 / passband(time, following))
     place = {name: i for i, name in enumerate(names)}
 
     def of(name: str, what: np.ndarray, noisy: bool = False) -> np.ndarray:
@@ -239,7 +261,7 @@ def _segment(
     balances = np.array([has["motor_current"], has["joint_torque"] and link_measured, link_measured])
     if not link_measured and has["joint_torque"]:
         balances = np.array([has["motor_current"], True, False])  # the link's own motion against the sensor
-    usable, held_out = _usable(recording, index, at, state[:, 0], balances, has["joint_torque"], settings)
+    usable, held_out = _usable(recording, index, at, state[:, 0], balances, has["joint_torque"], settle, settings)
     load = measured[:, TORQUE] if has["joint_torque"] else _own_torque(p, state) - decimate(external)
     one = Segment(
         recording=index, name=recording.name, time=since, rotor=np.ascontiguousarray(rotor),
@@ -248,7 +270,7 @@ def _segment(
         external=external, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
         state=state, load=load, balances=balances, usable=usable, held_out=held_out, at_rest=at_rest,
-        passband=1 / (2 * np.pi * passband(time, cutoff)),
+        passband=1 / (2 * np.pi * passband(time, cutoff, share)),
     )  # fmt: skip
     if not link_measured:
         block = 1  # the motion's noise is the current's, and a ripple of the gear is faster than any motion
@@ -264,6 +286,16 @@ def _segment(
         measured_rate=one.measured_rate + decimate(noise_rate),
     )
     return one, replicate
+
+
+def _joined(first: Sequence[bool], one: Smooth, other: Smooth) -> Smooth:
+    """Some channels, shape (c,), of one smoothing, all others of another; both on the same grid."""
+    return Smooth(
+        one.time,
+        np.where(first, one.value, other.value),
+        np.where(first, one.rate, other.rate),
+        np.where(first, one.acceleration, other.acceleration),
+    )
 
 
 def _channels(recording: Recording, part: slice, joint: Joint, p: np.void, rng: np.random.Generator):
@@ -331,10 +363,10 @@ def _other_end(known, is_link, v, a, since, p, out):
         out[i] = laws.motor_reading(motor, p) if is_link else laws.link_reading(link, p)
 
 
-def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, settings: SegmentSettings):
+def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, settle: float, settings: SegmentSettings):
     """Which residuals count in a fit, and which are held out, shape (k, len(BALANCES)) each."""
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(theta_m)))])
-    settled = (at > at[0] + settings.settle_time) & (at < at[-1] - settings.settle_time)
+    settled = (at > at[0] + settle) & (at < at[-1] - settle)
     begun = settled & (travel > settings.settle_travel)
     block = np.floor(at / settings.held_out_block).astype(int) + index
     held_out = block % settings.held_out_every == settings.held_out_every - 1

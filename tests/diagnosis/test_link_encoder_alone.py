@@ -1,0 +1,55 @@
+"""One encoder, behind the gear: what it sees of the gear's orders and of the link's swinging is not the rotor's motion."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import flexspline as fs
+from flexspline.diagnosis.data.segments import CURRENT, decimate, segments
+from flexspline.diagnosis.validate import validate
+from flexspline.models.joint import load_joint
+from flexspline.models.recording import Measurement, Recording
+
+RIPPLE = 2 * np.pi * 40.0
+"""Above twice the frequency at which the link swings against a rotor that is held, and below the Nyquist frequency [rad/s]."""
+
+
+def log(channel: str, scale: float) -> Recording:
+    """Six seconds at 125 Hz of a swing with 0.1 mrad of ripple (times `scale`), and of a current with 0.1 A."""
+    joint, t = load_joint("test-joint"), np.arange(750) * 8e-3
+    angle = scale * (np.sin(2.0 * t) + 1e-4 * np.sin(RIPPLE * t))
+    columns = {channel: angle, "motor_current": np.cos(2.0 * t) + 0.1 * np.sin(RIPPLE * t)}
+    return Recording(name="log", time=t, columns=columns, joint="test-joint", link=joint.mount())
+
+
+def ripple_of(time: np.ndarray, x: np.ndarray) -> float:
+    """Amplitude at the ripple's frequency away from the ends."""
+    use = (time > 1.0) & (time < 5.0)
+    return float(2 * abs(np.mean(x[use] * np.exp(-1j * RIPPLE * time[use]))))
+
+
+def test_ripple_behind_the_gear_is_not_the_rotors():
+    """Its acceleration would ask for many times the current that there is; the current itself is left alone."""
+    joint = load_joint("test-joint")
+    (behind,), _ = segments([log("link_position", 1.0)], joint)
+    (before,), _ = segments([log("motor_position", 100.0)], joint)
+    whole = 100.0 * 1e-4 * RIPPLE**2
+    assert ripple_of(behind.time, behind.rotor[:, 2]) < 5e-3 * whole
+    assert ripple_of(before.time, before.rotor[:, 2]) > 0.1 * whole  # what the smoother leaves of the rotor's own
+    alone = ripple_of(behind.at, decimate(0.1 * np.sin(RIPPLE * behind.time)))
+    assert ripple_of(behind.at, behind.measured[:, CURRENT]) > 0.8 * alone
+    swing = np.sin(2.0 * behind.time) * 100.0
+    assert np.std(behind.rotor[:, 0] - swing) < 0.02 * np.std(swing)
+
+
+@pytest.mark.parametrize("rate", [1000, 125])
+def test_current_of_a_joint_that_is_as_described(rate):
+    """Swept with its kinematic error: 24 and 23 mA as long as the link's ripple was taken for the rotor's motion."""
+    run = fs.simulate("link_sweep", filters=["RAREKF"], duration=10, seed=3)
+    whole = run.as_recording().without("motor_position", "joint_torque")
+    recording = whole.at(np.arange(0, len(whole.time), 1000 // rate))
+    found = validate(Measurement("swept", Path(), (recording,)), load_joint("test-joint"))
+    assert found.residual["motor_current"].rms < 0.0225
