@@ -136,8 +136,10 @@ def slots(joint: Joint) -> list[Slot]:
     """Every number of a joint that a record has, by the names that diagnosis reports."""
     found = [Slot(symbol, symbol, -1, number) for symbol, number in joint.numbers.items()]
     for i, order in enumerate(joint.kinematic_error):
-        found.append(Slot(f"A{order.order:g}", "amplitude", i, order.amplitude))
-        found.append(Slot(f"φ{order.order:g}", "phase", i, order.phase))
+        # An order whose phase nobody knows stands there twice, a quarter of a period apart.
+        again = "′" * sum(other.order == order.order for other in joint.kinematic_error[:i])
+        found.append(Slot(f"A{order.order:g}{again}", "amplitude", i, order.amplitude))
+        found.append(Slot(f"φ{order.order:g}{again}", "phase", i, order.phase))
     if "inertia" in joint.link_tolerances:
         found.append(Slot("Jl", "Jl", -1, joint.link_tolerances["inertia"]))
     if "gravity_moment" in joint.link_tolerances:

@@ -12,7 +12,7 @@ import flexspline as fs
 from flexspline.models import causes, laws
 from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
-from flexspline.models.parameters import PLACES, as_floats
+from flexspline.models.parameters import PLACES, as_floats, neutral
 from flexspline.models.signals import CHANNELS
 
 JOINT = load_joint("test-joint")
@@ -191,6 +191,18 @@ def test_kinematic_error_names_the_full_new_value(rng):
     assert causes.get("kinematic_error").centre(JOINT.record()[0], {"order": 2.0}) == pytest.approx(
         {"order": 2.0, "amplitude": 1.2e-4, "phase": 0.3}
     )
+
+
+def test_kinematic_error_replaces_an_order_that_stands_there_in_quadratures():
+    """As on a joint whose phase nobody knows (ur3e-shoulder)."""
+    record = neutral()
+    p = record[0]
+    p["order"][:2], p["amplitude"][:2], p["phase"][:2] = 2.0, [3e-5, 4e-5], [0.0, np.pi / 2]
+    cause = causes.get("kinematic_error")
+    before = cause.centre(p, {"order": 2.0})
+    assert before["amplitude"] == pytest.approx(5e-5)
+    cause.apply(p, {"order": 2.0, "amplitude": 1e-4, "phase": 0.3})
+    assert cause.centre(p, {"order": 2.0}) == pytest.approx({"order": 2.0, "amplitude": 1e-4, "phase": 0.3})
 
 
 def test_two_of_a_kind_stand_beside_each_other():
