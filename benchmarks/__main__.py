@@ -8,7 +8,7 @@ import os
 import platform
 from importlib import metadata
 
-NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views")
+NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views", "derivatives")
 NAMED_ONLY = (
     "convergence",
     "estimators",

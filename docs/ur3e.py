@@ -15,6 +15,7 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.signal import coherence, csd, welch
 
 from flexspline.diagnosis.answer import Diagnosis
 from flexspline.diagnosis.data.importing import import_recording, load_layout
@@ -154,9 +155,32 @@ def figure(held: Held, rest: Regressions, start: float, path: Path) -> None:
     plt.close(fig)
 
 
+def velocity_against_angle(path: Path) -> list[tuple[float, float, float, float, float]]:
+    """What the log's velocity is to the derivative of its angle, both less what the controller asked for, in motion.
+
+    Returns frequency [Hz], ratio of their amplitudes, lead of the velocity [°], its coherence with angle and current.
+    """
+    log = np.genfromtxt(path, delimiter=",", names=True)
+    t = log["t_s"]
+    start = t[np.argmax(np.abs(log["qd_target_rad_s"]) > MOVING)]
+    even = np.arange(start, t[-1], 8e-3)
+    q, v, i = (
+        np.interp(even, t, x)
+        for x in (log["q_rad"] - log["q_target_rad"], log["qd_rad_s"] - log["qd_target_rad_s"], log["i_motor_A"])
+    )
+    f, cross = csd(q, v, 125.0, nperseg=128)
+    ratio = cross / welch(q, 125.0, nperseg=128)[1] / np.where(f > 0, 2j * np.pi * f, 1.0)
+    with_angle, with_current = (np.sqrt(coherence(x, v, 125.0, nperseg=128)[1]) for x in (q, i))
+    rows = (int(np.argmin(np.abs(f - at))) for at in (22.5, 28.3, 34.2, 40.0))
+    return [(f[k], abs(ratio[k]), float(np.degrees(np.angle(ratio[k]))), with_angle[k], with_current[k]) for k in rows]
+
+
 def main() -> None:
-    """Print the table and draw the figure."""
+    """Print what the velocity is to the angle, then the table, and draw the figure."""
     path = Path(sys.argv[1])
+    for f, ratio, lead, with_angle, with_current in velocity_against_angle(path):
+        print(f"{f:.1f} Hz: velocity {ratio:.2f} of the angle's, {lead:+.0f}°; ", end="")
+        print(f"coherence {with_angle:.2f} with angle, {with_current:.2f} with current")
     recording = import_recording(load_layout("ur3e"), path)
     joint = load_joint(recording.joint)
     end, start = SPLITS[0], float(recording.time[-1]) - 10.0

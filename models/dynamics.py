@@ -97,9 +97,8 @@ def transmission(state, p, passband=0.0):
         error, slope = laws.kinematic_error(x, p), laws.kinematic_error_slope(x, p)
     else:
         error, slope = laws.smoothed_kinematic_error(x, abs(w) * passband, p)
-    turn = 1.0 / p.N
-    ratio = turn - slope
-    torsion = x * turn - state.link_position - error
+    ratio = 1.0 / p.N - slope
+    torsion = x / p.N - state.link_position - error
     rate = w * ratio - state.link_velocity
     load = laws.flexspline_spring(torsion, p) + p.df * rate
     if p.hysteresis_torque != 0.0:

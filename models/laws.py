@@ -17,7 +17,6 @@ _SMALLEST_FRICTION = 1e-5  # N·m: g(w) stays positive whatever an effect subtra
 # its motor gives, where the law is so stiff that no practical step would resolve it.
 LOGARITHM_END = 3e-3
 _FORGOTTEN = 40.0  # exp(−40) is nothing beside one
-_PLAIN = 0.1  # from here on 1 − exp(−x) is exact enough; it takes half the time of expm1
 _BENDING = 20.0  # Stribeck velocities about which viscous friction begins to grow as a power of speed
 
 
@@ -27,16 +26,17 @@ def flexspline_spring(torsion, p):
     x = abs(torsion) - 0.5 * p.backlash
     if x <= 0.0:
         return 0.0
-    torque = p.K1 * x
+    knee1 = p.T1 / p.K1
+    knee2 = knee1 + (p.T2 - p.T1) / p.K2
     if p.knee_width > 0.0:
-        knee1 = p.T1 / p.K1
-        knee2 = knee1 + (p.T2 - p.T1) / p.K2
         width = min(p.knee_width, knee1)  # the law stays zero at rest
-        torque += (p.K2 - p.K1) * _ramp(x - knee1, width) + (p.K3 - p.K2) * _ramp(x - knee2, width)
-    elif torque > p.T1:
-        torque = p.T1 + p.K2 * (x - p.T1 / p.K1)
-        if torque > p.T2:
-            torque = p.T2 + (torque - p.T2) * p.K3 / p.K2
+        torque = p.K1 * x + (p.K2 - p.K1) * _ramp(x - knee1, width) + (p.K3 - p.K2) * _ramp(x - knee2, width)
+    elif x <= knee1:
+        torque = p.K1 * x
+    elif x < knee2:
+        torque = p.T1 + p.K2 * (x - knee1)
+    else:
+        torque = p.T2 + p.K3 * (x - knee2)
     return torque if torsion > 0.0 else -torque
 
 
@@ -205,12 +205,10 @@ def bristle_rate(z, w, g, p):
 def bristle_step(z, w, g, h, p):
     """Bristle deflection after a time `h` [s] at constant velocity: exact, as the rate is stiff at speed."""
     rate = p.s0 * abs(w) / g
-    x = rate * h
-    if x > _FORGOTTEN:
+    if rate * h > _FORGOTTEN:
         return w / rate
-    if x > _PLAIN:
-        return z + (w / rate - z) * (1.0 - math.exp(-x))
-    return z + (w / rate - z) * -math.expm1(-x) if x > 1e-12 else z + w * h
+    decay = -math.expm1(-rate * h)
+    return z + (w / rate - z) * decay if rate * h > 1e-12 else z + w * h
 
 
 @kernel

@@ -97,3 +97,15 @@ def test_no_number_becomes_negative_however_wide_its_deviation():
     for side in (-2.6, 2.6):
         record = calibration.record(np.full(calibration.size, side))[0]
         assert all(record[name] >= 0 for name in joint.numbers if name in record.dtype.names)
+
+
+def test_an_order_of_unknown_phase_stands_there_in_two_quadratures():
+    """Each has a variable of its own: together they are any amplitude at any phase."""
+    calibration = Calibration(load_joint("ur3e-shoulder"))
+    pairs = [name for name in calibration.names if name.startswith("A")]
+    assert pairs == ["A1.9901", "A1.9901′", "A1.9802", "A1.9802′"]
+    x = np.zeros(calibration.size)
+    x[calibration.names.index("A1.9802")], x[calibration.names.index("A1.9802′")] = 0.3, -0.4
+    p = calibration.record(x)[0]
+    whole = p["amplitude"] * np.exp(1j * p["phase"]) * (np.abs(p["order"] - 200 / 101) < 1e-5)
+    assert np.sum(whole) == pytest.approx(1e-4 * (0.3 - 0.4j), abs=3e-6)
