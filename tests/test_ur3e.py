@@ -84,6 +84,6 @@ def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, ur3e):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="0.039 A, where gravity, inertia, viscous and Coulomb friction leave 0.053")
+@pytest.mark.xfail(strict=False, reason="0.038 A, where gravity, inertia, viscous and Coulomb friction leave 0.053")
 def test_current_on_what_the_fit_has_not_seen(held, ur3e):
     assert np.sqrt(np.nanmean(ur3e.error(held.extended) ** 2)) <= 0.036
