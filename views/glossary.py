@@ -58,14 +58,15 @@ _ORDERS = {
 }
 # Single letters are words of the language too, and names with underscores are read as words.
 _IN_TEXT = sorted((s for s in SYMBOLS if len(s) > 1 and "_" not in s and s != "RMS"), key=len, reverse=True)
-_PATTERN = re.compile(r"(?<!\w)(?:" + "|".join(re.escape(s) for s in _IN_TEXT) + r"|[Aφ]\d+)(?!\w)")
+_PATTERN = re.compile(r"(?<!\w)(?:" + "|".join(re.escape(s) for s in _IN_TEXT) + r"|[Aφ]\d+(?:\.\d+)?′*)(?!\w)")
 
 
 def meaning(symbol: str) -> str:
     """A symbol in words; empty for one that is not known."""
-    order = symbol[1:]
+    order = symbol[1:].rstrip("′")
     if symbol[:1] in _ORDERS and order.replace(".", "").isdigit():
-        return _ORDERS[symbol[0]].format("once" if order == "1" else f"{order} times")
+        told = _ORDERS[symbol[0]].format("once" if order == "1" else f"{order} times")
+        return f"{told}; a quarter of a period further" if symbol.endswith("′") else told
     return SYMBOLS.get(symbol, "")
 
 

@@ -20,6 +20,8 @@ def test_every_number_that_calibration_moves_has_a_meaning(name):
 def test_orders_of_the_kinematic_error():
     assert meaning("A2") == "amplitude of the gear's kinematic error, 2 times per turn of the wave generator"
     assert meaning("φ1") == "phase of the gear's kinematic error, once per turn of the wave generator"
+    beside = "amplitude of the gear's kinematic error, 1.9802 times per turn of the wave generator; a quarter of a period further"
+    assert meaning("A1.9802′") == beside
     assert meaning("Apple") == "" and meaning("") == ""
 
 
@@ -28,4 +30,5 @@ def test_symbols_in_a_text_and_nothing_else():
     assert "".join(piece for piece, _ in pieces(text)) == text
     assert [piece for piece, told in pieces(text) if told] == ["K1", "K2", "K3"]
     assert [piece for piece, told in pieces("a cable pulls: −k (θl − θ0), |Tf|/N") if told] == ["θl", "Tf"]
+    assert [piece for piece, told in pieces("at the end: A1.9802′, φ2.") if told] == ["A1.9802′", "φ2"]
     assert pieces("A link, N times") == [("A link, N times", "")]
