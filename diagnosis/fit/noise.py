@@ -156,7 +156,7 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, balan
             one, first = state[group], group * _WIDTH
             number = min(_WIDTH, c - first)
             for j in range(number):
-                one[d * _WIDTH + j] = x[i, balance, first + j]
+                one[d * _WIDTH + j] = x[i, balance, first + j] if usable[i] else 0.0  # it may be no number
             _advance(one, ar, decay, rest_decay, step if usable[i] else nothing, norm)
             for j in range(number):
                 out[i, first + j] = one[d * _WIDTH + j]
