@@ -43,6 +43,7 @@ _LARGEST_SIZE = 100.0
 EXAMPLES = (
     "flexspline challenge --draws 5 --hidden one --out outcomes.json",
     "flexspline challenge --scenario link_sweep --cause backlash --sizes 1,0.3,0.1",
+    "flexspline challenge --real --hidden one --without joint_torque --without motor_position",
 )
 
 
@@ -73,6 +74,10 @@ def command(
     no_sensor: Annotated[
         bool, typer.Option("--no-sensor", help="no joint torque; irregular 250 Hz with samples missing")
     ] = False,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(metavar="CHANNEL", help="not recorded; what cannot show then is not drawn. Repeatable."),
+    ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="processes; all cores by default")] = None,
     out: Annotated[
         Path | None, typer.Option(help="write every draw and all tables to this file, .json or .parquet")
@@ -99,8 +104,8 @@ def command(
     kinds: list[Kind] = [h.value for h in given] if given else ["one"] if cause else list(_KINDS)
     asked = [
         Challenge(
-            joint=joint, seed=seed, hidden=kind, exact=exact, real=real, sensor=not no_sensor, scenarios=tuple(scenario or ()),
-            only=tuple(cause or ()),
+            joint=joint, seed=seed, hidden=kind, exact=exact, real=real, sensor=not no_sensor, without=tuple(without or ()),
+            scenarios=tuple(scenario or ()), only=tuple(cause or ()),
         )
         for kind in kinds
     ]  # fmt: skip
@@ -113,7 +118,8 @@ def command(
             bar.update(task, advance=1, description=f"diagnosing draws, {right} of {len(outcomes)} right")
     outcomes.sort(key=lambda o: (kinds.index(o.kind), o.index, -o.size))
     how = f"{joint}, {'known exactly' if exact else 'within tolerance'}{', with real imperfections' if real else ''}"
-    how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}; seed {seed}"
+    how += f"{', no torque sensor, irregular 250 Hz' if no_sensor else ''}"
+    how += f"{', without ' + ', '.join(without) if without else ''}; seed {seed}"
     if out is not None:
         _write(out, outcomes)
     if as_json:

@@ -7,7 +7,7 @@ cause (`models.causes`: `needs`, `requires`, `torsion`), or follows from the law
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,9 +179,13 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
       measurement: whose recordings have the channels.
       link_measured: whether some recording has both encoders.
     """
-    cause = causes.get(name)
     columns = {column for r in measurement.recordings for column in r.columns}
-    return columns.issuperset(cause.needs) and (link_measured or not cause.torsion)
+    return shows_in(causes.get(name), columns, link_measured)
+
+
+def shows_in(cause: Cause, columns: Set[str], both_encoders: bool) -> bool:
+    """Whether a cause can show in these channels, both encoders in one recording or not."""
+    return columns >= set(cause.needs) and (both_encoders or not cause.torsion)
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,16 @@ from ...models.calibration import Calibration
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
 from ...models.recording import Measurement
+from ...models.signals import POSITIONS
 from ...scenarios.scenario import Scenario, load_scenario
+from ..data.coverage import in_drive_alone, shows_in
 from .imperfections import Imperfections, imperfections
 from .motions import bare, jittered, motions, record_motion
 from .outside import OUTSIDE
 
 Hidden = Literal["one", "two", "outside", "none"]
-RECORDED = ("motor_position", "link_position", "motor_current")
-"""Channels of every recording of a draw."""
+RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
+"""Channels of a draw's recordings, with every sensor there."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Challenge:
       exact: the joint has exactly its nominal numbers, and diagnosis is told a description without tolerances.
       real: with the small imperfections that every real joint has (`imperfections`).
       sensor: with the joint torque sensor, at 1 kHz; without it irregularly at about 250 Hz, single samples missing.
+      without: channels that are not recorded.
       scenarios: names or paths of scenarios to use instead of motions drawn anew.
       only: names of the causes (or effects outside the library) to draw from, all where empty.
     """
@@ -53,19 +56,35 @@ class Challenge:
     exact: bool = False
     real: bool = False
     sensor: bool = True
+    without: tuple[str, ...] = ()
     scenarios: tuple[str, ...] = ()
     only: tuple[str, ...] = ()
 
+    def channels(self) -> set[str]:
+        """Channels that are recorded, checked: one position at least, and one of current and joint torque."""
+        for name in self.without:
+            if name not in RECORDED:
+                raise InputError(f"--without: expected one of {', '.join(RECORDED)}, got {name!r}")
+        left = set(RECORDED).difference(self.without, () if self.sensor else ("joint_torque",))
+        if not left.intersection(POSITIONS) or left <= set(POSITIONS):
+            raise InputError(
+                "--without: expected a position and one of motor_current, joint_torque to be left, "
+                f"got {', '.join(c for c in RECORDED if c in left) or 'nothing'}"
+            )
+        return left
+
     def pool(self) -> list[str]:
-        """Names that may be drawn."""
+        """Names that may be drawn: of what can show in the channels that are recorded."""
+        columns = self.channels()
         if self.hidden == "none":
             return []
         if self.hidden == "outside":
-            known = [name for name, e in OUTSIDE.items() if self.sensor or not e.needs_sensor]
+            known = [name for name, e in OUTSIDE.items() if columns >= set(e.needs)]
         else:
-            joint = load_joint(self.joint)
-            columns = {*RECORDED, "joint_torque"} if self.sensor else set(RECORDED)
-            known = [n for n in causes.of(joint) if columns.issuperset(causes.get(n).needs)]
+            joint, both = load_joint(self.joint), columns >= set(POSITIONS)
+            known = [n for n in causes.of(joint) if shows_in(causes.get(n), columns, both)]
+            if "motor_current" not in columns:
+                known = [n for n in known if not in_drive_alone(causes.get(n), joint)]
             if not self.exact:
                 drowned = _drowned(self.joint)
                 known = [n for n in known if n not in drowned]
@@ -141,6 +160,7 @@ def draw(challenge: Challenge, index: int, size: float = 1.0) -> Draw:
             recording = jittered(recording, flaws.jitter, streams[3])
         if not challenge.sensor:
             recording = bare(recording, streams[3])
+        recording = recording.without(*challenge.without)
         records.append(record)
         recordings.append(recording)
     measurement = Measurement(f"draw {index}", Path(), tuple(recordings))

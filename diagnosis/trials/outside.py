@@ -16,11 +16,11 @@ Change = Callable[[np.void], None]
 
 @dataclass(frozen=True)
 class Outside:
-    """An effect that no cause of the library describes: where it sits, and how it is drawn at a size."""
+    """An effect that no cause of the library describes: where it sits, how it is drawn at a size, in which channels it shows."""
 
     component: str
     make: Callable[[np.random.Generator, float], tuple[Values, Change, str]]
-    needs_sensor: bool = False
+    needs: tuple[str, ...] = ()
 
 
 def sign(rng: np.random.Generator) -> float:
@@ -122,11 +122,11 @@ def _sensor_bend(rng: np.random.Generator, size: float) -> tuple[Values, Change,
 
 OUTSIDE: dict[str, Outside] = {
     "link_bump": Outside("link", _link_bump),
-    "quadratic_friction": Outside("transmission", _quadratic_friction),
-    "stepped_friction": Outside("transmission", _stepped_friction),
+    "quadratic_friction": Outside("transmission", _quadratic_friction, ("motor_current",)),
+    "stepped_friction": Outside("transmission", _stepped_friction, ("motor_current",)),
     "half_order": Outside("transmission", _half_order),
-    "rotor_pulse": Outside("motor", _rotor_pulse),
-    "current_drift": Outside("sensor", _current_drift),
-    "sensor_bend": Outside("sensor", _sensor_bend, needs_sensor=True),
+    "rotor_pulse": Outside("motor", _rotor_pulse, ("motor_current",)),
+    "current_drift": Outside("sensor", _current_drift, ("motor_current",)),
+    "sensor_bend": Outside("sensor", _sensor_bend, ("joint_torque",)),
 }
 """Effects outside the library."""
