@@ -354,6 +354,31 @@ def test_every_cause_is_drawn_before_any_comes_twice():
         Challenge(only=("gremlins",)).pool()
 
 
+def test_channels_that_are_not_recorded_hide_nothing_that_they_alone_show():
+    one_encoder = Challenge(without=("motor_position", "joint_torque"), hidden="none", scenarios=("no_load",))
+    (recording,) = draw(one_encoder, 0).measurement.recordings
+    assert set(recording.columns) == {"link_position", "motor_current", "position_command"}
+    pool = replace(one_encoder, hidden="one").pool()
+    assert {"cogging", "gravity_moment"} <= set(pool)
+    assert not {"stiffness", "backlash", "torque_sensor_gain"} & set(pool)
+    no_current = Challenge(without=("motor_current",))
+    assert "stiffness" in no_current.pool() and not {"cogging", "mesh_friction"} & set(no_current.pool())
+    assert "rotor_pulse" not in replace(no_current, hidden="outside").pool()
+
+
+@pytest.mark.parametrize(
+    ("without", "expected"),
+    [
+        (("link_postion",), "--without: expected one of motor_position, link_position, .*, got 'link_postion'"),
+        (("motor_position", "link_position"), "got motor_current, joint_torque"),
+        (("motor_current", "joint_torque"), "got motor_position, link_position"),
+    ],
+)
+def test_channels_without_which_there_is_nothing_to_hold_against_anything(without, expected):
+    with pytest.raises(InputError, match=expected):
+        Challenge(without=without).pool()
+
+
 def test_bare_recordings_are_irregular_and_without_sensor(rng):
     scenario = Scenario(name="s", mounting="link", duration=2, trajectory=[Waypoint(time=0, position=0)])
     mounting = NOMINAL.mount("link")
