@@ -160,7 +160,8 @@ def diagnose(
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike)
+    ripples = tuple((h.cause.name, h.fixed["order"]) for h in tried if h.cause.ripple)
+    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike, ripples)
     few = bool(found.chosen.model) and outcome.nearly_all and problem.link_measured
     if drawn.share == 0.0 or few or outcome.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
@@ -178,6 +179,7 @@ class _Outcome:
       final: the model at its end; drawn: the same, drawn back to what holds where it was not fitted.
       missing: causes that such a measurement cannot show at ordinary size, with the reason.
       undetermined: these and others that could not have shown; alike: pairs that look the same.
+      ripples: orders of the motor's angle that were looked for, each with its cause.
       surest: largest confidence of a cause.
     """
 
@@ -189,6 +191,7 @@ class _Outcome:
     missing: dict[str, str]
     undetermined: dict[str, str]
     alike: tuple[tuple[str, str], ...]
+    ripples: tuple[tuple[str, float], ...]
     surest: float = 1.0
 
     @property
@@ -218,7 +221,9 @@ def _as_described(
     found = replace(other, decisions=(*outcome.found.decisions, *other.decisions), complete=outcome.found.complete)
     undetermined, alike = _limits(problem, found, final, tried, missing)
     drawn = DrawnBack(1.0, final, regions)
-    return _Outcome(problem, found, None, final, drawn, missing, undetermined, alike, ANSWER.beside)
+    return _Outcome(
+        problem, found, None, final, drawn, missing, undetermined, alike, outcome.ripples, surest=ANSWER.beside
+    )
 
 
 def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
@@ -245,7 +250,8 @@ def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
             "uncertainty": stated(problem, final, extended_joint, outcome.drawn.regions),
         }
         extended_joint = extended_joint.model_copy(update=known)
-    alike = {(min(pair), max(pair)) for pair in (*outcome.alike, *_close(found), *found.confusable)}
+    ripples = [(h.cause.name, name) for h in outcome.final.model for name in _other_ripples(outcome, h)]
+    alike = {(min(pair), max(pair)) for pair in (*outcome.alike, *_close(found), *ripples, *found.confusable)}
     return Diagnosis(
         verdict=verdict,
         reason=reason,
@@ -472,7 +478,9 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
     slim = [w.rms**2 < ANSWER.slim * total and x < ANSWER.clearly for w, x in zip(worths, away, strict=False)]
     away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
     unseen = [h.cause.name in outcome.missing for h in final.model]
-    doubtful = [x < ANSWER.significant or slim[i] or unseen[i] for i, x in enumerate(away)]
+    # What makes data worse that no fit saw is not sure, nor is which of two makes a ripple that either could.
+    unsure = [held_after > held_before or bool(_other_ripples(outcome, h)) for h in final.model]
+    doubtful = [x < ANSWER.significant or slim[i] or unseen[i] or unsure[i] for i, x in enumerate(away)]
     confidences = _confidences(problem, found, final, unknown, doubtful)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
@@ -566,7 +574,8 @@ def _confidences(
     Where the sizes of two causes are correlated by ρ, the part ρ² of the one is what it is because the other is there too.
 
     Args:
-      doubtful: of each, whether it is too few standard deviations from absent to be sure, or the measurement none that shows it.
+      doubtful: of each, whether it is too few standard deviations from absent to be sure, the measurement none that shows it or
+        tells it from another, or data that no fit saw are the worse for what was found.
     """
     model = final.model if unknown is None else final.model[:-1]
     alone, sizes = [], []
@@ -619,6 +628,13 @@ def _temper(quiet: float, gain: float) -> float:
 def _superseded(found: Search, name: str) -> bool:
     """Whether a rival is not itself in the model: one that is was no rival."""
     return all(h.cause.name != name for h in found.chosen.model)
+
+
+def _other_ripples(outcome: _Outcome, h: Hypothesis) -> list[str]:
+    """Causes that one encoder does not tell from one of the final model: others of the same order in the motor's angle."""
+    if outcome.problem.link_measured or not h.cause.ripple:
+        return []
+    return [name for name, order in outcome.ripples if name != h.cause.name and order == h.fixed["order"]]
 
 
 def _close(found: Search) -> list[tuple[str, str]]:

@@ -54,7 +54,9 @@ def test_diagnosis_alone(held, ur3e):
     answer = held.answer
     assert answer.verdict == "discrepancy"
     cogging = {c.name: c for c in answer.causes}["cogging"]
-    assert cogging.confidence > 0.9 and cogging.parameters["order"].value == 2
+    assert cogging.confidence > 0.6 and cogging.parameters["order"].value == 2
+    # Motor or gear: one encoder does not say.
+    assert cogging.confidence <= 0.7 and ("cogging", "kinematic_error") in answer.confusable
     assert set(answer.undetermined) >= TORSION
     for why in (answer.undetermined[name] for name in TORSION):
         assert "one encoder" in why
@@ -75,7 +77,7 @@ def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, ur3e):
     first, _ = ur3e.split(recording, seconds)
     answer = diagnose(Measurement("first", Path(), (first,)), load_joint(recording.joint))
     found = {c.name: c for c in answer.causes}
-    assert found["cogging"].confidence > 0.9 and found["cogging"].parameters["order"].value == 2
+    assert found["cogging"].confidence > 0.6 and found["cogging"].parameters["order"].value == 2
     whole = {1.990099: 0.0, 1.980198: 0.0}
     for order in answer.extended.kinematic_error:
         whole[order.order] += order.amplitude.value * np.exp(1j * order.phase.value)

@@ -131,6 +131,7 @@ class Spline:
         return "unknown"
 
     adds = True
+    ripple = False
     scales = ()
     sets: ClassVar[dict[str, str]] = {}
 

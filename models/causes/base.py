@@ -191,6 +191,10 @@ class Cause(ABC):
     resonance: ClassVar[bool] = False
     """Whether it is a resonance, or makes one: one encoder cannot tell it from the transmission's own or a controller's."""
 
+    ripple: ClassVar[bool] = False
+    """Whether it is an order of the motor's angle: with one encoder nothing but the transmission's dynamics, and a controller's
+    answer, which no channel shows, tells it from another of the same order."""
+
     generalises: ClassVar[tuple[str, ...]] = ()
     """Causes that are special cases of it, with parameters of the same names."""
 

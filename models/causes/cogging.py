@@ -14,6 +14,7 @@ class Cogging(Cause):
     component = "motor"
     description = "a torque periodic in the rotor angle, A sin(n θm + φ), acts on the rotor"
     adds = True
+    ripple = True
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
         CauseParameter("order", "1", (1, 64), ((2, 13),), integer=True),

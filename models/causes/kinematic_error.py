@@ -16,6 +16,7 @@ class KinematicError(Cause):
     imperfection = True
     description = "an order of the kinematic error differs from calibration"
     adds = True
+    ripple = True
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
         CauseParameter("order", "1", (1e-3, 64), ((1, 4),), integer=True, searched=(1, 6)),
