@@ -15,7 +15,7 @@ from ..models.recording import Measurement
 from .answer import BalanceResidual, Diagnosis, Finding, ParameterEstimate, ParameterShift
 from .data import coverage
 from .data.mistakes import NO_CHANGE, Mistake, find_mistakes
-from .data.segments import BALANCES, SETTINGS, UNITS, segments
+from .data.segments import BALANCES, SETTINGS, UNITS, pushed, segments
 from .extension import extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.instruments import instrumented
@@ -66,7 +66,8 @@ class AnswerSettings:
         sensors' noise even with all of them: a real joint has a little of everything. Minor effects are part of the extended
         joint, and told, but none of the causes.
       little: part of the rated torque that an unknown effect must be worth there, not to be a minor one; or `mostly` of what all
-        effects are worth together (mean square).
+        effects are worth together (mean square), or so much that what nothing explains would be `plainer` times as large (mean
+        square) without it: what real joints have a little of everything of does not stand out so.
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it; inexact_size: where only noise is left, part that may be the
         reconstruction of the motion from counts; inexact_bias: part that is not known of by how much the motion's noise moves a
@@ -97,6 +98,7 @@ class AnswerSettings:
     quiet: float = MORE_THAN_NOISE
     little: float = 0.015
     mostly: float = 0.6
+    plainer: float = 4.0
     inflation: float = 5.0
     lookalike: float = 0.05
     inexact_size: float = 0.01
@@ -163,10 +165,13 @@ def diagnose(
     ripples = tuple((h.cause.name, h.fixed["order"]) for h in tried if h.cause.ripple)
     outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike, ripples)
     few = bool(found.chosen.model) and outcome.nearly_all and problem.link_measured
+    if all(pushed(r) for r in measurement.recordings):
+        outcome = replace(outcome, surest=ANSWER.unsure)  # what a push did cannot be told from what a cause does
     if drawn.share == 0.0 or few or outcome.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         described = _as_described(outcome, tried, missing, settings) if time.monotonic() < deadline else None
-        outcome = described or replace(outcome, surest=ANSWER.unsure if drawn.share == 0.0 else 1.0)
+        most = ANSWER.unsure if drawn.share == 0.0 else 1.0
+        outcome = described or replace(outcome, surest=min(outcome.surest, most))
     return replace(_told(outcome, measurement), mistakes=mistakes, seconds=time.monotonic() - begin)
 
 
@@ -222,8 +227,9 @@ def _as_described(
     undetermined, alike = _limits(problem, found, final, tried, missing)
     drawn = DrawnBack(1.0, final, regions)
     return _Outcome(
-        problem, found, None, final, drawn, missing, undetermined, alike, outcome.ripples, surest=ANSWER.beside
-    )
+        problem, found, None, final, drawn, missing, undetermined, alike, outcome.ripples,
+        surest=min(outcome.surest, ANSWER.beside),
+    )  # fmt: skip
 
 
 def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
@@ -492,6 +498,7 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
             # Knees that are smooth, friction that is not quite viscous: many small things are in no library.
             rated = problem.joint.numbers["rated_torque"].value
             little = real and w.rms < ANSWER.little * rated and w.rms**2 < ANSWER.mostly * total
+            little = little and left_by(problem, found.chosen) < ANSWER.plainer * left**2
             (minor if little else findings)[i] = Finding(
                 "unknown", unknown.spline.component, confidence, {}, share, w.rms, discrepancy.describe(unknown),
                 discrepancy.depends_on(unknown.spline.variable),

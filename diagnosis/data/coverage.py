@@ -19,7 +19,7 @@ from ...models.dynamics import State
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
-from .sampling import timing_error
+from .segments import pushed, wrong_times
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
@@ -38,7 +38,7 @@ class RecordingSummary:
     Attributes:
       name: of the recording; samples, duration [s], interval (median) [s].
       jitter: rms of the intervals' deviation from it, without missing samples [s].
-      late: by how much the time stamps are wrong, as both encoders have it [s rms]; zero where they do not say so.
+      late: by how much the time stamps are wrong, as the encoders have it [s rms]; zero where they do not say so.
       missing: single samples that are missing; gaps: longer ones, begin and end [s].
       ranges: smallest and largest value by channel.
       motor_speed, link_speed: largest [rad/s]; of an encoder that is not there, by the gear ratio.
@@ -87,7 +87,7 @@ class Balance:
 def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
     """Sum up a recording of a joint, whatever its channels."""
     time = recording.time
-    late = _late(recording)
+    late = _late(recording, joint)
     steps = np.diff(time)
     interval = recording.interval
     inside = steps[steps <= GAP]
@@ -129,9 +129,11 @@ def missing_columns(measurement: Measurement) -> list[str]:
 
 
 def balances(measurement: Measurement) -> tuple[Balance, ...]:
-    """The torque balances that can be formed with the channels there are, none twice."""
+    """The torque balances that can be formed with the channels there are, none twice; with one encoder where no unmeasured push
+    may act, if there is such a recording."""
     found: dict[tuple[str, str], list[str]] = {}
-    for recording in measurement.recordings:
+    undisturbed = [r for r in measurement.recordings if not pushed(r)]
+    for recording in undisturbed or measurement.recordings:
         for key in _balances(recording):
             found.setdefault(key, []).append(recording.name)
     return tuple(Balance(name, description, tuple(names)) for (name, description), names in found.items())
@@ -344,12 +346,12 @@ def _load(recording: Recording, joint: Joint) -> np.ndarray:
     return N * Kt * recording["motor_current"]
 
 
-def _late(recording: Recording) -> float:
-    """RMS error of the time stamps [s] that both encoders show, of the worst segment."""
-    if any(name not in recording for name in POSITIONS):
-        return 0.0
-    motor, link = (recording[name] for name in POSITIONS)
-    return max(timing_error(recording.time[k], motor[k], link[k]) for k in recording.segments)
+def _late(recording: Recording, joint: Joint) -> float:
+    """RMS error of the time stamps [s] that the encoders show, of the worst segment."""
+    readings = {name: recording[name] for name in POSITIONS if name in recording}
+    return max(
+        wrong_times(recording.time[k], {n: x[k] for n, x in readings.items()}, joint) for k in recording.segments
+    )
 
 
 def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:

@@ -21,6 +21,8 @@ class SamplingSettings:
       slower: a sensor is slower than the log where its rate is below so much of the log's.
       fewest: samples in motion below which nothing is said about the time stamps.
       together: correlation of what both encoders are off their own smooth motion, from which on it is the time that is wrong.
+      alone: share of what one encoder is off its own smooth motion that must go with the speed, for the time to be wrong.
+      ripple: angle [rad] by which a ripple of the gear or the motor may go on between two samples that are looked at for that.
       periods: parts of the median interval that are tried as the period of the clock behind a log.
       steadier: a log's samples are even and its stamps are not where the clock's own times make the motion so much smoother.
     """
@@ -28,6 +30,8 @@ class SamplingSettings:
     slower: float = 0.75
     fewest: int = 50
     together: float = 0.5
+    alone: float = 0.7
+    ripple: float = 0.5
     periods: int = 8
     steadier: float = 0.7
 
@@ -86,6 +90,32 @@ def timing_error(time: np.ndarray, motor: np.ndarray, link: np.ndarray) -> float
     if speeds <= 0 or common <= SETTINGS.together * np.sqrt(np.mean(a * a) * np.mean(b * b)):
         return 0.0
     return float(np.sqrt(common / speeds))
+
+
+@np.errstate(over="ignore", invalid="ignore")
+def timing_error_of_one(time: np.ndarray, reading: np.ndarray, order: float) -> float:
+    """Standard deviation [s] of the error of a recording's time stamps, as one encoder has it; zero where it does not show any.
+
+    By how much its samples are off the smooth motion goes with the speed then, and nearly all of it does: an encoder's noise
+    is the same at any speed. A ripple that two samples hardly resolve would look like it: such speeds are not asked.
+
+    Args:
+      time: of the samples of one segment [s], shape (n,).
+      reading: of the encoder [rad], shape (n,).
+      order: largest of a ripple, per turn of the encoder's own shaft.
+    """
+    if len(time) < SETTINGS.fewest:
+        return 0.0
+    off, v = _off(time, reading)
+    slow = np.abs(v) * order * float(np.median(np.diff(time))) < SETTINGS.ripple
+    if slow.sum() < SETTINGS.fewest:
+        return 0.0
+    squares, speeds = off[slow] ** 2, v[slow] ** 2
+    spread = speeds - np.mean(speeds)
+    slope = float(np.sum(spread * squares) / max(np.sum(spread**2), 1e-300))
+    if slope * np.mean(speeds) <= SETTINGS.alone * np.mean(squares):
+        return 0.0
+    return float(np.sqrt(slope))
 
 
 def _off(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

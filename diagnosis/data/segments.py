@@ -15,7 +15,7 @@ The gear's orders are then in the simulation alone, at full size, and readings n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -29,7 +29,7 @@ from ...models.joint import EncoderSpec, Joint, Mounting
 from ...models.kernels import kernel
 from ...models.parameters import REFERENCE_TEMPERATURE
 from ...models.recording import Recording
-from .sampling import between, clock_times, fresh, timing_error
+from .sampling import between, clock_times, fresh, timing_error, timing_error_of_one
 
 STEP = 1e-3
 """Step of the replay [s]."""
@@ -186,18 +186,41 @@ def decimate(x: np.ndarray) -> np.ndarray:
     return out / total.reshape(-1, *[1] * (x.ndim - 1))
 
 
+def wrong_times(time: np.ndarray, readings: Mapping[str, np.ndarray], joint: Joint) -> float:
+    """Standard deviation [s] of the error of the time stamps of a segment that its encoders show, both or one; zero for none."""
+    if len(readings) == len(ENCODERS):
+        return timing_error(time, *(readings[name] for name in ENCODERS))
+    ((name, reading),) = readings.items()
+    order = max((o.order for o in joint.kinematic_error), default=1.0)
+    return timing_error_of_one(time, reading, order * (joint.numbers["N"].value if name == "link_position" else 1.0))
+
+
+def pushed(recording: Recording) -> bool:
+    """Whether pushes that nobody measured may show in whatever a recording is held against: with both encoders the torsion has
+    them, with one nothing has, unless the link cannot move."""
+    both = all(name in recording for name in ENCODERS)
+    return recording.external == "unmeasured" and not both and not recording.link.locked
+
+
 def segments(
     recordings: list[Recording], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
 ) -> tuple[list[Segment], list[Segment]]:
-    """Smooth every segment of every recording; returns the segments and their noise replicates."""
+    """Smooth every segment of every recording; returns the segments and their noise replicates.
+
+    What unmeasured pushes make of a recording with one encoder (`pushed`) does not count beside others, which have none.
+    """
     rng = np.random.default_rng(seed)
     found, replicates = [], []
+    left_out = set() if all(pushed(r) for r in recordings) else {i for i, r in enumerate(recordings) if pushed(r)}
     for index, recording in enumerate(recordings):
         for part in recording.segments:
             time = recording.time[part]
             if len(time) < settings.shortest[0] or time[-1] - time[0] < settings.shortest[1]:
                 continue
             one, replicate = _segment(recording, index, part, joint, rng, settings)
+            if index in left_out:
+                none = np.zeros_like(one.usable)
+                one, replicate = (replace(s, usable=none, held_out=none) for s in (one, replicate))
             found.append(one)
             replicates.append(replicate)
     return found, replicates
@@ -216,15 +239,14 @@ def _segment(
     channels, noise, time = _channels(recording, part, joint, p, rng)
     names = list(channels)
     values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
-    mistimed = {"link_position", "motor_position"} <= set(recording.columns) and timing_error(
-        time, channels["motor_position"], channels["link_position"]
-    ) > 0.0
+    mistimed = wrong_times(time, {name: channels[name] for name in ENCODERS if name in recording}, joint) > 0.0
     cutoff, share, settle = settings.mistimed if mistimed else CUTOFF, SHARE, settings.settle_time
     if "motor_position" in recording:
         s = smooth(time, values, STEP, cutoff)
     else:
         share = settings.readings
         following = max(settings.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), settings.slowest)
+        following = min(following, cutoff)
         s = _joined(
             [name in ENCODERS for name in (*names, *names)],
             smooth(time, values, STEP, following),
@@ -272,7 +294,7 @@ def _segment(
         state=state, load=load, balances=balances, usable=usable, held_out=held_out, at_rest=at_rest,
         passband=1 / (2 * np.pi * passband(time, cutoff, share)),
     )  # fmt: skip
-    if not link_measured:
+    if not link_measured and not mistimed:
         block = 1  # the motion's noise is the current's, and a ripple of the gear is faster than any motion
     else:
         block = settings.block if mistimed else _block((rotor, link), (rotor_noise, link_noise), settings)
