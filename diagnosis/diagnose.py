@@ -78,7 +78,8 @@ class AnswerSettings:
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
       end: standard deviations of its tolerance from which on a number is at the end of it.
-      far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent;
+      far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent,
+        and with one encoder no cause is sure where so many times the noise is left;
         near: so many times the noise, where the fit was taken back that would explain it.
     """
 
@@ -162,11 +163,13 @@ def diagnose(
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    ripples = tuple((h.cause.name, h.fixed["order"]) for h in tried if h.cause.ripple)
-    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike, ripples)
+    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike)
     few = bool(found.chosen.model) and outcome.nearly_all and problem.link_measured
     if all(pushed(r) for r in measurement.recordings):
         outcome = replace(outcome, surest=ANSWER.unsure)  # what a push did cannot be told from what a cause does
+    elif not problem.link_measured and quiet_rms(problem, final) > ANSWER.far:
+        # The other end moves otherwise than it was taken to, which looks like any number of the joint.
+        outcome = replace(outcome, surest=ANSWER.beside)
     if drawn.share == 0.0 or few or outcome.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         described = _as_described(outcome, tried, missing, settings) if time.monotonic() < deadline else None
@@ -184,7 +187,6 @@ class _Outcome:
       final: the model at its end; drawn: the same, drawn back to what holds where it was not fitted.
       missing: causes that such a measurement cannot show at ordinary size, with the reason.
       undetermined: these and others that could not have shown; alike: pairs that look the same.
-      ripples: orders of the motor's angle that were looked for, each with its cause.
       surest: largest confidence of a cause.
     """
 
@@ -196,7 +198,6 @@ class _Outcome:
     missing: dict[str, str]
     undetermined: dict[str, str]
     alike: tuple[tuple[str, str], ...]
-    ripples: tuple[tuple[str, float], ...]
     surest: float = 1.0
 
     @property
@@ -227,7 +228,7 @@ def _as_described(
     undetermined, alike = _limits(problem, found, final, tried, missing)
     drawn = DrawnBack(1.0, final, regions)
     return _Outcome(
-        problem, found, None, final, drawn, missing, undetermined, alike, outcome.ripples,
+        problem, found, None, final, drawn, missing, undetermined, alike,
         surest=min(outcome.surest, ANSWER.beside),
     )  # fmt: skip
 
@@ -256,7 +257,7 @@ def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
             "uncertainty": stated(problem, final, extended_joint, outcome.drawn.regions),
         }
         extended_joint = extended_joint.model_copy(update=known)
-    ripples = [(h.cause.name, name) for h in outcome.final.model for name in _other_ripples(outcome, h)]
+    ripples = [(h.cause.name, name) for h in outcome.final.model for name in _other_ripples(problem, h)]
     alike = {(min(pair), max(pair)) for pair in (*outcome.alike, *_close(found), *ripples, *found.confusable)}
     return Diagnosis(
         verdict=verdict,
@@ -485,7 +486,7 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
     away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
     unseen = [h.cause.name in outcome.missing for h in final.model]
     # What makes data worse that no fit saw is not sure, nor is which of two makes a ripple that either could.
-    unsure = [held_after > held_before or bool(_other_ripples(outcome, h)) for h in final.model]
+    unsure = [held_after > held_before or bool(_other_ripples(problem, h)) for h in final.model]
     doubtful = [x < ANSWER.significant or slim[i] or unseen[i] or unsure[i] for i, x in enumerate(away)]
     confidences = _confidences(problem, found, final, unknown, doubtful)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
@@ -637,11 +638,11 @@ def _superseded(found: Search, name: str) -> bool:
     return all(h.cause.name != name for h in found.chosen.model)
 
 
-def _other_ripples(outcome: _Outcome, h: Hypothesis) -> list[str]:
-    """Causes that one encoder does not tell from one of the final model: others of the same order in the motor's angle."""
-    if outcome.problem.link_measured or not h.cause.ripple:
+def _other_ripples(problem: Problem, h: Hypothesis) -> list[str]:
+    """Causes that one encoder does not tell from one of the final model: other orders of the motor's angle."""
+    if problem.link_measured or not h.cause.ripple:
         return []
-    return [name for name, order in outcome.ripples if name != h.cause.name and order == h.fixed["order"]]
+    return [name for name in causes.of(problem.joint) if causes.get(name).ripple and name != h.cause.name]
 
 
 def _close(found: Search) -> list[tuple[str, str]]:

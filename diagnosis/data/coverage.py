@@ -187,7 +187,9 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
 
 def shows_in(cause: Cause, columns: Set[str], both_encoders: bool) -> bool:
     """Whether a cause can show in these channels, both encoders in one recording or not."""
-    return columns >= set(cause.needs) and (both_encoders or not cause.torsion)
+    if not both_encoders and (cause.torsion or (cause.rotor and "motor_position" not in columns)):
+        return False
+    return columns >= set(cause.needs)
 
 
 @dataclass(frozen=True)
@@ -242,6 +244,8 @@ def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
             yield f"there is no column {column}"
     if cause.torsion and not found.both_encoders:
         yield "it lives in the torsion, which one encoder does not show"
+    if cause.rotor and "motor_position" not in found.columns:
+        yield "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
     if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint):
         yield "it shows in what the drive needs alone, and there is no motor current"
     needed = cause.requires

@@ -22,6 +22,7 @@ class SamplingSettings:
       fewest: samples in motion below which nothing is said about the time stamps.
       together: correlation of what both encoders are off their own smooth motion, from which on it is the time that is wrong.
       alone: share of what one encoder is off its own smooth motion that must go with the speed, for the time to be wrong.
+      least: error of the time [s] below which it is none: no motion is smoother.
       ripple: angle [rad] by which a ripple of the gear or the motor may go on between two samples that are looked at for that.
       periods: parts of the median interval that are tried as the period of the clock behind a log.
       steadier: a log's samples are even and its stamps are not where the clock's own times make the motion so much smoother.
@@ -31,6 +32,7 @@ class SamplingSettings:
     fewest: int = 50
     together: float = 0.5
     alone: float = 0.7
+    least: float = 5e-6
     ripple: float = 0.5
     periods: int = 8
     steadier: float = 0.7
@@ -113,7 +115,7 @@ def timing_error_of_one(time: np.ndarray, reading: np.ndarray, order: float) -> 
     squares, speeds = off[slow] ** 2, v[slow] ** 2
     spread = speeds - np.mean(speeds)
     slope = float(np.sum(spread * squares) / max(np.sum(spread**2), 1e-300))
-    if slope * np.mean(speeds) <= SETTINGS.alone * np.mean(squares):
+    if slope <= SETTINGS.least**2 or slope * np.mean(speeds) <= SETTINGS.alone * np.mean(squares):
         return 0.0
     return float(np.sqrt(slope))
 

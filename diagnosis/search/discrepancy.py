@@ -318,7 +318,8 @@ _PROBE = 0.05
 
 def _replayed(problem: Problem, theta: np.ndarray, records: Sequence[np.ndarray], spline: Spline) -> Columns:
     """Derivatives through the replay: every fourth spline at a time, as their supports do not overlap."""
-    segments = [s.coarse for s in problem.segments]
+    # A link that is simulated swings too fast for twice the step.
+    segments = [s.coarse if s.link_measured else s for s in problem.segments]
     tasks = [(segment, record, theta) for segment, record in zip(segments, records, strict=True)]
     for colour in range(4):
         for segment, record in zip(segments, records, strict=True):
@@ -421,6 +422,8 @@ def find(
     tried: list[Candidate] = []
     for spline in splines(problem, settings):
         columns = columns_of(problem, chosen.theta, chosen.model, spline)
+        if not all(np.isfinite(c).all() for c in columns):
+            continue  # beyond what the replay follows
         tried += [plain.candidate(spline, columns, without) for without in drops]
     best: Unknown | None = None
     unusual = settings.penalty * min(quiet_rms(problem, chosen), settings.loosest)

@@ -188,12 +188,14 @@ class Cause(ABC):
     """Motion and load without which it cannot show at ordinary size."""
     torsion: ClassVar[bool] = False
     """Whether it lives in the torsion alone, so that one encoder cannot show it."""
+    rotor: ClassVar[bool] = False
+    """Whether what it makes of a current hangs on how the rotor answers, which the link's encoder alone does not show."""
     resonance: ClassVar[bool] = False
     """Whether it is a resonance, or makes one: one encoder cannot tell it from the transmission's own or a controller's."""
 
     ripple: ClassVar[bool] = False
     """Whether it is an order of the motor's angle: with one encoder nothing but the transmission's dynamics, and a controller's
-    answer, which no channel shows, tells it from another of the same order."""
+    answer, which no channel shows, tells it from another one."""
 
     generalises: ClassVar[tuple[str, ...]] = ()
     """Causes that are special cases of it, with parameters of the same names."""

@@ -17,6 +17,7 @@ class KinematicError(Cause):
     description = "an order of the kinematic error differs from calibration"
     adds = True
     ripple = True
+    rotor = True
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
         CauseParameter("order", "1", (1e-3, 64), ((1, 4),), integer=True, searched=(1, 6)),

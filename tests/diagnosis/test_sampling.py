@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flexspline.diagnosis.data.sampling import between, fresh, timing_error
+from flexspline.diagnosis.data.sampling import between, fresh, timing_error, timing_error_of_one
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.fit.replay import residual
 from flexspline.diagnosis.trials.draw import Challenge, draw
@@ -45,6 +45,25 @@ def test_wrong_time_stamps_are_seen_and_measured(rng):
     late = time + 0.2e-3 * rng.standard_normal(len(time))
     motor, link = ratio * position, position + 1e-6 * rng.standard_normal(len(time))
     assert timing_error(late, motor, link) == pytest.approx(0.2e-3, rel=0.15)
+
+
+@pytest.mark.parametrize("step", [1e-3, 4e-3])
+def test_one_encoder_shows_wrong_time_stamps(step, rng):
+    """What it is off its smooth motion goes with its speed; counts, noise and a ripple are there at any speed."""
+    time = np.arange(20_000) * step
+    position, counts = np.sin(0.5 * time), 2 * np.pi / 4096
+    motor = np.round(100 * position / counts) * counts
+    link = position + 1e-6 * rng.standard_normal(len(time))
+    late = time + 0.2e-3 * rng.standard_normal(len(time))
+    assert timing_error_of_one(late, motor, 4.0) == pytest.approx(0.2e-3, rel=0.15)
+    assert timing_error_of_one(late, link, 400.0) == pytest.approx(0.2e-3, rel=0.15)
+    assert timing_error_of_one(time, motor, 4.0) == 0.0
+    assert timing_error_of_one(time, link, 400.0) == 0.0
+    # A ripple that grows as it nears a resonance: at 125 Hz its samples look like noise that goes with the speed.
+    slow = np.arange(4000) * 8e-3
+    shaken = np.sin(0.5 * slow) + 1e-4 * (0.5 * np.cos(0.5 * slow)) ** 2 * np.sin(202 * np.sin(0.5 * slow))
+    assert timing_error_of_one(slow, shaken, 202.0) == 0.0
+    assert timing_error_of_one(time[:3], motor[:3], 4.0) == 0.0
 
 
 def test_noise_of_encoders_is_no_error_of_time(rng):
