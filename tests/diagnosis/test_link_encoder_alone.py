@@ -88,10 +88,10 @@ def test_what_the_gear_makes_of_a_current_is_not_asked_of_the_links_encoder():
 
 @pytest.mark.long
 @pytest.mark.slow
-@pytest.mark.parametrize("index", [4, 13])
-def test_a_real_joints_friction_is_named(index):
-    """Seed 502: one of 18 as long as pushes that nobody measured and wrong time stamps were taken for the joint's doing."""
-    drawn = draw(Challenge(seed=502, real=True, without=("motor_position", "joint_torque")), index)
+@pytest.mark.parametrize("name", ["load_dependent_friction", "viscous_friction", "hard_stop"])
+def test_a_real_joints_cause_is_named(name):
+    """Seed 502: one of 18 was as long as pushes that nobody measured and wrong time stamps were taken for the joint's doing."""
+    drawn = draw(Challenge(seed=502, real=True, only=(name,), without=("motor_position", "joint_torque")), 0)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == drawn.effects[0].name
     assert all(c.confidence <= 0.7 for c in found.causes)  # more than noise is left: no number is sure
