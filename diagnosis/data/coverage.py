@@ -19,7 +19,7 @@ from ...models.dynamics import State
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
-from .segments import pushed, wrong_times
+from .segments import undisturbed, wrong_times
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
@@ -132,8 +132,7 @@ def balances(measurement: Measurement) -> tuple[Balance, ...]:
     """The torque balances that can be formed with the channels there are, none twice; with one encoder where no unmeasured push
     may act, if there is such a recording."""
     found: dict[tuple[str, str], list[str]] = {}
-    undisturbed = [r for r in measurement.recordings if not pushed(r)]
-    for recording in undisturbed or measurement.recordings:
+    for recording in undisturbed(measurement.recordings):
         for key in _balances(recording):
             found.setdefault(key, []).append(recording.name)
     return tuple(Balance(name, description, tuple(names)) for (name, description), names in found.items())
@@ -187,9 +186,18 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
 
 def shows_in(cause: Cause, columns: Set[str], both_encoders: bool) -> bool:
     """Whether a cause can show in these channels, both encoders in one recording or not."""
-    if not both_encoders and (cause.torsion or (cause.rotor and "motor_position" not in columns)):
-        return False
-    return columns >= set(cause.needs)
+    return next(_hidden_from(cause, columns, both_encoders), None) is None
+
+
+def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterator[str]:
+    """Why a cause cannot show in these channels; nothing where it can."""
+    for column in cause.needs:
+        if column not in columns:
+            yield f"there is no column {column}"
+    if cause.torsion and not both_encoders:
+        yield "it lives in the torsion, which one encoder does not show"
+    if cause.rotor and not both_encoders and "motor_position" not in columns:
+        yield "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
 
 
 @dataclass(frozen=True)
@@ -239,13 +247,7 @@ class _Extent:
 
 def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
     """Why a cause cannot show, the plainest reason first; nothing where it can."""
-    for column in cause.needs:
-        if column not in found.columns:
-            yield f"there is no column {column}"
-    if cause.torsion and not found.both_encoders:
-        yield "it lives in the torsion, which one encoder does not show"
-    if cause.rotor and "motor_position" not in found.columns:
-        yield "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
+    yield from _hidden_from(cause, found.columns, found.both_encoders)
     if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint):
         yield "it shows in what the drive needs alone, and there is no motor current"
     needed = cause.requires

@@ -202,6 +202,11 @@ def pushed(recording: Recording) -> bool:
     return recording.external == "unmeasured" and not both and not recording.link.locked
 
 
+def undisturbed(recordings: Sequence[Recording]) -> list[Recording]:
+    """Recordings that count: those in which no unmeasured push shows (`pushed`), or all where it may in every one."""
+    return [r for r in recordings if not pushed(r)] or list(recordings)
+
+
 def segments(
     recordings: list[Recording], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
 ) -> tuple[list[Segment], list[Segment]]:
@@ -211,14 +216,14 @@ def segments(
     """
     rng = np.random.default_rng(seed)
     found, replicates = [], []
-    left_out = set() if all(pushed(r) for r in recordings) else {i for i, r in enumerate(recordings) if pushed(r)}
+    counted = undisturbed(recordings)
     for index, recording in enumerate(recordings):
         for part in recording.segments:
             time = recording.time[part]
             if len(time) < settings.shortest[0] or time[-1] - time[0] < settings.shortest[1]:
                 continue
             one, replicate = _segment(recording, index, part, joint, rng, settings)
-            if index in left_out:
+            if not any(recording is r for r in counted):
                 none = np.zeros_like(one.usable)
                 one, replicate = (replace(s, usable=none, held_out=none) for s in (one, replicate))
             found.append(one)
