@@ -35,8 +35,7 @@ from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
 from .data.mistakes import Mistake, find_mistakes
-from .data.sampling import timing_error
-from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
+from .data.segments import CURRENT, LINK, TORQUE, Segment, clock_error, segments
 from .fit.replay import parallel, readings, transmission
 
 SIGMAS = 1.96
@@ -256,7 +255,7 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
         variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
         motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
-            motion = motion + (np.nan_to_num(velocity) * _clock_error(recording)) ** 2
+            motion = motion + (np.nan_to_num(velocity) * clock_error(recording, joint)) ** 2
         deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], _sensor_noise(joint, name)))
         noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
     return Channels(
@@ -271,12 +270,6 @@ def _loose(joint: Joint) -> bool:
     zero = joint.sensors.link_encoder.zero
     known = 0.0 if zero is None else zero.deviation if zero.std is None else zero.std
     return joint.numbers["K1"].value * known > _LOOSE * joint.numbers["rated_torque"].value
-
-
-def _clock_error(recording: Recording) -> float:
-    """Error of the time stamps [s rms], where both encoders show it."""
-    motor, link = recording["motor_position"], recording["link_position"]
-    return max((timing_error(recording.time[s], motor[s], link[s]) for s in recording.segments), default=0.0)
 
 
 def _fast(recording: Recording, name: str, parts: Sequence[_Part], noise: float) -> np.ndarray | float:

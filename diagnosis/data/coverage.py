@@ -19,7 +19,7 @@ from ...models.dynamics import State
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
-from .segments import undisturbed, wrong_times
+from .segments import clock_error, undisturbed
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
@@ -87,7 +87,7 @@ class Balance:
 def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
     """Sum up a recording of a joint, whatever its channels."""
     time = recording.time
-    late = _late(recording, joint)
+    late = clock_error(recording, joint)
     steps = np.diff(time)
     interval = recording.interval
     inside = steps[steps <= GAP]
@@ -350,14 +350,6 @@ def _load(recording: Recording, joint: Joint) -> np.ndarray:
     if "motor_torque" in recording:
         return N * recording["motor_torque"]
     return N * Kt * recording["motor_current"]
-
-
-def _late(recording: Recording, joint: Joint) -> float:
-    """RMS error of the time stamps [s] that the encoders show, of the worst segment."""
-    readings = {name: recording[name] for name in POSITIONS if name in recording}
-    return max(
-        wrong_times(recording.time[k], {n: x[k] for n, x in readings.items()}, joint) for k in recording.segments
-    )
 
 
 def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:

@@ -195,6 +195,14 @@ def wrong_times(time: np.ndarray, readings: Mapping[str, np.ndarray], joint: Joi
     return timing_error_of_one(time, reading, order * (joint.numbers["N"].value if name == "link_position" else 1.0))
 
 
+def clock_error(recording: Recording, joint: Joint) -> float:
+    """Error of the time stamps [s rms] that the encoders show, of the worst segment."""
+    readings = {name: recording[name] for name in ENCODERS if name in recording}
+    return max(
+        wrong_times(recording.time[k], {n: x[k] for n, x in readings.items()}, joint) for k in recording.segments
+    )
+
+
 def pushed(recording: Recording) -> bool:
     """Whether pushes that nobody measured may show in whatever a recording is held against: with both encoders the torsion has
     them, with one nothing has, unless the link cannot move."""
