@@ -8,7 +8,7 @@ import os
 import platform
 from importlib import metadata
 
-NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views", "derivatives")
+NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views", "derivatives", "elementary")
 NAMED_ONLY = (
     "convergence",
     "estimators",

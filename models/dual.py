@@ -274,7 +274,8 @@ def _chain_rule(typingctx: Any, x: Any, value: Any, slope: Any) -> Any:
     return dual(x, types.float64, types.float64), lower
 
 
-_chained: Any = _chain_rule
+chained: Any = _chain_rule
+"""`chained(x, value, slope)` in a kernel: a function of a dual number, of which value and slope are known."""
 
 
 def _with_function(function: Any, kernel: Callable[[Any], Any]) -> None:
@@ -285,34 +286,34 @@ def _with_function(function: Any, kernel: Callable[[Any], Any]) -> None:
 
 
 def _sin(x):
-    return _chained(x, math.sin(value_of(x)), math.cos(value_of(x)))
+    return chained(x, math.sin(value_of(x)), math.cos(value_of(x)))
 
 
 def _cos(x):
-    return _chained(x, math.cos(value_of(x)), -math.sin(value_of(x)))
+    return chained(x, math.cos(value_of(x)), -math.sin(value_of(x)))
 
 
 def _exp(x):
     y = math.exp(value_of(x))
-    return _chained(x, y, y)
+    return chained(x, y, y)
 
 
 def _expm1(x):
-    return _chained(x, math.expm1(value_of(x)), math.exp(value_of(x)))
+    return chained(x, math.expm1(value_of(x)), math.exp(value_of(x)))
 
 
 def _log(x):
-    return _chained(x, math.log(value_of(x)), 1.0 / value_of(x))
+    return chained(x, math.log(value_of(x)), 1.0 / value_of(x))
 
 
 def _sqrt(x):
     y = math.sqrt(value_of(x))
-    return _chained(x, y, 0.5 / y)
+    return chained(x, y, 0.5 / y)
 
 
 def _tanh(x):
     y = math.tanh(value_of(x))
-    return _chained(x, y, 1.0 - y * y)
+    return chained(x, y, 1.0 - y * y)
 
 
 def _floor(x):
@@ -357,12 +358,12 @@ def _pow(x, y):
         def power(x, y):
             base = value_of(x)
             whole = base ** value_of(y)
-            return _chained(y, whole, whole * math.log(base)) + (x - base) * (value_of(y) * base ** (value_of(y) - 1.0))
+            return chained(y, whole, whole * math.log(base)) + (x - base) * (value_of(y) * base ** (value_of(y) - 1.0))
 
         return power
 
     def fixed(x, y):
-        return _chained(x, value_of(x) ** y, y * value_of(x) ** (y - 1))
+        return chained(x, value_of(x) ** y, y * value_of(x) ** (y - 1))
 
     return fixed
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 
+from .elementary import decayed, sincos
 from .kernels import kernel
 from .parameters import N_DISCREPANCIES, N_ORDERS
 
@@ -147,8 +148,9 @@ def smoothed_kinematic_error(theta_w, speed, p):
         if p.amplitude[k] != 0.0:
             angle = p.order[k] * theta_w + p.phase[k]
             amplitude = p.amplitude[k] * magnitude_response(p.order[k], speed)
-            error += amplitude * math.sin(angle)
-            slope += p.order[k] * amplitude * math.cos(angle)
+            sine, cosine = sincos(angle)
+            error += amplitude * sine
+            slope += p.order[k] * amplitude * cosine
     return error, slope
 
 
@@ -207,8 +209,7 @@ def bristle_step(z, w, g, h, p):
     rate = p.s0 * abs(w) / g
     if rate * h > _FORGOTTEN:
         return w / rate
-    decay = -math.expm1(-rate * h)
-    return z + (w / rate - z) * decay if rate * h > 1e-12 else z + w * h
+    return z + (w / rate - z) * decayed(rate * h) if rate * h > 1e-12 else z + w * h
 
 
 @kernel
@@ -221,8 +222,7 @@ def mesh_friction(z, w, g, p):
 def dahl_step(z, v, h, p):
     """Dahl state z [rad] of the flexspline's hysteresis after `h` at torsion rate `v`: z' = v − |v| z/x, exact."""
     x = p.hysteresis_extent
-    decay = -math.expm1(-abs(v) * h / x)
-    return z + ((x if v > 0.0 else -x) - z) * decay
+    return z + ((x if v > 0.0 else -x) - z) * decayed(abs(v) * h / x)
 
 
 @kernel

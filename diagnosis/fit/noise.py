@@ -58,7 +58,8 @@ EVEN = NoiseSettings(bands=SETTINGS.bands[:1])
 _ORDER, _BANDS = SETTINGS.order, len(SETTINGS.bands)
 """Largest order of an autoregression and number of bands that are filtered, known to the compiler."""
 _fixed: Any = ndarray.to_fixed_tuple
-_STATE = _ORDER + _BANDS + 1
+_SLOW = _BANDS + 1
+_STATE = _ORDER + _SLOW
 _WIDTH = 8
 """Series that are filtered at once."""
 _STEADY = 3
@@ -108,115 +109,150 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, balan
     others. `ar`, `bands` and `decay` have `_ORDER`, `_BANDS` and as many entries.
     """
     k, c = out.shape
-    p, m, d = _ORDER, _BANDS, _STATE
+    p, n = _ORDER, _SLOW
     # Series side by side in groups, each with its state and, behind it, its value: what the compiler makes vectors of.
     groups = (c + _WIDTH - 1) // _WIDTH
-    state = np.zeros((groups, (d + 1) * _WIDTH))
-    P, work = np.zeros((d, d)), np.zeros((d, d))
-    gain, last, step, nothing = np.zeros(d), np.zeros(d), np.zeros(d), np.zeros(d)
-    steady, S = 0, 1.0
+    state = np.zeros((groups, (_STATE + 1) * _WIDTH))
+    # The state's covariance: of the autoregression, of it with what is slow, and of that, a row as wide as a vector.
+    own, cross, slow = np.zeros((p, p)), np.zeros((p, _WIDTH)), np.zeros((n, _WIDTH))
+    fading, fresh, work = np.zeros(_WIDTH), np.zeros(_WIDTH), np.zeros(p)
+    fading[:_BANDS], fading[_BANDS] = decay, rest_decay
+    gain, slow_gain, step, slow_step = np.zeros(p), np.zeros(_WIDTH), np.zeros(p), np.zeros(_WIDTH)
+    last = np.zeros(_STATE)
+    past, fades = _fixed(ar, _ORDER), _fixed(fading, _SLOW)
+    gain_own = nothing = _fixed(step, _ORDER)
+    gain_slow = nothing_slow = _fixed(slow_step, _SLOW)
+    steady, S, whole, log = 0, 1.0, 1.0, 0.0
     # The stationary covariance of the autoregression: by letting it run; the bands' are their variances.
     for _ in range(200):
-        _step_covariance(P, work, ar, white, bands, decay, 0.0, rest_decay)
-    for j in range(m):
-        P[p + j, p + j] = bands[j] ** 2
+        _step_own(own, work, ar, white)
+    for j in range(_BANDS):
+        slow[j, j] = bands[j] ** 2
+        fresh[j] = (1.0 - decay[j] ** 2) * bands[j] ** 2
     total = 0.0
     for i in range(k):
         if i > 0:
             if at_rest[i] != at_rest[i - 1] or not usable[i] or not usable[i - 1]:
                 steady = 0
             if steady < _STEADY:
-                _step_covariance(P, work, ar, white, bands, decay, rest if at_rest[i] else 0.0, rest_decay)
+                fresh[_BANDS] = (1.0 - rest_decay**2) * rest * rest if at_rest[i] else 0.0
+                _step_slow(cross, slow, ar, fading, fresh)
+                _step_own(own, work, ar, white)
         elif at_rest[0]:
-            P[p + m, p + m] = rest * rest
+            slow[_BANDS, _BANDS] = rest * rest
         norm = 0.0
         if usable[i]:
             if steady < _STEADY:
-                S = 0.0
-                for a in range(d):
-                    value = P[a, 0]
-                    for b in range(p, d):
-                        value += P[a, b]
-                    gain[a] = value
-                    if a == 0 or a >= p:
-                        S += value
+                S = _gains(own, cross, slow, gain, slow_gain)
                 moved = 0.0
-                for a in range(d):
+                for a in range(p):
                     moved = max(moved, abs(gain[a] - last[a]))
                     last[a] = gain[a]
-                steady = steady + 1 if moved < 1e-7 * S else 0
-                for a in range(d):
                     step[a] = gain[a] / S
-                for a in range(d):
-                    for b in range(d):
-                        P[a, b] -= step[a] * gain[b]
-            norm = 1.0 / np.sqrt(S)
-            total += np.log(S)
+                for a in range(n):
+                    moved = max(moved, abs(slow_gain[a] - last[p + a]))
+                    last[p + a] = slow_gain[a]
+                    slow_step[a] = slow_gain[a] / S
+                steady = steady + 1 if moved < 1e-7 * S else 0
+                for a in range(p):
+                    for b in range(p):
+                        own[a, b] -= step[a] * gain[b]
+                    for b in range(_WIDTH):
+                        cross[a, b] -= step[a] * slow_gain[b]
+                for a in range(n):
+                    for b in range(_WIDTH):
+                        slow[a, b] -= slow_step[a] * slow_gain[b]
+                gain_own, gain_slow = _fixed(step, _ORDER), _fixed(slow_step, _SLOW)
+                whole, log = 1.0 / np.sqrt(S), np.log(S)
+            norm = whole
+            total += log
         for group in range(groups):
             one, first = state[group], group * _WIDTH
             number = min(_WIDTH, c - first)
             for j in range(number):
-                one[d * _WIDTH + j] = x[i, balance, first + j] if usable[i] else 0.0  # it may be no number
-            _advance(one, ar, decay, rest_decay, step if usable[i] else nothing, norm)
+                one[_STATE * _WIDTH + j] = x[i, balance, first + j] if usable[i] else 0.0  # it may be no number
+            if usable[i]:
+                _advance(one, past, fades, gain_own, gain_slow, norm)
+            else:
+                _advance(one, past, fades, nothing, nothing_slow, norm)
             for j in range(number):
-                out[i, first + j] = one[d * _WIDTH + j]
+                out[i, first + j] = one[_STATE * _WIDTH + j]
     return total
 
 
-@kernel
-def _advance(one, ar, decay, rest_decay, step, norm):
-    """One step of the filter for a group of series: `one`, shape ((d + 1) · `_WIDTH`,): state predicted and updated by `step`,
-    the gain over the innovation's variance, and behind it the value, which becomes the innovation times `norm`."""
-    d = _STATE
-    a, b = _fixed(ar, _ORDER), _fixed(decay, _BANDS)  # no memory that writing could change
-    g = _fixed(step, _STATE)
+@kernel(fastmath={"contract", "reassoc"}, forceinline=True)
+def _advance(one, a, f, g, s, norm):
+    """One step of the filter for a group of series: `one`, shape ((states + 1) · `_WIDTH`,): state predicted by an autoregression
+    `a` and decay `f`, updated by `g` and `s`, the gain over the innovation's variance; behind it the value, which becomes the
+    innovation times `norm`. Coefficients are tuples: no memory that writing could change."""
     for j in range(_WIDTH):
         new = 0.0
         for l in range(_ORDER):
             new += a[l] * one[l * _WIDTH + j]
-        slow = rest_decay * one[(d - 1) * _WIDTH + j]
-        innovation = one[d * _WIDTH + j] - new - slow
-        for l in range(_BANDS):
-            innovation -= b[l] * one[(_ORDER + l) * _WIDTH + j]
+        innovation = one[_STATE * _WIDTH + j] - new
+        for l in range(_SLOW):
+            innovation -= f[l] * one[(_ORDER + l) * _WIDTH + j]
         for l in range(_ORDER - 1, 0, -1):
             one[l * _WIDTH + j] = one[(l - 1) * _WIDTH + j] + g[l] * innovation
         one[j] = new + g[0] * innovation
-        for l in range(_BANDS):
-            one[(_ORDER + l) * _WIDTH + j] = b[l] * one[(_ORDER + l) * _WIDTH + j] + g[_ORDER + l] * innovation
-        one[(d - 1) * _WIDTH + j] = slow + g[d - 1] * innovation
-        one[d * _WIDTH + j] = norm * innovation
+        for l in range(_SLOW):
+            one[(_ORDER + l) * _WIDTH + j] = f[l] * one[(_ORDER + l) * _WIDTH + j] + s[l] * innovation
+        one[_STATE * _WIDTH + j] = norm * innovation
 
 
-@kernel
-def _step_covariance(P, work, ar, white, bands, decay, rest, rest_decay):
-    """P ← A P Aᵀ + Q of the state's transition, in place."""
-    p, m, d = _ORDER, _BANDS, _STATE
-    # Rows: A P.
-    for b in range(d):
-        value = 0.0
+@kernel(fastmath={"contract"}, forceinline=True)
+def _step_own(own, new, ar, white):
+    """Covariance of the autoregression's last values, a step on, in place."""
+    p = _ORDER
+    newest = white * white
+    for b in range(p):
+        new[b] = 0.0
         for l in range(p):
-            value += ar[l] * P[l, b]
-        for l in range(p - 1, 0, -1):
-            work[l, b] = P[l - 1, b]
-        work[0, b] = value
-        for l in range(m):
-            work[p + l, b] = decay[l] * P[p + l, b]
-        work[p + m, b] = rest_decay * P[p + m, b]
-    # Columns: (A P) Aᵀ.
-    for a in range(d):
-        value = 0.0
+            new[b] += ar[l] * own[l, b]
+    for b in range(p):
+        newest += new[b] * ar[b]
+    for a in range(p - 1, 0, -1):
+        for b in range(p - 1, 0, -1):
+            own[a, b] = own[a - 1, b - 1]
+    for b in range(1, p):
+        own[0, b] = own[b, 0] = new[b - 1]
+    own[0, 0] = newest
+
+
+@kernel(fastmath={"contract"}, forceinline=True)
+def _step_slow(cross, slow, ar, fading, fresh):
+    """Covariances of what is slow, with the autoregression's last values and among itself, a step on, in place."""
+    p = _ORDER
+    for j in range(_WIDTH):
+        new = 0.0
         for l in range(p):
-            value += ar[l] * work[a, l]
+            new += ar[l] * cross[l, j]
         for l in range(p - 1, 0, -1):
-            P[a, l] = work[a, l - 1]
-        P[a, 0] = value
-        for l in range(m):
-            P[a, p + l] = decay[l] * work[a, p + l]
-        P[a, p + m] = rest_decay * work[a, p + m]
-    P[0, 0] += white * white
-    for l in range(m):
-        P[p + l, p + l] += (1.0 - decay[l] ** 2) * bands[l] ** 2
-    P[p + m, p + m] += (1.0 - rest_decay**2) * rest * rest
+            cross[l, j] = fading[j] * cross[l - 1, j]
+        cross[0, j] = fading[j] * new
+    for a in range(_SLOW):
+        for j in range(_WIDTH):
+            slow[a, j] *= fading[a] * fading[j]
+        slow[a, a] += fresh[a]
+
+
+@kernel(fastmath={"contract"}, forceinline=True)
+def _gains(own, cross, slow, gain, slow_gain):
+    """Covariance of the state with the residual, which is the sum of the autoregression's first and all that is slow, into `gain`
+    and `slow_gain`. Returns the residual's variance."""
+    S = 0.0
+    for a in range(_ORDER):
+        gain[a] = own[a, 0]
+        for j in range(_SLOW):
+            gain[a] += cross[a, j]
+    for j in range(_WIDTH):
+        value = cross[0, j]
+        for a in range(_SLOW):
+            value += slow[a, j]
+        slow_gain[j] = value
+    for j in range(_SLOW):
+        S += slow_gain[j]
+    return S + gain[0]
 
 
 @dataclass(frozen=True)
@@ -239,10 +275,14 @@ def whiten(segments: Sequence[Segment], noise: Noise, series: Sequence[np.ndarra
     rest_decay = float(np.exp(-INTERVAL / s.rest_time))
 
     decay, no_band = _padded(decay, _BANDS), np.zeros(_BANDS)
+    lengths = [len(BALANCES) * len(one.at[:: one.block]) for one in segments]
+    rows = np.empty((sum(lengths), series[0].shape[2]))
+    places = np.split(rows, np.cumsum(lengths)[:-1])
 
-    def one(index: int) -> tuple[np.ndarray, float]:
+    def one(index: int) -> float:
         segment, x = segments[index], np.ascontiguousarray(series[index])
-        out = np.empty((len(BALANCES), len(segment.at), x.shape[2]))
+        place = places[index].reshape(len(BALANCES), -1, x.shape[2])
+        out = place if segment.block == 1 else np.empty((len(BALANCES), len(segment.at), x.shape[2]))
         total = 0.0
         for b in range(len(BALANCES)):
             if not segment.usable[:, b].any():
@@ -254,11 +294,11 @@ def whiten(segments: Sequence[Segment], noise: Noise, series: Sequence[np.ndarra
                 segment.usable[:, b], segment.at_rest, _padded(sensor.ar, _ORDER), sensor.white, bands, decay,
                 float(noise.rest[index, b]), rest_decay, x, b, out[b],
             )  # fmt: skip
-        counts = segment.usable.T
-        return _blocks(out, counts, segment.block).reshape(-1, x.shape[2]), total / segment.block
+        if segment.block > 1:
+            place[:] = _blocks(out, segment.usable.T, segment.block)
+        return total / segment.block
 
-    parts = parallel(one, list(range(len(segments))))
-    return White(np.concatenate([rows for rows, _ in parts]), float(sum(total for _, total in parts)))
+    return White(rows, float(sum(parallel(one, list(range(len(segments)))))))
 
 
 def _padded(x: np.ndarray, size: int) -> np.ndarray:
@@ -270,8 +310,6 @@ def _padded(x: np.ndarray, size: int) -> np.ndarray:
 
 def _blocks(white: np.ndarray, counts: np.ndarray, block: int) -> np.ndarray:
     """Sums of `block` innovations each, shape (balances, k, c), over the root of how many count: of unit variance again."""
-    if block == 1:
-        return white
     starts = np.arange(0, white.shape[1], block)
     number = np.add.reduceat(counts.astype(np.float64), starts, axis=1)
     return np.add.reduceat(white, starts, axis=1) / np.sqrt(np.maximum(number, 1.0))[..., None]

@@ -265,14 +265,32 @@ def tamed(problem: Problem, at: Fit, settings: SolverSettings = SETTINGS) -> Fit
 
 
 def products(rows: np.ndarray, limit: float, weight: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted JᵀJ and Jᵀr of whitened rows [r, J]; one symmetric product, without empty rows."""
+    """Weighted JᵀJ and Jᵀr of whitened rows [r, J]."""
     found = huber_weight(rows[:, 0], limit)
-    if weight is not None:
-        found = found * weight
-    counted = np.flatnonzero(np.any(rows, axis=1))
-    part = rows[counted] * np.sqrt(found[counted, None])
-    G = part.T @ part
+    G = gram(rows, found if weight is None else found * weight)
     return G[1:, 1:], G[1:, 0]
+
+
+def gram(rows: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """XᵀWX of rows X, shape (total, n), with weights; one symmetric product, without empty rows."""
+    part = _scaled(rows, np.sqrt(weight))
+    return part.T @ part
+
+
+@kernel
+def _scaled(rows, factor):
+    """Rows that are not zero, each times its factor."""
+    total, n = rows.shape
+    found, k = np.empty((total, n)), 0
+    for i in range(total):
+        any_of_it = False
+        for j in range(n):
+            any_of_it |= rows[i, j] != 0.0
+        if any_of_it:
+            for j in range(n):
+                found[k, j] = factor[i] * rows[i, j]
+            k += 1
+    return found[:k]
 
 
 def losses_of(problem: Problem, noise: Noise, near: Fit, residuals: Sequence[Columns]) -> list[float]:

@@ -7,7 +7,7 @@ import numpy as np
 from ..fit.noise import whiten
 from ..fit.residual import Problem
 from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Fit, leverage_weight
+from ..fit.solver import Fit, gram, leverage_weight
 from .acceptance import AcceptSettings
 from .screen import Library
 
@@ -30,8 +30,7 @@ def limits(
     X = whiten(
         problem.segments, at.noise, [np.concatenate([j, c], -1) for j, c in zip(at.jacobian, columns, strict=True)]
     ).rows
-    X = X * np.sqrt(leverage_weight(X[:, : problem.size], SOLVER.leverage))[:, None]
-    G = X.T @ X
+    G = gram(X, leverage_weight(X[:, : problem.size], SOLVER.leverage))
     H = G[:n, :n] + np.diag(1 / problem.spread(at.model) ** 2)
     information = G[n:, n:] - G[n:, :n] @ np.linalg.solve(H, G[:n, n:])
     blocks: dict[str, list[slice]] = {}

@@ -21,6 +21,7 @@ from ..fit.solver import (
     Columns,
     Fit,
     bounded_step,
+    gram,
     huber_loss,
     huber_weight,
     leverage_weight,
@@ -131,17 +132,13 @@ class _Linear:
     """The linear model about a fit under a noise: normal equations of the other unknowns, and whitened columns of hypotheses."""
 
     def __init__(self, problem: Problem, noise: Noise, at: Fit, columns: Sequence[Columns]):
-        together = [np.concatenate([c[s] for c in columns], axis=-1) for s in range(len(problem.segments))]
-        white = whiten(problem.segments, noise, stacked(at.point.residual, at.jacobian, together))
+        white = whiten(problem.segments, noise, stacked(at.point.residual, at.jacobian, *columns))
         self.problem, self.at, self.rows, self.log_determinant = problem, at, white.rows, white.log_determinant
         rows = white.rows
         n = at.jacobian[0].shape[-1]
         # Rows that a fit hardly counts do not decide here either: where derivatives are extreme, the linear model is far off.
         self.leverage = leverage_weight(rows[:, 1 : problem.size + 1], SOLVER.leverage)
-        weight = self.leverage * huber_weight(rows[:, 0], SOLVER.huber)
-        counted = np.flatnonzero(np.any(rows, axis=1))
-        part = rows[counted] * np.sqrt(weight[counted, None])
-        G = part.T @ part
+        G = gram(rows, self.leverage * huber_weight(rows[:, 0], SOLVER.huber))
         prior = 1 / problem.spread(at.model) ** 2
         self.H = G[1 : n + 1, 1 : n + 1] + np.diag(prior)
         self.g = G[1 : n + 1, 0] + prior * at.theta
@@ -206,8 +203,7 @@ class _Linear:
             r = r + X @ np.concatenate([s.shift, s.start[here] - origin[here]])
             spread = np.concatenate([spread, s.hypothesis.spread[here]])
             cost += float(np.sum((s.start[here] / s.hypothesis.spread[here]) ** 2))
-        X = X * np.sqrt(self.leverage * huber_weight(r, SOLVER.huber))[:, None]
-        H = X.T @ X + np.diag(1 / spread**2)
+        H = gram(X, self.leverage * huber_weight(r, SOLVER.huber)) + np.diag(1 / spread**2)
         cost += float(np.sum(self.leverage * huber_loss(r, SOLVER.huber))) + prior_cost(problem, theta, self.at.model)
         return -0.5 * (cost + float(np.linalg.slogdet(H * spread[:, None] * spread)[1]))
 

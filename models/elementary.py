@@ -1,0 +1,66 @@
+"""Elementary functions that the C library computes more slowly than the laws need them, exact to its last digit or two.
+
+A replay spends a third of its time in sines and exponentials (`python -m benchmarks elementary`).
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba.extending import overload
+
+from .dual import chained, dual, value_of
+from .kernels import kernel
+
+# π/2 in three parts, two of 33 bits: whole multiples up to 2²⁰ are exact (Cody & Waite; numbers of Sun's fdlibm).
+_QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
+_FAR = 1e6  # rad: what no motor of a recording turns; beyond, the C library
+_SMALL = 0.5
+
+
+def sincos(x):
+    """Sine and cosine of an angle [rad], within 2e-16 of the exact ones (a dual number's likewise)."""
+    return _sincos(x)
+
+
+@kernel(forceinline=True)
+def _sincos(x):
+    """Reduced to ±π/4 about a multiple of π/2, then fdlibm's polynomials (k_sin, k_cos)."""
+    if not abs(x) < _FAR:
+        return math.sin(x), math.cos(x)
+    n = math.floor(x * (2.0 / math.pi) + 0.5)
+    r = ((x - n * _QUARTER[0]) - n * _QUARTER[1]) - n * _QUARTER[2]
+    z = r * r
+    s = 2.75573136213857245213e-6 + z * (-2.50507477628578072866e-8 + z * 1.58962301576546568060e-10)
+    s = r + r * z * (
+        -1.66666666666666307295e-1 + z * (8.33333333332211858878e-3 + z * (-1.98412698295895385996e-4 + z * s))
+    )
+    c = -2.75573141792967388112e-7 + z * (2.08757008419747316778e-9 - z * 1.13585365213876817300e-11)
+    c = 4.16666666666665929218e-2 + z * (-1.38888888888730564116e-3 + z * (2.48015872888517045348e-5 + z * c))
+    c = 1.0 - 0.5 * z + z * z * c
+    quadrant = n & 3
+    if quadrant == 0:
+        return s, c
+    if quadrant == 1:
+        return c, -s
+    if quadrant == 2:
+        return -s, -c
+    return -c, s
+
+
+@overload(sincos)
+def _sincos_of(x):
+    if x != dual:
+        return lambda x: _sincos(x)
+
+    def both(x):
+        s, c = _sincos(value_of(x))
+        return chained(x, s, c), chained(x, c, -s)
+
+    return both
+
+
+@kernel(forceinline=True)
+def decayed(x):
+    """1 − exp(−x) for x ≥ 0, to full precision near zero; `expm1` takes several times as long as `exp`."""
+    return 1.0 - math.exp(-x) if value_of(x) > _SMALL else -math.expm1(-x)
