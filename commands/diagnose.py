@@ -145,7 +145,7 @@ def show(
             page.item(
                 f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {mends}: {m.change}"
             )
-    for heading, findings in (("Causes", found.causes), ("There, but too small to be a cause", found.minor)):
+    for heading, findings in (("Causes", found.causes), ("There, but no cause of its own", found.minor)):
         if findings:
             page.heading(heading)
             for finding in findings:

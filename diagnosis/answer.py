@@ -100,7 +100,8 @@ class Diagnosis:
 
     Attributes:
       verdict: consistent, discrepancy or inconclusive; reason: why, where that is not plain from the causes.
-      causes: by how much each is worth; minor: effects that are there, too small to be called causes.
+      causes: by how much each is worth; minor: effects that are there, too small to be called causes or
+        part of the unknown one.
       calibration: numbers that moved.
       confusable: pairs of causes that this measurement cannot tell apart.
       undetermined: causes that it could not have shown at ordinary size, with the reason.

@@ -91,7 +91,7 @@ def markdown(report: Report) -> str:
         lines.append(c.description or causes.get(c.name).description)
         lines += [f"- {name}: {p.value:.4g} ± {p.std:.2g} {p.unit}" for name, p in c.parameters.items()]
     if d.minor:
-        lines += ["", "Too small to be causes, but there: " + ", ".join(title(c) for c in d.minor)]
+        lines += ["", "There, but no causes of their own: " + ", ".join(title(c) for c in d.minor)]
     if d.residual:
         lines += ["", "## Held out", "| channel | before | after | noise |", "|---|---:|---:|---:|"]
         lines += [f"| {k} [{x.unit}] | {x.before:.4g} | {x.after:.4g} | {x.noise:.4g} |" for k, x in d.residual.items()]

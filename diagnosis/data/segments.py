@@ -18,7 +18,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
@@ -132,15 +131,6 @@ class Segment:
     passband: float
     block: int = 1
     step: float = STEP
-
-    @cached_property
-    def coarse(self) -> Segment:
-        """The same segment for a replay of twice the step: good enough for derivatives."""
-        every: dict[str, Any] = {
-            name: np.ascontiguousarray(getattr(self, name)[::2])
-            for name in ("time", "rotor", "link", "torque", "external", "temperature")
-        }
-        return replace(self, **every, step=2 * self.step)
 
     @cached_property
     def link_cosine(self) -> np.ndarray:

@@ -132,6 +132,7 @@ class Spline:
 
     adds = True
     ripple = False
+    series = None
     scales = ()
     sets: ClassVar[dict[str, str]] = {}
 
@@ -182,8 +183,12 @@ class Spline:
         )  # fmt: skip
 
     def derivatives(self, problem: Problem, theta: np.ndarray, model: Model) -> Columns:
-        """Derivatives of the residuals in its coordinates, at a model without it or with it."""
-        return columns_of(problem, theta, model, self)
+        """Derivatives of the residuals in its coordinates, at a model without it or with it, shape (k, len(BALANCES), count) a
+        segment."""
+        if not any(h is self for h in model):
+            theta, model = np.concatenate([theta, np.zeros(self.count)]), (*model, self)  # type: ignore[arg-type]
+        place = problem.place(model, next(i for i, h in enumerate(model) if h is self))
+        return problem.jacobian(theta, model, np.arange(place.start, place.stop))
 
     @property
     def component(self) -> str:
@@ -289,11 +294,13 @@ def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[
 
 
 def columns_of(problem: Problem, theta: np.ndarray, model: Model, spline: Spline) -> Columns:
-    """Derivatives of the residuals in a spline's coordinates, shape (k, len(BALANCES), count) a segment."""
-    records = problem.records(theta, model)
+    """Derivatives of the residuals in a spline's coordinates, shape (k, len(BALANCES), count) a segment: for a first look.
+
+    What only reads out is told in closed form, at the residuals' own times; a fit has exact ones (`Spline.derivatives`).
+    """
     if spline.place in ("mesh", "flexspline", "link_position"):
-        return _replayed(problem, theta, records, spline)
-    found = []
+        return spline.derivatives(problem, theta, model)
+    records, found = problem.records(theta, model), []
     for segment, record in zip(problem.segments, records, strict=True):
         p, B = record[0], spline.unit * spline.basis(segment)
         J = np.zeros((len(B), len(BALANCES), spline.count))
@@ -310,32 +317,6 @@ def columns_of(problem: Problem, theta: np.ndarray, model: Model, spline: Spline
             J[:, TORQUE] = -B
             J[:, LINK] = -B
         found.append(np.where(segment.balances[:, None], J, 0.0))
-    return found
-
-
-_PROBE = 0.05
-
-
-def _replayed(problem: Problem, theta: np.ndarray, records: Sequence[np.ndarray], spline: Spline) -> Columns:
-    """Derivatives through the replay: every fourth spline at a time, as their supports do not overlap."""
-    # A link that is simulated swings too fast for twice the step.
-    segments = [s.coarse if s.link_measured else s for s in problem.segments]
-    tasks = [(segment, record, theta) for segment, record in zip(segments, records, strict=True)]
-    for colour in range(4):
-        for segment, record in zip(segments, records, strict=True):
-            moved = record.copy()
-            spline.apply(moved[0], spline.values(_PROBE * (np.arange(spline.count) % 4 == colour)))
-            tasks.append((segment, moved, theta))
-    base, done = problem.replayed(tasks[: len(segments)]), iter(problem.replayed(tasks[len(segments) :]))
-    found = [np.zeros((len(s.at), len(BALANCES), spline.count)) for s in problem.segments]
-    for colour in range(4):
-        for s, segment in enumerate(problem.segments):
-            change = (next(done) - base[s]) / _PROBE
-            x = _variable(spline.variable, segment)
-            u = np.clip((x - spline.low) / (spline.high - spline.low), 0.0, 1.0)
-            first = np.minimum((u * (spline.count - 3)).astype(int), spline.count - 4)
-            owner = first + (colour - first) % 4
-            found[s][np.arange(len(owner)), :, owner] = change
     return found
 
 

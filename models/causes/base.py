@@ -197,6 +197,9 @@ class Cause(ABC):
     """Whether it is an order of the motor's angle: with one encoder nothing but the transmission's dynamics, and a controller's
     answer, which no channel shows, tells it from another one."""
 
+    series: ClassVar[tuple[str, str] | None] = None
+    """Place and variable of which it is one order (`parameters.PLACES`, `VARIABLES`): an unknown effect there has all of them."""
+
     generalises: ClassVar[tuple[str, ...]] = ()
     """Causes that are special cases of it, with parameters of the same names."""
 

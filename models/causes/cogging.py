@@ -15,6 +15,7 @@ class Cogging(Cause):
     description = "a torque periodic in the rotor angle, A sin(n θm + φ), acts on the rotor"
     adds = True
     ripple = True
+    series = ("rotor", "motor_position")
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
         CauseParameter("order", "1", (1, 64), ((2, 13),), integer=True),

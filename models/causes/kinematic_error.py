@@ -18,6 +18,7 @@ class KinematicError(Cause):
     adds = True
     ripple = True
     rotor = True
+    series = ("link_position", "motor_position")
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
         CauseParameter("order", "1", (1e-3, 64), ((1, 4),), integer=True, searched=(1, 6)),

@@ -14,6 +14,7 @@ class PositionDependentFriction(Cause):
     component = "transmission"
     description = "mesh friction is periodic in the link angle: g(w) + A sin(n θl + φ)"
     adds = True
+    series = ("mesh", "direction_link_position")
     requires = Requirements(sliding=0.5, link_travel=0.5)
     parameters = (
         CauseParameter("order", "1", (1, 32), ((1, 3),), integer=True),

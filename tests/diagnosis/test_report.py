@@ -273,7 +273,7 @@ def test_regions_stand_worst_first_with_a_warning(report):
 def test_minor_effects_are_told_apart_from_causes(report):
     small = replace(report.diagnosis.causes[0], name="hysteresis", parameters={})
     text = read(html(replace(report, diagnosis=replace(report.diagnosis, minor=(small,)))))[1]
-    assert "no causes but part of the extended joint: hysteresis." in text and "Minor effects" in text
+    assert "no causes of their own, but part of the extended joint: hysteresis." in text and "Minor effects" in text
 
 
 def test_mistakes_in_the_data_come_first_and_say_what_mends_them(report):

@@ -1,0 +1,57 @@
+"""Unknown effects: their derivatives, and what stands beside them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from swing import recording
+
+from flexspline.diagnosis.data.segments import segments
+from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.fit.residual import Problem
+from flexspline.diagnosis.search.discrepancy import columns_of, splines
+from flexspline.diagnosis.trials.draw import Challenge, draw
+from flexspline.models.joint import load_joint
+from flexspline.models.parameters import PLACES, VARIABLES
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    joint = load_joint("test-joint")
+    return Problem(*segments([recording(seconds=4.0)], joint), joint)
+
+
+def apart(problem, spline, J, rng):
+    """By how much derivatives differ from a small step of the replay in a direction of all coefficients, of their norm."""
+    theta, u, h = np.zeros(problem.size), rng.standard_normal(spline.count), 1e-4
+    ends = [np.concatenate([theta, s * h * u]) for s in (1, -1)]
+    after, before = (np.concatenate(r) for r in problem.residuals(ends, [(spline,), (spline,)]))
+    expected = (after - before) / (2 * h)
+    return np.linalg.norm(np.concatenate(J) @ u - expected) / np.linalg.norm(expected)
+
+
+@pytest.mark.parametrize("place", PLACES[1:])
+@pytest.mark.parametrize("variable", VARIABLES)
+def test_derivatives_are_what_the_replay_does(problem, rng, place, variable):
+    spline = next((s for s in splines(problem) if (s.place, s.variable) == (place, variable)), None)
+    if spline is None:
+        pytest.skip("this motion does not show it")
+    assert apart(problem, spline, spline.derivatives(problem, np.zeros(problem.size), ()), rng) < 0.05
+
+
+@pytest.mark.parametrize("place", ["rotor", "link", "joint_torque", "motor_current"])
+@pytest.mark.parametrize("variable", ["link_position", "time"])
+def test_what_reads_out_is_told_in_closed_form(problem, rng, place, variable):
+    spline = next(s for s in splines(problem) if (s.place, s.variable) == (place, variable))
+    assert apart(problem, spline, columns_of(problem, np.zeros(problem.size), (), spline), rng) < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["rotor_pulse", "quadratic_friction"])
+def test_no_cause_stands_beside_an_effect_of_which_it_is_a_part(name):
+    """A pulse has all orders of cogging in it, and a friction that bends is none that is viscous."""
+    drawn = draw(Challenge(seed=391, hidden="outside", real=True, only=(name,)), 0)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert found.causes[0].name == "unknown" and found.causes[0].component == drawn.effects[0].component
+    assert not {"cogging", "viscous_friction", "position_dependent_friction"} & {c.name for c in found.causes}
