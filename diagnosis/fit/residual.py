@@ -196,7 +196,10 @@ class Problem:
         still = np.concatenate([self.held, np.zeros(n - self.size, bool)])
         replayed = [int(j) for j in columns if not self.calibration.size <= j < self.size and not still[j]]
         segments = self.replicates if replicate else self.segments
-        parts = self._replayed_derivatives(theta, model, replayed, segments)
+        directions = np.zeros((len(replayed), n))
+        directions[np.arange(len(replayed)), replayed] = 1.0
+        steps = np.where(np.array(replayed, int) < self.size, _STEP_X, _STEP_U)
+        parts = self._replayed_derivatives(theta, model, directions, steps, segments)
         found = []
         for segment, done in zip(segments, parts, strict=True):
             J = np.zeros((len(segment.at), len(BALANCES), len(columns)))
@@ -209,35 +212,43 @@ class Problem:
             found.append(J)
         return found
 
-    def _replayed_derivatives(
-        self, theta: np.ndarray, model: Model, columns: Sequence[int], segments: Sequence[Segment]
-    ) -> list[np.ndarray]:
-        """Derivatives in unknowns of the record, shape (k, len(BALANCES), len(columns)) a segment.
+    def along(self, theta: np.ndarray, model: Model, directions: np.ndarray) -> list[np.ndarray]:
+        """Derivatives of the residuals in directions of the effects' coordinates, shape (m, len(theta)).
 
-        Exact ones (`replay.derivatives`), but by differences where those say nothing of a change of any size: in unknowns of
-        which the record is no smooth function there (an amplitude with a phase, where it is next to nothing), and where the
-        replay runs into the end of a law again and again and an exact derivative grows without bound.
+        Returns:
+          Of each segment, shape (k, len(BALANCES), m).
         """
-        steps = {j: _STEP_X if j < self.size else _STEP_U for j in columns}
+        steps = np.full(len(directions), _STEP_U)
+        return self._replayed_derivatives(theta, model, directions, steps, self.segments)
+
+    def _replayed_derivatives(
+        self, theta: np.ndarray, model: Model, directions: np.ndarray, steps: np.ndarray, segments: Sequence[Segment]
+    ) -> list[np.ndarray]:
+        """Derivatives in directions of the record's unknowns, shape (k, len(BALANCES), len(directions)) a segment.
+
+        Exact ones (`replay.derivatives`), but by differences of `steps` where those say nothing of a change of any size: in
+        unknowns of which the record is no smooth function there (an amplitude with a phase, where it is next to nothing), and
+        where the replay runs into the end of a law again and again and an exact derivative grows without bound.
+        """
         records = self.records(theta, model)
         mountings = {mounting: s for s, mounting in reversed(list(enumerate(self.mountings)))}
-        directions = {m: np.empty((len(columns), PARAMETERS_SIZE)) for m in mountings}
-        bent = np.zeros(len(columns), bool)
-        for i, j in enumerate(columns):
-            near, far = (self.records(theta + h * np.eye(len(theta))[j], model) for h in (_STEP, _FAR))
+        slopes = {m: np.empty((len(directions), PARAMETERS_SIZE)) for m in mountings}
+        bent = np.zeros(len(directions), bool)
+        for i, direction in enumerate(directions):
+            near, far = (self.records(theta + h * direction, model) for h in (_STEP, _FAR))
             for mounting, s in mountings.items():
                 slope, secant = ((as_floats(r[s]) - as_floats(records[s])) / h for r, h in ((near, _STEP), (far, _FAR)))
-                directions[mounting][i] = slope
+                slopes[mounting][i] = slope
                 largest = np.maximum(np.abs(slope), np.abs(secant))
                 bent[i] |= bool(np.any(np.abs(slope - secant) > _BENT * largest + 1e-9))
         smooth = np.flatnonzero(~bent).tolist()
         trios = [
-            (segment, record, directions[mounting][smooth])
+            (segment, record, slopes[mounting][smooth])
             for segment, record, mounting in zip(segments, records, self.mountings, strict=True)
         ]
         found, rough = [], []
         for s, exact in enumerate(derivatives(trios) if len(smooth) else [None] * len(segments)):
-            J = np.empty((len(segments[s].at), len(BALANCES), len(columns)))
+            J = np.empty((len(segments[s].at), len(BALANCES), len(directions)))
             wild = bent.copy()
             if exact is not None:
                 J[..., smooth] = exact
@@ -246,7 +257,7 @@ class Problem:
             rough += [(s, i) for i in np.flatnonzero(wild).tolist()]
         # Differences, where they are asked for: one replay each, and one of each segment as it is.
         bases = sorted({s for s, _ in rough})
-        points = [theta + steps[columns[i]] * np.eye(len(theta))[columns[i]] for _, i in rough]
+        points = [theta + steps[i] * directions[i] for _, i in rough]
         tasks = [(segments[s], records[s], theta) for s in bases]
         tasks += [
             (segments[s], self.records(point, model)[s], point) for (s, _), point in zip(rough, points, strict=True)
@@ -254,7 +265,7 @@ class Problem:
         replayed = self.replayed(tasks)
         base = dict(zip(bases, replayed, strict=False))
         for (s, i), moved in zip(rough, replayed[len(bases) :], strict=True):
-            found[s][..., i] = (moved - base[s]) / steps[columns[i]]
+            found[s][..., i] = (moved - base[s]) / steps[i]
         return found
 
     def crosstalk_at(self, theta: np.ndarray, covariance: np.ndarray) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from ...models.causes import put_discrepancy
+from ...models.dual import LANES
 from ...models.joint import Discrepancy, Joint
 from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
@@ -185,10 +186,15 @@ class Spline:
     def derivatives(self, problem: Problem, theta: np.ndarray, model: Model) -> Columns:
         """Derivatives of the residuals in its coordinates, at a model without it or with it, shape (k, len(BALANCES), count) a
         segment."""
+        return self.along(problem, theta, model, np.eye(self.count))
+
+    def along(self, problem: Problem, theta: np.ndarray, model: Model, directions: np.ndarray) -> Columns:
+        """Likewise in directions of its coordinates, shape (m, count)."""
         if not any(h is self for h in model):
             theta, model = np.concatenate([theta, np.zeros(self.count)]), (*model, self)  # type: ignore[arg-type]
-        place = problem.place(model, next(i for i, h in enumerate(model) if h is self))
-        return problem.jacobian(theta, model, np.arange(place.start, place.stop))
+        whole = np.zeros((len(directions), len(theta)))
+        whole[:, problem.place(model, next(i for i, h in enumerate(model) if h is self))] = directions
+        return problem.along(theta, model, whole)
 
     @property
     def component(self) -> str:
@@ -296,10 +302,11 @@ def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[
 def columns_of(problem: Problem, theta: np.ndarray, model: Model, spline: Spline) -> Columns:
     """Derivatives of the residuals in a spline's coordinates, shape (k, len(BALANCES), count) a segment: for a first look.
 
-    What only reads out is told in closed form, at the residuals' own times; a fit has exact ones (`Spline.derivatives`).
+    What only reads out is told in closed form, at the residuals' own times; of the rest every eighth coordinate is moved at
+    once, and what changes belongs to the one that acts then or did shortly before. A fit has exact ones (`Spline.derivatives`).
     """
     if spline.place in ("mesh", "flexspline", "link_position"):
-        return spline.derivatives(problem, theta, model)
+        return _together(problem, theta, model, spline)
     records, found = problem.records(theta, model), []
     for segment, record in zip(problem.segments, records, strict=True):
         p, B = record[0], spline.unit * spline.basis(segment)
@@ -317,6 +324,23 @@ def columns_of(problem: Problem, theta: np.ndarray, model: Model, spline: Spline
             J[:, TORQUE] = -B
             J[:, LINK] = -B
         found.append(np.where(segment.balances[:, None], J, 0.0))
+    return found
+
+
+def _together(problem: Problem, theta: np.ndarray, model: Model, spline: Spline) -> Columns:
+    """Derivatives through the replay, every `LANES`-th coordinate at a time: at any time four splines are not zero."""
+    n = min(LANES, spline.count)
+    sums = (np.arange(spline.count) % n == np.arange(n)[:, None]).astype(float)
+    found = []
+    for segment, J in zip(problem.segments, spline.along(problem, theta, model, sums), strict=True):
+        u = np.clip((_variable(spline.variable, segment) - spline.low) / (spline.high - spline.low), 0.0, 1.0)
+        first = np.minimum((u * (spline.count - 3)).astype(int), spline.count - 4) - (n - 4) // 2
+        whole = np.zeros((*J.shape[:2], spline.count))
+        for lane in range(n):
+            owner = first + (lane - first) % n
+            there = np.flatnonzero((owner >= 0) & (owner < spline.count))
+            whole[there, :, owner[there]] = J[there, :, lane]
+        found.append(whole)
     return found
 
 

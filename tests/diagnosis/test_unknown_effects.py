@@ -39,11 +39,11 @@ def test_derivatives_are_what_the_replay_does(problem, rng, place, variable):
     assert apart(problem, spline, spline.derivatives(problem, np.zeros(problem.size), ()), rng) < 0.05
 
 
-@pytest.mark.parametrize("place", ["rotor", "link", "joint_torque", "motor_current"])
+@pytest.mark.parametrize("place", PLACES[1:])
 @pytest.mark.parametrize("variable", ["link_position", "time"])
-def test_what_reads_out_is_told_in_closed_form(problem, rng, place, variable):
+def test_a_first_look_is_as_good(problem, rng, place, variable):
     spline = next(s for s in splines(problem) if (s.place, s.variable) == (place, variable))
-    assert apart(problem, spline, columns_of(problem, np.zeros(problem.size), (), spline), rng) < 0.02
+    assert apart(problem, spline, columns_of(problem, np.zeros(problem.size), (), spline), rng) < 0.05
 
 
 @pytest.mark.slow
