@@ -378,17 +378,23 @@ class _Effects:
 
     def beside(self, common: Columns, theta: np.ndarray) -> Columns:
         """The derivatives in the common unknowns, and beside them those in the effects at `theta`."""
-        parts = [common]
-        for i, h in enumerate(self.model):
-            block = self.problem.place(self.model, i)
-            columns = self.columns[i]
-            if columns is None or self._moved(i, theta) > self.chord:
-                if hasattr(h, "derivatives"):
-                    columns = h.derivatives(self.problem, theta, self.model)
-                else:
-                    columns = self.problem.jacobian(theta, self.model, np.arange(block.start, block.stop))
-                self.columns[i], self.at[i] = columns, theta[block].copy()
-            parts.append(columns)
+        problem, model = self.problem, self.model
+        blocks = [problem.place(model, i) for i in range(len(model))]
+        old = [i for i in range(len(model)) if self.columns[i] is None or self._moved(i, theta) > self.chord]
+        # All that is computed anew in one go: derivatives come several at a time.
+        replayed = [i for i in old if not hasattr(model[i], "derivatives")]
+        if replayed:
+            columns = np.concatenate([np.arange(blocks[i].start, blocks[i].stop) for i in replayed])
+            found = problem.jacobian(theta, model, columns)
+            ends = np.cumsum([0, *(model[i].size for i in replayed)])
+            for i, begin, end in zip(replayed, ends[:-1], ends[1:], strict=True):
+                self.columns[i] = [J[..., begin:end] for J in found]
+        for i in old:
+            h = model[i]
+            if hasattr(h, "derivatives"):
+                self.columns[i] = h.derivatives(problem, theta, model)
+            self.at[i] = theta[blocks[i]].copy()
+        parts = [common, *(c for c in self.columns if c is not None)]
         return common if len(parts) == 1 else [np.concatenate(p, -1) for p in zip(*parts, strict=True)]
 
     def forget(self, theta: np.ndarray) -> bool:
