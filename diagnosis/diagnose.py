@@ -514,8 +514,9 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
         small = real and (size_of(problem, final, i) < ANSWER.minor or (away[i] < ANSWER.barely and not plain[i]))
         if unknown is not None:  # what the unknown effect has left of it
             small = small or w.rms < ANSWER.slight * left or significance(problem, final, i) < ANSWER.significant
-            # A pulse is a sum of orders: one beside what depends on the same angle at the same place is part of it.
-            small = small or h.cause.series == (unknown.spline.place, unknown.spline.variable)
+            # A pulse is a sum of orders: one that is less than what depends on the same angle at the same place is part of it.
+            same = h.cause.series == (unknown.spline.place, unknown.spline.variable)
+            small = small or (same and w.rms < worths[named].rms)
         (minor if small else findings)[i] = Finding(
             h.cause.name, h.cause.component, confidences[i], parameters, share, w.rms
         )

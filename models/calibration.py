@@ -59,6 +59,7 @@ class Calibration:
         shared = [f"shared {name}" for name in joint.shared_tolerances]
         self.names = own + shared
         self._position = {name: i for i, name in enumerate(self.names)}
+        self._bare: dict[Mounting, np.ndarray] = {}
 
     @property
     def size(self) -> int:
@@ -93,7 +94,9 @@ class Calibration:
     def record(self, x: np.ndarray, mounting: Mounting | None = None, effects: bool = True) -> np.ndarray:
         """Parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or without."""
         mounting = self.joint.mount() if mounting is None else mounting
-        record = self.joint.bare_record(mounting)
+        if mounting not in self._bare:
+            self._bare[mounting] = self.joint.bare_record(mounting)
+        record = self._bare[mounting].copy()
         for slot in self.slots:
             slot.put(record[0], self.value(slot, x), mounting)
         if effects:

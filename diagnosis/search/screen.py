@@ -220,15 +220,19 @@ def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings
     linear = _Linear(problem, at.noise, at, library.columns)
     ranked = _ranked(linear, library)
     plain = _ranked(_Linear(problem, plain_noise(problem, at), at, library.columns), library)
-    chosen: dict[tuple, Screened] = {}
-    for one in (ranked, plain):
-        good = [s for s in one if s.gain > settings.least_gain and s.size > settings.smallest]
-        for s in good[: settings.again]:
-            chosen.setdefault(s.key, s)
+    # From where white noise puts it the noise that a hypothesis would leave is none beside which it is seen: from there only if
+    # it is not seen under the noise that was learned.
+    seen = {s.key: s for s in ranked if s.gain > settings.least_gain}
+    chosen = {s.key: seen.get(s.key, s) for s in (*_best(ranked, settings), *_best(plain, settings))}
     reference = linear.evidence() if chosen else 0.0
     sensors = sensor_noise(problem.segments, at.point.noise)
     again = [_again(problem, at, library, s, reference, sensors) for s in chosen.values()]
     return tuple(sorted([*again, *(s for s in ranked if s.key not in chosen)], key=lambda s: -s.gain))
+
+
+def _best(ranked: Sequence[Screened], settings: ScreenSettings) -> list[Screened]:
+    """The first of a ranking, as far as they could be there."""
+    return [s for s in ranked if s.gain > settings.least_gain and s.size > settings.smallest][: settings.again]
 
 
 def plain_noise(problem: Problem, at: Fit) -> Noise:

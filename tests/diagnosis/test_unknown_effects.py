@@ -1,4 +1,4 @@
-"""Unknown effects: their derivatives, and what stands beside them."""
+"""Unknown effects: their derivatives, what stands beside them, and what they stood for."""
 
 from __future__ import annotations
 
@@ -55,3 +55,14 @@ def test_no_cause_stands_beside_an_effect_of_which_it_is_a_part(name):
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == "unknown" and found.causes[0].component == drawn.effects[0].component
     assert not {"cogging", "viscous_friction", "position_dependent_friction"} & {c.name for c in found.causes}
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize("index", [8, 15])
+def test_what_acts_slowly_is_seen_under_what_is_taken_for_discrepancy(index):
+    """A link encoder off centre, for which orders 2 and 3 and an unknown error stood; friction that grows with the load, for which
+    back-driving did."""
+    drawn = draw(Challenge(seed=411, hidden="one", real=True), index)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert found.causes[0].name == drawn.effects[0].name
