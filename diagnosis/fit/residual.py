@@ -34,6 +34,7 @@ _STEP, _FAR = 1e-6, 1e-4  # of differences of the record's numbers
 _STEP_X, _STEP_U = 0.05, 0.03  # of differences of residuals, where these stand for derivatives
 _BENT = 0.2  # part of a number's change over such a step by which it may differ from its derivative
 _UNBOUNDED = 100.0  # times what nine of ten are at most
+_INFINITE = 1e100  # a derivative that is as good as infinite
 _HELD = 1e-4  # prior standard deviation of what stays as described
 _LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
 _ZEROS = ("link_encoder_zero", "torque_sensor_offset")
@@ -323,4 +324,7 @@ def _unbounded(J: np.ndarray) -> np.ndarray:
     size = np.abs(J)
     most = np.max(size, axis=0)
     usual = np.partition(size, int(0.9 * len(J)), axis=0)[int(0.9 * len(J))]
-    return ~np.all(most <= _UNBOUNDED * np.maximum(usual, 0.1 * np.sqrt(np.mean(J * J, axis=0))), axis=0)
+    rms = most * np.sqrt(
+        np.mean((size / np.where(most > 0, most, 1.0)) ** 2, axis=0)
+    )  # squares of what grew might be infinite
+    return ~np.all((most < _INFINITE) & (most <= _UNBOUNDED * np.maximum(usual, 0.1 * rms)), axis=0)

@@ -227,6 +227,8 @@ def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings
     reference = linear.evidence() if chosen else 0.0
     sensors = sensor_noise(problem.segments, at.point.noise)
     again = [_again(problem, at, library, s, reference, sensors) for s in chosen.values()]
+    # Under the noise that is likeliest beside it a hypothesis is no less likely than under the one that was learned without it.
+    again = [replace(s, gain=max(s.gain, seen[s.key].gain)) if s.key in seen else s for s in again]
     return tuple(sorted([*again, *(s for s in ranked if s.key not in chosen)], key=lambda s: -s.gain))
 
 
