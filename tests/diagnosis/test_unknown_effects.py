@@ -59,10 +59,10 @@ def test_no_cause_stands_beside_an_effect_of_which_it_is_a_part(name):
 
 @pytest.mark.slow
 @pytest.mark.long
-@pytest.mark.parametrize("index", [8, 15])
-def test_what_acts_slowly_is_seen_under_what_is_taken_for_discrepancy(index):
-    """A link encoder off centre, for which orders 2 and 3 and an unknown error stood; friction that grows with the load, for which
-    back-driving did."""
-    drawn = draw(Challenge(seed=411, hidden="one", real=True), index)
+@pytest.mark.parametrize("seed, index", [(411, 8), (411, 15), (431, 13)])
+def test_what_acts_slowly_is_seen_under_what_is_taken_for_discrepancy(seed, index):
+    """Friction that grows with the load, for which back-driving stood; a link encoder off centre, for which orders 2 and 3 and an
+    unknown error did; viscous friction, for which an unknown one did at 0.95."""
+    drawn = draw(Challenge(seed=seed, hidden="one", real=True), index)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == drawn.effects[0].name
