@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from driving import JOINT, record_of
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from test_energy import energies
 
@@ -113,14 +113,21 @@ def test_how_noisy_a_sensor_is_leaves_the_noise_of_all_others(name, size, seed):
 @given(
     symmetric, st.floats(-0.05, 0.05), st.floats(-2e-3, 2e-3), st.sampled_from(["no_load", "link"]), st.floats(0.3, 3.0)
 )
+@example({}, 0.046875, 0.001953125, "link", 0.5)
+@example({}, 0.040030434, -0.0019633096, "link", 0.395151339)
 def test_energy_only_falls_whatever_the_joint(effects, angle, wound, mounting, friction):
-    """From rest with springs wound and no input: never more than there was, but for the ripple of one step."""
+    """From rest with springs wound and no input: never more than there was, at a quarter of the plant's step.
+
+    At the plant's own it may rise by a few per cent on the way where stiff springs are wound and friction is little (1.8 %
+    at most in 65 such starts, 0.3 % at half the step, nothing at a quarter): the integrator's error, not the laws'.
+    """
     record = record_of(mounting, **effects)
     p = record[0]
     for name in ("Fc", "Fs", "bm", "bw", "df"):
         p[name] *= friction
     start = np.array([p["N"] * (angle + wound), p["N"] * (angle + wound), angle])
-    found, begin = energies(record, mounting, start, plant.TIMESTEP, 0.3, every=1)
-    scale = max(begin, float(found.max()), 1e-6)
-    assert np.max(np.maximum.accumulate(found[::-1])[::-1] - found) <= 2e-3 * scale
-    assert found[0] <= begin + 2e-3 * scale
+    for step, share in ((plant.TIMESTEP, 4e-2), (plant.TIMESTEP / 4, 2e-3)):
+        found, begin = energies(record, mounting, start, step, 0.3, every=1)
+        scale = max(begin, float(found.max()), 1e-6)
+        assert np.max(np.maximum.accumulate(found[::-1])[::-1] - found) <= share * scale, step
+        assert found[0] <= begin + share * scale
