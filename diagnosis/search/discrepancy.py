@@ -190,10 +190,11 @@ class Spline:
 
     def along(self, problem: Problem, theta: np.ndarray, model: Model, directions: np.ndarray) -> Columns:
         """Likewise in directions of its coordinates, shape (m, count)."""
-        if not any(h is self for h in model):
+        index = next((i for i, h in enumerate(model) if h is self), len(model))
+        if index == len(model):
             theta, model = np.concatenate([theta, np.zeros(self.count)]), (*model, self)  # type: ignore[arg-type]
         whole = np.zeros((len(directions), len(theta)))
-        whole[:, problem.place(model, next(i for i, h in enumerate(model) if h is self))] = directions
+        whole[:, problem.place(model, index)] = directions
         return problem.along(theta, model, whole)
 
     @property
