@@ -105,7 +105,6 @@ class Segment:
       at_rest: where the rotor moves so little that its encoder's counts do not average out, shape (k,).
       passband: of the smoother, as turns per radian of a shaft that makes one in 1/fc: 1/(2π fc) [s].
       block: residuals that count as one (`SegmentSettings.block`).
-      step: of the replay [s].
     """
 
     recording: int
@@ -130,7 +129,6 @@ class Segment:
     at_rest: np.ndarray
     passband: float
     block: int = 1
-    step: float = STEP
 
     @cached_property
     def link_cosine(self) -> np.ndarray:

@@ -386,14 +386,13 @@ def _replay_dual(
 
 
 @cache
-def _weights(count: int, n: int, every: int) -> np.ndarray:
+def _weights(count: int, n: int) -> np.ndarray:
     """Sums of the window's weights in each of `count` means over n steps, shape (count,)."""
-    window = WINDOW[:: DECIMATION // every] if every > 1 else np.ones(1)
     found = np.zeros(count)
-    step, behind = np.divmod(np.arange(n), every)
-    np.add.at(found, step, window[behind])
+    step, behind = np.divmod(np.arange(n), DECIMATION)
+    np.add.at(found, step, WINDOW[behind])
     before = (behind > 0) & (step + 1 < count)
-    np.add.at(found, step[before] + 1, window[every - behind[before]])
+    np.add.at(found, step[before] + 1, WINDOW[DECIMATION - behind[before]])
     return found
 
 
@@ -401,7 +400,7 @@ def _motion(segment: Segment) -> tuple[Any, ...]:
     """Of a segment what moves inside the transmission depends on."""
     return (
         segment.time, segment.temperature, segment.rotor, segment.link, segment.link_measured, segment.external,
-        segment.passband, segment.step,
+        segment.passband, STEP,
     )  # fmt: skip
 
 
@@ -409,22 +408,16 @@ def _sensed(segment: Segment, every: int, window: np.ndarray) -> tuple[Any, ...]
     """Of a segment what readings depend on."""
     return (
         segment.time, segment.temperature, segment.torque, segment.link_measured, segment.external, segment.stiffness,
-        segment.passband, segment.step, every, window,
+        segment.passband, STEP, every, window,
     )  # fmt: skip
 
 
-def _whole(segment: Segment, every: int, window: np.ndarray) -> tuple[Any, ...]:
+def _whole(segment: Segment) -> tuple[Any, ...]:
     """Of a segment all that a replay depends on."""
     return (
         segment.time, segment.temperature, segment.rotor, segment.link, segment.torque, segment.link_measured,
-        segment.external, segment.stiffness, segment.passband, segment.step, every, window,
+        segment.external, segment.stiffness, segment.passband, STEP, DECIMATION, WINDOW,
     )  # fmt: skip
-
-
-def _means(segment: Segment) -> tuple[int, np.ndarray]:
-    """Steps from one mean to the next, and the window's half from its middle."""
-    every = round(STEP * DECIMATION / segment.step)
-    return every, WINDOW[:: DECIMATION // every]
 
 
 def transmission(segment: Segment, record: np.ndarray) -> np.ndarray:
@@ -442,17 +435,16 @@ def replay(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None
     Args:
       inner: of `transmission` for a record that differs in numbers that only read out (`READ_OUT`).
     """
-    every, window = _means(segment)
     n, out, swinging = len(segment.time), np.zeros((len(segment.at), len(BALANCES))), np.zeros(1, SWINGING)
     good = True
     if inner is None:
         moving, block = np.zeros(1, MOVING), np.empty(_BLOCK, INNER)
-        good = _replay(record[0], *_whole(segment, every, window), moving[0], block, swinging[0], out)
+        good = _replay(record[0], *_whole(segment), moving[0], block, swinging[0], out)
     else:
-        _readings(record[0], *_sensed(segment, every, window), 0, n, inner, swinging[0], out)
+        _readings(record[0], *_sensed(segment, DECIMATION, WINDOW), 0, n, inner, swinging[0], out)
     if not good:
         out[:] = np.nan
-    return out / _weights(len(out), n, every)[:, None]
+    return out / _weights(len(out), n)[:, None]
 
 
 def readings(segment: Segment, record: np.ndarray, inner: np.ndarray | None = None) -> np.ndarray:
@@ -505,18 +497,17 @@ def derivatives(trios: Sequence[tuple[Segment, np.ndarray, np.ndarray]]) -> list
 
 def _derivatives(segment: Segment, record: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """The same in up to `LANES` directions, shape (k, len(BALANCES), m)."""
-    every, window = _means(segment)
     m = len(directions)
     lanes = np.zeros((1, directions.shape[1], LANES))
     lanes[0, :, :m] = directions.T
     out = np.zeros((len(segment.at), len(BALANCES)))
     found = np.zeros((*out.shape, LANES))
-    if not _replay_dual(record, lanes, *_whole(segment, every, window), out, found):
+    if not _replay_dual(record, lanes, *_whole(segment), out, found):
         found[:] = np.nan
     sign = np.ones(len(BALANCES))
     sign[[CURRENT, TORQUE]] = -1.0
     sign[~segment.balances] = 0.0
-    return found[..., :m] * (sign / _weights(len(out), len(segment.time), every)[:, None])[..., None]
+    return found[..., :m] * (sign / _weights(len(out), len(segment.time))[:, None])[..., None]
 
 
 def _inside(segment: Segment, record: np.ndarray) -> bytes:

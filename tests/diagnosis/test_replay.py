@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hidden_joint import measure
 
-from flexspline.diagnosis.data.segments import _encoder_noise, segments
+from flexspline.diagnosis.data.segments import STEP, _encoder_noise, segments
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.replay import READ_OUT, residual, residuals, transmission
 from flexspline.diagnosis.fit.residual import Problem
@@ -109,7 +109,7 @@ def test_a_linear_transmission_answers_as_its_equation_does(joint, replayed, fre
     for name in ("Fc", "Fs", "s0", "s1"):
         p[name] = 1e-12
     p["Kw0"], p["Cw"], p["amplitude"], p["K2"], p["K3"] = stiffness, 1e-9, 0.0, p["K1"], p["K1"]
-    time, pulsation = np.arange(0.0, 2.0, replayed[0].step), 2 * np.pi * frequency
+    time, pulsation = np.arange(0.0, 2.0, STEP), 2 * np.pi * frequency
     shaken = 1e-2 * np.exp(1j * pulsation * time)
     rotor = np.column_stack([(shaken * (1j * pulsation) ** k).imag for k in range(3)])
     segment = replace(
@@ -127,7 +127,7 @@ def test_a_linear_transmission_answers_as_its_equation_does(joint, replayed, fre
     accelerates = p["Jw"] * pulsation**2
     wrong = abs((real + 1j * imaginary) / answer - 1.0) * abs(coupled + load - accelerates) / accelerates
     damps = pulsation * (p["dw"] + p["bw"] + p["df"] / p["N"] ** 2) / accelerates
-    limit = (pulsation * segment.step) ** 2 * (1 / 6 + damps / 8)
+    limit = (pulsation * STEP) ** 2 * (1 / 6 + damps / 8)
     print(f"{frequency:g} Hz, {stiffness:g} N·m/rad: {wrong:.4f} of the inertia's torque, limit {limit:.4f}")
     assert wrong < limit
 
