@@ -70,7 +70,7 @@ def test_diagnosis_alone(held, ur3e):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seconds", [20.0, 22.0, 24.0, 26.0, 28.0])
+@pytest.mark.parametrize("seconds", [20.0, 22.0, 24.0, 26.0, 27.0, 28.0, 30.0])
 def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, ur3e):
     """And so are its orders against the circular spline: some 1e-5 rad, of which 1e-4 were left open."""
     recording = import_recording(load_layout("ur3e"), log)

@@ -226,6 +226,8 @@ def _prune(
         for_good: set[int] = set()  # effects that are taken back whatever they explain
         for i, h in enumerate(f.model):
             w = worth_of(problem, f, linear, i)
+            # Alone it is not one of many things that the description does not hold, but the one that was likeliest of all.
+            needed_share = settings.worth if len(f.model) > 1 else settings.worth_large
             size, away = size_of(problem, f, i), significance(problem, honest, i)
             if is_calibration(problem, f, i):
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
@@ -241,7 +243,7 @@ def _prune(
                 pass
             elif away < settings.significant:
                 reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
-            elif w.share < settings.worth:
+            elif w.share < needed_share:
                 reason = (
                     f"takes {w.rms:.2g} N·m RMS from the simulation's error once all causes are fitted together, "
                     "too little to name"

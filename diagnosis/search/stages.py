@@ -150,7 +150,9 @@ def _further(
             at, rivals, dropped = together(problem, fitter, at, library, more, rivals, accept)
         at, rivals, compared = against_rivals(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
         at, rivals, gone_on = beyond_the_ends(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
-        at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=bool(more or gone_on))
+        # Where nothing came of those that were selected, all is as it was before they were.
+        anew = len(more) > len(dropped) or bool(gone_on)
+        at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=anew)
         decisions += [*dropped, *compared, *gone_on, *settled]
         gone = [d for d in (*dropped, *settled) if not d.taken]
         # An effect that was taken back stood for something, as numbers at the end of their tolerances do.
