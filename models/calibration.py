@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .joint import Joint, Mounting, Number, may_be_zero
-from .parameters import as_floats
+from .parameters import PARAMETERS, as_floats
 
 CUT = 2.5
 """Joints are drawn with every variable within this many standard deviations."""
@@ -30,18 +30,41 @@ class Slot:
     index: int
     number: Number
 
+    def line(self, mounting: Mounting) -> tuple[float, float]:
+        """Factor and summand with which the number comes into a record's place, in a mounting."""
+        if self.field == "Jl":
+            return mounting.inertia, 0.0
+        if self.field == "Mg":
+            return mounting.gravity_moment, 0.0
+        return 1.0, mounting.gravity_angle if self.field == "gravity_angle" else 0.0
+
+    @property
+    def place(self) -> int:
+        """Of the record's floats the one that it is."""
+        fields = PARAMETERS.fields
+        assert fields is not None
+        return fields[self.field][1] // np.dtype(np.float64).itemsize + max(self.index, 0)
+
     def put(self, p: np.void, value: float, mounting: Mounting) -> None:
         """Put a value of the number into a record's place, in a mounting."""
-        if self.field == "Jl":
-            p["Jl"] = mounting.inertia * value
-        elif self.field == "Mg":
-            p["Mg"] = mounting.gravity_moment * value
-        elif self.field == "gravity_angle":
-            p["gravity_angle"] = mounting.gravity_angle + value
-        elif self.index < 0:
-            p[self.field] = value
-        else:
-            p[self.field][self.index] = value
+        factor, summand = self.line(mounting)
+        place = p if self.index < 0 else p[self.field]
+        place[self.field if self.index < 0 else self.index] = factor * value + summand
+
+
+@dataclass(frozen=True)
+class _Laws:
+    """Of every slot its number's value, its own tolerance and deviation with the index of their variable, a shared tolerance with
+    the index of its variable, the least that the number may be, and its place in a record; shape (len(slots),) each."""
+
+    value: np.ndarray
+    tolerance: np.ndarray
+    deviation: np.ndarray
+    own: np.ndarray
+    shared_tolerance: np.ndarray
+    shared: np.ndarray
+    least: np.ndarray
+    place: np.ndarray
 
 
 class Calibration:
@@ -59,7 +82,8 @@ class Calibration:
         shared = [f"shared {name}" for name in joint.shared_tolerances]
         self.names = own + shared
         self._position = {name: i for i, name in enumerate(self.names)}
-        self._bare: dict[Mounting, np.ndarray] = {}
+        self._laws = self._as_arrays()
+        self._bare: dict[Mounting, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
 
     @property
     def size(self) -> int:
@@ -73,17 +97,34 @@ class Calibration:
             x[far] = rng.standard_normal(int(far.sum()))
         return x
 
+    def _as_arrays(self) -> _Laws:
+        """How every slot's number follows from the variables."""
+        joint, none = self.joint, len(self.names)  # the index of a variable that is always zero
+        numbers = [s.number for s in self.slots]
+        return _Laws(
+            value=np.array([n.value for n in numbers]),
+            tolerance=np.array([n.tolerance for n in numbers]),
+            deviation=np.array([n.deviation for n in numbers]),
+            own=np.array([self._position.get(s.name, none) for s in self.slots], int),
+            shared_tolerance=np.array([joint.shared_tolerances[n.shared] if n.shared else 0.0 for n in numbers]),
+            shared=np.array([self._position.get(f"shared {n.shared}", none) for n in numbers], int),
+            # None of the joint's own numbers is negative, however wide its deviation.
+            least=np.array([
+                -np.inf if s.name not in joint.numbers else 0.0 if may_be_zero(s.name) else _LEAST_SHARE * s.number.value
+                for s in self.slots
+            ]),
+            place=np.array([s.place for s in self.slots], int),
+        )  # fmt: skip
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """Value of the number of every slot at `x`, shape (len(slots),)."""
+        n, x = self._laws, np.append(x, 0.0)
+        value = n.value * _factor(n.tolerance * x[n.own]) + n.deviation * x[n.own]
+        return np.maximum(value * _factor(n.shared_tolerance * x[n.shared]), n.least)
+
     def value(self, slot: Slot, x: np.ndarray) -> float:
         """Value of one number at `x`."""
-        number = slot.number
-        own = x[self._position[slot.name]] if slot.name in self._position else 0.0
-        value = number.value * _factor(number.tolerance * own) + number.deviation * own
-        if number.shared is not None:
-            shared = self.joint.shared_tolerances[number.shared]
-            value *= _factor(shared * x[self._position[f"shared {number.shared}"]])
-        if slot.name in self.joint.numbers:  # none of these is negative, however wide its deviation
-            value = max(value, 0.0 if may_be_zero(slot.name) else _LEAST_SHARE * number.value)
-        return float(value)
+        return float(self.values(x)[self.slots.index(slot)])
 
     def deviation(self, slot: Slot) -> float:
         """Standard deviation of one number by its own and its shared tolerance, in its unit."""
@@ -95,10 +136,14 @@ class Calibration:
         """Parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or without."""
         mounting = self.joint.mount() if mounting is None else mounting
         if mounting not in self._bare:
-            self._bare[mounting] = self.joint.bare_record(mounting)
-        record = self._bare[mounting].copy()
-        for slot in self.slots:
-            slot.put(record[0], self.value(slot, x), mounting)
+            # What a slot's number becomes in a record's place is a straight line in it.
+            scale, offset = np.ones(len(self.slots)), np.zeros(len(self.slots))
+            for i, slot in enumerate(self.slots):
+                scale[i], offset[i] = slot.line(mounting)
+            self._bare[mounting] = self.joint.bare_record(mounting), scale, offset
+        bare, scale, offset = self._bare[mounting]
+        record = bare.copy()
+        as_floats(record)[self._laws.place] = scale * self.values(x) + offset
         if effects:
             self.joint.apply_effects(record)
         return record
@@ -130,9 +175,11 @@ _LEAST = 0.3
 _LEAST_SHARE = 1e-3  # of its nominal value, of a number that is not zero
 
 
-def _factor(change: float) -> float:
+def _factor(change: np.ndarray) -> np.ndarray:
     """1 + change, and positive all the same for changes near −1 and below: an inertia is no less than nothing."""
-    return 1 + change if change > _LEAST - 1 else _LEAST * float(np.exp((change + 1 - _LEAST) / _LEAST))
+    return np.where(
+        change > _LEAST - 1, 1 + change, _LEAST * np.exp((np.minimum(change, _LEAST - 1) + 1 - _LEAST) / _LEAST)
+    )
 
 
 def slots(joint: Joint) -> list[Slot]:
