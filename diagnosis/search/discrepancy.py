@@ -421,8 +421,10 @@ def find(
     explained = left_by(problem, base) - left
     floor = settings.noise * noise_of(problem, chosen)
     least = max((settings.worth * rated) ** 2, 0.0) if left > floor else np.inf
-    drops = _drops(problem, chosen)
-    if left < least and not (drops and explained > least):
+    # One in nothing's place must remove `least` of what is left, one in the place of causes what these explain a part of.
+    beside, instead = left >= least, explained > least and left >= settings.more * explained
+    drops = [without for without in _drops(problem, chosen) if (instead if without else beside)]
+    if not drops:
         return None
     plain = _Plain(problem, chosen, settings.thin)
     tried: list[Candidate] = []
