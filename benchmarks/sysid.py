@@ -60,7 +60,7 @@ from .convergence import MAGIC, callback, set_numbers, springs
 from .pages import ROOT, fill
 
 SEED = 4001
-HIDDEN = ("friction_periodic", "link_encoder_eccentricity")
+HIDDEN = ("position_dependent_friction", "link_encoder_eccentricity", "hysteresis")
 TIMESTEP = 5e-4  # s: of the rollouts, that of the joint's MJCF
 INTEGRATOR = mujoco.mjtIntegrator.mjINT_EULER  # without `implicitfast`'s damping of the flexspline's mode
 ITERATIONS = (3, 5)  # of the two fits, at most

@@ -80,3 +80,10 @@ def test_a_fit_by_rollouts_brings_the_torque_constant_closer(one: Draw, exact: b
     numbers = sysid.numbers(one, found)
     # A short motion tells weight and stiffness: what the springs hold.
     assert abs(numbers["K1"].value / numbers["K1"].true - 1) < abs(numbers["K1"].nominal / numbers["K1"].true - 1)
+
+
+def test_what_is_hidden_can_be_drawn():
+    """Names that the library does not have were once asked for: the table stayed empty."""
+    for hidden in sysid.HIDDEN:
+        made = draw(Challenge(seed=sysid.SEED, hidden="one", only=(hidden,)), 0)
+        assert [effect.name for effect in made.effects] == [hidden]
