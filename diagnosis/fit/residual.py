@@ -324,6 +324,6 @@ def _unbounded(J: np.ndarray) -> np.ndarray:
     size = np.abs(J)
     most = np.max(size, axis=0)
     usual = np.partition(size, int(0.9 * len(J)), axis=0)[int(0.9 * len(J))]
-    part = size / np.where(most > 0, most, 1.0)  # squares of what grew might be infinite
-    rms = most * np.sqrt(np.mean(part * part, axis=0))
+    with np.errstate(over="ignore"):  # squares of what grew without bound may be infinite
+        rms = np.sqrt(np.mean(size * size, axis=0))
     return ~np.all((most < _INFINITE) & (most <= _UNBOUNDED * np.maximum(usual, 0.1 * rms)), axis=0)

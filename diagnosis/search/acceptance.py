@@ -31,6 +31,7 @@ class AcceptSettings:
         there is decided by `worth` again.
       chance: part of the sensors' noise (mean square) by which what two fits leave may differ by chance.
       alike: part of the mean square that a cause takes away that another one must take away to be its rival.
+      same: part of the root mean square of what is worth most that another one must be worth, for the likelier to come first.
       drowned: times what nothing explains that all of what a number makes must be, for an effect that scales it: of a signal that
         is buried in errors, least squares finds a part.
       slight: part of the root mean square of what nothing explains that it must be worth, where that is not far above the noise
@@ -64,6 +65,7 @@ class AcceptSettings:
     worth_large: float = 0.15
     chance: float = 0.1
     alike: float = 0.3
+    same: float = 0.7
     drowned: float = 2.0
     slight: float = 0.25
     little: float = 0.1

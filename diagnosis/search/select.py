@@ -50,7 +50,8 @@ def select(
     screening: ScreenSettings,
     before: tuple[Finalist | Screened, dict[str, float]] | None,
 ) -> tuple[list[Screened], list[Decision], list[Rivals]]:
-    """Further causes one after the other in the linear model about a fit: the one first that is worth most.
+    """Further causes one after the other in the linear model about a fit: the one first that is worth most; of those that are worth
+    about the same the likeliest.
 
     `before`: the cause that was accepted last, with the gains of all when it was.
     """
@@ -84,10 +85,9 @@ def select(
             good.append((s, w))
         if not good or len(at.model) + len(chosen) >= settings.most:
             break
-        best, w = max(good, key=lambda pair: pair[1].rms)
-        top = max(good, key=lambda pair: pair[0].gain)
-        if top[1].rms > 0.7 * w.rms:
-            best, w = top
+        # Of those that are worth about the same the likeliest.
+        most = max(w.rms for _, w in good)
+        best, w = max((pair for pair in good if pair[1].rms > settings.same * most), key=lambda pair: pair[0].gain)
         reason = (
             f"would add {best.gain:.0f} to the log evidence and take {w.rms:.2g} N·m RMS from the simulation's error"
         )
