@@ -50,8 +50,8 @@ def select(
     screening: ScreenSettings,
     before: tuple[Finalist | Screened, dict[str, float]] | None,
 ) -> tuple[list[Screened], list[Decision], list[Rivals]]:
-    """Further causes one after the other in the linear model about a fit: the one first that is worth most; of those that are worth
-    about the same the likeliest.
+    """Further causes one after the other in the linear model about a fit: the one first that is worth most, and of those that
+    are worth about the same the likeliest.
 
     `before`: the cause that was accepted last, with the gains of all when it was.
     """

@@ -208,10 +208,9 @@ def test_a_late_encoder_is_followed_from_far_away():
 
 
 @pytest.mark.slow
-@pytest.mark.long
 def test_of_what_is_worth_about_the_same_the_likelier_is_taken():
-    """A gravity moment 10 % up was told as a torque sensor's gain at 0.99: worth a little more in the linear model, and less likely by
-    54, while a third that was likelier than both kept the two from being held against each other."""
+    """A gravity moment 10 % up was told as a torque sensor's gain at 0.99: worth a little more in the linear model, and less
+    likely by 54, while a third that was likelier than both kept the two from being held against each other."""
     drawn = draw(Challenge(seed=481, hidden="one", real=True), 42)
     found = {c.name: c for c in diagnose(drawn.measurement, drawn.nominal).causes}
     assert found["gravity_moment"].confidence > 0.9 and "torque_sensor_gain" not in found
