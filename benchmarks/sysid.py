@@ -539,9 +539,13 @@ def main(arguments: Sequence[str] = ()) -> None:
     wanted += [("", k, tool) for k in range(few, asked.draws) for tool in TOOLS]
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(asked.processes, mp_context=context, initializer=_warm_up) as pool:
-        running = [pool.submit(fitted, *one) for one in wanted if one not in have]
+        running = {pool.submit(fitted, *one): one for one in wanted if one not in have}
         for done in as_completed(running):
-            one = done.result()
+            try:
+                one = done.result()
+            except ValueError as error:  # the package's, where a simulation beside a point of the fit diverges
+                print(*running[done], f"ended without a fit: {error}", flush=True)
+                continue
             fits.append(one)
             write(asked.kept, fits)
             print(f"{one.hidden or 'nothing'} {one.draw} {one.tool}: {one.core_time:.0f} s {one.said}", flush=True)
