@@ -38,11 +38,7 @@ from mujoco import sysid
 from numba import carray, cfunc, types
 from scipy.signal import savgol_filter
 
-from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.diagnose import diagnose
-from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.fit.solver import Fitter, with_dispersion
-from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.trials.motions import CONTROLLER
 from flexspline.models import laws
@@ -123,18 +119,8 @@ class Found:
 # --- ours --------------------------------------------------------------------------------------------------------------
 
 
-def calibrated(one: Draw) -> Found:
-    """Our calibration, as a diagnosis does it where it finds nothing."""
-    begin = time.process_time()
-    problem = Problem(*segments(list(one.measurement.recordings), one.nominal), one.nominal)
-    fitter = Fitter(problem)
-    fit = with_dispersion(problem, fitter.polish(calibrate(problem, fitter)))
-    n = problem.calibration.size
-    return Found(fit.theta[:n], fit.covariance[:n, :n], time.process_time() - begin, "")
-
-
 def diagnosed(one: Draw) -> Found:
-    """The whole diagnosis, where something may be hidden."""
+    """What a diagnosis ends with: only at its end what the noise of the motion makes of the numbers is taken out."""
     begin = time.process_time()
     found = diagnose(one.measurement, one.nominal)
     assert found.problem is not None and found.final is not None
@@ -434,8 +420,7 @@ def fitted(hidden: str, index: int, tool: str, fit: Callable[[Draw], Found] | No
     challenge = Challenge(seed=SEED, hidden="one", only=(hidden,)) if hidden else Challenge(seed=SEED, hidden="none")
     one = draw(challenge, index)
     if fit is None:
-        ours = diagnosed if hidden else calibrated
-        fit = {OURS: ours, EXACT: lambda d: rolled_out(d, True), NATIVE: lambda d: rolled_out(d, False)}[tool]
+        fit = {OURS: diagnosed, EXACT: lambda d: rolled_out(d, True), NATIVE: lambda d: rolled_out(d, False)}[tool]
     found = fit(one)
     return Fitted(hidden, index, tool, numbers(one, found), found.core_time, found.said)
 
