@@ -28,7 +28,7 @@ class AcceptSettings:
       worth: mean square that it alone removes, as a share of the model discrepancy that is left beside it. Less than that is
         one of many things that the description does not hold, and no answer to what the simulation gets wrong.
       large, worth_large: from this part of the ordinary size on, so much is enough to be fitted beside the others; what holds
-        there is decided by `worth` again.
+        there is decided by `worth` again, but for one that alone is left, of which `worth_large` is asked.
       chance: part of the sensors' noise (mean square) by which what two fits leave may differ by chance.
       alike: part of the mean square that a cause takes away that another one must take away to be its rival.
       same: part of the root mean square of what is worth most that another one must be worth, for the likelier to come first.
