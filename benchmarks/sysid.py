@@ -106,6 +106,10 @@ class Fitted:
     said: str
 
 
+class Diverged(Exception):
+    """A simulation beside a point of a fit is not finite: the package goes no further."""
+
+
 @dataclass(frozen=True)
 class Found:
     """What one tool found: calibration variables with covariance, core time [s], and what it says of its residual."""
@@ -386,17 +390,20 @@ def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -
             problem.weigh(x)
             start = problem.parameters.copy()
             start.update_from_vector(x)
-            fitted, result = sysid.optimize(
-                start,
-                problem.residual,
-                optimizer="mujoco",
-                verbose=False,
-                max_iters=most,
-                eps=EPS,
-                xtol=SETTLED,
-                output=io.StringIO(),  # of its trace
-                **DAMPING,
-            )
+            try:
+                fitted, result = sysid.optimize(
+                    start,
+                    problem.residual,
+                    optimizer="mujoco",
+                    verbose=False,
+                    max_iters=most,
+                    eps=EPS,
+                    xtol=SETTLED,
+                    output=io.StringIO(),  # of its trace
+                    **DAMPING,
+                )
+            except ValueError as error:  # over the times of a simulation that ended early
+                raise Diverged(str(error)) from error
             x = fitted.as_vector()
         left = problem.rms(x)
         residuals, *_ = problem.residual(x, problem.parameters.copy())
@@ -528,7 +535,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         for done in as_completed(running):
             try:
                 one = done.result()
-            except ValueError as error:  # the package's, where a simulation beside a point of the fit diverges
+            except Diverged as error:
                 print(*running[done], f"ended without a fit: {error}", flush=True)
                 continue
             fits.append(one)

@@ -45,11 +45,10 @@ class Slot:
         assert fields is not None
         return fields[self.field][1] // np.dtype(np.float64).itemsize + max(self.index, 0)
 
-    def put(self, p: np.void, value: float, mounting: Mounting) -> None:
-        """Put a value of the number into a record's place, in a mounting."""
+    def put(self, record: np.ndarray, value: float, mounting: Mounting) -> None:
+        """Put a value of the number into its place in a record, shape (1,), in a mounting."""
         factor, summand = self.line(mounting)
-        place = p if self.index < 0 else p[self.field]
-        place[self.field if self.index < 0 else self.index] = factor * value + summand
+        as_floats(record)[self.place] = factor * value + summand
 
 
 @dataclass(frozen=True)

@@ -68,13 +68,10 @@ def independent_changes(joint: Joint) -> list[Change]:
                 found.append({f"effects.{i}.{name}": estimate.std})
     # What nobody has measured is as open as its tolerance; a shared one moves all that share it and that nobody has measured.
     calibration = Calibration(joint)
-    at = np.zeros(calibration.size)
-    for j in range(calibration.size):
-        x = at.copy()
-        x[j] = 1.0
-        open_ = [s for s in calibration.slots if s.name not in told]
-        values = {s.name: calibration.value(s, x) - calibration.value(s, at) for s in open_}
-        found.append({name: change for name, change in values.items() if change})
+    at = calibration.values(np.zeros(calibration.size))
+    for x in np.eye(calibration.size):
+        changes = zip(calibration.slots, calibration.values(x) - at, strict=True)
+        found.append({s.name: float(change) for s, change in changes if change and s.name not in told})
     return [change for change in found if change]
 
 
@@ -84,7 +81,7 @@ def moved(joint: Joint, mounting: Mounting | None, changes: Change) -> np.ndarra
     record = joint.bare_record(mounting)
     for slot in slots(joint):
         if slot.name in changes:
-            slot.put(record[0], slot.number.value + changes[slot.name], mounting)
+            slot.put(record, slot.number.value + changes[slot.name], mounting)
     effects = []
     for i, effect in enumerate(joint.effects):
         parameters = dict(effect.parameters)

@@ -421,7 +421,8 @@ def find(
     explained = left_by(problem, base) - left
     floor = settings.noise * noise_of(problem, chosen)
     least = max((settings.worth * rated) ** 2, 0.0) if left > floor else np.inf
-    # One in nothing's place must remove `least` of what is left, one in the place of causes what these explain a part of.
+    # One in nothing's place must remove `least` of what is left. One in the place of causes must leave less than they do by a
+    # part of what they explain; where that is not worth naming itself, none is looked for.
     beside, instead = left >= least, explained > least and left >= settings.more * explained
     drops = [without for without in _drops(problem, chosen) if (instead if without else beside)]
     if not drops:

@@ -222,12 +222,12 @@ def _prune(
     for _ in range(3 * len(f.model)):
         honest, linear = with_dispersion(problem, f), tamed(problem, f)
         left, near = left_by(problem, f), quiet_rms(problem, f) < settings.far
+        # Alone it is not one of many things that the description does not hold, but the one that was likeliest of all.
+        needed_share = settings.worth if len(f.model) > 1 else settings.worth_large
         verdicts = []
         for_good: set[int] = set()  # effects that are taken back whatever they explain
         for i, h in enumerate(f.model):
             w = worth_of(problem, f, linear, i)
-            # Alone it is not one of many things that the description does not hold, but the one that was likeliest of all.
-            needed_share = settings.worth if len(f.model) > 1 else settings.worth_large
             size, away = size_of(problem, f, i), significance(problem, honest, i)
             if is_calibration(problem, f, i):
                 reason = "what it changes is within the joint's tolerances once all causes are fitted together"
