@@ -67,6 +67,13 @@ SWINGING = np.dtype([(name, np.float64) for name in ("position", "velocity", "li
 _INNER, _MOVING, _SWINGING = (dtype.itemsize // 8 for dtype in (INNER, MOVING, SWINGING))
 _BLOCK = 64
 """Steps that are replayed before they are read out: as many as stay in a processor's nearest memory."""
+_LEAD = 100
+"""Steps before the first in which a joint that begins in motion comes from where it begins to go to: friction slides then, and
+what is simulated has settled."""
+_SLOPE = 40
+"""Steps over whose velocity the acceleration in these is taken."""
+_LEAD_TRAVEL = 0.1
+"""Travel of the rotor in these [rad], below which it is taken to have rested: friction's sign is not known."""
 
 READ_OUT = (
     "Jm", "Kt", "Kt_drive", "bm", "R", "L", "supply_voltage", "current_limit", "bl", "Jl", "Mg", "gravity_angle",
@@ -100,6 +107,33 @@ def _between(reading, i, shift, h):
 
 
 @kernel
+def _before(rotor, h):
+    """Rotor's velocity [rad/s] and acceleration [rad/s²] from which it came to the first step; zero where it hardly moves."""
+    n = min(_SLOPE, len(rotor) - 1)
+    v = rotor[0, 1]
+    if abs(v) * _LEAD * h < _LEAD_TRAVEL:
+        return 0.0, 0.0
+    return v, (rotor[n, 1] - v) / (n * h)
+
+
+@kernel
+def _under_load(m, l, v, a, external, time, temperature, p):
+    """Link's angle under its own load and what friction winds up, near an angle l, at which the rotor stands at m."""
+    for _ in range(3):
+        found, _, _ = dynamics.steady_motion(l, v / p.N, a / p.N, external, time, temperature, p)
+        l = l + (m - found) / p.N
+    return l
+
+
+@kernel
+def _excess(x, m, l, p):
+    """Torque on a wave generator at x beyond that of equilibrium without friction [N·m, motor side]."""
+    torsion = x / p.N - l - laws.kinematic_error(x, p)
+    ratio = 1.0 / p.N - laws.kinematic_error_slope(x, p)
+    return laws.wave_generator_spring(m - x, p) - laws.flexspline_spring(torsion, p) * ratio
+
+
+@kernel
 def _equilibrium(m, l, p):
     """Wave generator's angle at which its torque and the flexspline's balance without friction, at a rotor and a link angle."""
     low = value_of(m - 1.0 / (p.Cw * p.Kw0))
@@ -107,16 +141,17 @@ def _equilibrium(m, l, p):
     x = low
     for _ in range(40):
         x = 0.5 * (low + high)
-        torsion = x / p.N - l - laws.kinematic_error(x, p)
-        if laws.wave_generator_spring(m - x, p) > laws.flexspline_spring(torsion, p) / p.N:
+        if _excess(x, m, l, p) > 0.0:
             low = x
         else:
             high = x
-    # One step of Newton's, which dual numbers have their derivatives from.
-    torsion = x / p.N - l - laws.kinematic_error(x, p)
-    excess = laws.wave_generator_spring(m - x, p) - laws.flexspline_spring(torsion, p) / p.N
-    slope = laws.flexspline_stiffness(torsion, p) * (1.0 / p.N - laws.kinematic_error_slope(x, p)) / p.N
-    return x + excess / (laws.wave_generator_stiffness(m - x, p) + slope)
+    # Steps of Newton's, which dual numbers have their derivatives from; the slope leaves out how the ratio changes.
+    for _ in range(2):
+        torsion = x / p.N - l - laws.kinematic_error(x, p)
+        ratio = 1.0 / p.N - laws.kinematic_error_slope(x, p)
+        slope = laws.wave_generator_stiffness(m - x, p) + laws.flexspline_stiffness(torsion, p) * ratio * ratio
+        x = x + _excess(x, m, l, p) / slope
+    return x
 
 
 @kernel
@@ -148,19 +183,29 @@ def _transmission(
         moving.link_acceleration,
     )  # fmt: skip
     phi, phi_rate, stiffness = moving.flexible_position, moving.flexible_velocity, moving.stiffness
-    for i in range(begin, end):
+    v_before, a_before = _before(rotor, h)
+    first = -_LEAD if v_before != 0.0 else 0
+    for step in range(begin if begin > 0 else first, end):
         m0, vm0, l0, vl0, al0 = m1, vm1, l1, vl1, al1
+        i = max(step, 0)
         # Rotor and link as they moved: readings without the encoders' own errors, the link's earlier by its delay.
-        m1, vm1, am1 = dynamics.actual_motor_position(rotor[i, 0], p), rotor[i, 1], rotor[i, 2]
+        way, vm1, am1 = 0.0, rotor[i, 1], rotor[i, 2]
+        if step < 0:
+            ago = step * h
+            way, vm1, am1 = ago * (v_before + 0.5 * ago * a_before), v_before + ago * a_before, a_before
+        m1 = dynamics.actual_motor_position(rotor[i, 0] + way, p)
         if measured:
             reading, vl1, al1 = _between(link, i, shift, h)
-            l1 = dynamics.actual_link_position(reading, rotor[i, 0], rotor[i, 1], time[i], p)
-        if i == 0:
-            # Start in equilibrium, friction unstressed; what is wrong with that is forgotten after a little travel.
-            if not measured:
-                l1 = dynamics.actual_link_position(link[0, 0], rotor[0, 0], rotor[0, 1], time[0], p)
-                vl1 = vl1 + link[0, 1]
-            w = w + rotor[0, 1]
+            if step < 0:  # as wound up as in the first step
+                reading, vl1, al1 = reading + way / p.N, vm1 / p.N, am1 / p.N
+            l1 = dynamics.actual_link_position(reading, rotor[i, 0] + way, vm1, time[i], p)
+        elif step == first:
+            l1 = dynamics.actual_link_position(link[0, 0] + way / p.N, rotor[0, 0] + way, vm1, time[0], p)
+            l1 = _under_load(m1, l1, vm1, a_before, external[0], time[0], temperature[0], p)
+            vl1, al1 = vm1 / p.N, am1 / p.N
+        if step == first:
+            # Springs in equilibrium, friction unstressed.
+            w = w + vm1
             theta_w = _equilibrium(m1, l1, p)
         else:
             # One linearly implicit midpoint step of the wave generator, and of the link where it is simulated. All angles in the
@@ -226,6 +271,8 @@ def _transmission(
         ends = dynamics.transmission(
             State(m1, vm1, theta_w, w, l1, vl1, z, dahl, 0.0, time[i], temperature[i]), p, passband
         )
+        if step < 0:
+            continue
         s = inner[i - begin]
         s.wave_generator_position, s.wave_generator_velocity = theta_w, w
         s.motor_position, s.motor_velocity, s.motor_acceleration = m1, vm1, am1
