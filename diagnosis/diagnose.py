@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -152,7 +153,10 @@ def diagnose(
     fitter = Fitter(problem)
     found = search(problem, tried, settings, progress, deadline, fitter)
     progress("looking for unknown effects", 0.88)
-    unknown = discrepancy.find(problem, fitter, found.base, found.chosen) if time.monotonic() < deadline else None
+    looked = discrepancy.UnknownEffects()
+    if time.monotonic() < deadline:
+        looked = discrepancy.find(problem, fitter, found.base, found.chosen)
+    unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
         problem, final, found = _polished(problem, fitter, found, settings.accept)
@@ -163,7 +167,7 @@ def diagnose(
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike)
+    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike, looked.doubted)
     few = bool(found.chosen.model) and outcome.nearly_all and problem.link_measured
     if all(pushed(r) for r in measurement.recordings):
         outcome = replace(outcome, surest=ANSWER.unsure)  # what a push did cannot be told from what a cause does
@@ -187,6 +191,7 @@ class _Outcome:
       final: the model at its end; drawn: the same, drawn back to what holds where it was not fitted.
       missing: causes that such a measurement cannot show at ordinary size, with the reason.
       undetermined: these and others that could not have shown; alike: pairs that look the same.
+      doubted: causes in whose place an unknown effect might stand (`discrepancy.UnknownEffects`).
       surest: largest confidence of a cause.
     """
 
@@ -198,6 +203,7 @@ class _Outcome:
     missing: dict[str, str]
     undetermined: dict[str, str]
     alike: tuple[tuple[str, str], ...]
+    doubted: frozenset[tuple[Any, ...]] = frozenset()
     surest: float = 1.0
 
     @property
@@ -487,6 +493,7 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
     unseen = [h.cause.name in outcome.missing for h in final.model]
     # What makes data worse that no fit saw is not sure, nor is which of two makes a ripple that either could.
     unsure = [held_after > held_before or bool(_other_ripples(problem, h)) for h in final.model]
+    unsure = [x or h.key in outcome.doubted for x, h in zip(unsure, final.model, strict=True)]
     doubtful = [x < ANSWER.significant or slim[i] or unseen[i] or unsure[i] for i, x in enumerate(away)]
     confidences = _confidences(problem, found, final, unknown, doubtful)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
@@ -591,7 +598,7 @@ def _confidences(
     model = final.model if unknown is None else final.model[:-1]
     alone, sizes = [], []
     for i, (h, u) in enumerate(zip(model, problem.split(final.theta, final.model), strict=False)):
-        confidence = _confidence(found, h.cause.name, i, unknown)
+        confidence = _confidence(found, h, unknown)
         if h.cause.resonance and not problem.link_measured:
             confidence = min(confidence, ANSWER.beside)
         if h.at_bound(u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
@@ -611,11 +618,12 @@ def _confidences(
     ]
 
 
-def _confidence(found: Search, name: str, index: int, unknown: Unknown | None) -> float:
+def _confidence(found: Search, h: Hypothesis, unknown: Unknown | None) -> float:
     """Probability of a cause among those that could stand where it does, and of there being one at all."""
-    rivals = found.rivals[index] if index < len(found.rivals) else None
+    rivals = {g.key: r for g, r in zip(found.chosen.model, found.rivals, strict=False)}.get(h.key)
     if rivals is None:
         return 0.5
+    name = h.cause.name
     others = [g for n, g in rivals.others if n != name and _superseded(found, n)]
     best = max([rivals.gain, *others])
     temper = _temper(found.quiet[1], rivals.gain)

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.interpolate import BSpline
@@ -22,8 +22,8 @@ from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight
-from .acceptance import quiet_rms
+from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight, tamed
+from .acceptance import quiet_rms, without_it, worth_of
 from .screen import plain_noise
 from .worth import left_by, mean_squares, noise_of
 
@@ -65,8 +65,10 @@ class DiscrepancySettings:
         are compared, times the residual over the sensors' noise, `loosest` at most: what no description holds speaks for either.
       gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain,
         and of what it makes itself, that it must explain more, or it is the little that real joints have of everything.
-      lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need only be the
-        likelier; where it stands in nothing's place, not even that: slow discrepancy holds in the noise what the effect would.
+      lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need not be the
+        likelier: slow discrepancy holds in the noise what the effect would. In the place of causes it may be less likely by the
+        penalty, times the residual over the sensors' noise as above.
+      absorbed: part of what a cause was worth below which it is dropped beside the effect, which makes what it made.
       likely: part of these shares that it must have in the linear model to be fitted through the replay.
       thin: every so-manieth residual is looked at first.
       refined: candidates that are fitted through the replay; one more where these depend on the same variable.
@@ -82,7 +84,8 @@ class DiscrepancySettings:
     loosest: float = 5.0
     gain: float = 0.25
     more: float = 0.03
-    lost: float = 2.25
+    lost: float = 2.0
+    absorbed: float = 0.25
     likely: float = 0.5
     thin: int = 3
     refined: int = 2
@@ -130,6 +133,11 @@ class Spline:
     def name(self) -> str:
         """As causes have one."""
         return "unknown"
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """What tells it from hypotheses of causes."""
+        return (self.name, self.place, self.variable)
 
     adds = True
     ripple = False
@@ -275,6 +283,20 @@ class Unknown:
         return self.spline.as_discrepancy(self.fit.theta[-self.spline.count :])
 
 
+@dataclass(frozen=True)
+class UnknownEffects:
+    """What came of looking for unknown effects.
+
+    Attributes:
+      unknown: the one that the measurement shows, if it does.
+      doubted: causes, by `Hypothesis.key`, each of which one in its place would explain what it does and leave so much less that
+        it may not be what is there, though that is too little to say what is.
+    """
+
+    unknown: Unknown | None = None
+    doubted: frozenset[tuple[Any, ...]] = frozenset()
+
+
 def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[Spline]:
     """Every place and variable that this measurement can show."""
     rated = problem.joint.numbers["rated_torque"].value / 16.0
@@ -408,14 +430,14 @@ def find(
     base: Fit,
     chosen: Fit,
     settings: DiscrepancySettings = SETTINGS,
-) -> Unknown | None:
-    """The unknown effect that a measurement shows beside, or in place of, the causes that were found; None where it shows none.
+) -> UnknownEffects:
+    """The unknown effect that a measurement shows beside, or in place of, the causes that were found, and what speaks for one.
 
     Args:
       base: the joint without causes; chosen: with those that were found.
     """
     if not np.any(problem.records(chosen.theta, chosen.model)[0][0]["discrepancy_place"] == 0):
-        return None
+        return UnknownEffects()
     rated = problem.joint.numbers["rated_torque"].value
     left = left_by(problem, chosen)
     explained = left_by(problem, base) - left
@@ -426,7 +448,7 @@ def find(
     beside, instead = left >= least, explained > least and left >= settings.more * explained
     drops = [without for without in _drops(problem, chosen) if (instead if without else beside)]
     if not drops:
-        return None
+        return UnknownEffects()
     plain = _Plain(problem, chosen, settings.thin)
     tried: list[Candidate] = []
     for spline in splines(problem, settings):
@@ -435,17 +457,25 @@ def find(
             continue  # beyond what the replay follows
         tried += [plain.candidate(spline, columns, without) for without in drops]
     best: Unknown | None = None
+    doubted = set()
     unusual = settings.penalty * min(quiet_rms(problem, chosen), settings.loosest)
     for without in drops:
         least_share = settings.likely * (settings.gain if without else settings.share)
         likely = [c for c in tried if c.without == without and c.share > least_share]
         for candidate in _promising(likely, unusual, settings):
-            found = _refined(problem, fitter, chosen, candidate, settings, least, settings.more * explained)
-            if found is not None and (best is None or _score(found, unusual) > _score(best, unusual)):
+            found = _refined(problem, fitter, chosen, candidate, settings)
+            if found is None:
+                continue
+            if not _enough(problem, chosen, candidate, found, settings, least, settings.more * explained):
+                if len(without) == 1 and settings.lost * left_by(problem, found.fit) < left:
+                    doubted.add(chosen.model[without[0]].key)
+            elif best is None or _score(found, unusual) > _score(best, unusual):
                 best = found
         if best is not None and not without:
             break
-    return best
+    if best is not None:
+        best = _without_absorbed(problem, fitter, chosen, best, settings)
+    return UnknownEffects(best, frozenset(doubted))
 
 
 def _promising(candidates: Sequence[Candidate], unusual: float, settings: DiscrepancySettings) -> list[Candidate]:
@@ -499,14 +529,8 @@ def _refined(
     chosen: Fit,
     candidate: Candidate,
     settings: DiscrepancySettings,
-    least: float,
-    more: float,
 ) -> Unknown | None:
-    """A candidate fitted through the replay; None where it is not worth naming.
-
-    Args:
-      least: mean square that it must remove; more: that must be left less than with the causes in whose place it stands [N·m]².
-    """
+    """A candidate fitted through the replay; None where it is not likely enough."""
     kept = [i for i in range(len(chosen.model)) if i not in candidate.without]
     places = [problem.place(chosen.model, i) for i in kept]
     index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
@@ -525,19 +549,55 @@ def _refined(
         after = left_by(problem, f)
     gain = f.log_evidence - chosen.log_evidence
     if settings.lost * after < before:
-        needed = 0.0 if candidate.without else -np.inf
+        needed = -np.inf
+        if candidate.without:
+            needed = -settings.penalty * min(quiet_rms(problem, chosen), settings.loosest)
     if gain <= needed:
         return None
     own = _own(problem, f, candidate.spline)
-    if not candidate.without:
-        share = (before - after) / max(before, 1e-30)
-        if share < settings.share or before - after < least:
-            return None
-    else:
-        share = own / max(own + after, 1e-30)
-        if before - after < max(settings.gain * before, more, settings.more * own) or own < least:
-            return None
+    share = own / max(own + after, 1e-30) if candidate.without else (before - after) / max(before, 1e-30)
     return Unknown(candidate.spline, f, float(gain), float(share))
+
+
+def _enough(
+    problem: Problem,
+    chosen: Fit,
+    candidate: Candidate,
+    found: Unknown,
+    settings: DiscrepancySettings,
+    least: float,
+    more: float,
+) -> bool:
+    """Whether a candidate that was fitted is worth naming.
+
+    Args:
+      least: mean square that it must remove; more: that must be left less than with the causes in whose place it stands [N·m]².
+    """
+    before, after = left_by(problem, chosen), left_by(problem, found.fit)
+    if not candidate.without:
+        return found.share >= settings.share and before - after >= least
+    own = _own(problem, found.fit, found.spline)
+    return own >= least and before - after >= max(settings.gain * before, more, settings.more * own)
+
+
+def _without_absorbed(
+    problem: Problem, fitter: Fitter, chosen: Fit, found: Unknown, settings: DiscrepancySettings
+) -> Unknown:
+    """The same without the causes beside it that it has taken over: an offset beside a drift of the same reading."""
+    f, linear, before = found.fit, tamed(problem, found.fit), tamed(problem, chosen)
+    was = {id(h): worth_of(problem, chosen, before, i).rms for i, h in enumerate(chosen.model)}
+    is_now = [worth_of(problem, f, linear, i).rms for i in range(len(f.model) - 1)]
+    gone = [i for i, w in enumerate(is_now) if w < settings.absorbed * was[id(f.model[i])]]
+    if not gone:
+        return found
+    for i in reversed(gone):
+        f = without_it(problem, f, linear, i)
+        kept = np.setdiff1d(np.arange(linear.jacobian[0].shape[-1]), np.arange(*_bounds(problem.place(linear.model, i))))
+        linear = replace(f, jacobian=[J[..., kept] for J in linear.jacobian])
+    f = fitter.fit(f.model, f.theta, None, 6, chosen)
+    if left_by(problem, f) > (1 + settings.share) * left_by(problem, found.fit):
+        return found
+    return replace(found, fit=f, gain=float(f.log_evidence - chosen.log_evidence))
 
 
 def _own(problem: Problem, f: Fit, spline: Spline) -> float:
