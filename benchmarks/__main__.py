@@ -17,6 +17,7 @@ NAMED_ONLY = (
     "readings",
     "mistakes",
     "calibrated",
+    "bands",
     "sysid",
     "contact",
     "torque_control",

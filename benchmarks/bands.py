@@ -1,0 +1,118 @@
+"""Bands where the fit has not been: `python -m benchmarks bands` writes docs/bands.csv and a table of docs/diagnosis.md.
+
+A draw is a joint (`diagnosis.trials.draw`), by turns alone and with one hidden effect of ordinary size, with a real joint's small
+imperfections or without. 60 % of its angles, and with them of speeds and loads, are diagnosed; then it moves through all of its
+range (`diagnosis.trials.bands`). Counted are samples in motion beyond the data in which the noise-free reading lies in its 95 %
+band. Draws are kept as they come (`--kept`), and those that are kept are not computed again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import time
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from flexspline.diagnosis.trials import bands
+from flexspline.diagnosis.trials.draw import Challenge, Hidden
+from flexspline.views.limit_tables import markdown
+
+from . import kept
+from .pages import ROOT, fill, share
+
+SEED = 531
+KINDS: tuple[Hidden, ...] = ("none", "one")
+LABELS = {
+    "motor_current": "motor current",
+    "joint_torque": "joint torque",
+    "link_position": "link position",
+    "RAREKF": "estimate: RAREKF",
+    "current": "estimate: `current`",
+    "payload_smoothed": "estimate: `payload_smoothed`",
+}
+ENOUGH = 1000
+"""Samples beyond the data from which on a draw counts."""
+LEAST = 0.9
+
+
+@dataclass(frozen=True)
+class Row:
+    """A band of a draw: samples beyond the data, share of the truth inside, RMS of error and of the band's standard deviation."""
+
+    real: bool
+    draw: int
+    cause: str
+    named: str
+    channel: str
+    samples: int
+    inside: float
+    error: float
+    deviation: float
+
+
+def held(real: bool, index: int) -> list[Row]:
+    """One draw's bands."""
+    challenge = Challenge(seed=SEED, hidden=KINDS[index % len(KINDS)], real=real)
+    part = bands.diagnosed_part(challenge, index)
+    found = part.found
+    cause = ", ".join(e.name for e in part.drawn.effects) or "none"
+    named = ", ".join(c.name for c in found.causes if c.confidence >= 0.5) or found.verdict
+    return [
+        Row(real, index, cause, named, name, h.samples, *(float(f"{x:.4g}") for x in (h.inside, h.error, h.width)))
+        for name, h in (bands.channels_held(part) | bands.estimates_held(part)).items()
+    ]
+
+
+def about(rows: Sequence[Row]) -> str:
+    """How many draws there are, and of what."""
+    real, sound = (sorted({r.draw for r in rows if r.real == kind}) for kind in (True, False))
+    return (
+        f"({len(real)} joints with a real joint's imperfections, {len(sound)} without, seed {SEED}; every other one hides an effect)"
+    )
+
+
+def table(rows: Sequence[Row]) -> str:
+    """By channel and kind of joint: mean share inside over draws, its interval, and how many draws have at least 90 %."""
+    body = []
+    for name, label in LABELS.items():
+        cells = []
+        for real in (True, False):
+            some = np.array([r.inside for r in rows if r.real == real and r.channel == name and r.samples >= ENOUGH])
+            cells += [share(some), f"{np.sum(some >= LEAST)} of {len(some)}"] if len(some) else ["–", "–"]
+        body.append((label, *cells))
+    heads = ("95 % band of", "real joints: inside [%]", "draws with ≥ 90 %", "sound joints: inside [%]", "draws with ≥ 90 %")
+    return markdown(heads, body)
+
+
+def main(arguments: Sequence[str] = ()) -> None:
+    """Compute the draws that are not kept yet, keep them, and write the table."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.bands", description=__doc__)
+    parser.add_argument("--draws", type=int, default=30, help="joints with imperfections; 0 writes the table of what is kept")
+    parser.add_argument("--sound", type=int, default=0, help="joints without")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "bands.csv")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "diagnosis.md")
+    asked = parser.parse_args(arguments)
+    rows, began = kept.read(asked.kept, Row), time.monotonic()
+    have = {(r.real, r.draw) for r in rows}
+    wanted = [(real, k) for real, n in ((True, asked.draws), (False, asked.sound)) for k in range(n)]
+    with ProcessPoolExecutor(asked.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for done in as_completed([pool.submit(held, *one) for one in wanted if one not in have]):
+            rows = sorted([*rows, *done.result()], key=lambda r: (not r.real, r.draw, list(LABELS).index(r.channel)))
+            kept.write(asked.kept, rows, Row)
+            minutes = (time.monotonic() - began) / 60
+            print(f"{len({(r.real, r.draw) for r in rows})} draws; {minutes:.1f} min", flush=True)
+    fill(asked.page, {"bands": table(rows), "bands about": about(rows)})
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    import sys
+
+    main(sys.argv[1:])
