@@ -73,7 +73,8 @@ def about(rows: Sequence[Row]) -> str:
     """How many draws there are, and of what."""
     real, sound = (sorted({r.draw for r in rows if r.real == kind}) for kind in (True, False))
     return (
-        f"({len(real)} joints with a real joint's imperfections, {len(sound)} without, seed {SEED}; every other one hides an effect)"
+        f"({len(real)} joints with a real joint's imperfections, {len(sound)} without, seed {SEED}; every other one hides an "
+        "effect)"
     )
 
 
