@@ -87,14 +87,22 @@ def table(rows: Sequence[Row]) -> str:
             some = np.array([r.inside for r in rows if r.real == real and r.channel == name and r.samples >= ENOUGH])
             cells += [share(some), f"{np.sum(some >= LEAST)} of {len(some)}"] if len(some) else ["–", "–"]
         body.append((label, *cells))
-    heads = ("95 % band of", "real joints: inside [%]", "draws with ≥ 90 %", "sound joints: inside [%]", "draws with ≥ 90 %")
+    heads = (
+        "95 % band of",
+        "real joints: inside [%]",
+        "draws with ≥ 90 %",
+        "sound joints: inside [%]",
+        "draws with ≥ 90 %",
+    )
     return markdown(heads, body)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Compute the draws that are not kept yet, keep them, and write the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.bands", description=__doc__)
-    parser.add_argument("--draws", type=int, default=30, help="joints with imperfections; 0 writes the table of what is kept")
+    parser.add_argument(
+        "--draws", type=int, default=30, help="joints with imperfections; 0 writes the table of what is kept"
+    )
     parser.add_argument("--sound", type=int, default=0, help="joints without")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "bands.csv")

@@ -592,7 +592,9 @@ def _without_absorbed(
         return found
     for i in reversed(gone):
         f = without_it(problem, f, linear, i)
-        kept = np.setdiff1d(np.arange(linear.jacobian[0].shape[-1]), np.arange(*_bounds(problem.place(linear.model, i))))
+        kept = np.setdiff1d(
+            np.arange(linear.jacobian[0].shape[-1]), np.arange(*_bounds(problem.place(linear.model, i)))
+        )
         linear = replace(f, jacobian=[J[..., kept] for J in linear.jacobian])
     f = fitter.fit(f.model, f.theta, None, 6, chosen)
     if left_by(problem, f) > (1 + settings.share) * left_by(problem, found.fit):
