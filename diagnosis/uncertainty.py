@@ -15,7 +15,7 @@ from ..models.joint import Joint, Uncertainty
 from .data.segments import BALANCES, LINK, TORQUE
 from .fit.regions import Region, region_masks, valid_range
 from .fit.residual import Problem
-from .fit.solver import Fit, covariances
+from .fit.solver import Fit, covariances, root_of
 
 _STEP = 1e-3
 _DIGITS = 4
@@ -43,7 +43,7 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
         changes / np.where(period > 0, period, 1.0)[:, None]
     )  # of an angle, the short way
     slope = changes / _STEP
-    root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
+    root = root_of(covariance)
     # L of L Lᵀ = (slope·root)(slope·root)ᵀ, also where numbers share all that is not known of them.
     lower = np.asarray(np.linalg.qr((slope @ root).T, mode="r")).T
     n = len(names)
@@ -92,7 +92,7 @@ def larger(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     With one = L Lᵀ and L⁻¹ other L⁻ᵀ = V Λ Vᵀ it is L V max(Λ, 1) Vᵀ Lᵀ.
     """
     scale = np.sqrt(np.diag(one))
-    root = np.linalg.cholesky(one / scale[:, None] / scale + 1e-12 * np.eye(len(one)))
+    root = root_of(one / scale[:, None] / scale)
     inner = np.linalg.solve(root, np.linalg.solve(root, other / scale[:, None] / scale).T)
     values, vectors = np.linalg.eigh(0.5 * (inner + inner.T))
     wide = scale[:, None] * (root @ vectors) * np.sqrt(np.maximum(values, 1.0))

@@ -623,8 +623,7 @@ class Fitter:
 
     def _learn(self, point: Point, jacobian: Columns, covariance: np.ndarray) -> Noise:
         """Noise at a point, with what the residual may still be off as the parameters are uncertain."""
-        root = np.linalg.cholesky(covariance + 1e-12 * np.diag(np.diag(covariance)))
-        spread = [j @ root for j in jacobian]
+        spread = [j @ root_of(covariance) for j in jacobian]
         return learn(self.problem.segments, point.residual, point.noise, self.problem.quantum(), spread, self.noise)
 
     def finish(self, model, theta, point, jacobian, extra, noise, history=(), weight=None) -> Fit:
@@ -673,6 +672,13 @@ def _inverse(A: np.ndarray) -> np.ndarray:
     """Inverse of a positive matrix, scaled to unit diagonal first."""
     d = 1 / np.sqrt(np.diag(A))
     return d[:, None] * np.linalg.inv(A * d[:, None] * d) * d
+
+
+def root_of(covariance: np.ndarray) -> np.ndarray:
+    """L of L Lᵀ, shape (n, n), of a covariance that rounding may have left a little below positive."""
+    scale = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / scale[:, None] / scale)
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 1e-12))
 
 
 def _godambe(S: np.ndarray, V: np.ndarray, prior: np.ndarray, rcond: float) -> np.ndarray:

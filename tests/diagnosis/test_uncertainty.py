@@ -158,6 +158,16 @@ def test_few_directions_keep_what_matters(rng):
     assert principal([], np.empty((50, 0)), 0.01, 4) == []
 
 
+def test_larger_covariance_of_one_that_rounding_left_not_positive(rng):
+    """As one of unknowns that the data tell only together: a Cholesky factor of it ended a diagnosis in a traceback."""
+    direction = rng.normal(size=(3, 1))
+    singular = direction @ direction.T
+    singular[0, 0] *= 1 - 1e-9
+    assert np.linalg.eigvalsh(singular).min() < 0
+    both = larger(singular, np.eye(3))
+    assert np.linalg.eigvalsh(both - singular).min() > -1e-8 and np.linalg.eigvalsh(both - np.eye(3)).min() > -1e-8
+
+
 def test_larger_covariance_is_at_least_both(rng):
     A, B = (x @ x.T + 0.1 * np.eye(5) for x in rng.standard_normal((2, 5, 5)))
     both = larger(A, B)
