@@ -68,7 +68,8 @@ class DiscrepancySettings:
       lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need not be the
         likelier: slow discrepancy holds in the noise what the effect would. In the place of causes it may be less likely by the
         penalty, times the residual over the sensors' noise as above.
-      absorbed: part of what a cause was worth below which it is dropped beside the effect, which makes what it made.
+      absorbed: part of what a cause was worth below which it is dropped beside the effect, which makes what it made, if no more
+        than `same` of the mean square is then left beyond what was: a fit that leaves more has gone elsewhere.
       likely: part of these shares that it must have in the linear model to be fitted through the replay.
       thin: every so-manieth residual is looked at first.
       refined: candidates that are fitted through the replay; one more where these depend on the same variable.
@@ -86,6 +87,7 @@ class DiscrepancySettings:
     more: float = 0.03
     lost: float = 2.0
     absorbed: float = 0.25
+    same: float = 0.05
     likely: float = 0.5
     thin: int = 3
     refined: int = 2
@@ -597,7 +599,7 @@ def _without_absorbed(
         )
         linear = replace(f, jacobian=[J[..., kept] for J in linear.jacobian])
     f = fitter.fit(f.model, f.theta, None, 6, chosen)
-    if left_by(problem, f) > (1 + settings.share) * left_by(problem, found.fit):
+    if left_by(problem, f) > (1 + settings.same) * left_by(problem, found.fit):
         return found
     return replace(found, fit=f, gain=float(f.log_evidence - chosen.log_evidence))
 
