@@ -159,7 +159,12 @@ def diagnose(
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
-        problem, final, found = _polished(problem, fitter, found, settings.accept)
+        end, final, found = _polished(problem, fitter, found, settings.accept)
+        worse = bool(found.chosen.model) and _explains_nothing(end, found.base, final)
+        if worse and not _explains_nothing(problem, found.base, found.chosen):
+            # What is likeliest at the end leaves more than what was found did: the numbers stay as they were found.
+            end, final = problem, with_dispersion(problem, found.chosen)
+        problem = end
     else:
         problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
     final = _inflated(problem, final)
