@@ -39,6 +39,7 @@ LABELS = {
 ENOUGH = 1000
 """Samples beyond the data from which on a draw counts."""
 LEAST = 0.9
+"""Share inside from which on a draw's band holds."""
 
 
 @dataclass(frozen=True)

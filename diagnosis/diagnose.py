@@ -159,12 +159,7 @@ def diagnose(
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
-        end, final, found = _polished(problem, fitter, found, settings.accept)
-        worse = bool(found.chosen.model) and _explains_nothing(end, found.base, final)
-        if worse and not _explains_nothing(problem, found.base, found.chosen):
-            # What is likeliest at the end leaves more than what was found did: the numbers stay as they were found.
-            end, final = problem, with_dispersion(problem, found.chosen)
-        problem = end
+        problem, final, found = _polished(problem, fitter, found, settings.accept)
     else:
         problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
     final = _inflated(problem, final)
@@ -354,7 +349,8 @@ def _holds_back(outcome: _Outcome) -> str:
 
 
 def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Problem, Fit, Search]:
-    """The chosen model at its end and corrected, without effects that the data do not tell from nothing there."""
+    """The chosen model at its end and corrected, without effects that the data do not tell from nothing there; as it was chosen
+    where it leaves more than calibration alone at the end, and did not as chosen."""
     kept: set[int] = set()
     final = _at_its_end(problem, fitter, found.chosen)
     while True:
@@ -376,6 +372,9 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
         reasons |= lost
         weak = [i for i in reasons if i in lost or id(final.model[i]) not in kept]
         if not weak:
+            worse = bool(found.chosen.model) and _explains_nothing(less, found.base, corrected)
+            if worse and not _explains_nothing(problem, found.base, found.chosen):
+                return problem, with_dispersion(problem, found.chosen), found
             return less, corrected, found
         i = min(weak, key=lambda i: away[i])
         h = final.model[i]
@@ -497,8 +496,9 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
     away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
     unseen = [h.cause.name in outcome.missing for h in final.model]
     # What makes data worse that no fit saw is not sure, nor is which of two makes a ripple that either could.
-    unsure = [held_after > held_before or bool(_other_ripples(problem, h)) for h in final.model]
-    unsure = [x or h.key in outcome.doubted for x, h in zip(unsure, final.model, strict=True)]
+    unsure = [
+        held_after > held_before or h.key in outcome.doubted or bool(_other_ripples(problem, h)) for h in final.model
+    ]
     doubtful = [x < ANSWER.significant or slim[i] or unseen[i] or unsure[i] for i, x in enumerate(away)]
     confidences = _confidences(problem, found, final, unknown, doubtful)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):

@@ -268,11 +268,11 @@ def _transmission(
                 dahl = laws.dahl_step(dahl, w_middle * t.ratio - vl, h, p)
         if p.flexible_share != 0.0 and not measured:
             phi, phi_rate = laws.flexible_step(phi, phi_rate, al0, al1, h, p)
+        if step < 0:
+            continue
         ends = dynamics.transmission(
             State(m1, vm1, theta_w, w, l1, vl1, z, dahl, 0.0, time[i], temperature[i]), p, passband
         )
-        if step < 0:
-            continue
         s = inner[i - begin]
         s.wave_generator_position, s.wave_generator_velocity = theta_w, w
         s.motor_position, s.motor_velocity, s.motor_acceleration = m1, vm1, am1

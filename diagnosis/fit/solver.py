@@ -623,7 +623,8 @@ class Fitter:
 
     def _learn(self, point: Point, jacobian: Columns, covariance: np.ndarray) -> Noise:
         """Noise at a point, with what the residual may still be off as the parameters are uncertain."""
-        spread = [j @ root_of(covariance) for j in jacobian]
+        root = root_of(covariance)
+        spread = [j @ root for j in jacobian]
         return learn(self.problem.segments, point.residual, point.noise, self.problem.quantum(), spread, self.noise)
 
     def finish(self, model, theta, point, jacobian, extra, noise, history=(), weight=None) -> Fit:

@@ -198,11 +198,15 @@ def worth_of(problem: Problem, f: Fit, linear: Fit, index: int) -> Worth:
 
 
 def without_it(problem: Problem, f: Fit, linear: Fit, index: int) -> Fit:
-    """A fit as it would be without one of its effects, in the linear model: the other unknowns do what they can instead."""
+    """A fit as it would be without one of its effects, in the linear model: the other unknowns do what they can instead. It has
+    the linear model's derivatives."""
     effect, others, amount = _alone(problem, f, index)
     step = instead(problem, f, linear.jacobian, effect, others, amount)
     model = tuple(g for j, g in enumerate(f.model) if j != index)
-    return replace(f, model=model, theta=f.theta[others] + step, covariance=f.covariance[np.ix_(others, others)])
+    return replace(
+        f, model=model, theta=f.theta[others] + step, jacobian=[J[..., others] for J in linear.jacobian],
+        covariance=f.covariance[np.ix_(others, others)],
+    )  # fmt: skip
 
 
 def _alone(problem: Problem, f: Fit, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -465,7 +465,7 @@ def find(
         least_share = settings.likely * (settings.gain if without else settings.share)
         likely = [c for c in tried if c.without == without and c.share > least_share]
         for candidate in _promising(likely, unusual, settings):
-            found = _refined(problem, fitter, chosen, candidate, settings)
+            found = _refined(problem, fitter, chosen, candidate, settings, unusual)
             if found is None:
                 continue
             if not _enough(problem, chosen, candidate, found, settings, least, settings.more * explained):
@@ -531,8 +531,13 @@ def _refined(
     chosen: Fit,
     candidate: Candidate,
     settings: DiscrepancySettings,
+    unusual: float,
 ) -> Unknown | None:
-    """A candidate fitted through the replay; None where it is not likely enough."""
+    """A candidate fitted through the replay; None where it is not likely enough.
+
+    Args:
+      unusual: log evidence by which what no description holds may speak for what is not there.
+    """
     kept = [i for i in range(len(chosen.model)) if i not in candidate.without]
     places = [problem.place(chosen.model, i) for i in kept]
     index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
@@ -551,9 +556,7 @@ def _refined(
         after = left_by(problem, f)
     gain = f.log_evidence - chosen.log_evidence
     if settings.lost * after < before:
-        needed = -np.inf
-        if candidate.without:
-            needed = -settings.penalty * min(quiet_rms(problem, chosen), settings.loosest)
+        needed = -unusual if candidate.without else -np.inf
     if gain <= needed:
         return None
     own = _own(problem, f, candidate.spline)
@@ -586,19 +589,18 @@ def _without_absorbed(
     problem: Problem, fitter: Fitter, chosen: Fit, found: Unknown, settings: DiscrepancySettings
 ) -> Unknown:
     """The same without the causes beside it that it has taken over: an offset beside a drift of the same reading."""
-    f, linear, before = found.fit, tamed(problem, found.fit), tamed(problem, chosen)
-    was = {id(h): worth_of(problem, chosen, before, i).rms for i, h in enumerate(chosen.model)}
-    is_now = [worth_of(problem, f, linear, i).rms for i in range(len(f.model) - 1)]
-    gone = [i for i, w in enumerate(is_now) if w < settings.absorbed * was[id(f.model[i])]]
+    start, before = tamed(problem, found.fit), tamed(problem, chosen)
+    was = {h.key: worth_of(problem, chosen, before, i).rms for i, h in enumerate(chosen.model)}
+    gone = [
+        i
+        for i, h in enumerate(start.model[:-1])
+        if worth_of(problem, found.fit, start, i).rms < settings.absorbed * was[h.key]
+    ]
     if not gone:
         return found
     for i in reversed(gone):
-        f = without_it(problem, f, linear, i)
-        kept = np.setdiff1d(
-            np.arange(linear.jacobian[0].shape[-1]), np.arange(*_bounds(problem.place(linear.model, i)))
-        )
-        linear = replace(f, jacobian=[J[..., kept] for J in linear.jacobian])
-    f = fitter.fit(f.model, f.theta, None, 6, chosen)
+        start = without_it(problem, start, start, i)
+    f = fitter.fit(start.model, start.theta, None, 6, chosen)
     if left_by(problem, f) > (1 + settings.same) * left_by(problem, found.fit):
         return found
     return replace(found, fit=f, gain=float(f.log_evidence - chosen.log_evidence))
