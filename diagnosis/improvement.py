@@ -260,7 +260,7 @@ def _estimate(recording: Recording, joint: Joint, record: np.ndarray, name: str)
             found = ready.ready(registry.get(name)).estimate(ready.signals, ready.known)
         except (FilterDiverged, InputError):
             continue
-        torque[part] = ready.known.as_read(found.mean, ready.signals.time)
+        torque[part] = ready.known.as_read(found.mean, ready.signals)
         external[part] = ready.own_torque - found.mean if found.external is None else found.external
     return Estimates(recording.name, recording.time, {name: torque}, {name: external})
 

@@ -28,12 +28,10 @@ from ..models.errors import InputError
 from ..models.kernels import kernel
 from ..models.parameters import PARAMETERS
 from .estimator import KnownJoint
-from .sensing import LOWPASS, RING, line_in_ring, lowpass, motor_current, place_in_ring
+from .sensing import LOWPASS, RING, VELOCITY, line_in_ring, lowpass, motor_current, place_in_ring
 
 _AHEAD = 2.0
 """Delays of the link encoder, over which the line that carries a late torsion on is fitted."""
-_VELOCITY = 2.0 * math.pi * 40.0
-"""Low-pass [rad/s] of the rotor's velocity, on which model discrepancies may depend."""
 _HYSTERESIS = 2.0 * math.pi * 70.0
 """Low-pass [rad/s] of the torsion that drives the hysteresis: above, counts wear its state away; below, it misses vibrations."""
 
@@ -70,7 +68,7 @@ def measure(m, s, p):
     motor = dynamics.actual_motor_position(s.motor_position, p)
     w, beyond = UNREAD, laws.has_discrepancy(p)
     if beyond:
-        lowpass(m.motor, motor, s.interval, _VELOCITY)
+        lowpass(m.motor, motor, s.interval, VELOCITY)
         w = m.motor.rate
     rough = s.link_position - p.link_zero
     current = motor_current(s, motor, rough, w, m.torque, p)

@@ -3,7 +3,7 @@
 An estimator is a frozen dataclass of its tuning parameters, with units. Every one works everywhere by its name
 (`registry`): over the signals of a run or a recording (`estimate`), and in the closed loop (`step`). One that looks ahead, a
 smoother, cannot be fed back and says so. It gives the *actual* joint torque Ts; what a torque sensor with its known gain,
-offset and drift would read of it is `KnownJoint.as_read`.
+offset, drift and discrepancy would read of it is `KnownJoint.as_read`.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from ..models.signals import SENSED, Signals
 from ..models.step import OK, SAMPLE, CompiledStep, Step
 from ..models.streams import BLOCK
 from .errors import FilterDiverged
+from .sensing import LOWPASS, read_joint_torque
 from .tuning_parameters import TuningParameter
 
 _LASTS = 0.01
@@ -181,10 +182,15 @@ class KnownJoint:
         """The parameters by name."""
         return self.record[0]
 
-    def as_read(self, torque: np.ndarray, time: np.ndarray) -> np.ndarray:
-        """What the joint's torque sensor would read [N·m] of a joint torque: its known gain, offset and drift."""
-        p = self.p
-        return p["torque_gain"] * torque + p["torque_offset"] + p["torque_rate"] * self.since(time)
+    def as_read(self, torque: np.ndarray, signals: Signals) -> np.ndarray:
+        """What the joint's torque sensor would read [N·m] of a joint torque, shape (n,): its known gain, offset, drift and
+        discrepancy. `signals`: n samples with both positions."""
+        read = np.empty(len(torque))
+        read_joint_torque(
+            np.asarray(torque, dtype=np.float64), signals["motor_position"], signals["link_position"],
+            self.since(signals.time), self.record, np.zeros(1, dtype=LOWPASS), read,
+        )  # fmt: skip
+        return read
 
     def told(self, **values: float) -> KnownJoint:
         """The same with other numbers in the record, by field."""

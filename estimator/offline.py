@@ -230,7 +230,7 @@ def estimate_recording(
 
             reference = reference_torque(ready.signals, ready.known)
             seen = {
-                "torque": ready.known.as_read(reference, signals.time),
+                "torque": ready.known.as_read(reference, ready.signals),
                 "external_torque": ready.own_torque - reference,
             }
             there = {(what, name): estimates[what, name] for name in told for what in _QUANTITIES}
@@ -322,7 +322,7 @@ def _estimate(
             return str(error)
         if beliefs is not None and posterior.variance is not None:
             beliefs[name] = np.maximum(posterior.variance, 0.0)
-        take("torque", name, ready.known.as_read(posterior.mean, ready.signals.time))
+        take("torque", name, ready.known.as_read(posterior.mean, ready.signals))
         external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
         take("external_torque", name, external)
         return None

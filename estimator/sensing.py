@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from ..models import dynamics
+from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
 
 LOWPASS = np.dtype([("value", np.float64), ("rate", np.float64), ("acceleration", np.float64)])
@@ -42,6 +43,28 @@ def motor_current(s, motor_position, link_position, velocity, load, p):
 def temperature(s, p):
     """Temperature [°C] at a sample; the one that the friction is stated for where there is no sensor."""
     return p.reference_temperature if math.isnan(s.temperature) else s.temperature
+
+
+VELOCITY = 2.0 * math.pi * 40.0
+"""Bandwidth [rad/s] of the rotor's velocity on which a model discrepancy may depend."""
+
+
+@kernel
+def read_joint_torque(torque, motor_position, link_position, time, record, rotor, out):
+    """What the joint torque sensor reads [N·m] before noise at every sample, shape (n,) each.
+
+    Args:
+        motor_position, link_position: readings [rad]. time: since the recording began [s].
+        record: parameters; rotor: the low-pass in which its velocity is found, `LOWPASS`. Shape (1,) each.
+    """
+    p, m = record[0], rotor[0]
+    for i in range(len(torque)):
+        motor = dynamics.actual_motor_position(motor_position[i], p)
+        lowpass(m, motor, time[i] - time[i - 1] if i > 0 else 0.0, VELOCITY)
+        w = m.rate
+        link = dynamics.actual_link_position(link_position[i], motor, w, time[i], p)
+        state = State(motor, w, motor, w, link, w / p.N, UNREAD, UNREAD, UNREAD, time[i], UNREAD)
+        out[i] = dynamics.read_joint_torque(torque[i], state, torque[i], p)
 
 
 RING = 512

@@ -17,8 +17,10 @@ from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, g
 from flexspline.estimator.online import OnlineEstimate, OnlineSamples, PassingEstimate, PassingSamples
 from flexspline.estimator.tuning_parameters import TuningParameter, value_of, with_values
 from flexspline.models import plugins
+from flexspline.models.causes.base import put_discrepancy
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Joint
+from flexspline.models.parameters import N_COEFFICIENTS
 from flexspline.models.signals import Signals
 from flexspline.models.step import SAMPLE, PythonStep, numpy_at
 from flexspline.sim import loop, plant, sensors
@@ -106,9 +108,24 @@ def test_a_torque_sensors_gain_is_no_ones_business(name, known, signals):
     sensed = replace(known, record=record)
     actual = registry.get(name).estimate(signals, known).mean
     assert np.array_equal(registry.get(name).estimate(signals, sensed).mean, actual)
-    assert np.allclose(sensed.as_read(actual, signals.time), 1.1 * actual + 0.3 + 0.1 * signals.time)
-    late = replace(sensed, start=-2.0)
-    assert np.allclose(late.as_read(actual, signals.time) - sensed.as_read(actual, signals.time), 0.2)
+    since = signals.time - signals.time[0]
+    assert np.allclose(sensed.as_read(actual, signals), 1.1 * actual + 0.3 + 0.1 * since)
+    late = replace(sensed, start=signals.time[0] - 2.0)
+    assert np.allclose(late.as_read(actual, signals) - sensed.as_read(actual, signals), 0.2)
+
+
+def test_what_a_sensor_would_read_holds_its_discrepancy(known, signals):
+    """A spline whose coefficients lie on a line is that line: over the load, and over the link's angle."""
+    torque, angle = np.linspace(-8.0, 8.0, len(signals.time)), signals["link_position"]
+    line = np.linspace(-1.0, 1.0, N_COEFFICIENTS)
+    for variable, x in (("load", torque), ("link_position", angle)):
+        record = known.record.copy()
+        put_discrepancy(record[0], "joint_torque", variable, -10.0, 10.0, 0.5 * line)
+        read = replace(known, record=record).as_read(torque, signals)
+        inner = (
+            10.0 * (N_COEFFICIENTS - 1) / (N_COEFFICIENTS - 3)
+        )  # the outermost coefficients lie a knot beyond the range
+        assert np.allclose(read - known.as_read(torque, signals), 0.5 * x / inner, atol=1e-6), variable
 
 
 WITH_EFFECTS = {

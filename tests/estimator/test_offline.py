@@ -355,7 +355,7 @@ def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
     found = estimate_recording(jumping, exact, ("current", "kalman"), bands=True)
     known = KnownJoint.of(exact, jumping.link)
     ready = prepare(jumping.signals.without("joint_torque", "external_torque"), known)
-    reference = ready.known.as_read(reference_torque(ready.signals, ready.known), jumping.time)
+    reference = ready.known.as_read(reference_torque(ready.signals, ready.known), ready.signals)
     apart = disagreement(jumping.time, found.torque["current"], reference)
     late = slice(4000, None)
     assert np.median(apart[late]) > 2.0
