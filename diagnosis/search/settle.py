@@ -186,7 +186,7 @@ def _as_general_as_needed(
                 again = _in_place_of(problem, fitter, special, i, h)
                 general, more = max(((x, added(fitter, x, special)) for x in (f, again)), key=lambda x: x[1])
             asked = more > loose * settings.general
-            sure = 1.0 / (1.0 + np.exp(-abs(more / loose - settings.general) / settings.temper))
+            sure = _sure(max(more, 0.0) / loose - settings.general, loose, settings)
             name = general.model[i].cause.name.replace("_", " ")
             reason = f"{name}, which is more general, adds {more:.0f} to the log evidence"
             taken = asked != simpler
@@ -195,9 +195,19 @@ def _as_general_as_needed(
             f = general if asked else special
             if i < len(rivals):
                 rivals = list(rivals)
-                rivals[i] = replace(rivals[i], cause=f.model[i].cause.name, share=rivals[i].share * float(sure))
+                rivals[i] = replace(rivals[i], cause=f.model[i].cause.name, share=rivals[i].share * sure)
             break
     return f, rivals, decisions
+
+
+def _sure(beyond: float, loose: float, settings: AcceptSettings) -> float:
+    """Probability that the right one of a cause and its special case was taken, by the log evidence beyond what decides.
+
+    A general model can do all that its special case can: how far below it ends says nothing. What no description holds adds to
+    what it explains, the more the more is left.
+    """
+    temper = settings.temper if beyond < 0 else settings.temper_general * loose
+    return float(1.0 / (1.0 + np.exp(-abs(beyond) / temper)))
 
 
 def _in_place_of(problem: Problem, fitter: Fitter, f: Fit, index: int, g: Hypothesis) -> Fit:
