@@ -159,15 +159,18 @@ def diagnose(
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
+        whole = problem.with_held_out()
         problem, final, found = _polished(problem, fitter, found, settings.accept)
+        judged = _inflated(problem, final)
+        final = judged if problem.link_measured else _inflated(problem, _on_all(whole, final))
     else:
         problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
-    final = _inflated(problem, final)
+        judged = final = _inflated(problem, final)
     progress("regions that a fit has not seen", 0.97)
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
     undetermined, alike = _limits(problem, found, final, tried, missing)
-    outcome = _Outcome(problem, found, unknown, final, drawn, missing, undetermined, alike, looked.doubted)
+    outcome = _Outcome(problem, found, unknown, judged, final, drawn, missing, undetermined, alike, looked.doubted)
     few = bool(found.chosen.model) and outcome.nearly_all and problem.link_measured
     if all(pushed(r) for r in measurement.recordings):
         outcome = replace(outcome, surest=ANSWER.unsure)  # what a push did cannot be told from what a cause does
@@ -188,7 +191,8 @@ class _Outcome:
 
     Attributes:
       found, unknown: what the search came to, and an unknown effect beside it.
-      final: the model at its end; drawn: the same, drawn back to what holds where it was not fitted.
+      judged: the model at its end, from which blocks of the data were kept.
+      final: the same, with one encoder fitted to these blocks too; drawn: that, drawn back to what holds where it was not fitted.
       missing: causes that such a measurement cannot show at ordinary size, with the reason.
       undetermined: these and others that could not have shown; alike: pairs that look the same.
       doubted: causes in whose place an unknown effect might stand (`discrepancy.UnknownEffects`).
@@ -198,6 +202,7 @@ class _Outcome:
     problem: Problem
     found: Search
     unknown: Unknown | None
+    judged: Fit
     final: Fit
     drawn: DrawnBack
     missing: dict[str, str]
@@ -234,7 +239,7 @@ def _as_described(
     undetermined, alike = _limits(problem, found, final, tried, missing)
     drawn = DrawnBack(1.0, final, regions)
     return _Outcome(
-        problem, found, None, final, drawn, missing, undetermined, alike,
+        problem, found, None, final, final, drawn, missing, undetermined, alike,
         surest=min(outcome.surest, ANSWER.beside),
     )  # fmt: skip
 
@@ -251,7 +256,7 @@ def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
         findings = [
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
-    residual = _balances(problem, found.base, final)
+    residual = _balances(problem, found.base, outcome.judged if outcome.drawn.share == 1.0 else final)
     verdict, reason = _verdict(outcome, findings, residual, useless)
     calibration = parameter_shifts(problem, final)
     reason = _joined(reason, _at_the_end(calibration), _holds_back(outcome))
@@ -393,6 +398,18 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
         final = _at_its_end(problem, fitter, other)
 
 
+def _on_all(whole: Problem, f: Fit) -> Fit:
+    """A model fitted to all of the data, blocks that were kept from it too: with one encoder numbers are hardly told apart, and a
+    sixth of the data says more of them than anything else could. As it was where that leaves plainly more.
+
+    Args:
+      whole: the problem to which all data count.
+    """
+    again = Fitter(whole)
+    _, found = _corrected(whole, _at_its_end(whole, again, again.fit(f.model, f.theta)))
+    return f if _plainly_more(whole, found, f) else found
+
+
 def _at_its_end(problem: Problem, fitter: Fitter, f: Fit) -> Fit:
     """A model fitted to its end. Where taking out the noise's share leaves plainly more, as at a stop, whose stiffness multiplies
     noise, the fit stays, and neither is right to better than what is between them."""
@@ -480,7 +497,7 @@ def _limits(
 def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding], list[Finding]]:
     """The effects of the final model, each with what it is worth: causes, and minor ones."""
     problem, found, final, unknown = outcome.problem, outcome.found, outcome.final, outcome.unknown
-    held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, final))
+    held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, outcome.judged))
     explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
     real = quiet_rms(problem, final) > ANSWER.quiet
     left = left_by(problem, final) ** 0.5

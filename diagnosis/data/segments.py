@@ -57,7 +57,8 @@ class SegmentSettings:
       above_noise: power of the measured acceleration over its noise's, from which on it is motion.
       following: passband of the rotor's motion where the link's encoder stands for it, over the frequency at which the link as
         described swings against a rotor that is held; slowest: the least that it is [Hz].
-      readings: passband of the smoother over the sampling rate for readings beside such a motion.
+      readings: passband of the smoother over the sampling rate for readings beside such a motion: they are not differentiated,
+        and a ripple is as fast as they are sampled.
     """
 
     held_out_block: float = 0.5
@@ -71,7 +72,7 @@ class SegmentSettings:
     above_noise: float = 10.0
     following: float = 0.5
     slowest: float = 1.0
-    readings: float = 0.45
+    readings: float = 0.8
 
 
 SETTINGS = SegmentSettings()

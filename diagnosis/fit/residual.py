@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
@@ -83,6 +84,15 @@ class Problem:
         other.held = np.zeros(self.size, bool)
         other.held[: self.calibration.size] = True
         other.held[self.zeros] = False
+        return other
+
+    def with_held_out(self) -> Problem:
+        """The same problem to which all data count, blocks that were kept from fits too."""
+        other = copy(self)
+        other.segments, other.replicates = (
+            [replace(s, usable=s.usable | s.held_out) for s in segments]
+            for segments in (self.segments, self.replicates)
+        )
         return other
 
     def mirrored(self) -> Problem:
