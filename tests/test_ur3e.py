@@ -62,11 +62,20 @@ def test_diagnosis_alone(held, ur3e):
         assert "one encoder" in why
     described, extended = (ur3e.error(shown) for shown in (held.described, held.extended))
     assert np.sqrt(np.nanmean(described**2)) < 0.13
-    assert np.sqrt(np.nanmean(extended**2)) < 0.041  # 0.053 with the plain regression, 0.036 with 92 harmonics
+    assert np.sqrt(np.nanmean(extended**2)) < 0.0395  # 0.053 with the plain regression, 0.036 with 92 harmonics
     shown = held.extended
     moving = np.isfinite(ur3e.error(shown))
     inside = np.abs(ur3e.error(shown)) < 1.96 * np.hypot(shown.deviation["motor_current"], 0.026)
     assert inside[moving].mean() > 0.9
+
+
+@pytest.mark.slow
+def test_numbers_are_of_a_fit_to_all_of_the_data(log, ur3e):
+    """With a sixth of 11 s in motion kept from them they left 0.042 A of what follows."""
+    recording = import_recording(load_layout("ur3e"), log)
+    first, last = ur3e.split(recording, 20.0)
+    held = ur3e.held_against(first, last, load_joint(recording.joint))
+    assert np.sqrt(np.nanmean(ur3e.error(held.extended) ** 2)) < 0.0395
 
 
 @pytest.mark.slow
