@@ -670,9 +670,14 @@ def _as_described(problem: Problem, covariance: np.ndarray) -> np.ndarray:
 
 
 def _inverse(A: np.ndarray) -> np.ndarray:
-    """Inverse of a positive matrix, scaled to unit diagonal first."""
+    """Inverse of a positive matrix, scaled to unit diagonal first; positive even where rounding left that not quite so."""
     d = 1 / np.sqrt(np.diag(A))
-    return d[:, None] * np.linalg.inv(A * d[:, None] * d) * d
+    scaled = A * d[:, None] * d
+    found = np.linalg.inv(scaled)
+    if not np.all(np.diag(found) > 0.0):
+        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+        found = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    return d[:, None] * found * d
 
 
 def root_of(covariance: np.ndarray) -> np.ndarray:

@@ -146,6 +146,16 @@ def test_a_friction_that_is_taken_for_another_is_not_told_as_sure(seed, only, in
 
 
 @pytest.mark.slow
+def test_a_stop_that_leaves_rounding_alone_of_a_variance_is_no_error():
+    """What is known of a hard stop's neighbours once had variances below zero, and the diagnosis ended in an error."""
+    drawn = draw(Challenge(seed=579, hidden="two"), 10)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert {"hard_stop", "rotor_inertia"} <= {c.name for c in found.causes}, [
+        (c.name, c.confidence) for c in found.causes
+    ]
+
+
+@pytest.mark.slow
 def test_a_reading_that_drifts_is_no_sure_offset():
     """Slow discrepancy holds what an offset leaves of a drift: the simulation's error, which the drift halves, says more."""
     drawn = draw(Challenge(seed=233, hidden="outside", real=True), 8)
