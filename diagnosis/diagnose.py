@@ -159,10 +159,10 @@ def diagnose(
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
-        whole = problem.with_held_out()
+        given = problem
         problem, final, found = _polished(problem, fitter, found, settings.accept)
         judged = _inflated(problem, final)
-        final = judged if problem.link_measured else _inflated(problem, _on_all(whole, final))
+        final = judged if problem.link_measured else _inflated(problem, _on_all(given, final))
     else:
         problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
         judged = final = _inflated(problem, final)
@@ -398,15 +398,12 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
         final = _at_its_end(problem, fitter, other)
 
 
-def _on_all(whole: Problem, f: Fit) -> Fit:
+def _on_all(problem: Problem, f: Fit) -> Fit:
     """A model fitted to all of the data, blocks that were kept from it too: with one encoder numbers are hardly told apart, and a
-    sixth of the data says more of them than anything else could. As it was where that leaves plainly more.
-
-    Args:
-      whole: the problem to which all data count.
-    """
-    again = Fitter(whole)
-    _, found = _corrected(whole, _at_its_end(whole, again, again.fit(f.model, f.theta)))
+    sixth of the data says more of them than anything else could. As it was where that leaves plainly more."""
+    whole = problem.with_held_out()
+    fitter = Fitter(whole)
+    _, found = _corrected(whole, _at_its_end(whole, fitter, fitter.fit(f.model, f.theta)))
     return f if _plainly_more(whole, found, f) else found
 
 

@@ -11,7 +11,6 @@ Identification*, IEEE TCST 2014).
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -44,11 +43,7 @@ SETTINGS = InstrumentSettings()
 def averaged(problem: Problem, period: float) -> Problem:
     """The same problem with residuals that count as one within a period [s]."""
     block = max(round(period / (STEP * DECIMATION)), 1)
-    other = copy(problem)
-    other.segments, other.replicates = (
-        [replace(s, block=max(block, s.block)) for s in segments] for segments in (problem.segments, problem.replicates)
-    )
-    return other
+    return problem.with_segments(lambda s: replace(s, block=max(block, s.block)))
 
 
 def instrumented(problem: Problem, fit: Fit, settings: InstrumentSettings = SETTINGS) -> Fit:

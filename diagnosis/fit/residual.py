@@ -7,7 +7,7 @@ coordinates of the effects under test (`coordinates`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import copy
 from dataclasses import replace
 
@@ -86,14 +86,17 @@ class Problem:
         other.held[self.zeros] = False
         return other
 
-    def with_held_out(self) -> Problem:
-        """The same problem to which all data count, blocks that were kept from fits too."""
+    def with_segments(self, change: Callable[[Segment], Segment]) -> Problem:
+        """The same problem with segments and noise replicates changed alike."""
         other = copy(self)
         other.segments, other.replicates = (
-            [replace(s, usable=s.usable | s.held_out) for s in segments]
-            for segments in (self.segments, self.replicates)
+            [change(s) for s in segments] for segments in (self.segments, self.replicates)
         )
         return other
+
+    def with_held_out(self) -> Problem:
+        """The same problem to which all data count, blocks that were kept from fits too."""
+        return self.with_segments(lambda s: replace(s, usable=s.usable | s.held_out))
 
     def mirrored(self) -> Problem:
         """The same problem with the noise replicates' mirror images."""

@@ -122,9 +122,8 @@ def test_what_a_sensor_would_read_holds_its_discrepancy(known, signals):
         record = known.record.copy()
         put_discrepancy(record[0], "joint_torque", variable, -10.0, 10.0, 0.5 * line)
         read = replace(known, record=record).as_read(torque, signals)
-        inner = (
-            10.0 * (N_COEFFICIENTS - 1) / (N_COEFFICIENTS - 3)
-        )  # the outermost coefficients lie a knot beyond the range
+        # The outermost coefficients lie a knot beyond the range.
+        inner = 10.0 * (N_COEFFICIENTS - 1) / (N_COEFFICIENTS - 3)
         assert np.allclose(read - known.as_read(torque, signals), 0.5 * x / inner, atol=1e-6), variable
 
 
