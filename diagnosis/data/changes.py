@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import Recording
@@ -40,6 +41,7 @@ class ChangeSettings:
       smallest_offset: between the encoders [rad]; smallest_turn: of all angles together, by which way gravity pulls [rad]: less
         is what a joint's gravity direction, a payload or a stop may make of it, and no mistake.
       slow: between samples, from which on time may be in other units than seconds [s].
+      latest: by which one encoder may be behind the other in sound data [s].
     """
 
     price: float = 9.0
@@ -55,6 +57,7 @@ class ChangeSettings:
     smallest_offset: float = 0.015
     smallest_turn: float = 0.3
     slow: float = 0.05
+    latest: float = 0.015
 
 
 SETTINGS = ChangeSettings()
@@ -69,7 +72,7 @@ class ColumnChange:
 
     Attributes:
       name, column: of the mistake; description: of it, for people.
-      factor, offset: as in `mistakes.Mistake`; price: in log likelihood.
+      factor, offset, seconds: as in `mistakes.Mistake`; price: in log likelihood.
       also: changes of other columns that are the same mistake.
       ratio: of the gear.
     """
@@ -82,6 +85,7 @@ class ColumnChange:
     price: float = SETTINGS.price
     also: tuple[ColumnChange, ...] = ()
     ratio: float = 1.0
+    seconds: float | None = None
 
     def apply(self, motion: SmoothedChannels) -> SmoothedChannels:
         """The channels without the mistake; the same where the column is not there."""
@@ -110,6 +114,8 @@ class ColumnChange:
             return swapped(motion)
         x = motion.channels[self.column]
         factor = 1.0 if self.factor is None else self.factor
+        if self.seconds is not None:
+            return motion.with_channels(**{self.column: _earlier(motion.time, x, self.seconds)})
         if self.name == "velocity":
             return motion.with_channels(**{self.column: self._position(motion, factor * x)})
         if self.name == "gear_ratio" and self.column == "motor_position":
@@ -130,6 +136,24 @@ class ColumnChange:
                 x[:, 0] += np.median(sides[0] / sides[1] * motion.channels[name][:, 0] - x[:, 0])
                 break
         return x
+
+
+def _earlier(time: np.ndarray, motion: np.ndarray, seconds: float) -> np.ndarray:
+    """What a position, shape (n, 3) with two derivatives, is some time later; at the end it stands still."""
+    later = time + seconds
+    value = CubicHermiteSpline(time, motion[:, 0], motion[:, 1])(np.minimum(later, time[-1]))
+    return np.column_stack([value, *(np.interp(later, time, motion[:, k]) for k in (1, 2))])
+
+
+def _lag(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """By how much position b lags behind a, both of shape (n, 3), at their best offset and slope [s]."""
+    lag = 0.0
+    for _ in range(4):  # what is linear in a small lag is not in a large one
+        now = _earlier(time, b, lag) if lag > 0 else b
+        other = _earlier(time, a, -lag) if lag < 0 else a
+        A = np.column_stack([now[:, 1], np.ones(len(now)), now[:, 0]])
+        lag += float(np.linalg.lstsq(A, other[:, 0] - now[:, 0], rcond=None)[0][0])
+    return lag
 
 
 def swapped(motion: SmoothedChannels) -> SmoothedChannels:
@@ -347,7 +371,25 @@ class Suspicions:
             if slope is not None and abs(slope - 1) > SETTINGS.slope and slope > 0:
                 yield self._gear_ratio("motor_position", slope)
                 yield self._gear_ratio("link_position", slope)
+            yield from self._late(state)
         yield from self._zeros(there, state)
+
+    def _late(self, state: _Progress) -> Iterator[ColumnChange]:
+        """The encoder that lags behind the other, by what suits all recordings, and by what suits each."""
+        N = self.joint.numbers["N"].value
+        found = []
+        for motion in state.motions:
+            if motion is not None and all(name in motion for name in POSITIONS):
+                motor, link = motion.channels["motor_position"] / N, motion.channels["link_position"]
+                found.append(_lag(motion.time, motor, link))
+        tried = [float(np.median(found)), *found] if found else []
+        for lag in {round(x, 2): x for x in tried}.values():
+            if abs(lag) > SETTINGS.latest:
+                column = POSITIONS[1] if lag > 0 else POSITIONS[0]
+                yield ColumnChange(
+                    "late", column, f"{1e3 * abs(lag):.3g} ms late against the other encoder",
+                    price=SETTINGS.price + SETTINGS.free, seconds=abs(lag),
+                )  # fmt: skip
 
     def _gear_ratio(self, column: str, slope: float) -> ColumnChange:
         """Another ratio between the encoders; near N ± 1 the one of the other kind of strain wave gear."""

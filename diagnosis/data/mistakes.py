@@ -19,7 +19,7 @@ from ...models.joint import Joint
 from ...models.recording import Measurement, Recording, check_channels
 from ...models.signals import POSITIONS
 from .changes import GRAVITY, Found, Suspicions, time_unit
-from .lateness import late_columns
+from .lateness import LateColumn, late_columns
 from .samples import SampleMistake, bridged, unwrapped, wrong_samples
 
 _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
@@ -133,14 +133,10 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     except InputError:  # what does not move is all there is
         return tuple(found)
     suspicions = Suspicions(recordings, joint)
-    further = [m for f in suspicions.found for m in _of_change(f, recordings)]
-    recordings = _apply(recordings, joint, further)
-    late = late_columns(recordings, joint)
-    names = [r.name for r in recordings]
-    for one in late:
-        where = [""] if len(one.recordings) == len(names) else [names[i] for i in one.recordings]
-        text = f"{1e3 * one.seconds:.3g} ms late against the others"
-        further += [Mistake("late", one.column, n, text, one.confidence, seconds=one.seconds) for n in where]
+    further = [m for f in suspicions.found if f.change.name != "late" for m in _of_change(f, recordings)]
+    late = [m for one in late_columns(_apply(recordings, joint, further), joint) for m in _of_lateness(one, recordings)]
+    # Which column is late all relations together know better; the search had to know that one is.
+    further += late or [m for f in suspicions.found if f.change.name == "late" for m in _of_change(f, recordings)]
     if not late and suspicions.misfit < _WRONG:
         # What mends most leaves channels that cannot be of this joint: it may be something else.
         further = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in further]
@@ -191,16 +187,26 @@ def _merged(found: list[Mistake], recordings: int) -> list[Mistake]:
     return [replace(m, recording="") for m in found] if recordings == 1 else found
 
 
+def _of_lateness(found: LateColumn, recordings: Sequence[Recording]) -> list[Mistake]:
+    text = f"{1e3 * found.seconds:.3g} ms late against the others"
+    one = Mistake("late", found.column, "", text, found.confidence, seconds=found.seconds)
+    return _where(one, found.recordings, recordings)
+
+
+def _where(mistake: Mistake, having: Sequence[int], recordings: Sequence[Recording]) -> list[Mistake]:
+    """A mistake of those recordings, by index, that have it: one where all have."""
+    names = [""] if len(having) == len(recordings) else [recordings[i].name for i in having]
+    return [replace(mistake, recording=name) for name in names]
+
+
 def _of_change(found: Found, recordings: Sequence[Recording]) -> list[Mistake]:
     change = found.change
-    where = [""] if len(found.recordings) == len(recordings) else [recordings[i].name for i in found.recordings]
-    text = change.description
     one = Mistake(
-        change.name, change.column, "", text, found.confidence, factor=change.factor,
+        change.name, change.column, "", change.description, found.confidence, factor=change.factor, seconds=change.seconds,
         offset=np.pi if change.column == GRAVITY else change.offset,
         also=() if change.column == GRAVITY else tuple(c.column for c in change.also),
     )  # fmt: skip
-    return [replace(one, recording=name) for name in where]
+    return _where(one, found.recordings, recordings)
 
 
 def _apply(recordings: Iterable[Recording], joint: Joint, mistakes: Sequence[Mistake]) -> tuple[Recording, ...]:

@@ -105,6 +105,19 @@ def test_a_mistake_in_one_recording_is_named_there():
     assert find_mistakes(mended(spoilt, JOINT, [found]), JOINT) == ()
 
 
+@pytest.mark.parametrize(
+    "label", ["late motor_position 20 ms", "late motor_position 50 ms", "late link_position 100 ms"]
+)
+@pytest.mark.parametrize("only", [None, 2])
+def test_an_encoder_that_lags_behind_the_other_is_late_and_not_in_other_units(label, only):
+    """Both in degrees are small, and so is what one lags behind: units were named before anything was known of time."""
+    sound = draw(Challenge(seed=SEED, hidden="none", sensor=False), 0)
+    spoilt = hide(ALL[label], sound.measurement, sound.nominal, np.random.default_rng(SEED), only=only)
+    found = find_mistakes(spoilt, sound.nominal)
+    assert found and all(m.name == "late" for m in found), found
+    assert ALL[label].found(found), found
+
+
 def test_rows_of_a_glitch_are_told():
     r = recording()
     x = r["link_position"].copy()
