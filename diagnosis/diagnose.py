@@ -42,7 +42,7 @@ from .search.discrepancy import Unknown
 from .search.identifiability import limits
 from .search.settle import is_calibration, why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
-from .search.stages import Progress, Search, SearchSettings, search
+from .search.stages import Progress, Search, SearchSettings, likeliest_first, search
 from .search.worth import left_by, noise_of
 from .uncertainty import stated
 
@@ -156,6 +156,12 @@ def diagnose(
     looked = discrepancy.UnknownEffects()
     if time.monotonic() < deadline:
         looked = discrepancy.find(problem, fitter, found.base, found.chosen)
+        astray = looked.unknown is None and problem.link_measured and found.quiet[1] > settings.accept.again
+        if astray and time.monotonic() < deadline:
+            before, found = found, likeliest_first(problem, tried, found, fitter, settings, progress, deadline)
+            if found is not before and time.monotonic() < deadline:
+                progress("looking for unknown effects", 0.92)
+                looked = discrepancy.find(problem, fitter, found.base, found.chosen)
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
@@ -257,7 +263,7 @@ def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
     residual = _balances(problem, found.base, outcome.judged if outcome.drawn.share == 1.0 else final)
-    verdict, reason = _verdict(outcome, findings, residual, useless)
+    verdict, reason = _verdict(outcome, findings, minor, residual, useless)
     calibration = parameter_shifts(problem, final)
     reason = _joined(reason, _at_the_end(calibration), _holds_back(outcome))
     extended_joint = joint
@@ -689,9 +695,14 @@ def _close(found: Search) -> list[tuple[str, str]]:
 
 
 def _verdict(
-    outcome: _Outcome, findings: list[Finding], residual: dict[str, BalanceResidual], useless: bool
+    outcome: _Outcome,
+    findings: list[Finding],
+    minor: list[Finding],
+    residual: dict[str, BalanceResidual],
+    useless: bool,
 ) -> tuple[str, str]:
-    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent.
+    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent, nor is an effect that is
+    minor only for not being well known.
 
     Args:
       useless: whether the causes leave no less unexplained than calibration alone.
@@ -721,6 +732,13 @@ def _verdict(
         return "inconclusive", _joined(late, left)
     if far:
         return "inconclusive", left if taken_back else f"no known cause explains the residual; {left}"
+    large = [f for f in minor if f.confidence >= ANSWER.unsure and f.worth > ANSWER.little * rated]
+    if large:
+        names = " and ".join(f"{f.name.replace('_', ' ')} ({f.worth:.2g} N·m)" for f in large)
+        return (
+            "inconclusive",
+            f"{names} may be there, but no more than {ANSWER.barely:g} standard deviations from absent",
+        )
     return "consistent", ""
 
 

@@ -54,6 +54,9 @@ class AcceptSettings:
         rounds_again: selections after one from which a cause of `large` size was taken back, or that left a number in doubt.
       close: part of a cause's gain that a rival must have gained for both to be compared again beside all other causes;
         contested: part of its ordinary size from which on a cause is.
+      again: normalised RMS against the sensors' noise, left at the end, from which on the search is done once more: through the
+        replay, and of causes that hold the likeliest first, not the one that is worth most (`likeliest`), in so many rounds at
+        most (`rounds_likeliest`). Imperfections of joints leave 1.5 to 2.5.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
     """
@@ -90,8 +93,15 @@ class AcceptSettings:
     rounds_again: int = 1
     close: float = 0.5
     contested: float = 0.12
+    again: float = 3.0
+    likeliest: bool = False
+    rounds_likeliest: int = 4
     gross: float = 60.0
     coarse: tuple[float, ...] = (-1.5, -0.7, 0.4, 0.7, 1.0, 1.5)
+
+    def likeliest_first(self) -> AcceptSettings:
+        """The same for the search that is done once more."""
+        return replace(self, likeliest=True, far=self.again, far_finalists=4, rounds=self.rounds_likeliest)
 
 
 @dataclass(frozen=True)

@@ -156,11 +156,11 @@ def as_finalist(problem: Problem, base: Fit, f: Fit) -> Finalist:
 def first_cause(
     problem: Problem, base: Fit, screened: Sequence[Screened], fitted: Sequence[Finalist], settings: AcceptSettings
 ) -> tuple[list[Decision], Finalist | None]:
-    """The first cause: of the finalists that the data speak for, the one that is worth most."""
+    """The first cause: of the finalists that the data speak for, the one that is worth most; or the likeliest."""
     reasons = {id(f): objection(problem, base, f, settings) for f in fitted}
     good = [f for f in fitted if not reasons[id(f)]]
-    chosen = max(good, key=lambda f: f.removed, default=None)
-    if chosen is not None:
+    chosen = max(good, key=lambda f: f.gain if settings.likeliest else f.removed, default=None)
+    if chosen is not None and not settings.likeliest:
         # Of those that explain about the same the likeliest.
         least = min(chosen.removed / 1.5, chosen.removed - settings.chance * noise_of(problem, base))
         chosen = max((f for f in good if f.removed >= least), key=lambda f: f.gain)
@@ -175,7 +175,8 @@ def first_cause(
         if chosen is not None and f is chosen:
             reason = f"adds {f.gain:.0f} to the log evidence and takes {rms:.2g} N·m RMS from the simulation's error"
         elif chosen is not None and not reason:
-            reason = f"explains less than {chosen.name.replace('_', ' ')}; judged again with that in the model"
+            how = "adds less" if settings.likeliest else "explains less"
+            reason = f"{how} than {chosen.name.replace('_', ' ')}; judged again with that in the model"
         decisions.append(
             Decision("fit", f.name, h.fixed, f.gain, rms, size_of(problem, f.fit), True, f is chosen, reason)
         )

@@ -105,9 +105,44 @@ def search(
       deadline: of `time.monotonic` [s], after which no further stage begins and the best so far is the answer.
       fitter: of this problem, with what it has kept.
     """
-    fitter, accept = fitter or Fitter(problem), settings.accept
+    fitter = fitter or Fitter(problem)
     progress("calibrating the joint", 0.02)
     first = calibrate(problem, fitter, settings.calibrate)
+    return _from(first, problem, fitter, hypotheses, settings, progress, deadline)
+
+
+def likeliest_first(
+    problem: Problem,
+    hypotheses: Sequence[Hypothesis],
+    before: Search,
+    fitter: Fitter,
+    settings: SearchSettings = SETTINGS,
+    progress: Progress = lambda stage, done: None,
+    deadline: float = np.inf,
+) -> Search:
+    """What was found, or, where that is likelier, what is found with the likeliest cause first instead of the one worth most.
+
+    Some are seen only beside others that are worth little: a hysteresis that a ripple winds to and fro, beside the kinematic
+    error that makes the ripple. Arguments as of `search`.
+    """
+    again = replace(settings, accept=settings.accept.likeliest_first())
+    found = _from(before.base, problem, fitter, hypotheses, again, progress, deadline)
+    if found.chosen.log_evidence < before.chosen.log_evidence + settings.accept.threshold:
+        return before
+    return replace(found, decisions=(*before.decisions, *found.decisions))
+
+
+def _from(
+    first: Fit,
+    problem: Problem,
+    fitter: Fitter,
+    hypotheses: Sequence[Hypothesis],
+    settings: SearchSettings,
+    progress: Progress,
+    deadline: float,
+) -> Search:
+    """The causes beside a calibrated joint."""
+    accept = settings.accept
     found = _one_by_one(problem, fitter, first, hypotheses, settings, progress, deadline)
     if not (found.at.model or found.late) and doubtful(problem, first, quiet_rms(problem, first), settings.calibrate):
         other = afresh(problem, fitter, first, settings.calibrate)
@@ -186,6 +221,7 @@ def _one_by_one(
     at, rivals, decisions = first, list[Rivals](), list[Decision]()
     last: tuple[Finalist, dict[str, float]] | None = None
     slight = False
+    coarsely = coarsely and not accept.likeliest
     while True:
         quiet = quiet_rms(problem, at)
         far = not at.model and quiet >= settings.screen.quiet
@@ -206,7 +242,8 @@ def _one_by_one(
         if coarsely and not at.model and quiet > accept.gross:
             fitted = ranked([*fitted, *coarse_finalists(problem, fitter, at, hypotheses, accept, iterations)])
         seen, chosen = first_cause(problem, at, screened, fitted, accept)
-        if chosen is not None and explains_little(problem, at, chosen, accept) and quiet > accept.plain:
+        little = chosen is not None and not accept.likeliest and explains_little(problem, at, chosen, accept)
+        if little and quiet > accept.plain:
             # What is likeliest explains next to nothing, and is not all that is there.
             fitted = ranked([*fitted, *finalists_of(problem, fitter, at, screened, accept, done=fitted)])
             seen, chosen = first_cause(problem, at, screened, fitted, accept)
@@ -214,7 +251,7 @@ def _one_by_one(
         if chosen is None:
             return replace(found, decisions=tuple(decisions))
         progress(f"settling {chosen.name.replace('_', ' ')}", 0.4 + 0.15 * len(at.model))
-        slight = explains_little(problem, at, chosen, accept)
+        slight = not accept.likeliest and explains_little(problem, at, chosen, accept)
         alike = [f for f in fitted if f.removed > accept.alike * chosen.removed]
         last = (chosen, {f.name: f.gain for f in reversed(alike)})
         at = _settled(problem, fitter, chosen, settings)
