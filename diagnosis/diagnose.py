@@ -701,7 +701,7 @@ def _verdict(
     residual: dict[str, BalanceResidual],
     useless: bool,
 ) -> tuple[str, str]:
-    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent, nor is an effect that is
+    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent, nor an effect that is
     minor only for not being well known.
 
     Args:
