@@ -9,11 +9,9 @@ band. Draws are kept as they come (`--kept`), and those that are kept are not co
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,12 +110,11 @@ def main(arguments: Sequence[str] = ()) -> None:
     rows, began = kept.read(asked.kept, Row), time.monotonic()
     have = {(r.real, r.draw) for r in rows}
     wanted = [(real, k) for real, n in ((True, asked.draws), (False, asked.sound)) for k in range(n)]
-    with ProcessPoolExecutor(asked.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        for done in as_completed([pool.submit(held, *one) for one in wanted if one not in have]):
-            rows = sorted([*rows, *done.result()], key=lambda r: (not r.real, r.draw, list(LABELS).index(r.channel)))
-            kept.write(asked.kept, rows, Row)
-            minutes = (time.monotonic() - began) / 60
-            print(f"{len({(r.real, r.draw) for r in rows})} draws; {minutes:.1f} min", flush=True)
+    for _, done in kept.computed(held, [one for one in wanted if one not in have], asked.processes):
+        rows = sorted([*rows, *done.result()], key=lambda r: (not r.real, r.draw, list(LABELS).index(r.channel)))
+        kept.write(asked.kept, rows, Row)
+        minutes = (time.monotonic() - began) / 60
+        print(f"{len({(r.real, r.draw) for r in rows})} draws; {minutes:.1f} min", flush=True)
     fill(asked.page, {"bands": table(rows), "bands about": about(rows)})
     print(table(rows))
 

@@ -17,11 +17,9 @@ are not computed again: a run can be cut at any time and continued.
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import time
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -324,19 +322,13 @@ def main(arguments: Sequence[str] = ()) -> None:
     have = {(r.hidden, r.real, r.draw) for r in rows}
     # One kind beside the other, so that a run that is cut has as many of both.
     wanted = [(h, asked.real, k) for k in range(asked.draws) for h in LABELS]
-    waiting = iter([one for one in wanted if one not in have])
-    with ProcessPoolExecutor(asked.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-        running = {pool.submit(assessed, *one) for _, one in zip(range(asked.processes), waiting, strict=False)}
-        while running:
-            done = next(as_completed(running))
-            running.remove(done)
-            rows += done.result()
-            write(asked.kept, rows)
-            last = rows[-1]
-            minutes = (time.monotonic() - began) / 60
-            print(f"{last.hidden} {last.draw} {last.cause}: {last.named}; {minutes:.1f} min", flush=True)
-            if minutes < asked.minutes and (one := next(waiting, None)) is not None:
-                running.add(pool.submit(assessed, *one))
+    waiting = [one for one in wanted if one not in have]
+    for _, done in kept.computed(assessed, waiting, asked.processes, asked.minutes):
+        rows += done.result()
+        write(asked.kept, rows)
+        last = rows[-1]
+        minutes = (time.monotonic() - began) / 60
+        print(f"{last.hidden} {last.draw} {last.cause}: {last.named}; {minutes:.1f} min", flush=True)
     results = Results(rows)
     fill(asked.page, tables(results))
     fill(asked.readme, {"calibrated": opening_table(results), "calibrated counts": counts(results, False)})

@@ -1,9 +1,15 @@
-"""Rows of a benchmark as they are kept beside the pages, a CSV: what is there is not computed again."""
+"""Rows of a benchmark as they are kept beside the pages, a CSV: what is there is not computed again; what is not, on several
+processes."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+import itertools
+import math
+import multiprocessing
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, TypeVar
@@ -30,3 +36,29 @@ def write(path: Path, rows: Sequence[Any], row: type[Any]) -> None:
         writer = csv.writer(file)
         writer.writerow(names)
         writer.writerows([getattr(r, name) for name in names] for r in rows)
+
+
+def computed(
+    function: Callable[..., Any],
+    wanted: Iterable[tuple[Any, ...]],
+    processes: int,
+    minutes: float = math.inf,
+    initializer: Callable[[], object] | None = None,
+) -> Iterator[tuple[tuple[Any, ...], Future[Any]]]:
+    """Arguments and what became of `function` with them, as it is done on several processes.
+
+    Args:
+      function: importable.
+      wanted: arguments, in the order in which they begin.
+      minutes: after which no further one begins.
+      initializer: of each process.
+    """
+    waiting, began = iter(wanted), time.monotonic()
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), initializer) as pool:
+        running = {pool.submit(function, *one): one for one in itertools.islice(waiting, processes)}
+        while running:
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                one = running.pop(done)
+                if time.monotonic() - began < 60 * minutes and (more := next(waiting, None)) is not None:
+                    running[pool.submit(function, *more)] = more
+                yield one, done

@@ -22,10 +22,8 @@ import argparse
 import io
 import json
 import logging
-import multiprocessing
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -53,6 +51,7 @@ from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
 from .convergence import MAGIC, callback, set_numbers, springs
+from .kept import computed
 from .pages import ROOT, fill
 
 SEED = 4001
@@ -529,18 +528,16 @@ def main(arguments: Sequence[str] = ()) -> None:
     if few:
         wanted += [(hidden, 0, tool) for hidden in HIDDEN for tool in (OURS, EXACT)]
     wanted += [("", k, tool) for k in range(few, asked.draws) for tool in TOOLS]
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(asked.processes, mp_context=context, initializer=_warm_up) as pool:
-        running = {pool.submit(fitted, *one): one for one in wanted if one not in have}
-        for done in as_completed(running):
-            try:
-                one = done.result()
-            except Diverged as error:
-                print(*running[done], f"ended without a fit: {error}", flush=True)
-                continue
-            fits.append(one)
-            write(asked.kept, fits)
-            print(f"{one.hidden or 'nothing'} {one.draw} {one.tool}: {one.core_time:.0f} s {one.said}", flush=True)
+    waiting = [one for one in wanted if one not in have]
+    for asked_for, done in computed(fitted, waiting, asked.processes, initializer=_warm_up):
+        try:
+            one = done.result()
+        except Diverged as error:
+            print(*asked_for, f"ended without a fit: {error}", flush=True)
+            continue
+        fits.append(one)
+        write(asked.kept, fits)
+        print(f"{one.hidden or 'nothing'} {one.draw} {one.tool}: {one.core_time:.0f} s {one.said}", flush=True)
     for table in tables(fits).values():
         print(table, end="\n\n")
     fill(asked.page, tables(fits))
