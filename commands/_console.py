@@ -50,12 +50,19 @@ def progress(counting: bool = False, remaining: bool = False) -> Progress:
 def stages(what: str) -> Iterator[Callable[[str, float], None]]:
     """Show the stages of one piece of work on stderr; gives what is called with a stage that begins and the share that is done.
 
-    On a terminal a bar that vanishes, with the time that it has taken; elsewhere a line a stage.
+    On a terminal a bar that vanishes, with the time that it has taken; elsewhere a line a stage. What begins once more does not
+    take the share back.
     """
     from rich.console import Console
 
     terminal = Console(stderr=True, emoji=False)
-    begin = time.monotonic()
+    begin, most = time.monotonic(), 0.0
+
+    def furthest(done: float) -> float:
+        nonlocal most
+        most = max(most, done)
+        return most
+
     if not terminal.is_terminal:
         told = ""
 
@@ -63,8 +70,8 @@ def stages(what: str) -> Iterator[Callable[[str, float], None]]:
             nonlocal told
             if stage != told:
                 told = stage
-                seconds = time.monotonic() - begin
-                terminal.print(f"{seconds:6.1f} s {100 * done:3.0f} %  {stage}", markup=False, highlight=False)
+                share, seconds = furthest(done), time.monotonic() - begin
+                terminal.print(f"{seconds:6.1f} s {100 * share:3.0f} %  {stage}", markup=False, highlight=False)
 
         yield line
         return
@@ -77,4 +84,4 @@ def stages(what: str) -> Iterator[Callable[[str, float], None]]:
     columns = (SpinnerColumn(), stage_column, BarColumn(20), TaskProgressColumn(), TimeElapsedColumn())
     with Progress(*columns, console=terminal, transient=True) as bar:
         task = bar.add_task(what, total=1.0)
-        yield lambda stage, done: bar.update(task, description=stage, completed=done)
+        yield lambda stage, done: bar.update(task, description=stage, completed=furthest(done))

@@ -158,6 +158,7 @@ def diagnose(
         looked = discrepancy.find(problem, fitter, found.base, found.chosen)
         astray = looked.unknown is None and problem.link_measured and found.quiet[1] > settings.accept.again
         if astray and time.monotonic() < deadline:
+            progress("searching once more, the likeliest first", 0.9)
             before, found = found, likeliest_first(problem, tried, found, fitter, settings, progress, deadline)
             if found is not before and time.monotonic() < deadline:
                 progress("looking for unknown effects", 0.92)

@@ -3,7 +3,7 @@
 *Calibrate* the joint without causes. *Screen* the library there and *fit* the few that look best through the replay: the first
 cause may be large, where nothing is linear. With it in the model what is left is small, and further causes are *selected* in the
 linear model of a second library, one after the other, and fitted together. Each is *compared* with its close rivals beside all
-others, and *settle* takes back what does not hold.
+others, and *settle* takes back what does not hold. Where far more than noise is left all is done once more, `likeliest_first`.
 
 Every stage returns a frozen result, and every hypothesis that was looked at leaves a decision that says why it was taken or not.
 The noise, with what no description can hold (`fit.noise`), is learned for every model that is compared: a cause is worth what it

@@ -209,6 +209,14 @@ def test_stages_are_a_bar_on_a_terminal(monkeypatch):
     assert "calibrating the joint" in file.getvalue() and "25%" in file.getvalue()
 
 
+def test_what_begins_once_more_does_not_take_the_share_back(capsys):
+    with _console.stages("diagnosing bench") as stage:
+        for name, done in (("screening", 0.2), ("settling", 0.6), ("screening", 0.2), ("writing", 0.95)):
+            stage(name, done)
+    shares = [int(line.split()[2]) for line in capsys.readouterr().err.splitlines()]
+    assert shares == [20, 60, 60, 95]
+
+
 @pytest.mark.slow
 def test_an_example_from_end_to_end(flexspline, shared, tmp_path):
     source = shared / "data" / "examples" / "toleranced" / "02"
