@@ -41,7 +41,7 @@ class ChangeSettings:
       smallest_offset: between the encoders [rad]; smallest_turn: of all angles together, by which way gravity pulls [rad]: less
         is what a joint's gravity direction, a payload or a stop may make of it, and no mistake.
       slow: between samples, from which on time may be in other units than seconds [s].
-      latest: by which one encoder may be behind the other in sound data [s].
+      latest: between which one encoder is late: less may be in sound data, more is nothing of the same motion [s].
     """
 
     price: float = 9.0
@@ -57,7 +57,7 @@ class ChangeSettings:
     smallest_offset: float = 0.015
     smallest_turn: float = 0.3
     slow: float = 0.05
-    latest: float = 0.015
+    latest: tuple[float, float] = (0.015, 0.3)
 
 
 SETTINGS = ChangeSettings()
@@ -384,7 +384,7 @@ class Suspicions:
                 found.append(_lag(motion.time, motor, link))
         tried = [float(np.median(found)), *found] if found else []
         for lag in {round(x, 2): x for x in tried}.values():
-            if abs(lag) > SETTINGS.latest:
+            if SETTINGS.latest[0] < abs(lag) < SETTINGS.latest[1]:
                 column = POSITIONS[1] if lag > 0 else POSITIONS[0]
                 yield ColumnChange(
                     "late", column, f"{1e3 * abs(lag):.3g} ms late against the other encoder",
