@@ -46,6 +46,7 @@ class AcceptSettings:
         the sensors' noise, `loosest` at most; temper: by how much of it less makes the special one e times as likely;
         temper_general: by how much of it more, once more times that residual, the general one. By draws: of a load-dependent
         friction and a back-driving with imperfections, 24 (seeds 561 and 562), three were taken for the other.
+      unlikely: probability of a combination of causes, over that of the likeliest, from which on it may stand in its place.
       edge: standard deviations of its tolerance within which an effect's value is near its edge: whether the joint at the edge
         would do is then asked of fits without the noise's share (`_at_the_edge`), of `polish` iterations.
       lost: ratio of mean squares of what is not explained, without an effect and with it, from which on a few steps may have gone
@@ -54,9 +55,9 @@ class AcceptSettings:
         rounds_again: selections after one from which a cause of `large` size was taken back, or that left a number in doubt.
       close: part of a cause's gain that a rival must have gained for both to be compared again beside all other causes;
         contested: part of its ordinary size from which on a cause is.
-      again: normalised RMS against the sensors' noise, left at the end, from which on the search is done once more: through the
-        replay, and of causes that hold the likeliest first, not the one that is worth most (`likeliest`), in so many rounds at
-        most (`rounds_likeliest`). Imperfections of joints leave 1.5 to 2.5.
+      again: normalised RMS against the sensors' noise, left at the end, from which on the search is done once more: as long as
+        `far_again` is left through the replay, and of causes that hold the likeliest first, not the one that is worth most
+        (`likeliest`), in so many rounds at most (`rounds_likeliest`). Imperfections of joints leave 1.5 to 3.2.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
     """
@@ -85,6 +86,7 @@ class AcceptSettings:
     temper: float = 4.0
     temper_general: float = 12.0
     loosest: float = 5.0
+    unlikely: float = 0.05
     edge: float = 6.0
     polish: int = 8
     lost: float = 2.25
@@ -93,7 +95,8 @@ class AcceptSettings:
     rounds_again: int = 1
     close: float = 0.5
     contested: float = 0.12
-    again: float = 3.0
+    again: float = 5.0
+    far_again: float = 3.0
     likeliest: bool = False
     rounds_likeliest: int = 4
     gross: float = 60.0
@@ -101,7 +104,7 @@ class AcceptSettings:
 
     def likeliest_first(self) -> AcceptSettings:
         """The same for the search that is done once more."""
-        return replace(self, likeliest=True, far=self.again, far_finalists=4, rounds=self.rounds_likeliest)
+        return replace(self, likeliest=True, far=self.far_again, far_finalists=4, rounds=self.rounds_likeliest)
 
 
 @dataclass(frozen=True)

@@ -125,7 +125,8 @@ def _coarse_starts(
 ) -> list[tuple[Hypothesis, np.ndarray]]:
     """Hypotheses with which the uncalibrated joint comes closest, where nothing is linear; where to start each.
 
-    Every one is tried at a few sizes on the joint as it is described; the zero of the link encoder answers.
+    Every one is tried at a few sizes on the joint as it is described, the two that come closest again at each size with the zero
+    of the link encoder where it belongs beside it: a late encoder pulls that aside by twice its tolerance.
     """
     zero = tared(problem, problem.start(None, ()), ())
     thetas, models = [], []
@@ -139,11 +140,16 @@ def _coarse_starts(
                 thetas.append(np.concatenate([zero, u]))
                 models.append((h,))
     rough = [roughness(problem, rs) for rs in problem.residuals(thetas, models)]
-    found: list[tuple[Hypothesis, np.ndarray]] = []
+    closest: list[Hypothesis] = []
     for i in np.argsort(rough):
         h = models[i][0]
-        if len(found) < 2 and all(g.cause.name != h.cause.name for g, _ in found):
-            found.append((h, tared(problem, thetas[i], models[i])))
+        if len(closest) < 2 and all(g.cause.name != h.cause.name for g in closest):
+            closest.append(h)
+    found = []
+    for h in closest:
+        starts = [tared(problem, theta, model) for theta, model in zip(thetas, models, strict=True) if model[0] is h]
+        rough = [roughness(problem, rs) for rs in problem.residuals(starts, [(h,)] * len(starts))]
+        found.append((h, starts[int(np.argmin(rough))]))
     return found
 
 

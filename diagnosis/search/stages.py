@@ -3,7 +3,8 @@
 *Calibrate* the joint without causes. *Screen* the library there and *fit* the few that look best through the replay: the first
 cause may be large, where nothing is linear. With it in the model what is left is small, and further causes are *selected* in the
 linear model of a second library, one after the other, and fitted together. Each is *compared* with its close rivals beside all
-others, and *settle* takes back what does not hold. Where far more than noise is left all is done once more, `likeliest_first`.
+others, *settle* takes back what does not hold, and *combinations* of causes that imitate each other stand in each other's place.
+Where far more than noise is left all is done once more, `likeliest_first`.
 
 Every stage returns a frozen result, and every hypothesis that was looked at leaves a decision that says why it was taken or not.
 The noise, with what no description can hold (`fit.noise`), is learned for every model that is compared: a cause is worth what it
@@ -24,6 +25,7 @@ from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
 from .calibrate import CalibrateSettings, afresh, better_of_both, calibrate, doubtful, hand_over
+from .combinations import in_place_of_each_other
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
 from .rivals import against_rivals, beyond_the_ends
 from .screen import Library, ScreenSettings, screen
@@ -78,7 +80,7 @@ class _Found:
     Attributes:
       first: the calibrated joint; at: with the causes; library: columns of the others near it.
       last: the cause that was accepted last, with the gains of what looks like it; None where its rivals are told already.
-      late: whether time was up.
+      late: whether time was up. confusable: as of `Search`.
     """
 
     first: Fit
@@ -88,6 +90,7 @@ class _Found:
     decisions: tuple[Decision, ...] = ()
     last: tuple[Finalist, dict[str, float]] | None = None
     late: bool = False
+    confusable: tuple[tuple[str, str], ...] = ()
 
 
 def search(
@@ -155,7 +158,9 @@ def _from(
     else:
         found = _further(problem, fitter, found, hypotheses, settings, progress, deadline)
     quiet = (quiet_rms(problem, found.first), quiet_rms(problem, found.at))
-    return Search(found.first, found.at, found.library, found.rivals, found.decisions, quiet, not found.late)
+    return Search(
+        found.first, found.at, found.library, found.rivals, found.decisions, quiet, not found.late, found.confusable
+    )
 
 
 def _further(
@@ -198,7 +203,15 @@ def _further(
         keys = {(d.cause, *d.fixed.items()) for d in (*gone, *compared) if not d.taken}
         offered = [h for h in others_than(problem, hypotheses, at.model) if h.key not in keys]
         library, last = Library(problem, at, offered, settings.screen.probe), None
-    return replace(found, at=at, rivals=tuple(rivals), decisions=tuple(decisions), last=None)
+    alike: tuple[tuple[str, str], ...] = ()
+    if time.monotonic() < deadline:
+        combined = in_place_of_each_other(problem, fitter, at, rivals, hypotheses, accept)
+        alike, decisions = combined.confusable, [*decisions, *combined.decisions]
+        at, rivals = combined.fit, combined.rivals
+        if combined.decisions:
+            at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=True)
+            decisions += settled
+    return replace(found, at=at, rivals=tuple(rivals), decisions=tuple(decisions), last=None, confusable=alike)
 
 
 def _one_by_one(

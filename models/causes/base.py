@@ -203,6 +203,9 @@ class Cause(ABC):
     generalises: ClassVar[tuple[str, ...]] = ()
     """Causes that are special cases of it, with parameters of the same names."""
 
+    imitated_by: ClassVar[tuple[tuple[str, ...], ...]] = ()
+    """Sets of other causes that together make nearly the same."""
+
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         """Put the effect into a parameter record, in place."""
         for name, field in self.sets.items():

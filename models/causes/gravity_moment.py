@@ -16,4 +16,5 @@ class GravityMoment(Cause):
     )
     scales = ("Mg",)
     adds = True
+    imitated_by = (("torque_constant", "torque_sensor_gain"),)
     requires = Requirements(link_travel=0.5, known_push=True, gravity=True)

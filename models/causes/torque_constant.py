@@ -17,4 +17,5 @@ class TorqueConstant(Cause):
         ),
     )
     sets = {"value": "Kt"}
+    imitated_by = (("gravity_moment", "torque_sensor_gain"),)
     requires = Requirements(sliding=0.5)

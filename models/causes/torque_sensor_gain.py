@@ -15,3 +15,4 @@ class TorqueSensorGain(Cause):
     parameters = (CauseParameter("gain", "1", (0.05, 20.0), ((0.80, 0.92), (1.08, 1.20)), neutral=1.0, magnitude=True),)
     sets = {"gain": "torque_gain"}
     needs = ("joint_torque",)
+    imitated_by = (("gravity_moment", "torque_constant"),)

@@ -1,0 +1,158 @@
+"""What one cause makes, and others together make nearly as well, asked once all causes are fitted.
+
+A torque constant and a gravity moment that are both 15 % up look like a torque sensor that reads 13 % low: torques have no scale
+of their own but what inertias and stiffnesses give them. A friction that grows with the load and a torque constant look like
+back-driving. Whichever is found first explains what the others would, so that none of them is ever looked at: they are fitted in
+its place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...models import causes
+from ..fit.coordinates import Hypothesis
+from ..fit.residual import Problem
+from ..fit.solver import Fit, Fitter
+from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, size_of
+from .settle import added
+
+
+@dataclass(frozen=True)
+class Combined:
+    """A model, with what it was compared with.
+
+    Attributes:
+      fit, rivals: the model, and what is told of its causes.
+      decisions: about causes that were exchanged.
+      confusable: pairs of causes of which one may stand for the other.
+    """
+
+    fit: Fit
+    rivals: list[Rivals]
+    decisions: tuple[Decision, ...] = ()
+    confusable: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """Causes in the place of others: the fit with them, and the log evidence that they add."""
+
+    names: frozenset[str]
+    fit: Fit
+    more: float
+
+
+def in_place_of_each_other(
+    problem: Problem,
+    fitter: Fitter,
+    f: Fit,
+    rivals: list[Rivals],
+    hypotheses: Sequence[Hypothesis],
+    settings: AcceptSettings,
+) -> Combined:
+    """The combination of causes that imitate each other that the data speak for, one more only where they plainly ask for it; how
+    sure each of its causes is, among all combinations. Where nothing but noise is left, the fit as it is."""
+    quiet = quiet_rms(problem, f)
+    here = frozenset(h.cause.name for h in f.model if _imitates(h.cause.name))
+    by_name = {h.cause.name: h for h in hypotheses if not h.fixed}
+    others = combinations(here, by_name)
+    if not others or quiet < settings.plain:
+        return Combined(f, rivals)
+    tried = [_tried(problem, fitter, f, here, [by_name[n] for n in sorted(names)]) for names in others]
+    loose = float(np.clip(quiet, 1.0, settings.loosest))
+
+    def beyond(one: _Tried) -> float:
+        return one.more - settings.general * loose * (len(one.names) - len(here))
+
+    stays = _Tried(here, f, 0.0)
+    best = max(tried, key=beyond)
+    chosen = best if beyond(best) > settings.threshold else stays
+    most = max(one.more for one in (stays, *tried))
+    weights = {
+        one.names: float(np.exp((one.more - most) / (settings.temper_general * loose))) for one in (stays, *tried)
+    }
+    total = sum(weights.values())
+    share = {n: sum(w for names, w in weights.items() if n in names) / total for n in chosen.names}
+    alike = {
+        (gone, come)
+        for one in (stays, *tried)
+        if weights[one.names] > settings.unlikely
+        for gone in chosen.names - one.names
+        for come in one.names - chosen.names
+    }
+    told = {r.cause: r for r in rivals}
+    gain = max((told[n].gain for n in here if n in told), default=0.0) + chosen.more
+    found = []
+    for h in chosen.fit.model:
+        r = told.get(h.cause.name) if h.cause.name not in chosen.names - here else None
+        found.append(r or Rivals(h.cause.name, gain, ()))
+    # What is told is by places in the model, which two orders of a cause share a name in.
+    found = [
+        replace(r, share=r.share * share[h.cause.name]) if h.cause.name in share else r
+        for h, r in zip(chosen.fit.model, _by_place(f, chosen.fit, rivals, found), strict=False)
+    ]
+    return Combined(chosen.fit, found, _decisions(problem, f, here, chosen), tuple(sorted(alike)))
+
+
+def combinations(here: frozenset[str], available: Collection[str]) -> list[frozenset[str]]:
+    """Sets of causes that may stand in the place of those that are here: one exchanged for such as imitate it, or these for it.
+
+    None has all that are here: what would be there beside them was asked before.
+    """
+    found = set[frozenset[str]]()
+    for name in {*available, *here}:
+        for others in map(frozenset, causes.get(name).imitated_by):
+            if name in here:
+                alone = {n for n in others if any(name in more for more in causes.get(n).imitated_by)}
+                found |= {here - {name} | part for part in (others, *(frozenset({n}) for n in alone))}
+            if others <= here:
+                found.add(here - others | {name})
+    return sorted((names for names in found if names <= {*available, *here} and not names >= here), key=sorted)
+
+
+def _imitates(name: str) -> bool:
+    """Whether a cause imitates others, or others it."""
+    return bool(causes.get(name).imitated_by) or any(
+        name in others for n in causes.names() for others in causes.get(n).imitated_by
+    )
+
+
+def _tried(problem: Problem, fitter: Fitter, f: Fit, here: frozenset[str], instead: Sequence[Hypothesis]) -> _Tried:
+    """A fit with other causes in the place of those that are here, from where the new ones are absent."""
+    names = frozenset(h.cause.name for h in instead)
+    kept = [i for i, h in enumerate(f.model) if h.cause.name not in here - names]
+    new = [h for h in instead if h.cause.name not in here]
+    parts = problem.split(f.theta, f.model)
+    theta = np.concatenate([f.theta[: problem.size], *(parts[i] for i in kept), *(np.zeros(h.size) for h in new)])
+    other = fitter.fit((*(f.model[i] for i in kept), *new), theta, f, 6, f, anew=True)
+    return _Tried(names, other, added(fitter, other, f))
+
+
+def _by_place(f: Fit, chosen: Fit, rivals: Sequence[Rivals], otherwise: Sequence[Rivals]) -> list[Rivals]:
+    """What is told of each of the chosen model's causes: as before where it is the same hypothesis."""
+    before = {h.key: r for h, r in zip(f.model, rivals, strict=False)}
+    return [before.get(h.key, r) for h, r in zip(chosen.model, otherwise, strict=True)]
+
+
+def _decisions(problem: Problem, f: Fit, here: frozenset[str], chosen: _Tried) -> tuple[Decision, ...]:
+    """What became of causes that were exchanged."""
+    nan, found = float("nan"), []
+
+    def said(names: Collection[str]) -> str:
+        return " and ".join(n.replace("_", " ") for n in sorted(names))
+
+    gone, come = here - chosen.names, chosen.names - here
+    for model, of, taken in ((f, gone, False), (chosen.fit, come, True)):
+        for i, h in enumerate(model.model):
+            if h.cause.name in of:
+                reason = (
+                    f"in the place of {said(gone)} adds {chosen.more:.0f} to the log evidence" if taken
+                    else f"with {said(come) or 'less'} in its place the log evidence is {chosen.more:.0f} higher"
+                )  # fmt: skip
+                size = size_of(problem, model, i)
+                found.append(Decision("settle", h.cause.name, h.fixed, chosen.more, nan, size, True, taken, reason))
+    return tuple(found)
