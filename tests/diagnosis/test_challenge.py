@@ -296,8 +296,8 @@ def test_what_two_causes_together_make_is_not_told_as_another_for_sure(index):
 
 @pytest.mark.slow
 def test_an_encoder_as_late_as_can_be_is_found_from_the_described_joint():
-    """At 10.7 ms the zero of the encoder goes aside with it: no size came close until both moved, and a torque sensor's gain of six
-    times its ordinary size was fitted instead."""
+    """At 10.7 ms the zero of the encoder goes aside with it: no size came close until both moved, and a torque sensor's gain of
+    six times its ordinary size was fitted instead."""
     drawn = draw(Challenge(seed=591, hidden="one", real=True), 49)
     first = diagnose(drawn.measurement, drawn.nominal).causes[0]
     assert first.name == "encoder_delay" and first.confidence > 0.9
