@@ -84,17 +84,14 @@ def in_place_of_each_other(
         for gone in chosen.names - one.names
         for come in one.names - chosen.names
     }
-    told = {r.cause: r for r in rivals}
-    gain = max((told[n].gain for n in here if n in told), default=0.0) + chosen.more
+    before = {h.key: r for h, r in zip(f.model, rivals, strict=False)}
+    gain = chosen.more + max(
+        (before[h.key].gain for h in f.model if h.cause.name in here and h.key in before), default=0.0
+    )
     found = []
     for h in chosen.fit.model:
-        r = told.get(h.cause.name) if h.cause.name not in chosen.names - here else None
-        found.append(r or Rivals(h.cause.name, gain, ()))
-    # What is told is by places in the model, which two orders of a cause share a name in.
-    found = [
-        replace(r, share=r.share * share[h.cause.name]) if h.cause.name in share else r
-        for h, r in zip(chosen.fit.model, _by_place(f, chosen.fit, rivals, found), strict=False)
-    ]
+        r = before.get(h.key) or Rivals(h.cause.name, gain if h.cause.name in chosen.names - here else 0.0, ())
+        found.append(replace(r, share=r.share * share.get(h.cause.name, 1.0)))
     return Combined(chosen.fit, found, _decisions(problem, f, here, chosen), tuple(sorted(alike)))
 
 
@@ -103,15 +100,17 @@ def combinations(here: frozenset[str], available: Collection[str]) -> list[froze
 
     None has all that are here: what would be there beside them was asked before.
     """
-    found = set[frozenset[str]]()
-    for name in {*available, *here}:
+    found, there = set[frozenset[str]](), {*available, *here}
+    for name in there:
         for others in map(frozenset, causes.get(name).imitated_by):
+            if not others <= there:
+                continue
             if name in here:
                 alone = {n for n in others if any(name in more for more in causes.get(n).imitated_by)}
                 found |= {here - {name} | part for part in (others, *(frozenset({n}) for n in alone))}
             if others <= here:
                 found.add(here - others | {name})
-    return sorted((names for names in found if names <= {*available, *here} and not names >= here), key=sorted)
+    return sorted((names for names in found if names <= there and not names >= here), key=sorted)
 
 
 def _imitates(name: str) -> bool:
@@ -130,12 +129,6 @@ def _tried(problem: Problem, fitter: Fitter, f: Fit, here: frozenset[str], inste
     theta = np.concatenate([f.theta[: problem.size], *(parts[i] for i in kept), *(np.zeros(h.size) for h in new)])
     other = fitter.fit((*(f.model[i] for i in kept), *new), theta, f, 6, f, anew=True)
     return _Tried(names, other, added(fitter, other, f))
-
-
-def _by_place(f: Fit, chosen: Fit, rivals: Sequence[Rivals], otherwise: Sequence[Rivals]) -> list[Rivals]:
-    """What is told of each of the chosen model's causes: as before where it is the same hypothesis."""
-    before = {h.key: r for h, r in zip(f.model, rivals, strict=False)}
-    return [before.get(h.key, r) for h, r in zip(chosen.model, otherwise, strict=True)]
 
 
 def _decisions(problem: Problem, f: Fit, here: frozenset[str], chosen: _Tried) -> tuple[Decision, ...]:
