@@ -156,13 +156,14 @@ def diagnose(
     looked = discrepancy.UnknownEffects()
     if time.monotonic() < deadline:
         looked = discrepancy.find(problem, fitter, found.base, found.chosen)
-        astray = looked.unknown is None and problem.link_measured and found.quiet[1] > settings.accept.again
+        best = found.chosen if looked.unknown is None else looked.unknown.fit
+        astray = problem.link_measured and quiet_rms(problem, best) > settings.accept.again
         if astray and time.monotonic() < deadline:
             progress("searching once more, the likeliest first", 0.9)
-            before, found = found, likeliest_first(problem, tried, found, fitter, settings, progress, deadline)
-            if found is not before and time.monotonic() < deadline:
+            again = likeliest_first(problem, tried, found, fitter, settings, progress, deadline)
+            if again.chosen.log_evidence > best.log_evidence and time.monotonic() < deadline:
                 progress("looking for unknown effects", 0.92)
-                looked = discrepancy.find(problem, fitter, found.base, found.chosen)
+                found, looked = again, discrepancy.find(problem, fitter, again.base, again.chosen)
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:

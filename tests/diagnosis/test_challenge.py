@@ -260,7 +260,9 @@ def test_of_what_is_worth_about_the_same_the_likelier_is_taken():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("seed", "hidden", "index"), [(571, "one", 34), (573, "two", 1)])
+@pytest.mark.parametrize(
+    ("seed", "hidden", "index"), [(571, "one", 34), (573, "two", 1), (611, "one", 36), (603, "two", 36)]
+)
 def test_a_hysteresis_that_a_ripple_winds_is_found_beside_the_ripple(seed, hidden, index):
     """Neither shows without the other; taking what is worth most first ended at 8 and 11 times the sensors' noise, the verdict at
     inconclusive."""
