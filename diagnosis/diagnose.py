@@ -161,7 +161,8 @@ def diagnose(
         if astray and time.monotonic() < deadline:
             progress("searching once more, the likeliest first", 0.9)
             again = likeliest_first(problem, tried, found, fitter, settings, progress, deadline)
-            if again.chosen.log_evidence > best.log_evidence and time.monotonic() < deadline:
+            likelier = again is not found and again.chosen.log_evidence > best.log_evidence
+            if likelier and time.monotonic() < deadline:
                 progress("looking for unknown effects", 0.92)
                 found, looked = again, discrepancy.find(problem, fitter, again.base, again.chosen)
     unknown = looked.unknown
@@ -703,8 +704,8 @@ def _verdict(
     residual: dict[str, BalanceResidual],
     useless: bool,
 ) -> tuple[str, str]:
-    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent, nor an effect that is
-    minor only for not being well known.
+    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent, nor is one beside which
+    a minor effect is worth as much as an unknown one that is told.
 
     Args:
       useless: whether the causes leave no less unexplained than calibration alone.
@@ -737,10 +738,7 @@ def _verdict(
     large = [f for f in minor if f.confidence >= ANSWER.unsure and f.worth > ANSWER.little * rated]
     if large:
         names = " and ".join(f"{f.name.replace('_', ' ')} ({f.worth:.2g} N·m)" for f in large)
-        return (
-            "inconclusive",
-            f"{names} may be there, but no more than {ANSWER.barely:g} standard deviations from absent",
-        )
+        return "inconclusive", f"{names} may be there, too small or too little known to be named"
     return "consistent", ""
 
 
