@@ -96,7 +96,7 @@ class Segment:
       stiffness: sum of the described joint's K1 to K3 [N·m/rad].
       at: time of each residual [s], shape (k,).
       measured: decimated readings of current and joint torque (zero where there is none), shape (k, 2).
-      measured_rate: their rates [1/s], shape (k, 2).
+      measured_rate, measured_bend: their first [1/s] and second [1/s²] derivatives in time, shape (k, 2).
       state: decimated θm, θl, θm', θl' and θl'', shape (k, 5), for weights and regressors.
       load: what the joint gives the link [N·m]: the torque sensor's reading or, without one, what the link as it is
         described and a known push ask for; shape (k,).
@@ -122,6 +122,7 @@ class Segment:
     at: np.ndarray
     measured: np.ndarray
     measured_rate: np.ndarray
+    measured_bend: np.ndarray
     state: np.ndarray
     load: np.ndarray
     balances: np.ndarray
@@ -230,7 +231,7 @@ def segments(
 
 def mirrored(segment: Segment, replicate: Segment) -> Segment:
     """A segment's other noise replicate: what the first adds to motion and readings taken away from them."""
-    drawn = ("rotor", "link", "torque", "measured", "measured_rate")
+    drawn = ("rotor", "link", "torque", "measured", "measured_rate", "measured_bend")
     return replace(segment, **{name: 2 * getattr(segment, name) - getattr(replicate, name) for name in drawn})
 
 
@@ -269,9 +270,12 @@ def _segment(
     link, link_noise = motion("link_position", False), motion("link_position", True)
     has = {b: b in names for b in ("motor_current", "joint_torque")}
     zero = np.zeros(n)
-    read, read_noise, read_rate, noise_rate = (
-        np.column_stack([of(b, what, noisy) if has[b] else zero for b in ("motor_current", "joint_torque")])
-        for what, noisy in ((s.value, False), (s.value, True), (s.rate, False), (s.rate, True))
+    (read, read_noise), (read_rate, noise_rate), (read_bend, noise_bend) = (
+        [
+            np.column_stack([of(b, what, noisy) if has[b] else zero for b in ("motor_current", "joint_torque")])
+            for noisy in (False, True)
+        ]
+        for what in (s.value, s.rate, s.acceleration)
     )
     since = s.time - recording.time[0]
     external = np.ascontiguousarray(of("external_torque", s.value)) if "external_torque" in place else zero
@@ -293,8 +297,8 @@ def _segment(
         torque=np.ascontiguousarray(read[:, TORQUE]) if has["joint_torque"] else np.empty(0),
         external=external, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
-        state=state, load=load, balances=balances, usable=usable, held_out=held_out, at_rest=at_rest,
-        passband=1 / (2 * np.pi * passband(time, cutoff, share)),
+        measured_bend=decimate(read_bend), state=state, load=load, balances=balances, usable=usable, held_out=held_out,
+        at_rest=at_rest, passband=1 / (2 * np.pi * passband(time, cutoff, share)),
     )  # fmt: skip
     if not link_measured and not mistimed:
         block = 1  # the motion's noise is the current's, and a ripple of the gear is faster than any motion
@@ -308,6 +312,7 @@ def _segment(
         torque=one.torque + read_noise[:, TORQUE] if has["joint_torque"] else one.torque,
         measured=measured + decimate(read_noise),
         measured_rate=one.measured_rate + decimate(noise_rate),
+        measured_bend=one.measured_bend + decimate(noise_bend),
     )
     return one, replicate
 

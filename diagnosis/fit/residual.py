@@ -15,15 +15,16 @@ import numpy as np
 
 from ...models.calibration import WITHIN, Calibration
 from ...models.errors import InputError
-from ...models.joint import Joint, Mounting
+from ...models.joint import AnalogSpec, Joint, Mounting
 from ...models.parameters import SIZE as PARAMETERS_SIZE
 from ...models.parameters import as_floats
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment, mirrored
 from .coordinates import Hypothesis
 from .replay import derivatives, residuals
 
-TIMING = np.array([0.5e-3, 0.3e-3])
-"""Prior standard deviation [s] of the time by which current and joint torque samples are off the encoders'."""
+TIMING = np.array([0.5e-3, 1.0e-3])
+"""Prior standard deviation [s] of the time by which current and joint torque samples are off what the description states: drives
+filter currents at 150 Hz and more, amplifiers and buses of torque sensors take up to 2 ms."""
 CROSSTALK = 0.01
 """Prior standard deviation of the amplitude, over the cosine of the link's angle, of what the link's weight makes a torque sensor
 read across its axis: a share of the gravity moment (data sheets of six-axis sensors: 1 to 2 % of the load)."""
@@ -53,6 +54,7 @@ class Problem:
       calibration: the joint's variables.
       mountings: of the link, one a segment.
       size: number of unknowns that every model has: calibration, two sample times and the crosstalk.
+      late: by how much current and joint torque are described to be sampled later than the motor encoder [s], shape (2,).
       crosstalk: prior standard deviation of its amplitude [N·m].
       linear: of these, the ones whose derivatives do not depend on where they are taken, shape (m,).
       bias: of the residuals, taken from them: shape (k, len(BALANCES)) a segment; None for none (`noise_bias`).
@@ -69,10 +71,14 @@ class Problem:
         self.calibration = Calibration(joint)
         self.mountings = [s.mounting for s in self.segments]
         self.size = self.calibration.size + len(_TIMED) + 1
+        sensors = joint.sensors
+        self.late = np.array(
+            [_lag(s) - sensors.motor_encoder.delay for s in (sensors.motor_current, sensors.joint_torque)]
+        )
         self.crosstalk = CROSSTALK * max(m.gravity_moment for m in (joint.mount(), *self.mountings))
         linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
         at = [i for i, name in enumerate(self.calibration.names) if name in linear]
-        self.linear = np.array([*at, *range(self.calibration.size, self.size)])
+        self.linear = np.array([*at, self.size - 1])
         self.held = np.zeros(self.size, bool)
         self.output_scale = np.ones(len(BALANCES))
         self.output_scale[CURRENT] = joint.numbers["N"].value * joint.numbers["Kt"].value
@@ -181,18 +187,30 @@ class Problem:
         found = residuals([(segment, record) for segment, record, _ in tasks])
         for (segment, _, theta), r in zip(tasks, found, strict=True):
             for i, x in enumerate(theta[self.calibration.size : self.size]):
-                balances, off = self._read(segment, i)
-                r[:, balances] -= x * off
+                balances, off, _ = self._read(segment, i, x)
+                r[:, balances] -= off
         return found
 
-    def _read(self, segment: Segment, i: int) -> tuple[list[int], np.ndarray]:
-        """What a standard deviation of the i-th of the sensors' unknowns adds to residuals: balances, and shape (k, 1 or 2)."""
+    def _read(self, segment: Segment, i: int, x: float) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """What the i-th of the sensors' unknowns takes from residuals at x standard deviations, and its derivative in x.
+
+        Returns:
+          Balances, and shape (k, 1 or 2) each; the link's balance is told as the torque sensor reads it.
+        """
+        balances = [CURRENT] if i == CURRENT else [TORQUE, LINK]
+        there = segment.balances[balances]
         if i < len(_TIMED):
-            balance = _TIMED[i]
-            return [balance], TIMING[i] * segment.measured_rate[:, [balance]]
+            # Readings that much later or earlier, to second order: at 25 Hz two milliseconds are a third of a radian.
+            rate, bend = segment.measured_rate[:, [_TIMED[i]]], segment.measured_bend[:, [_TIMED[i]]]
+            earlier = TIMING[i] * x - self.late[i]
+            return (
+                balances,
+                earlier * (rate - 0.5 * earlier * bend) * there,
+                TIMING[i] * (rate - earlier * bend) * there,
+            )
         size = self.crosstalk if segment.has_torque else 0.0
-        balances = [TORQUE, LINK]  # the link's is told as the sensor reads it
-        return balances, size * segment.link_cosine[:, None] * segment.balances[balances]
+        read = size * segment.link_cosine[:, None] * there
+        return balances, x * read, read
 
     def jacobian(
         self,
@@ -221,8 +239,8 @@ class Problem:
                 if j in replayed:
                     J[..., i] = done[..., replayed.index(j)]
                 elif not still[j]:
-                    balances, off = self._read(segment, j - self.calibration.size)
-                    J[:, balances, i] = -off
+                    balances, _, rate = self._read(segment, j - self.calibration.size, theta[j])
+                    J[:, balances, i] = -rate
             found.append(J)
         return found
 
@@ -329,6 +347,11 @@ class Problem:
         found = np.zeros(len(BALANCES))
         found[CURRENT], found[TORQUE] = value["Kw0"] * rms / value["Kt"], value["K1"] * rms / value["N"]
         return found
+
+
+def _lag(sensor: AnalogSpec) -> float:
+    """By how much a sensor is described to be late [s]: its delay, and what its low-pass lags slow signals by."""
+    return sensor.delay + (1 / (2 * np.pi * sensor.bandwidth) if sensor.bandwidth else 0.0)
 
 
 def _unbounded(J: np.ndarray) -> np.ndarray:

@@ -201,10 +201,12 @@ def leverage_weight(
     energy, counted = _energy(X)
     if not len(counted):
         return np.ones(len(X))
-    part = np.abs(X[counted[:: max(len(counted) // 4000, 1)]])
+    part = np.sort(np.abs(X[counted[:: max(len(counted) // 2000, 1)]]), axis=0)
     rms = np.sqrt(energy / len(counted))
-    ninth = int(0.9 * len(part))
-    usual = np.maximum(np.partition(part, ninth, axis=0)[ninth], 0.03 * rms) + 1e-300
+    # What acts in a few rows only, as a load that one recording has, is usual there.
+    acting = np.sum(part > 0.01 * part[int(0.99 * len(part))], axis=0)
+    ninth = np.minimum(len(part) - (0.1 * acting).astype(int), len(part)) - 1
+    usual = np.maximum(np.take_along_axis(part, ninth[None], axis=0)[0], 0.03 * rms) + 1e-300
     far = _farthest(X, 1.0 / usual) / limit
     if noise is not None:
         far = np.maximum(far, _farthest(noise, 1.0 / usual) / noise_limit)
