@@ -204,7 +204,7 @@ def leverage_weight(
     part = np.sort(np.abs(X[counted[:: max(len(counted) // 2000, 1)]]), axis=0)
     rms = np.sqrt(energy / len(counted))
     # What acts in a few rows only, as a load that one recording has, is usual there.
-    acting = np.sum(part > 0.01 * part[int(0.99 * len(part))], axis=0)
+    acting = np.sum(part > 0.0, axis=0)
     ninth = np.minimum(len(part) - (0.1 * acting).astype(int), len(part)) - 1
     usual = np.maximum(np.take_along_axis(part, ninth[None], axis=0)[0], 0.03 * rms) + 1e-300
     far = _farthest(X, 1.0 / usual) / limit
