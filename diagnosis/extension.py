@@ -10,7 +10,7 @@ from ..models import causes
 from ..models.calibration import Calibration, Slot
 from ..models.joint import Effect, Estimate, Joint
 from .answer import ParameterShift
-from .fit.residual import Problem
+from .fit.residual import TIMING, Problem
 from .fit.solver import Fit
 from .search import discrepancy
 from .search.discrepancy import Unknown
@@ -31,7 +31,24 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
         if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
             unit = "" if number.unit == "1" else number.unit
             moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit, (value - number.value) / prior)
-    return moved
+    return moved | {_DELAYS[sensor]: shift for sensor, shift in _delays(problem, at).items()}
+
+
+_DELAYS = {"motor_current": "current_delay", "joint_torque": "torque_sensor_delay"}
+"""Sensors whose delay is found, and what it is called."""
+
+
+def _delays(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
+    """Delays of sensors that differ from the description by more than the data's own uncertainty."""
+    found = {}
+    for i, sensor in enumerate(_DELAYS):
+        j, prior = problem.calibration.size + i, float(TIMING[i])
+        shift, std = -prior * float(at.theta[j]), prior * float(np.sqrt(at.covariance[j, j]))
+        if std < 0.8 * prior and abs(shift) > max(2 * std, 0.1 * prior):
+            described = getattr(problem.joint.sensors, sensor).delay
+            late = max(described + shift, 0.0)  # one that is early is as punctual as can be said
+            found[sensor] = ParameterShift(described, late, std, prior, "s", (late - described) / prior)
+    return found
 
 
 def _value(c: Calibration, slot: Slot, x: np.ndarray, covariance: np.ndarray) -> tuple[float, float]:
@@ -74,6 +91,8 @@ def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
             target = data["numbers"][slot.name]
         nominal = target["value"] if target.get("nominal") is None else target["nominal"]
         target.update(value=value, std=std, nominal=nominal)
+    for sensor, delay in _delays(problem, at).items():
+        data["sensors"][sensor]["delay"] = delay.value
     found = Joint.model_validate(data)
     found._path = joint._path
     return found

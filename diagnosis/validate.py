@@ -37,6 +37,7 @@ from ..models.uncertainty import directions
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import CURRENT, LINK, TORQUE, Segment, clock_error, segments
 from .fit.replay import parallel, readings, transmission
+from .fit.residual import lateness
 
 SIGMAS = 1.96
 """Standard deviations of a 95 % band."""
@@ -308,12 +309,13 @@ def _parts(recording: Recording, joint: Joint, names: Sequence[str]) -> list[_Pa
     """The segments of a recording, each with those of the channels `names` that can be simulated in it."""
     record = joint.record(recording.link)
     moved = directions(joint, recording.link)
+    late = lateness(joint)
     found = []
     for one, replicate in zip(*segments([recording], joint), strict=True):
         kept = [name for name in names if _can(one, recording, name)]
 
         def channels(task: tuple[Segment, np.ndarray], kept: list[str] = kept) -> dict[str, np.ndarray]:
-            return _channels(*task, kept)
+            return _channels(*task, kept, late)
 
         base, noisy = parallel(channels, [(one, record), (replicate, record)])
         variance = {name: (_inflation(one, joint) * _discrepancy(joint, name)) ** 2 for name in kept}
@@ -338,11 +340,15 @@ def _can(segment: Segment, recording: Recording, name: str) -> bool:
     return name == "link_position" or bool(segment.balances[_BALANCE_OF[name]])
 
 
-def _channels(segment: Segment, record: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Channels as their sensors should have read them at a segment's steps, shape (n,) each."""
-    p = record[0]
+def _channels(segment: Segment, record: np.ndarray, names: Sequence[str], late: np.ndarray) -> dict[str, np.ndarray]:
+    """Channels as their sensors should have read them at a segment's steps, shape (n,) each; `late` as of `lateness`."""
+    p, time = record[0], segment.time
     inner = transmission(segment, record)
     out = readings(segment, record, inner)
+    for balance, delay in zip((CURRENT, TORQUE), late, strict=True):
+        out[:, balance] = np.interp(time - delay, time, out[:, balance])
+    if segment.has_torque:  # what the link was asked for then has been read since
+        out[:, LINK] += np.interp(time + late[TORQUE], time, segment.torque) - segment.torque
     found = {}
     for name in names:
         if name == "motor_torque":

@@ -71,10 +71,7 @@ class Problem:
         self.calibration = Calibration(joint)
         self.mountings = [s.mounting for s in self.segments]
         self.size = self.calibration.size + len(_TIMED) + 1
-        sensors = joint.sensors
-        self.late = np.array(
-            [_lag(s) - sensors.motor_encoder.delay for s in (sensors.motor_current, sensors.joint_torque)]
-        )
+        self.late = lateness(joint)
         self.crosstalk = CROSSTALK * max(m.gravity_moment for m in (joint.mount(), *self.mountings))
         linear = {slot.name for slot in self.calibration.slots if slot.field in _LINEAR}
         at = [i for i, name in enumerate(self.calibration.names) if name in linear]
@@ -349,9 +346,17 @@ class Problem:
         return found
 
 
-def _lag(sensor: AnalogSpec) -> float:
-    """By how much a sensor is described to be late [s]: its delay, and what its low-pass lags slow signals by."""
-    return sensor.delay + (1 / (2 * np.pi * sensor.bandwidth) if sensor.bandwidth else 0.0)
+def lateness(joint: Joint) -> np.ndarray:
+    """By how much current and joint torque are described to be read later than the motor encoder [s], shape (2,).
+
+    Delays, and by how much a low-pass lags behind slow signals.
+    """
+    sensors = joint.sensors
+
+    def late(s: AnalogSpec) -> float:
+        return s.delay + (1 / (2 * np.pi * s.bandwidth) if s.bandwidth else 0.0) - sensors.motor_encoder.delay
+
+    return np.array([late(s) for s in (sensors.motor_current, sensors.joint_torque)])
 
 
 def _unbounded(J: np.ndarray) -> np.ndarray:

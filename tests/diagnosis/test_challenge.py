@@ -116,6 +116,27 @@ def test_a_cause_is_as_general_as_the_data_ask_for(index):
     assert named.name == hidden[0] or undecided, (named.name, named.confidence, found.confusable)
 
 
+@pytest.mark.slow
+def test_a_late_torque_sensor_is_no_damping_of_the_link():
+    """1.6 ms at 24 Hz are a quarter of a radian: what swings came out four times as damped, and 1.3 times as large."""
+    drawn = draw(Challenge(seed=631, real=True, only=("link_flexibility",)), 2)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    (true,) = (e.values for e in drawn.effects)
+    (told,) = (c.parameters for c in found.causes if c.name == "link_flexibility")
+    assert told["share"].value == pytest.approx(true["share"], rel=0.08)
+    assert told["damping"].value == pytest.approx(true["damping"], rel=0.25)
+    late = found.calibration["torque_sensor_delay"]
+    assert late.value == pytest.approx(drawn.imperfections.values["torque_delay"], abs=0.2e-3)
+    assert found.extended.sensors.joint_torque.delay == late.value
+
+
+@pytest.mark.slow
+def test_rows_in_which_alone_the_load_shakes_count():
+    """The only recording with a load, a fortieth of all rows, was left out as of extreme leverage: consistent, 0.14 N·m left."""
+    drawn = draw(Challenge(seed=621, real=True), 6)
+    require_found(drawn, diagnose(drawn.measurement, drawn.nominal))
+
+
 NO_TELLING = pytest.mark.xfail(
     strict=False, reason="the general one adds 3 to the log evidence: its special case, at 0.83"
 )
