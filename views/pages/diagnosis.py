@@ -270,20 +270,9 @@ def _decisions(d: Diagnosis) -> list[dict[str, Any]]:
 
 
 def _moved(report: Report) -> Iterator[Moved]:
-    d = report.diagnosis
-    deviations = {}
-    for slot in d.problem.calibration.slots if d.problem is not None else ():
-        n = slot.number
-        shared = report.joint.shared_tolerances[n.shared] if n.shared else 0.0
-        deviations[slot.name] = float(np.hypot(np.hypot(n.tolerance, shared) * abs(n.value), n.deviation))
-    for name, m in d.calibration.items():
-        prior = deviations.get(name, 0.0)
+    for name, m in report.diagnosis.calibration.items():
         yield Moved(
-            name,
-            meaning(name),
-            with_std(m.nominal, 0.0, m.unit),
-            with_std(m.value, m.std, m.unit),
-            (m.value - m.nominal) / prior if prior > 0 else 0.0,
+            name, meaning(name), with_std(m.nominal, 0.0, m.unit), with_std(m.value, m.std, m.unit), m.moved
         )
 
 
