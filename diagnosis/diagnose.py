@@ -155,21 +155,21 @@ def diagnose(
     progress("looking for unknown effects", 0.88)
     looked = discrepancy.UnknownEffects()
     if time.monotonic() < deadline:
-        looked = discrepancy.find(problem, fitter, found.base, found.chosen)
+        looked = discrepancy.find(fitter, found.base, found.chosen)
         best = found.chosen if looked.unknown is None else looked.unknown.fit
         astray = problem.link_measured and quiet_rms(problem, best) > settings.accept.again
         if astray and time.monotonic() < deadline:
             progress("searching once more, the likeliest first", 0.9)
-            again = likeliest_first(problem, tried, found, fitter, settings, progress, deadline)
+            again = likeliest_first(fitter, found, tried, settings, progress, deadline)
             likelier = again is not found and again.chosen.log_evidence > best.log_evidence
             if likelier and time.monotonic() < deadline:
                 progress("looking for unknown effects", 0.92)
-                found, looked = again, discrepancy.find(problem, fitter, again.base, again.chosen)
+                found, looked = again, discrepancy.find(fitter, again.base, again.chosen)
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
         given = problem
-        problem, final, found = _polished(problem, fitter, found, settings.accept)
+        problem, final, found = _polished(fitter, found, settings.accept)
         judged = _inflated(problem, final)
         final = judged if problem.link_measured else _inflated(problem, _on_all(given, final))
     else:
@@ -362,11 +362,12 @@ def _holds_back(outcome: _Outcome) -> str:
     )
 
 
-def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Problem, Fit, Search]:
+def _polished(fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Problem, Fit, Search]:
     """The chosen model at its end and corrected, without effects that the data do not tell from nothing there; as it was chosen
     where it leaves more than calibration alone at the end, and did not as chosen."""
+    problem = fitter.problem
     kept: set[int] = set()
-    final = _at_its_end(problem, fitter, found.chosen)
+    final = _at_its_end(fitter, found.chosen)
     while True:
         less, corrected = problem, final
         away = [significance(problem, final, i) for i in range(len(final.model))]
@@ -392,7 +393,7 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
             return less, corrected, found
         i = min(weak, key=lambda i: away[i])
         h = final.model[i]
-        other = without_effect(problem, fitter, final, i, settings)
+        other = without_effect(fitter, final, i, settings)
         needed = "" if i in lost else why_needed(problem, final, other, settings)
         reason, nan = needed or reasons[i], float("nan")
         decision = Decision(
@@ -404,7 +405,7 @@ def _polished(problem: Problem, fitter: Fitter, found: Search, settings: AcceptS
             continue
         rivals = tuple(r for j, r in enumerate(found.rivals) if j != i)
         found = replace(found, chosen=other, rivals=rivals)
-        final = _at_its_end(problem, fitter, other)
+        final = _at_its_end(fitter, other)
 
 
 def _on_all(problem: Problem, f: Fit) -> Fit:
@@ -412,13 +413,14 @@ def _on_all(problem: Problem, f: Fit) -> Fit:
     sixth of the data says more of them than anything else could. As it was where that leaves plainly more."""
     whole = problem.with_held_out()
     fitter = Fitter(whole)
-    _, found = _corrected(whole, _at_its_end(whole, fitter, fitter.fit(f.model, f.theta)))
+    _, found = _corrected(whole, _at_its_end(fitter, fitter.fit(f.model, f.theta)))
     return f if _plainly_more(whole, found, f) else found
 
 
-def _at_its_end(problem: Problem, fitter: Fitter, f: Fit) -> Fit:
+def _at_its_end(fitter: Fitter, f: Fit) -> Fit:
     """A model fitted to its end. Where taking out the noise's share leaves plainly more, as at a stop, whose stiffness multiplies
     noise, the fit stays, and neither is right to better than what is between them."""
+    problem = fitter.problem
     polished = fitter.polish(f)
     return with_dispersion(problem, _as_it_was(f, polished) if _plainly_more(problem, polished, f) else polished)
 

@@ -37,8 +37,9 @@ class CalibrateSettings:
 SETTINGS = CalibrateSettings()
 
 
-def calibrate(problem: Problem, fitter: Fitter, settings: CalibrateSettings = SETTINGS) -> Fit:
+def calibrate(fitter: Fitter, settings: CalibrateSettings = SETTINGS) -> Fit:
     """The joint without causes at its most probable numbers."""
+    problem = fitter.problem
     start = tared(problem, problem.start(None, ()), ())
     return better_of_both(fitter, (), start, settings)
 
@@ -82,8 +83,9 @@ def fields_at_the_end(problem: Problem, f: Fit, settings: CalibrateSettings = SE
     return {s.field for s in problem.calibration.slots if {s.name, f"shared {s.number.shared}"} & at_end}
 
 
-def afresh(problem: Problem, fitter: Fitter, f: Fit, settings: CalibrateSettings) -> Fit:
+def afresh(fitter: Fitter, f: Fit, settings: CalibrateSettings) -> Fit:
     """The same model calibrated anew, its effects as they are: numbers that stood in for an effect let go of it."""
+    problem = fitter.problem
     theta = np.concatenate([np.zeros(problem.size), f.theta[problem.size :]])
     return fitter.fit(f.model, tared(problem, theta, f.model), iterations=settings.iterations)
 

@@ -47,7 +47,6 @@ class _Tried:
 
 
 def in_place_of_each_other(
-    problem: Problem,
     fitter: Fitter,
     f: Fit,
     rivals: list[Rivals],
@@ -56,13 +55,14 @@ def in_place_of_each_other(
 ) -> Combined:
     """The combination of causes that imitate each other that the data speak for, one more only where they plainly ask for it; how
     sure each of its causes is, among all combinations. Where nothing but noise is left, the fit as it is."""
+    problem = fitter.problem
     quiet = quiet_rms(problem, f)
     here = frozenset(h.cause.name for h in f.model if _imitates(h.cause.name))
     by_name = {h.cause.name: h for h in hypotheses if not h.fixed}
     others = combinations(here, by_name)
     if not others or quiet < settings.plain:
         return Combined(f, rivals)
-    tried = [_tried(problem, fitter, f, here, [by_name[n] for n in sorted(names)]) for names in others]
+    tried = [_tried(fitter, f, here, [by_name[n] for n in sorted(names)]) for names in others]
     loose = float(np.clip(quiet, 1.0, settings.loosest))
 
     def beyond(one: _Tried) -> float:
@@ -120,8 +120,9 @@ def _imitates(name: str) -> bool:
     )
 
 
-def _tried(problem: Problem, fitter: Fitter, f: Fit, here: frozenset[str], instead: Sequence[Hypothesis]) -> _Tried:
+def _tried(fitter: Fitter, f: Fit, here: frozenset[str], instead: Sequence[Hypothesis]) -> _Tried:
     """A fit with other causes in the place of those that are here, from where the new ones are absent."""
+    problem = fitter.problem
     names = frozenset(h.cause.name for h in instead)
     kept = [i for i, h in enumerate(f.model) if h.cause.name not in here - names]
     new = [h for h in instead if h.cause.name not in here]

@@ -77,13 +77,13 @@ def as_described(
     start = tared(problem, problem.start(None, ()), ())
     first = fitter.fit((), start, iterations=settings.calibrate.iterations)
     library = Library(problem, first, hypotheses, settings.screen.coarse_probe)
-    one = _first(problem, fitter, first, library, settings, accept)
+    one = _first(fitter, first, library, settings, accept)
     if one.chosen is None:
         return None
     library = Library(
         problem, one.chosen, others_than(problem, hypotheses, one.chosen.model), settings.screen.coarse_probe
     )
-    more = _beside(problem, fitter, one.chosen, library, hypotheses, settings, accept)
+    more = _beside(fitter, one.chosen, library, hypotheses, settings, accept)
     at = more.chosen or one.chosen
     if more.chosen is not None:
         library = Library(problem, at, others_than(problem, hypotheses, at.model), settings.screen.coarse_probe)
@@ -108,14 +108,13 @@ class _Step:
     confusable: tuple[tuple[str, str], ...] = ()
 
 
-def _first(
-    problem: Problem, fitter: Fitter, base: Fit, library: Library, settings: SearchSettings, accept: DescribedSettings
-) -> _Step:
+def _first(fitter: Fitter, base: Fit, library: Library, settings: SearchSettings, accept: DescribedSettings) -> _Step:
     """The first cause: it alone must explain most, and no other may hold as well."""
+    problem = fitter.problem
     before = described(problem)
     decisions: list[Decision] = []
     good: list[tuple[float, Finalist, Fit]] = []
-    for f in finalists_of(problem, fitter, base, screen(problem, base, library, settings.screen), settings.accept):
+    for f in finalists_of(fitter, base, screen(problem, base, library, settings.screen), settings.accept):
         found = fitter.fit(f.fit.model, f.fit.theta, None, settings.calibrate.iterations)
         regions = held_out_regions(problem, found, described=before)
         reason = _objection(problem, base, found, f.gain, regions, settings, accept)
@@ -186,7 +185,6 @@ class _Explanation:
 
 
 def _beside(
-    problem: Problem,
     fitter: Fitter,
     base: Fit,
     library: Library,
@@ -195,8 +193,9 @@ def _beside(
     accept: DescribedSettings,
 ) -> _Step:
     """Causes beside the first: of explanations between which the evidence does not decide, the one with the fewest numbers."""
+    problem = fitter.problem
     wide = replace(settings.accept, finalists=accept.finalists, far_finalists=accept.finalists)
-    found = _explanations(problem, fitter, base, library, hypotheses, replace(settings, accept=wide))
+    found = _explanations(fitter, base, library, hypotheses, replace(settings, accept=wide))
     decisions: list[Decision] = []
     near: list[_Explanation] = []
     for e in sorted(found, key=lambda e: -e.gain):
@@ -228,7 +227,6 @@ def _beside(
 
 
 def _explanations(
-    problem: Problem,
     fitter: Fitter,
     base: Fit,
     library: Library,
@@ -236,10 +234,11 @@ def _explanations(
     settings: SearchSettings,
 ) -> list[_Explanation]:
     """Causes beside those of a fit, alone and in pairs, with derivatives of their own."""
+    problem = fitter.problem
     screened = screen(problem, base, library, settings.screen)
     alone = {s.hypothesis.key: s.gain for s in screened}
     singles: list[_Explanation] = []
-    for f in finalists_of(problem, fitter, base, screened, settings.accept):
+    for f in finalists_of(fitter, base, screened, settings.accept):
         fit = fitter.fit(f.fit.model, f.fit.theta, None, settings.calibrate.iterations)
         found = as_finalist(problem, base, fit)
         alone[fit.model[-1].key] = found.gain
@@ -247,9 +246,7 @@ def _explanations(
     pairs: dict[frozenset[tuple], _Explanation] = {}
     for one in singles:
         rest = Library(problem, one.fit, others_than(problem, hypotheses, one.fit.model), settings.screen.coarse_probe)
-        for g in finalists_of(
-            problem, fitter, one.fit, screen(problem, one.fit, rest, settings.screen), settings.accept
-        ):
+        for g in finalists_of(fitter, one.fit, screen(problem, one.fit, rest, settings.screen), settings.accept):
             effects = g.fit.model[-2:]
             key = frozenset(h.key for h in effects)
             if key not in pairs:

@@ -427,7 +427,6 @@ def _bounds(block: slice) -> tuple[int, int]:
 
 
 def find(
-    problem: Problem,
     fitter: Fitter,
     base: Fit,
     chosen: Fit,
@@ -438,6 +437,7 @@ def find(
     Args:
       base: the joint without causes; chosen: with those that were found.
     """
+    problem = fitter.problem
     if not np.any(problem.records(chosen.theta, chosen.model)[0][0]["discrepancy_place"] == 0):
         return UnknownEffects()
     rated = problem.joint.numbers["rated_torque"].value
@@ -465,7 +465,7 @@ def find(
         least_share = settings.likely * (settings.gain if without else settings.share)
         likely = [c for c in tried if c.without == without and c.share > least_share]
         for candidate in _promising(likely, unusual, settings):
-            found = _refined(problem, fitter, chosen, candidate, settings, unusual)
+            found = _refined(fitter, chosen, candidate, settings, unusual)
             if found is None:
                 continue
             if not _enough(problem, chosen, candidate, found, settings, least, settings.more * explained):
@@ -476,7 +476,7 @@ def find(
         if best is not None and not without:
             break
     if best is not None:
-        best = _without_absorbed(problem, fitter, chosen, best, settings)
+        best = _without_absorbed(fitter, chosen, best, settings)
     return UnknownEffects(best, frozenset(doubted))
 
 
@@ -526,7 +526,6 @@ def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
 
 
 def _refined(
-    problem: Problem,
     fitter: Fitter,
     chosen: Fit,
     candidate: Candidate,
@@ -538,6 +537,7 @@ def _refined(
     Args:
       unusual: log evidence by which what no description holds may speak for what is not there.
     """
+    problem = fitter.problem
     kept = [i for i in range(len(chosen.model)) if i not in candidate.without]
     places = [problem.place(chosen.model, i) for i in kept]
     index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
@@ -585,10 +585,9 @@ def _enough(
     return own >= least and before - after >= max(settings.gain * before, more, settings.more * own)
 
 
-def _without_absorbed(
-    problem: Problem, fitter: Fitter, chosen: Fit, found: Unknown, settings: DiscrepancySettings
-) -> Unknown:
+def _without_absorbed(fitter: Fitter, chosen: Fit, found: Unknown, settings: DiscrepancySettings) -> Unknown:
     """The same without the causes beside it that it has taken over: an offset beside a drift of the same reading."""
+    problem = fitter.problem
     start, before = tamed(problem, found.fit), tamed(problem, chosen)
     was = {h.key: worth_of(problem, chosen, before, i).rms for i, h in enumerate(chosen.model)}
     gone = [

@@ -50,7 +50,6 @@ def _start(problem: Problem, base: Fit, s: Screened) -> np.ndarray:
 
 
 def finalists_of(
-    problem: Problem,
     fitter: Fitter,
     base: Fit,
     screened: Sequence[Screened],
@@ -63,6 +62,7 @@ def finalists_of(
     Args:
       ask: causes that are fitted whatever the linear model says of them.
     """
+    problem = fitter.problem
     names = {f.name for f in done}
     good = [
         s for s in screened
@@ -106,7 +106,6 @@ def explains_little(problem: Problem, base: Fit, f: Finalist, settings: AcceptSe
 
 
 def coarse_finalists(
-    problem: Problem,
     fitter: Fitter,
     base: Fit,
     hypotheses: Sequence[Hypothesis],
@@ -114,6 +113,7 @@ def coarse_finalists(
     iterations: int,
 ) -> list[Finalist]:
     """Hypotheses with which the uncalibrated joint comes closest, fitted from there."""
+    problem = fitter.problem
     return [
         as_finalist(problem, base, fitter.fit((h,), start, None, iterations, base))
         for h, start in _coarse_starts(problem, hypotheses, settings)

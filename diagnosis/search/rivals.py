@@ -24,7 +24,6 @@ from .settle import without_effect
 
 
 def against_rivals(
-    problem: Problem,
     fitter: Fitter,
     f: Fit,
     rivals: Sequence[Rivals],
@@ -33,6 +32,7 @@ def against_rivals(
     screening: ScreenSettings,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Every cause of some size against its close rivals, beside all others: the likelier stays, the gains are told anew."""
+    problem = fitter.problem
     told, decisions = list(rivals), list[Decision]()
     unsettled = quiet_rms(problem, f) > settings.plain
     index = 0
@@ -44,14 +44,14 @@ def against_rivals(
         if not close or size_of(problem, f, index) < settings.contested:
             index += 1
             continue
-        without = without_effect(problem, fitter, f, index, settings)
+        without = without_effect(fitter, f, index, settings)
         # Under the sensors' noise that the rivals' fits have, too.
         here = fitter.fit(f.model, f.theta, f, 1, without)
         own = here.log_evidence - without.log_evidence
         offered = [
             o for o in others_than(problem, hypotheses, without.model) if o.cause.name in close and o.key != h.key
         ]
-        fitted = _fitted(problem, fitter, without, offered, settings, screening)
+        fitted = _fitted(fitter, without, offered, settings, screening)
         gains: dict[str, float] = {}
         for other in fitted:
             gains.setdefault(other.name, other.gain)
@@ -79,7 +79,6 @@ def against_rivals(
 
 
 def beyond_the_ends(
-    problem: Problem,
     fitter: Fitter,
     f: Fit,
     rivals: Sequence[Rivals],
@@ -89,12 +88,13 @@ def beyond_the_ends(
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """With the cause that goes on where a number has come to the end of its tolerance, where that is likelier; what stood in its
     place is taken back afterwards (`settle`)."""
+    problem = fitter.problem
     ends = fields_at_the_end(problem, f)
     further = {o.cause.name for o in hypotheses if ends & {*o.cause.sets.values(), *o.cause.scales}}
     offered = [o for o in others_than(problem, hypotheses, f.model) if o.cause.name in further]
     if not offered or quiet_rms(problem, f) < settings.plain:
         return f, list(rivals), []
-    best = _better(problem, f, _fitted(problem, fitter, f, offered, settings, screening, ask=further), 0.0, settings)
+    best = _better(problem, f, _fitted(fitter, f, offered, settings, screening, ask=further), 0.0, settings)
     if best is None or explains_little(problem, f, best, settings):
         return f, list(rivals), []
     rms = float(np.sqrt(max(best.removed, 0.0)))
@@ -106,7 +106,6 @@ def beyond_the_ends(
 
 
 def _fitted(
-    problem: Problem,
     fitter: Fitter,
     base: Fit,
     offered: Sequence[Hypothesis],
@@ -115,8 +114,9 @@ def _fitted(
     ask: Collection[str] = (),
 ) -> list[Finalist]:
     """Of the hypotheses that are offered on top of a fit the best, through the replay; those that are asked for in any case."""
+    problem = fitter.problem
     screened = screen(problem, base, Library(problem, base, offered, screening.probe), screening)
-    return finalists_of(problem, fitter, base, screened, settings, ask=ask)
+    return finalists_of(fitter, base, screened, settings, ask=ask)
 
 
 def _better(

@@ -20,7 +20,6 @@ from .worth import left_by, noise_of
 
 
 def together(
-    problem: Problem,
     fitter: Fitter,
     at: Fit,
     library: Library,
@@ -29,6 +28,7 @@ def together(
     settings: AcceptSettings,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """All causes fitted together through the replay, from where the linear model puts them; as before where that is no gain."""
+    problem = fitter.problem
     here, rest = tamed(problem, at), library
     for s in chosen:
         here = with_effect(problem, here, rest, s)
@@ -62,7 +62,6 @@ def together(
 
 
 def settle(
-    problem: Problem,
     fitter: Fitter,
     f: Fit,
     rivals: list[Rivals],
@@ -72,16 +71,17 @@ def settle(
     together: bool,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Of effects that were taken those that hold beside the others, beyond the joint's tolerances and as general as needed."""
+    problem = fitter.problem
     decisions: list[Decision] = []
     near_edge = any(is_calibration(problem, f, i, settings.edge) for i in range(len(f.model)))
     if together or near_edge or len(f.model) > 1:
-        f, rivals, decisions = _prune(problem, fitter, f, rivals, settings)
+        f, rivals, decisions = _prune(fitter, f, rivals, settings)
     before = f
-    f, rivals, settled = _as_general_as_needed(problem, fitter, f, rivals, hypotheses, settings)
+    f, rivals, settled = _as_general_as_needed(fitter, f, rivals, hypotheses, settings)
     decisions += settled
     if f is not before and len(f.model) > 1:
         # Another may have stood for what the one that was replaced could not do.
-        f, rivals, settled = _prune(problem, fitter, f, rivals, settings)
+        f, rivals, settled = _prune(fitter, f, rivals, settings)
         decisions += settled
     return f, rivals, decisions
 
@@ -94,25 +94,27 @@ def is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN)
     return problem.is_calibration(theta, tuple(f.model[j] for j in order), within)
 
 
-def without_effect(problem: Problem, fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
+def without_effect(fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
     """A fit without one of its effects."""
-    return _not_lost(problem, fitter, f, _quickly_without(problem, fitter, f, index), settings)
+    return _not_lost(fitter, f, _quickly_without(fitter, f, index), settings)
 
 
-def _quickly_without(problem: Problem, fitter: Fitter, f: Fit, index: int, beside: Fit | None = None) -> Fit:
+def _quickly_without(fitter: Fitter, f: Fit, index: int, beside: Fit | None = None) -> Fit:
     """The same with the derivatives of the fit with it, which may end where those do not serve any more.
 
     Args:
       beside: the fit with which it is compared, as in `Fitter.fit`.
     """
+    problem = fitter.problem
     block = problem.place(f.model, index)
     kept = np.delete(np.arange(len(f.theta)), np.arange(block.start, block.stop))
     model = tuple(g for j, g in enumerate(f.model) if j != index)
     return fitter.fit(model, f.theta[kept], f, 4, beside)
 
 
-def _not_lost(problem: Problem, fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> Fit:
+def _not_lost(fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> Fit:
     """A fit without an effect, thoroughly where it leaves much more: only then is that for want of the effect."""
+    problem = fitter.problem
     if left_by(problem, other) < settings.lost * left_by(problem, f):
         return other
     return fitter.once(other.model, lambda: better_of_both(fitter, other.model, other.theta, near=other))
@@ -127,12 +129,13 @@ def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings)
     return ""
 
 
-def _at_the_edge(problem: Problem, fitter: Fitter, f: Fit, without: Fit, settings: AcceptSettings) -> str:
+def _at_the_edge(fitter: Fitter, f: Fit, without: Fit, settings: AcceptSettings) -> str:
     """Why an effect that is just beyond tolerance is not named: the joint at the edge of its tolerances explains about as much.
 
     Fits that are compared by evidence leave the noise's share of the derivatives in, which holds an inertia where it is: both are
     polished first.
     """
+    problem = fitter.problem
     here, there = (left_by(problem, fitter.polish(x, settings.polish)) ** 0.5 for x in (f, without))
     if there**2 > (1 + settings.worth) * here**2:
         return ""
@@ -161,7 +164,6 @@ def added(fitter: Fitter, general: Fit, special: Fit) -> float:
 
 
 def _as_general_as_needed(
-    problem: Problem,
     fitter: Fitter,
     f: Fit,
     rivals: list[Rivals],
@@ -169,6 +171,7 @@ def _as_general_as_needed(
     settings: AcceptSettings,
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Of a cause and its special cases the special one where the data do not plainly ask for more; how sure that is."""
+    problem = fitter.problem
     decisions: list[Decision] = []
     for i in range(len(f.model)):
         for g in hypotheses:
@@ -176,14 +179,14 @@ def _as_general_as_needed(
             simpler = g.cause.name in h.cause.generalises
             if not (simpler or h.cause.name in g.cause.generalises) or any(o.key == g.key for o in f.model):
                 continue
-            other = _in_place_of(problem, fitter, f, i, g)
+            other = _in_place_of(fitter, f, i, g)
             general, special = (f, other) if simpler else (other, f)
             more = added(fitter, general, special)
             # What no description holds speaks for the more general one too.
             loose = float(np.clip(quiet_rms(problem, f), 1.0, settings.loosest))
             if simpler and more < settings.general * loose:
                 # It can do all that the special one can: from there.
-                again = _in_place_of(problem, fitter, special, i, h)
+                again = _in_place_of(fitter, special, i, h)
                 general, more = max(((x, added(fitter, x, special)) for x in (f, again)), key=lambda x: x[1])
             asked = more > loose * settings.general
             sure = _sure(max(more, 0.0) / loose - settings.general, loose, settings)
@@ -210,8 +213,9 @@ def _sure(beyond: float, loose: float, settings: AcceptSettings) -> float:
     return float(1.0 / (1.0 + np.exp(-abs(beyond) / temper)))
 
 
-def _in_place_of(problem: Problem, fitter: Fitter, f: Fit, index: int, g: Hypothesis) -> Fit:
+def _in_place_of(fitter: Fitter, f: Fit, index: int, g: Hypothesis) -> Fit:
     """A fit with a more general hypothesis, or a special case, in an effect's place, from where it makes the same."""
+    problem = fitter.problem
     h, parts = f.model[index], problem.split(f.theta, f.model)
     simpler = g.cause.name in h.cause.generalises
     values = h.values(parts[index]) if simpler else g.cause.present(problem.records(f.theta, f.model)[0][0])
@@ -222,9 +226,10 @@ def _in_place_of(problem: Problem, fitter: Fitter, f: Fit, index: int, g: Hypoth
 
 
 def _prune(
-    problem: Problem, fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings
+    fitter: Fitter, f: Fit, rivals: list[Rivals], settings: AcceptSettings
 ) -> tuple[Fit, list[Rivals], list[Decision]]:
     """Take back, one at a time, effects that do not hold beside the others once all are fitted together."""
+    problem = fitter.problem
     decisions: list[Decision] = []
     kept: set[int] = set()  # effects without which the data are not explained, whatever the linear model says of them
     asked: set[int] = set()  # effects near the edge of tolerance that are needed
@@ -263,9 +268,9 @@ def _prune(
         if bad:
             # Of those, the one without which the rest is most probable.
             tried = sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
-            quick |= {i: _quickly_without(problem, fitter, f, i, f) for i in tried if i not in quick}
+            quick |= {i: _quickly_without(fitter, f, i, f) for i in tried if i not in quick}
             i = max(tried, key=lambda i: quick[i].log_evidence)
-            other = _not_lost(problem, fitter, f, quick[i], settings)
+            other = _not_lost(fitter, f, quick[i], settings)
             reason, gain = verdicts[i][2], float("nan")
             needed = "" if i in for_good else why_needed(problem, f, other, settings)
             if needed:
@@ -278,9 +283,9 @@ def _prune(
             if not near_edge:
                 break
             i = min(near_edge, key=lambda i: verdicts[i][0].rms)
-            other = without_effect(problem, fitter, f, i, settings)
+            other = without_effect(fitter, f, i, settings)
             asked.add(id(f.model[i]))
-            reason, gain, needed = _at_the_edge(problem, fitter, f, other, settings), float("nan"), ""
+            reason, gain, needed = _at_the_edge(fitter, f, other, settings), float("nan"), ""
             if not reason:
                 continue
         h, (w, size, _) = f.model[i], verdicts[i]

@@ -110,15 +110,14 @@ def search(
     """
     fitter = fitter or Fitter(problem)
     progress("calibrating the joint", 0.02)
-    first = calibrate(problem, fitter, settings.calibrate)
-    return _from(first, problem, fitter, hypotheses, settings, progress, deadline)
+    first = calibrate(fitter, settings.calibrate)
+    return _from(fitter, first, hypotheses, settings, progress, deadline)
 
 
 def likeliest_first(
-    problem: Problem,
-    hypotheses: Sequence[Hypothesis],
-    before: Search,
     fitter: Fitter,
+    before: Search,
+    hypotheses: Sequence[Hypothesis],
     settings: SearchSettings = SETTINGS,
     progress: Progress = lambda stage, done: None,
     deadline: float = np.inf,
@@ -129,34 +128,33 @@ def likeliest_first(
     error that makes the ripple. Arguments as of `search`.
     """
     again = replace(settings, accept=settings.accept.likeliest_first())
-    found = _from(before.base, problem, fitter, hypotheses, again, progress, deadline)
+    found = _from(fitter, before.base, hypotheses, again, progress, deadline)
     if found.chosen.log_evidence < before.chosen.log_evidence + settings.accept.threshold:
         return before
     return replace(found, decisions=(*before.decisions, *found.decisions))
 
 
 def _from(
-    first: Fit,
-    problem: Problem,
     fitter: Fitter,
+    first: Fit,
     hypotheses: Sequence[Hypothesis],
     settings: SearchSettings,
     progress: Progress,
     deadline: float,
 ) -> Search:
     """The causes beside a calibrated joint."""
-    accept = settings.accept
-    found = _one_by_one(problem, fitter, first, hypotheses, settings, progress, deadline)
+    problem, accept = fitter.problem, settings.accept
+    found = _one_by_one(fitter, first, hypotheses, settings, progress, deadline)
     if not (found.at.model or found.late) and doubtful(problem, first, quiet_rms(problem, first), settings.calibrate):
-        other = afresh(problem, fitter, first, settings.calibrate)
+        other = afresh(fitter, first, settings.calibrate)
         if other.log_evidence >= first.log_evidence + 1.0:
-            again = _one_by_one(problem, fitter, other, hypotheses, settings, progress, deadline, coarsely=False)
+            again = _one_by_one(fitter, other, hypotheses, settings, progress, deadline, coarsely=False)
             found = replace(again, decisions=(*found.decisions, *again.decisions))
     if found.late or time.monotonic() > deadline:
         last = () if found.last is None else (rivals_of(*found.last, {}, accept),)
         found = replace(found, rivals=(*found.rivals, *last), late=True)
     else:
-        found = _further(problem, fitter, found, hypotheses, settings, progress, deadline)
+        found = _further(fitter, found, hypotheses, settings, progress, deadline)
     quiet = (quiet_rms(problem, found.first), quiet_rms(problem, found.at))
     return Search(
         found.first, found.at, found.library, found.rivals, found.decisions, quiet, not found.late, found.confusable
@@ -164,7 +162,6 @@ def _from(
 
 
 def _further(
-    problem: Problem,
     fitter: Fitter,
     found: _Found,
     hypotheses: Sequence[Hypothesis],
@@ -173,6 +170,7 @@ def _further(
     deadline: float,
 ) -> _Found:
     """Select, fit together, settle; once more where something stood for what shows only beside what is settled."""
+    problem = fitter.problem
     accept = settings.accept
     at, library, last = found.at, found.library, found.last
     rivals, decisions = list(found.rivals), list(found.decisions)
@@ -187,12 +185,12 @@ def _further(
         dropped: list[Decision] = []
         if more:
             progress("settling all causes", 0.75 + 0.08 * done)
-            at, rivals, dropped = together(problem, fitter, at, library, more, rivals, accept)
-        at, rivals, compared = against_rivals(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
-        at, rivals, gone_on = beyond_the_ends(problem, fitter, at, rivals, hypotheses, accept, settings.screen)
+            at, rivals, dropped = together(fitter, at, library, more, rivals, accept)
+        at, rivals, compared = against_rivals(fitter, at, rivals, hypotheses, accept, settings.screen)
+        at, rivals, gone_on = beyond_the_ends(fitter, at, rivals, hypotheses, accept, settings.screen)
         # Where nothing came of those that were selected, all is as it was before they were.
         anew = len(more) > len(dropped) or bool(gone_on)
-        at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=anew)
+        at, rivals, settled = settle(fitter, at, rivals, hypotheses, accept, together=anew)
         decisions += [*dropped, *compared, *gone_on, *settled]
         gone = [d for d in (*dropped, *settled) if not d.taken]
         # An effect that was taken back stood for something, as numbers at the end of their tolerances do.
@@ -205,17 +203,16 @@ def _further(
         library, last = Library(problem, at, offered, settings.screen.probe), None
     alike: tuple[tuple[str, str], ...] = ()
     if time.monotonic() < deadline:
-        combined = in_place_of_each_other(problem, fitter, at, rivals, hypotheses, accept)
+        combined = in_place_of_each_other(fitter, at, rivals, hypotheses, accept)
         alike, decisions = combined.confusable, [*decisions, *combined.decisions]
         at, rivals = combined.fit, combined.rivals
         if combined.decisions:
-            at, rivals, settled = settle(problem, fitter, at, rivals, hypotheses, accept, together=True)
+            at, rivals, settled = settle(fitter, at, rivals, hypotheses, accept, together=True)
             decisions += settled
     return replace(found, at=at, rivals=tuple(rivals), decisions=tuple(decisions), last=None, confusable=alike)
 
 
 def _one_by_one(
-    problem: Problem,
     fitter: Fitter,
     first: Fit,
     hypotheses: Sequence[Hypothesis],
@@ -230,6 +227,7 @@ def _one_by_one(
     Args:
       coarsely: whether causes are also tried without the linear model, where the calibrated joint is far off.
     """
+    problem = fitter.problem
     accept, iterations = settings.accept, settings.calibrate.iterations
     at, rivals, decisions = first, list[Rivals](), list[Decision]()
     last: tuple[Finalist, dict[str, float]] | None = None
@@ -251,14 +249,14 @@ def _one_by_one(
         if time.monotonic() > deadline:
             return replace(found, late=True)
         progress("fitting the causes that look best", 0.3 + 0.15 * len(at.model))
-        fitted = finalists_of(problem, fitter, at, screened, accept)
+        fitted = finalists_of(fitter, at, screened, accept)
         if coarsely and not at.model and quiet > accept.gross:
-            fitted = ranked([*fitted, *coarse_finalists(problem, fitter, at, hypotheses, accept, iterations)])
+            fitted = ranked([*fitted, *coarse_finalists(fitter, at, hypotheses, accept, iterations)])
         seen, chosen = first_cause(problem, at, screened, fitted, accept)
         little = chosen is not None and not accept.likeliest and explains_little(problem, at, chosen, accept)
         if little and quiet > accept.plain:
             # What is likeliest explains next to nothing, and is not all that is there.
-            fitted = ranked([*fitted, *finalists_of(problem, fitter, at, screened, accept, done=fitted)])
+            fitted = ranked([*fitted, *finalists_of(fitter, at, screened, accept, done=fitted)])
             seen, chosen = first_cause(problem, at, screened, fitted, accept)
         decisions += seen
         if chosen is None:
@@ -267,14 +265,15 @@ def _one_by_one(
         slight = not accept.likeliest and explains_little(problem, at, chosen, accept)
         alike = [f for f in fitted if f.removed > accept.alike * chosen.removed]
         last = (chosen, {f.name: f.gain for f in reversed(alike)})
-        at = _settled(problem, fitter, chosen, settings)
+        at = _settled(fitter, chosen, settings)
 
 
-def _settled(problem: Problem, fitter: Fitter, chosen: Finalist, settings: SearchSettings) -> Fit:
+def _settled(fitter: Fitter, chosen: Finalist, settings: SearchSettings) -> Fit:
     """A finalist fitted to its end with derivatives of its own."""
+    problem = fitter.problem
     at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
     if doubtful(problem, at, quiet_rms(problem, at), settings.calibrate):
-        at = max((at, afresh(problem, fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
+        at = max((at, afresh(fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
     if quiet_rms(problem, at) > settings.accept.far:
         # Discrepancy holds nearly all that is left, and the fit creeps: further on from least squares.
         other = better_of_both(fitter, at.model, at.theta, settings.calibrate)

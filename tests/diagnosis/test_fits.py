@@ -29,7 +29,7 @@ def test_what_an_effect_replaces_has_no_say_beside_it():
     run = fs.simulate("link_sweep", joint=true, filters=["RAREKF"], duration=10, seed=SEED)
     problem = Problem(*segments([run.as_recording()], described), described)
     fitter = Fitter(problem)
-    base = calibrate(problem, fitter, CalibrateSettings(iterations=4))
+    base = calibrate(fitter, CalibrateSettings(iterations=4))
     at = problem.calibration.names.index(number)
     assert abs(base.theta[at]) > 1.5
     (effect,) = hypotheses(causes.get(cause), problem.calibration.record(np.zeros(problem.calibration.size)))
@@ -53,7 +53,7 @@ def test_numbers_that_the_data_hardly_tell_stay_near_the_description_where_more_
     run = fs.simulate("link_sweep", filters=["RAREKF"], duration=10, seed=SEED)
     problem = Problem(*segments([run.as_recording()], described), described)
     fitter = Fitter(problem)
-    fit = fitter.polish(calibrate(problem, fitter, CalibrateSettings(iterations=4)))
+    fit = fitter.polish(calibrate(fitter, CalibrateSettings(iterations=4)))
     known = np.sqrt(np.diag(fit.covariance)) < 0.04
     # Two standard deviations away where the data say least: how far a fit goes there by itself is chance.
     _, directions = np.linalg.eigh(fit.covariance)

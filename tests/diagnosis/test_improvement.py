@@ -33,7 +33,7 @@ def diagnosed() -> tuple[Draw, Diagnosis]:
     measurement = replace(drawn.measurement, recordings=(recording.at(slice(None, None, 4)),))
     drawn = replace(drawn, measurement=measurement)
     problem = Problem(*segments(list(measurement.recordings), drawn.nominal), drawn.nominal)
-    fit = calibrate(problem, Fitter(problem), CalibrateSettings(iterations=3))
+    fit = calibrate(Fitter(problem), CalibrateSettings(iterations=3))
     extended = calibrated(problem, fit, drawn.nominal)
     regions = held_out_regions(problem, fit)
     found = Diagnosis("consistent", "", (), {}, (), {}, {}, regions, extended)

@@ -60,7 +60,7 @@ def test_what_does_not_serve_is_drawn_back(shared):
     measurement = read_measurement(shared / "data" / "examples" / "exact" / "00" / "free.yaml")
     joint = measurement.load_joint(None)
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
-    fit = calibrate(problem, Fitter(problem))
+    fit = calibrate(Fitter(problem))
     asked = []
 
     def refuse(f):

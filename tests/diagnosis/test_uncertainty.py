@@ -37,7 +37,7 @@ def fitted() -> tuple[Draw, Problem, Fit]:
     return (
         drawn,
         problem,
-        with_dispersion(problem, calibrate(problem, Fitter(problem), CalibrateSettings(iterations=4))),
+        with_dispersion(problem, calibrate(Fitter(problem), CalibrateSettings(iterations=4))),
     )
 
 

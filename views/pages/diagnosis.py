@@ -271,9 +271,7 @@ def _decisions(d: Diagnosis) -> list[dict[str, Any]]:
 
 def _moved(report: Report) -> Iterator[Moved]:
     for name, m in report.diagnosis.calibration.items():
-        yield Moved(
-            name, meaning(name), with_std(m.nominal, 0.0, m.unit), with_std(m.value, m.std, m.unit), m.moved
-        )
+        yield Moved(name, meaning(name), with_std(m.nominal, 0.0, m.unit), with_std(m.value, m.std, m.unit), m.moved)
 
 
 def _plan(report: Report) -> dict[str, Any] | None:
