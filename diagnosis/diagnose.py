@@ -161,7 +161,8 @@ def diagnose(
         if astray and time.monotonic() < deadline:
             progress("searching once more, the likeliest first", 0.9)
             again = likeliest_first(fitter, found, tried, settings, progress, deadline)
-            likelier = again is not found and again.chosen.log_evidence > best.log_evidence
+            likelier = again.chosen is not found.chosen and again.chosen.log_evidence > best.log_evidence
+            found = replace(found, complete=found.complete and again.complete)
             if likelier and time.monotonic() < deadline:
                 progress("looking for unknown effects", 0.92)
                 found, looked = again, discrepancy.find(fitter, again.base, again.chosen)

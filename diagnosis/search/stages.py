@@ -124,13 +124,15 @@ def likeliest_first(
 ) -> Search:
     """What was found, or, where that is likelier, what is found with the likeliest cause first instead of the one worth most.
 
+    What was found is not complete where time was up before that was known.
+
     Some are seen only beside others that are worth little: a hysteresis that a ripple winds to and fro, beside the kinematic
     error that makes the ripple. Arguments as of `search`.
     """
     again = replace(settings, accept=settings.accept.likeliest_first())
     found = _from(fitter, before.base, hypotheses, again, progress, deadline)
     if found.chosen.log_evidence < before.chosen.log_evidence + settings.accept.threshold:
-        return before
+        return replace(before, complete=before.complete and found.complete)
     return replace(found, decisions=(*before.decisions, *found.decisions))
 
 
