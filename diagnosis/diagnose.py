@@ -17,7 +17,7 @@ from .answer import BalanceResidual, Diagnosis, Finding, ParameterEstimate, Para
 from .data import coverage
 from .data.mistakes import NO_CHANGE, Mistake, find_mistakes
 from .data.segments import BALANCES, SETTINGS, UNITS, pushed, segments
-from .extension import extended, parameter_shifts
+from .extension import DELAYS, extended, parameter_shifts
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.instruments import instrumented
 from .fit.noise_bias import without_noise_bias
@@ -331,9 +331,15 @@ def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
     ends = [
         f"{name} ({s.value:.3g} {s.unit})" if s.nominal == 0.0 else f"{name} ({100 * (s.value / s.nominal - 1):+.0f} %)"
         for name, s in calibration.items()
-        if abs(s.moved) > ANSWER.end
+        if abs(s.moved) > ANSWER.end and name not in DELAYS.values()
     ]
-    return f"at the end of what the description allows: {', '.join(ends)}" if ends else ""
+    late = [
+        f"{sensor.replace('_', ' ')} is read {1e3 * abs(s.value - s.nominal):.1f} ms {'later' if s.moved > 0 else 'earlier'} "
+        "than described"
+        for sensor, name in DELAYS.items()
+        if (s := calibration.get(name)) is not None and abs(s.moved) > ANSWER.end
+    ]
+    return _joined(f"at the end of what the description allows: {', '.join(ends)}" if ends else "", *late)
 
 
 def _holds_back(outcome: _Outcome) -> str:

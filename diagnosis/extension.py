@@ -31,17 +31,17 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
         if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
             unit = "" if number.unit == "1" else number.unit
             moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit, (value - number.value) / prior)
-    return moved | {_DELAYS[sensor]: shift for sensor, shift in _delays(problem, at).items()}
+    return moved | {DELAYS[sensor]: shift for sensor, shift in _delays(problem, at).items()}
 
 
-_DELAYS = {"motor_current": "current_delay", "joint_torque": "torque_sensor_delay"}
+DELAYS = {"motor_current": "current_delay", "joint_torque": "torque_sensor_delay"}
 """Sensors whose delay is found, and what it is called."""
 
 
 def _delays(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
     """Delays of sensors that differ from the description by more than the data's own uncertainty."""
     found = {}
-    for i, sensor in enumerate(_DELAYS):
+    for i, sensor in enumerate(DELAYS):
         j, prior = problem.calibration.size + i, float(TIMING[i])
         shift, std = -prior * float(at.theta[j]), prior * float(np.sqrt(at.covariance[j, j]))
         if std < 0.8 * prior and abs(shift) > max(2 * std, 0.1 * prior):

@@ -131,6 +131,26 @@ def test_a_late_torque_sensor_is_no_damping_of_the_link():
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("sensor", "name", "late"),
+    [("joint_torque", "torque_sensor_delay", 4e-3), ("motor_current", "current_delay", 3e-3)],
+)
+def test_a_late_reading_is_no_cause(sensor, name, late):
+    """Too little for a mistake in the data: a link that is not rigid was named at 0.99, or 15 mA were left of a current."""
+    drawn = draw(Challenge(seed=655, hidden="none"), 1)
+    recordings = tuple(
+        replace(r, columns={**r.columns, sensor: np.interp(r.time - late, r.time, r[sensor])})
+        for r in drawn.measurement.recordings
+    )
+    found = diagnose(replace(drawn.measurement, recordings=recordings), drawn.nominal)
+    assert found.verdict == "consistent" and found.causes == found.mistakes == ()
+    assert found.calibration[name].value == pytest.approx(late, abs=0.4e-3)
+    assert "later than described" in found.reason
+    residual = found.residual["joint_torque" if sensor == "joint_torque" else "motor_current"]
+    assert residual.after < 1.3 * residual.noise
+
+
+@pytest.mark.slow
 def test_rows_in_which_alone_the_load_shakes_count():
     """The only recording with a load, a fortieth of all rows, was left out as of extreme leverage: consistent, 0.14 N·m left."""
     drawn = draw(Challenge(seed=621, real=True), 6)
