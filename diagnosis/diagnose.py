@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -31,6 +32,7 @@ from .search.acceptance import (
     AcceptSettings,
     Decision,
     drowned,
+    made_by,
     quiet_rms,
     significance,
     size_of,
@@ -43,7 +45,7 @@ from .search.identifiability import limits
 from .search.settle import is_calibration, why_needed, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, likeliest_first, search
-from .search.worth import left_by, noise_of
+from .search.worth import Worth, left_by, noise_of
 from .uncertainty import stated
 
 
@@ -59,6 +61,8 @@ class AnswerSettings:
         minor for it, and may be sure from `barely` on.
       slim: share of what all effects are worth together (mean square) below which one is sure only from `clearly` standard
         deviations on, and an unknown one never: what a law of another leaves, in the hundredths, may look like it.
+      entangled: share of what two effects are worth together (mean square) below which what either is worth beside the other says
+        nothing: how they share it is not told, and neither is sure.
       surest: largest confidence; beside: of a cause beside which an unknown effect was found; unsure: of what does not hold where
         it was not fitted, or could be anything.
       plain_share: share of the explanations from which on a cause and its special cases are told apart.
@@ -91,6 +95,7 @@ class AnswerSettings:
     plainly: float = 2.0
     slim: float = 0.01
     clearly: float = 5.0
+    entangled: float = 0.01
     surest: float = 0.99
     unsure: float = 0.5
     beside: float = 0.7
@@ -257,8 +262,8 @@ def _as_described(
 def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
     """An outcome as the answer."""
     problem, found, final, joint = outcome.problem, outcome.found, outcome.drawn.fit, outcome.problem.joint
-    findings, minor = _findings(outcome, measurement)
-    useless = bool(findings) and _explains_nothing(problem, found.base, outcome.final)
+    findings, minor, entangled = _findings(outcome, measurement)
+    useless = bool(findings) and _explains_nothing(problem, found.base, outcome.judged)
     surest = min(outcome.surest, ANSWER.unsure) if useless else outcome.surest
     findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
     if outcome.nearly_all:
@@ -279,7 +284,9 @@ def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
         }
         extended_joint = extended_joint.model_copy(update=known)
     ripples = [(h.cause.name, name) for h in outcome.final.model for name in _other_ripples(problem, h)]
-    alike = {(min(pair), max(pair)) for pair in (*outcome.alike, *_close(found), *ripples, *found.confusable)}
+    alike = {
+        (min(pair), max(pair)) for pair in (*outcome.alike, *_close(found), *ripples, *entangled, *found.confusable)
+    }
     return Diagnosis(
         verdict=verdict,
         reason=reason,
@@ -509,8 +516,10 @@ def _limits(
     return {n: r for n, r in sorted(undetermined.items()) if n not in named}, tuple(alike)
 
 
-def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding], list[Finding]]:
-    """The effects of the final model, each with what it is worth: causes, and minor ones."""
+def _findings(
+    outcome: _Outcome, measurement: Measurement
+) -> tuple[list[Finding], list[Finding], list[tuple[str, str]]]:
+    """The effects of the final model, each with what it is worth: causes, and minor ones; pairs that share what one explains."""
     problem, found, final, unknown = outcome.problem, outcome.found, outcome.final, outcome.unknown
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, outcome.judged))
     explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
@@ -531,7 +540,11 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
     unsure = [
         held_after > held_before or h.key in outcome.doubted or bool(_other_ripples(problem, h)) for h in final.model
     ]
-    doubtful = [x < ANSWER.significant or slim[i] or unseen[i] or unsure[i] for i, x in enumerate(away)]
+    pairs = _entangled(problem, final, linear, worths)
+    entangled = {i for pair in pairs for i in pair}
+    doubtful = [
+        x < ANSWER.significant or slim[i] or unseen[i] or unsure[i] or i in entangled for i, x in enumerate(away)
+    ]
     confidences = _confidences(problem, found, final, unknown, doubtful)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
@@ -571,7 +584,19 @@ def _findings(outcome: _Outcome, measurement: Measurement) -> tuple[list[Finding
             both = float(np.hypot(worths[i].rms, g**0.5))
             share = float(np.clip(explained * both**2 / whole, 0.0, 1.0))
             findings[i] = replace(findings[i], explains=share, worth=both, estimation=g**0.5)
-    return list(findings.values()), list(minor.values())
+    names = [h.cause.name for h in final.model]
+    return list(findings.values()), list(minor.values()), [(names[i], names[j]) for i, j in pairs]
+
+
+def _entangled(problem: Problem, f: Fit, linear: Fit, worths: Sequence[Worth]) -> list[tuple[int, int]]:
+    """Pairs of effects that together make much, and beside each other next to nothing: data that one of them explains."""
+
+    def little(both: Worth, i: int) -> bool:
+        return worths[i].rms ** 2 < ANSWER.entangled * both.rms**2
+
+    slight = [i for i, w in enumerate(worths) if w.rms**2 < ANSWER.entangled * sum(made_by(problem, f, linear, i))]
+    pairs = [(pair, worth_of(problem, f, linear, *pair)) for pair in itertools.combinations(slight, 2)]
+    return [pair for pair, both in pairs if all(little(both, i) for i in pair)]
 
 
 def _gained(outcome: _Outcome, measurement: Measurement, linear: Fit, indices: Sequence[int]) -> dict[int, float]:

@@ -208,9 +208,18 @@ def held_out_cost(problem: Problem, f: Fit, under: Fit) -> float:
     return float(np.sum(huber_loss(rows[:, 0], 10.0)) - np.sum(huber_loss(rows[:, 1], 10.0))) + white.log_determinant
 
 
-def worth_of(problem: Problem, f: Fit, linear: Fit, index: int) -> Worth:
-    """What one of a fit's effects is worth; `linear`: the fit with `solver.tamed` derivatives."""
-    return worth(problem, f, _as_without(problem, f, linear.jacobian, index), *_alone(problem, f, index))
+def worth_of(problem: Problem, f: Fit, linear: Fit, *indices: int) -> Worth:
+    """What one of a fit's effects is worth, or several together; `linear`: the fit with `solver.tamed` derivatives."""
+    columns = linear.jacobian
+    for index in indices:
+        columns = _as_without(problem, f, columns, index)
+    return worth(problem, f, columns, *_alone(problem, f, *indices))
+
+
+def made_by(problem: Problem, f: Fit, linear: Fit, index: int) -> np.ndarray:
+    """Mean squares of what one of a fit's effects makes while no other unknown answers, by balance [N·m]²."""
+    own, _, amount = _alone(problem, f, index)
+    return mean_squares(problem, [J[..., own] @ amount for J in linear.jacobian])
 
 
 def without_it(problem: Problem, f: Fit, linear: Fit, index: int) -> Fit:
@@ -242,8 +251,11 @@ def _as_without(problem: Problem, f: Fit, columns: Columns, index: int) -> Colum
     return [c * weight for c in columns]
 
 
-def _alone(problem: Problem, f: Fit, index: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places of one of a fit's effects and of all other unknowns, and the effect's coordinates from absent."""
-    magnitudes, block = f.model[index].magnitudes, problem.place(f.model, index)
-    others = np.setdiff1d(np.arange(len(f.theta)), np.arange(block.start, block.stop))
-    return block.start + np.asarray(magnitudes), others, amount_of(problem, f, index)[magnitudes]
+def _alone(problem: Problem, f: Fit, *indices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of some of a fit's effects and of all other unknowns, and these effects' coordinates from absent."""
+    blocks = [problem.place(f.model, i) for i in indices]
+    magnitudes = [np.asarray(f.model[i].magnitudes) for i in indices]
+    own = np.concatenate([block.start + m for block, m in zip(blocks, magnitudes, strict=True)])
+    amounts = np.concatenate([amount_of(problem, f, i)[m] for i, m in zip(indices, magnitudes, strict=True)])
+    inside = np.concatenate([np.arange(block.start, block.stop) for block in blocks])
+    return own, np.setdiff1d(np.arange(len(f.theta)), inside), amounts
