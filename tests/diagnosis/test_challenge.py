@@ -152,7 +152,7 @@ def test_a_late_reading_is_no_cause(sensor, name, late):
 
 @pytest.mark.slow
 def test_what_two_causes_share_is_not_sure():
-    """A motor encoder's eccentricity was told as half of one and a kinematic error once per turn, both at 0.99, 8 deviations off."""
+    """An eccentricity was told as half of one and a kinematic error once per turn, both at 0.99, 8 deviations off."""
     drawn = draw(Challenge(seed=657), 17)
     found = diagnose(drawn.measurement, drawn.nominal)
     (hidden,) = (e.name for e in drawn.effects)
