@@ -54,13 +54,13 @@ def in_place_of_each_other(
     settings: AcceptSettings,
 ) -> Combined:
     """The combination of causes that imitate each other that the data speak for, one more only where they plainly ask for it; how
-    sure each of its causes is, among all combinations. Where nothing but noise is left, the fit as it is."""
+    sure each of its causes is, among all combinations."""
     problem = fitter.problem
     quiet = quiet_rms(problem, f)
     here = frozenset(h.cause.name for h in f.model if _imitates(h.cause.name))
     by_name = {h.cause.name: h for h in hypotheses if not h.fixed}
     others = combinations(here, by_name)
-    if not others or quiet < settings.plain:
+    if not others:
         return Combined(f, rivals)
     tried = [_tried(fitter, f, here, [by_name[n] for n in sorted(names)]) for names in others]
     loose = float(np.clip(quiet, 1.0, settings.loosest))
