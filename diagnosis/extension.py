@@ -28,10 +28,15 @@ def parameter_shifts(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
         shared = problem.joint.shared_tolerances[number.shared] if number.shared else 0.0
         tolerance = float(np.hypot(np.hypot(number.tolerance, shared), number.deviation))
         prior = c.deviation(slot)
-        if std < 0.8 * prior and abs(value - number.value) > max(2 * std, 0.1 * prior):
+        if _told(value - number.value, std, prior):
             unit = "" if number.unit == "1" else number.unit
             moved[slot.name] = ParameterShift(number.value, value, std, tolerance, unit, (value - number.value) / prior)
     return moved | {DELAYS[sensor]: shift for sensor, shift in _delays(problem, at).items()}
+
+
+def _told(shift: float, std: float, prior: float) -> bool:
+    """Whether the data tell that a number is off: more of it than was known before, and by more than they leave open."""
+    return std < 0.8 * prior and abs(shift) > max(2 * std, 0.1 * prior)
 
 
 DELAYS = {"motor_current": "current_delay", "joint_torque": "torque_sensor_delay"}
@@ -44,7 +49,7 @@ def _delays(problem: Problem, at: Fit) -> dict[str, ParameterShift]:
     for i, sensor in enumerate(DELAYS):
         j, prior = problem.calibration.size + i, float(TIMING[i])
         shift, std = -prior * float(at.theta[j]), prior * float(np.sqrt(at.covariance[j, j]))
-        if std < 0.8 * prior and abs(shift) > max(2 * std, 0.1 * prior):
+        if _told(shift, std, prior):
             described = getattr(problem.joint.sensors, sensor).delay
             late = max(described + shift, 0.0)  # one that is early is as punctual as can be said
             found[sensor] = ParameterShift(described, late, std, prior, "s", (late - described) / prior)
