@@ -386,10 +386,10 @@ def rolled_out(one: Draw, exact: bool, iterations: Sequence[int] = ITERATIONS) -
     x = np.zeros(len(problem.free))
     with described_laws():
         for most in iterations:
-            problem.weigh(x)
             start = problem.parameters.copy()
             start.update_from_vector(x)
             try:
+                problem.weigh(x)
                 fitted, result = sysid.optimize(
                     start,
                     problem.residual,

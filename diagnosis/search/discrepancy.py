@@ -50,6 +50,11 @@ _SMALLEST_RANGE = {
 }  # fmt: skip
 """A variable that moved less than this has shown nothing."""
 _TURNS = {"motor_position": 2 * np.pi, "motor_position_two_turns": 4 * np.pi}
+_INSIDE = ("mesh", "flexspline", "link_position")
+"""Places inside the transmission: what acts there goes through the replay."""
+_SLOW = ("link_position", "motor_velocity", "time")
+"""Variables that change slowly beside the wave generator between measured ends: not what turns with the velocity, the rotor's
+angle, or load, which an effect there changes itself."""
 
 
 @dataclass(frozen=True)
@@ -324,49 +329,72 @@ def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[
     return found
 
 
-def columns_of(problem: Problem, theta: np.ndarray, model: Model, spline: Spline) -> Columns:
-    """Derivatives of the residuals in a spline's coordinates, shape (k, len(BALANCES), count) a segment: for a first look.
+class FirstLook:
+    """Derivatives of the residuals in splines' coordinates about a model, as exact as a first look needs.
 
-    What only reads out is told in closed form, at the residuals' own times; of the rest every eighth coordinate is moved at
-    once, and what changes belongs to the one that acts then or did shortly before. A fit has exact ones (`Spline.derivatives`).
+    What only reads out is told in closed form, at the residuals' own times. Inside the transmission, what is slow beside it does
+    what the same effect would if it were constant; of the rest every eighth coordinate is moved at once, and what changes belongs
+    to the one that acts then or did shortly before. A fit has exact derivatives (`Spline.derivatives`).
     """
-    if spline.place in ("mesh", "flexspline", "link_position"):
-        return _together(problem, theta, model, spline)
-    records, found = problem.records(theta, model), []
-    for segment, record in zip(problem.segments, records, strict=True):
-        p, B = record[0], spline.unit * spline.basis(segment)
-        J = np.zeros((len(B), len(BALANCES), spline.count))
-        if spline.place == "rotor":
-            J[:, CURRENT] = B / p["Kt"]
-        elif spline.place == "motor_current":
-            J[:, CURRENT] = -B
-        elif spline.place == "link":
-            softer = segment.stiffness / (p["K1"] + p["K2"] + p["K3"])
-            J[:, LINK] = B * (p["torque_gain"] if segment.has_torque else softer)
-            if not segment.link_measured:
-                J[:, CURRENT] = B / (p["N"] * p["Kt"])
-        elif segment.has_torque:
-            J[:, TORQUE] = -B
-            J[:, LINK] = -B
-        found.append(np.where(segment.balances[:, None], J, 0.0))
-    return found
 
+    def __init__(self, problem: Problem, theta: np.ndarray, model: Model):
+        self.problem, self.theta, self.model = problem, theta, model
+        self._constant: dict[str, Columns] = {}
 
-def _together(problem: Problem, theta: np.ndarray, model: Model, spline: Spline) -> Columns:
-    """Derivatives through the replay, every `LANES`-th coordinate at a time: at any time four splines are not zero."""
-    n = min(LANES, spline.count)
-    sums = (np.arange(spline.count) % n == np.arange(n)[:, None]).astype(float)
-    found = []
-    for segment, J in zip(problem.segments, spline.along(problem, theta, model, sums), strict=True):
-        u = np.clip((_variable(spline.variable, segment) - spline.low) / (spline.high - spline.low), 0.0, 1.0)
-        first = np.minimum((u * (spline.count - 3)).astype(int), spline.count - 4) - (n - 4) // 2
-        whole = np.zeros((*J.shape[:2], spline.count))
-        for lane in range(n):
-            owner = first + (lane - first) % n
-            there = np.flatnonzero((owner >= 0) & (owner < spline.count))
-            whole[there, :, owner[there]] = J[there, :, lane]
-        found.append(whole)
-    return found
+    def columns(self, spline: Spline) -> Columns:
+        """Of each segment, shape (k, len(BALANCES), count)."""
+        if spline.place not in _INSIDE:
+            return self._read_out(spline)
+        if spline.variable in _SLOW:
+            constant = zip(self._of_constant(spline), self.problem.segments, strict=True)
+            return [J * spline.basis(segment)[:, None, :] for J, segment in constant]
+        return self._together(spline)
+
+    def _read_out(self, spline: Spline) -> Columns:
+        """In closed form."""
+        records, found = self.problem.records(self.theta, self.model), []
+        for segment, record in zip(self.problem.segments, records, strict=True):
+            p, B = record[0], spline.unit * spline.basis(segment)
+            J = np.zeros((len(B), len(BALANCES), spline.count))
+            if spline.place == "rotor":
+                J[:, CURRENT] = B / p["Kt"]
+            elif spline.place == "motor_current":
+                J[:, CURRENT] = -B
+            elif spline.place == "link":
+                softer = segment.stiffness / (p["K1"] + p["K2"] + p["K3"])
+                J[:, LINK] = B * (p["torque_gain"] if segment.has_torque else softer)
+                if not segment.link_measured:
+                    J[:, CURRENT] = B / (p["N"] * p["Kt"])
+            elif segment.has_torque:
+                J[:, TORQUE] = -B
+                J[:, LINK] = -B
+            found.append(np.where(segment.balances[:, None], J, 0.0))
+        return found
+
+    def _of_constant(self, spline: Spline) -> Columns:
+        """Derivatives through the replay in an effect at the spline's place that is the same throughout, shape (k,
+        len(BALANCES), 1) a segment."""
+        if spline.place not in self._constant:
+            even = replace(spline, variable="time", low=0.0, high=1.0, count=4)
+            self._constant[spline.place] = even.along(self.problem, self.theta, self.model, np.ones((1, 4)))
+        return self._constant[spline.place]
+
+    def _together(self, spline: Spline) -> Columns:
+        """Derivatives through the replay, every `LANES`-th coordinate at a time: at any time four splines are not zero."""
+        n = min(LANES, spline.count)
+        sums = (np.arange(spline.count) % n == np.arange(n)[:, None]).astype(float)
+        found = []
+        moved = spline.along(self.problem, self.theta, self.model, sums)
+        for segment, J in zip(self.problem.segments, moved, strict=True):
+            u = np.clip((_variable(spline.variable, segment) - spline.low) / (spline.high - spline.low), 0.0, 1.0)
+            first = np.minimum((u * (spline.count - 3)).astype(int), spline.count - 4) - (n - 4) // 2
+            whole = np.zeros((*J.shape[:2], spline.count))
+            for lane in range(n):
+                owner = first + (lane - first) % n
+                there = np.flatnonzero((owner >= 0) & (owner < spline.count))
+                whole[there, :, owner[there]] = J[there, :, lane]
+            found.append(whole)
+        return found
 
 
 class _Plain:
@@ -453,8 +481,9 @@ def find(
         return UnknownEffects()
     plain = _Plain(problem, chosen, settings.thin)
     tried: list[Candidate] = []
+    look = FirstLook(problem, chosen.theta, chosen.model)
     for spline in splines(problem, settings):
-        columns = columns_of(problem, chosen.theta, chosen.model, spline)
+        columns = look.columns(spline)
         if not all(np.isfinite(c).all() for c in columns):
             continue  # beyond what the replay follows
         tried += [plain.candidate(spline, columns, without) for without in drops]

@@ -113,11 +113,13 @@ def _quickly_without(fitter: Fitter, f: Fit, index: int, beside: Fit | None = No
 
 
 def _not_lost(fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> Fit:
-    """A fit without an effect, thoroughly where it leaves much more: only then is that for want of the effect."""
+    """A fit without an effect, thoroughly where it leaves much more: only then is that for want of the effect. The likelier of
+    both, as a thorough fit that is kept began elsewhere."""
     problem = fitter.problem
-    if left_by(problem, other) < settings.lost * left_by(problem, f):
+    if left_by(problem, other) < settings.lost * left_by(problem, f) + settings.chance * noise_of(problem, f):
         return other
-    return fitter.once(other.model, lambda: better_of_both(fitter, other.model, other.theta, near=other))
+    thorough = fitter.once(other.model, lambda: better_of_both(fitter, other.model, other.theta, near=other))
+    return max(other, thorough, key=lambda x: x.log_evidence)
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:

@@ -9,7 +9,7 @@ from swing import recording
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.search.discrepancy import columns_of, splines
+from flexspline.diagnosis.search.discrepancy import FirstLook, splines
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.models.joint import load_joint
 from flexspline.models.parameters import PLACES, VARIABLES
@@ -40,10 +40,10 @@ def test_derivatives_are_what_the_replay_does(problem, rng, place, variable):
 
 
 @pytest.mark.parametrize("place", PLACES[1:])
-@pytest.mark.parametrize("variable", ["link_position", "time"])
+@pytest.mark.parametrize("variable", ["link_position", "motor_velocity", "time"])
 def test_a_first_look_is_as_good(problem, rng, place, variable):
     spline = next(s for s in splines(problem) if (s.place, s.variable) == (place, variable))
-    assert apart(problem, spline, columns_of(problem, np.zeros(problem.size), (), spline), rng) < 0.05
+    assert apart(problem, spline, FirstLook(problem, np.zeros(problem.size), ()).columns(spline), rng) < 0.05
 
 
 @pytest.mark.slow
