@@ -55,6 +55,7 @@ class SegmentSettings:
       mistimed: passband [Hz] of the smoother where time stamps are wrong: an error of the time is one of the acceleration.
       block: most residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
       above_noise: power of the measured acceleration over its noise's, from which on it is motion.
+      shaken: noise of the rotor's acceleration, as a current, over the current's own, beyond which more residuals count as one.
       following: passband of the rotor's motion where the link's encoder stands for it, over the frequency at which the link as
         described swings against a rotor that is held; slowest: the least that it is [Hz].
       readings: passband of the smoother over the sampling rate for readings beside such a motion: they are not differentiated,
@@ -70,6 +71,7 @@ class SegmentSettings:
     block: int = 8
     mistimed: float = 25.0
     above_noise: float = 10.0
+    shaken: float = 0.9
     following: float = 0.5
     slowest: float = 1.0
     readings: float = 0.8
@@ -304,6 +306,12 @@ def _segment(
         block = 1  # the motion's noise is the current's, and a ripple of the gear is faster than any motion
     else:
         block = settings.block if mistimed else _block((rotor, link), (rotor_noise, link_noise), settings)
+        # The drive acts on the counts, which no replicate knows. To have less of what they make of a heavy rotor's acceleration
+        # a fit makes the rotor light and the motor strong. That noise falls with the power 5/2 of the frequency.
+        shakes, current = (float(np.std(decimate(x))) for x in (rotor_noise[:, 2], read_noise[:, CURRENT]))
+        shakes *= float(p["Jm"] / p["Kt"]) if has["motor_current"] else 0.0
+        while block < settings.block and shakes / block**2.5 > settings.shaken * current:
+            block += 1
     one = replace(one, block=block)
     replicate = replace(
         one,

@@ -43,6 +43,21 @@ def test_noise_that_a_law_bends_has_a_mean_and_other_noise_has_none():
     assert J @ bias / (J @ J) < -0.03  # as if there were less of it: least squares puts more in its place
 
 
+def test_means_are_longer_where_counts_shake_a_heavy_rotor():
+    """The noise of the acceleration is in no current: to have less of it a fit would make the rotor light, the motor strong."""
+    run = fs.simulate("link_sweep", filters=["RAREKF"], duration=8, seed=3)
+    joint = load_joint("test-joint")
+    inertia = joint.numbers["Jm"]
+    heavy = {**joint.numbers, "Jm": inertia.model_copy(update={"value": 4 * inertia.value})}
+
+    def block(joint):
+        (segment,), _ = segments([run.as_recording()], joint)
+        return segment.block
+
+    assert block(joint) == 1
+    assert block(joint.model_copy(update={"numbers": heavy})) == 2
+
+
 @pytest.mark.long
 @pytest.mark.slow
 @pytest.mark.parametrize("index", [1, 3])
