@@ -454,9 +454,10 @@ def numbers(one: Draw, found: Found) -> dict[str, Number]:
 def tables(fits: Sequence[Fitted]) -> dict[str, str]:
     """The page's tables, by marker."""
     plain = [f for f in fits if not f.hidden]
-    both = set.intersection(*({f.draw for f in plain if f.tool == tool} for tool in TOOLS))
-    plain = [f for f in plain if f.draw in both]  # what all have fitted
-    head = ("number", "before", *(f"{tool}: error" for tool in TOOLS), *(f"{tool}: covered" for tool in TOOLS))
+    count = {tool: sum(f.tool == tool for f in plain) for tool in TOOLS}
+    head = (
+        "number", "before", *(f"{tool}, {count[tool]} joints: error" for tool in TOOLS), *(f"{tool}: covered" for tool in TOOLS)
+    )  # fmt: skip
     rows = []
     for name, label in LABELS.items():
         by = {tool: [f.numbers[name] for f in plain if f.tool == tool] for tool in TOOLS}
