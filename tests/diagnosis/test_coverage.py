@@ -34,6 +34,15 @@ def test_one_encoder_does_not_show_the_torsion_and_shows_all_else(missing):
     assert not (DRIVE | {"gravity_moment", "link_inertia"}) & set(reasons)
 
 
+def test_counts_may_hide_the_inertia_of_a_heavy_rotor():
+    inertia = JOINT.numbers["Jm"]
+    heavy = JOINT.model_copy(
+        update={"numbers": {**JOINT.numbers, "Jm": inertia.model_copy(update={"value": 5 * inertia.value})}}
+    )
+    assert "rotor_inertia" not in undetermined(measurement(), JOINT)
+    assert "3.5 times the current's noise" in undetermined(measurement(), heavy)["rotor_inertia"]
+
+
 def test_without_current_friction_is_undetermined_and_torsion_is_not():
     reasons = undetermined(measurement("motor_current"), JOINT)
     assert set(reasons) >= DRIVE and not {"stiffness", "gravity_moment"} & set(reasons)
