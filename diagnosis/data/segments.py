@@ -309,8 +309,9 @@ def _segment(
         # The drive acts on the counts, which no replicate knows. To have less of what they make of a heavy rotor's acceleration
         # a fit makes the rotor light and the motor strong. That noise falls with the power 5/2 of the frequency.
         shakes, current = (float(np.std(decimate(x))) for x in (rotor_noise[:, 2], read_noise[:, CURRENT]))
-        shakes *= float(p["Jm"] / p["Kt"]) if has["motor_current"] else 0.0
-        while block < settings.block and shakes / block**2.5 > settings.shaken * current:
+        shakes *= float(p["Jm"] / p["Kt"])
+        # Beside a current that is not there, or of which no noise is described, nothing is loud.
+        while block < settings.block and current and shakes / block**2.5 > settings.shaken * current:
             block += 1
     one = replace(one, block=block)
     replicate = replace(

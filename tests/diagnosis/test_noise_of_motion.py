@@ -56,6 +56,9 @@ def test_means_are_longer_where_counts_shake_a_heavy_rotor():
 
     assert block(joint) == 1
     assert block(joint.model_copy(update={"numbers": heavy})) == 2
+    silent = joint.sensors.motor_current.model_copy(update={"noise": 0.0})  # of which nothing is said
+    sensors = joint.sensors.model_copy(update={"motor_current": silent})
+    assert block(joint.model_copy(update={"sensors": sensors})) == 1
 
 
 @pytest.mark.long
