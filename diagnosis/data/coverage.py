@@ -20,7 +20,7 @@ from ...models.dynamics import State
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
-from .segments import clock_error, undisturbed
+from .segments import DECIMATION, STEP, clock_error, undisturbed
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
@@ -249,12 +249,12 @@ class _Extent:
 def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
     """Why a cause cannot show, the plainest reason first; nothing where it can."""
     yield from _hidden_from(cause, found.columns, found.both_encoders)
+    if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint):
+        yield "it shows in what the drive needs alone, and there is no motor current"
     if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in found.columns:
         louder = shaken(found.joint)
         if louder > _SHAKEN:
             yield f"what the motor encoder's counts make of its acceleration is {louder:.2g} times the current's noise"
-    if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint):
-        yield "it shows in what the drive needs alone, and there is no motor current"
     needed = cause.requires
     if found.sliding < needed.sliding:
         yield f"the gear slides for {found.sliding:.2g} s, less than {needed.sliding:g} s"
@@ -283,8 +283,8 @@ def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
 _SHAKEN = 1.5
 """Times the current's noise beyond which the counts hide a rotor's inertia: the drive acts on them, and a fit makes it what has
 least noise. On a joint with 3.4 one 2.1 to 3.3 times as large was found in none of six draws, with 1.2 in all of three."""
-_SEEN = 62.5
-"""Frequency [Hz] up to which residuals see an acceleration (`segments.DECIMATION`)."""
+_SEEN = 0.5 / (STEP * DECIMATION)
+"""Frequency [Hz] up to which residuals see an acceleration."""
 
 
 def shaken(joint: Joint) -> float:
