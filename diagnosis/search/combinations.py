@@ -21,6 +21,7 @@ from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, noise_share
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, size_of
 from .settle import added
+from .worth import left_by, noise_of
 
 
 @dataclass(frozen=True)
@@ -64,8 +65,8 @@ def in_place_of_each_other(
     others = combinations(here, by_name)
     if not others:
         return Combined(f, rivals)
-    means = _over_means(fitter, f)
-    tried = [_tried(fitter, f, here, [by_name[n] for n in sorted(names)], means) for names in others]
+    fits = [_exchanged(fitter, f, here, [by_name[n] for n in sorted(names)]) for names in others]
+    tried = _compared(fitter, f, others, fits, settings)
     loose = float(np.clip(quiet, 1.0, settings.loosest))
 
     def beyond(one: _Tried) -> float:
@@ -137,9 +138,7 @@ def _over_means(fitter: Fitter, f: Fit) -> tuple[Fitter, Fit] | None:
     return slow, slow.fit(f.model, f.theta, f, 6, f, anew=True)
 
 
-def _tried(
-    fitter: Fitter, f: Fit, here: frozenset[str], instead: Sequence[Hypothesis], means: tuple[Fitter, Fit] | None
-) -> _Tried:
+def _exchanged(fitter: Fitter, f: Fit, here: frozenset[str], instead: Sequence[Hypothesis]) -> Fit:
     """A fit with other causes in the place of those that are here, from where the new ones are absent."""
     problem = fitter.problem
     names = frozenset(h.cause.name for h in instead)
@@ -147,11 +146,26 @@ def _tried(
     new = [h for h in instead if h.cause.name not in here]
     parts = problem.split(f.theta, f.model)
     theta = np.concatenate([f.theta[: problem.size], *(parts[i] for i in kept), *(np.zeros(h.size) for h in new)])
-    other = fitter.fit((*(f.model[i] for i in kept), *new), theta, f, 6, f, anew=True)
-    if means is None:
-        return _Tried(names, other, added(fitter, other, f))
-    slow, base = means
-    return _Tried(names, other, added(slow, slow.fit(other.model, other.theta, other, 6, base, anew=True), base))
+    return fitter.fit((*(f.model[i] for i in kept), *new), theta, f, 6, f, anew=True)
+
+
+def _compared(
+    fitter: Fitter, f: Fit, names: Sequence[frozenset[str]], fits: Sequence[Fit], settings: AcceptSettings
+) -> list[_Tried]:
+    """Fits with other causes beside one: over means where the noise of the motion would decide, but those that plainly leave
+    more."""
+    problem = fitter.problem
+    most = (1 + settings.worth) * left_by(problem, f) + settings.chance * noise_of(problem, f)
+    near = [left_by(problem, other) <= most for other in fits]
+    means = _over_means(fitter, f) if any(near) else None
+
+    def more(other: Fit, close: bool) -> float:
+        if means is None or not close:
+            return added(fitter, other, f)
+        slow, base = means
+        return added(slow, slow.fit(other.model, other.theta, other, 6, base, anew=True), base)
+
+    return [_Tried(n, x, more(x, close)) for n, x, close in zip(names, fits, near, strict=True)]
 
 
 def _decisions(problem: Problem, f: Fit, here: frozenset[str], chosen: _Tried) -> tuple[Decision, ...]:
