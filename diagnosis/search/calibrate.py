@@ -41,18 +41,16 @@ def calibrate(fitter: Fitter, settings: CalibrateSettings = SETTINGS) -> Fit:
     """The joint without causes at its most probable numbers."""
     problem = fitter.problem
     start = tared(problem, problem.start(None, ()), ())
-    return better_of_both(fitter, (), start, settings)
+    return from_least_squares(fitter, fitter.fit((), start, None, settings.iterations), settings)
 
 
-def better_of_both(
-    fitter: Fitter, model: Model, start: np.ndarray, settings: CalibrateSettings = SETTINGS, near: Fit | None = None
-) -> Fit:
-    """The better of two fits: by annealing from `start`, and on from least squares.
+def from_least_squares(fitter: Fitter, annealed: Fit, settings: CalibrateSettings = SETTINGS) -> Fit:
+    """The better of a fit, and one that goes on from least squares.
 
     A slow discrepancy can hold what parameters would: gravity and friction then decide nothing, and the likelihood has a second
     maximum with much of it. Whatever the likelihood says, a simulation that is off by several times as much is no calibration.
     """
-    annealed = fitter.fit(model, start, near, settings.iterations, anew=True)
+    model = annealed.model
     fast, slow = np.split(annealed.noise.discrepancy, [2], axis=1)
     if np.all(slow.max(axis=1) <= settings.slow * fast.max(axis=1)):
         return annealed

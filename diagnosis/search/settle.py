@@ -13,7 +13,7 @@ from ..fit.noise import Noise
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, losses_of, tamed, weights_of, with_dispersion
 from .acceptance import AcceptSettings, Decision, Rivals, drowned, quiet_rms, significance, size_of, worth_of
-from .calibrate import better_of_both, hand_over
+from .calibrate import from_least_squares, hand_over
 from .screen import Library, Screened
 from .select import with_effect
 from .worth import left_by, noise_of
@@ -118,7 +118,7 @@ def _not_lost(fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> F
     problem = fitter.problem
     if left_by(problem, other) < settings.lost * left_by(problem, f) + settings.chance * noise_of(problem, f):
         return other
-    thorough = fitter.once(other.model, lambda: better_of_both(fitter, other.model, other.theta, near=other))
+    thorough = fitter.once(other.model, lambda: from_least_squares(fitter, other))
     return max(other, thorough, key=lambda x: x.log_evidence)
 
 

@@ -24,7 +24,7 @@ from ..fit.coordinates import Hypothesis
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
-from .calibrate import CalibrateSettings, afresh, better_of_both, calibrate, doubtful, hand_over
+from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, from_least_squares, hand_over
 from .combinations import in_place_of_each_other
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
 from .rivals import against_rivals, beyond_the_ends
@@ -278,6 +278,5 @@ def _settled(fitter: Fitter, chosen: Finalist, settings: SearchSettings) -> Fit:
         at = max((at, afresh(fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
     if quiet_rms(problem, at) > settings.accept.far:
         # Discrepancy holds nearly all that is left, and the fit creeps: further on from least squares.
-        other = better_of_both(fitter, at.model, at.theta, settings.calibrate)
-        at = max((at, other), key=lambda f: f.log_evidence)
+        at = max((at, from_least_squares(fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
     return at
