@@ -519,7 +519,8 @@ def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: 
     load = np.abs(torque)
     slope = 1.0 / np.where(load < p["T1"], p["K1"], np.where(load < p["T2"], p["K2"], p["K3"]))
     w, v = motion.motor_velocity, motion.link_velocity
-    slow = np.array([slow_friction(x, p) for x in w])
+    slow = np.empty(len(w))
+    _slow_friction(w, joint.record, slow)
     friction = friction_error(joint)
     zero, std = track_zero(
         seen, slope, np.sign(w), slow, np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
@@ -552,25 +553,70 @@ def track_zero(
     Returns:
       δ and its standard deviation, shape (n,).
     """
+    zero, variance = np.empty(len(seen)), np.empty(len(seen))
+    forget = float(np.exp(-smoothed.STEP * _TRACK / MEMORY))
+    _track(
+        seen, compliance * direction, (compliance * np.hypot(noise, slow)) ** 2, wander**2 * travel, spread**2, friction**2,
+        forget, zero, variance,
+    )  # fmt: skip
+    return zero, np.sqrt(np.maximum(variance, 0.0))
+
+
+@kernel
+def _slow_friction(w, record, out):
+    for i in range(len(w)):
+        out[i] = slow_friction(w[i], record[0])
+
+
+@kernel
+def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, zero, variance):
+    """Kalman filter forward and Rauch-Tung-Striebel back, of two states: zero and its variance into `zero`, `variance`.
+
+    Args:
+      slope: of what is seen over the friction model's error, shape (n,); noise, walk: variances of what is seen and of the zero's
+        steps, likewise.
+    """
     n = len(seen)
-    forget = np.exp(-smoothed.STEP * _TRACK / MEMORY)
-    x, P = np.zeros(2), np.diag([spread**2, friction**2])
-    xs, Ps, xp, Pp = np.empty((n, 2)), np.empty((n, 2, 2)), np.empty((n, 2)), np.empty((n, 2, 2))
-    F = np.diag([1.0, forget])
+    # Filtered and predicted: both states, and variance of the first, covariance, variance of the second.
+    filtered, predicted = np.empty((n, 5)), np.empty((n, 5))
+    d, r, a, b, c = 0.0, 0.0, zero_variance, 0.0, friction_variance
     for k in range(n):
-        if k:
-            x = F @ x
-            P = F @ P @ F + np.diag([wander**2 * travel[k], friction**2 * (1 - forget**2)])
-        xp[k], Pp[k] = x, P
-        H = np.array([1.0, compliance[k] * direction[k]])
-        R = (compliance[k] * np.hypot(noise, slow[k])) ** 2
-        gain = P @ H / (H @ P @ H + R)
-        x = x + gain * (seen[k] - H @ x)
-        P = P - np.outer(gain, H @ P)
-        xs[k], Ps[k] = x, P
-    gains = Ps[:-1] @ F @ np.linalg.pinv(Pp[1:])
+        if k > 0:
+            r, a, b, c = (
+                forget * r,
+                a + walk[k],
+                forget * b,
+                forget * forget * (c - friction_variance) + friction_variance,
+            )
+        p = predicted[k]
+        p[0], p[1], p[2], p[3], p[4] = d, r, a, b, c
+        h = slope[k]
+        first, second = a + b * h, b + c * h
+        s = first + h * second + noise[k]
+        e = (seen[k] - d - h * r) / s
+        d, r = d + first * e, r + second * e
+        a, b, c = a - first * first / s, b - first * second / s, c - second * second / s
+        f = filtered[k]
+        f[0], f[1], f[2], f[3], f[4] = d, r, a, b, c
+    zero[n - 1], variance[n - 1] = d, a
     for k in range(n - 2, -1, -1):
-        G = gains[k]
-        xs[k] += G @ (xs[k + 1] - xp[k + 1])
-        Ps[k] += G @ (Ps[k + 1] - Pp[k + 1]) @ G.T
-    return xs[:, 0], np.sqrt(np.maximum(Ps[:, 0, 0], 0.0))
+        f, p = filtered[k], predicted[k + 1]
+        fa, fb, fc = f[2], f[3], f[4]
+        pa, pb, pc = p[2], p[3], p[4]
+        determinant = pa * pc - pb * pb
+        # Gain of the smoother: P F over what was predicted; a state that is known exactly stays.
+        g00, g01, g10, g11 = 0.0, 0.0, 0.0, 0.0
+        if determinant > 1e-15 * pa * pc:
+            g00, g01 = (fa * pc - forget * fb * pb) / determinant, (forget * fb * pa - fa * pb) / determinant
+            g10, g11 = (fb * pc - forget * fc * pb) / determinant, (forget * fc * pa - fb * pb) / determinant
+        elif pa > 0.0:
+            g00, g10 = fa / pa, fb / pa
+        elif pc > 0.0:
+            g01, g11 = forget * fb / pc, forget * fc / pc
+        du, dv = d - p[0], r - p[1]
+        d, r = f[0] + g00 * du + g01 * dv, f[1] + g10 * du + g11 * dv
+        qa, qb, qc = a - pa, b - pb, c - pc
+        a = fa + g00 * g00 * qa + 2.0 * g00 * g01 * qb + g01 * g01 * qc
+        b = fb + g00 * g10 * qa + (g00 * g11 + g01 * g10) * qb + g01 * g11 * qc
+        c = fc + g10 * g10 * qa + 2.0 * g10 * g11 * qb + g11 * g11 * qc
+        zero[k], variance[k] = d, a
