@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -47,22 +48,22 @@ class Hypothesis:
         """What tells it from others: the cause's name and its whole numbers."""
         return (self.cause.name, *self.fixed.items())
 
-    @property
+    @cached_property
     def free(self) -> list[CauseParameter]:
         """The parameters that are not fixed."""
         return [q for q in self.cause.parameters if q.name not in self.fixed]
 
-    @property
+    @cached_property
     def polar(self) -> bool:
         """Whether amplitude and phase are taken as Cartesian coordinates."""
         return any(q.period for q in self.cause.parameters)
 
-    @property
+    @cached_property
     def size(self) -> int:
         """Number of coordinates."""
         return len(self.free)
 
-    @property
+    @cached_property
     def magnitudes(self) -> list[int]:
         """Which coordinates vanish with the effect."""
         return [i for i, q in enumerate(self.free) if q.magnitude or self.polar]

@@ -102,13 +102,17 @@ class Noise:
 
 
 @kernel
-def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, balance, out):
-    """Innovations of x[:, balance], shape (k, c), over their standard deviation into out; zero where unusable. Returns Σ log S.
+def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, y, z, balance, block, out):
+    """Innovations of x, y and z[:, balance] side by side, shape (k, c), over their standard deviation; zero where unusable.
+    Returns Σ log S.
 
     State: the autoregression's last values, the bands, the disturbance at rest; the residual is the sum of the first and all
     others. `ar`, `bands` and `decay` have `_ORDER`, `_BANDS` and as many entries.
+
+    `out`, shape (⌈k/block⌉, c), has sums of `block` of them over the root of how many count: of unit variance again.
     """
-    k, c = out.shape
+    k, c = len(x), out.shape[1]
+    values, first_y, first_z = np.zeros(c), x.shape[2], x.shape[2] + y.shape[2]
     p, n = _ORDER, _SLOW
     # Series side by side in groups, each with its state and, behind it, its value: what the compiler makes vectors of.
     groups = (c + _WIDTH - 1) // _WIDTH
@@ -129,8 +133,12 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, balan
     for j in range(_BANDS):
         slow[j, j] = bands[j] ** 2
         fresh[j] = (1.0 - decay[j] ** 2) * bands[j] ** 2
-    total = 0.0
+    total, number_of = 0.0, 0
     for i in range(k):
+        row, behind = out[i // block], i % block
+        if behind == 0:
+            number_of = 0
+            row[:] = 0.0
         if i > 0:
             if at_rest[i] != at_rest[i - 1] or not usable[i] or not usable[i - 1]:
                 steady = 0
@@ -166,17 +174,25 @@ def _filter(usable, at_rest, ar, white, bands, decay, rest, rest_decay, x, balan
                 whole, log = 1.0 / np.sqrt(S), np.log(S)
             norm = whole
             total += log
+            number_of += 1
+            values[:first_y] = x[i, balance]
+            values[first_y:first_z] = y[i, balance]
+            values[first_z:] = z[i, balance]
+        else:
+            values[:] = 0.0  # it may be no number
         for group in range(groups):
             one, first = state[group], group * _WIDTH
             number = min(_WIDTH, c - first)
             for j in range(number):
-                one[_STATE * _WIDTH + j] = x[i, balance, first + j] if usable[i] else 0.0  # it may be no number
+                one[_STATE * _WIDTH + j] = values[first + j]
             if usable[i]:
                 _advance(one, past, fades, gain_own, gain_slow, norm)
             else:
                 _advance(one, past, fades, nothing, nothing_slow, norm)
             for j in range(number):
-                out[i, first + j] = one[_STATE * _WIDTH + j]
+                row[first + j] += one[_STATE * _WIDTH + j]
+        if block > 1 and (behind == block - 1 or i == k - 1):
+            row *= 1.0 / np.sqrt(max(number_of, 1))
     return total
 
 
@@ -268,21 +284,27 @@ class White:
     log_determinant: float
 
 
-def whiten(segments: Sequence[Segment], noise: Noise, series: Sequence[np.ndarray]) -> White:
-    """Whiten series, one of shape (k, len(BALANCES), c) a segment, alike."""
+_PARTS = 3
+"""Series that are whitened side by side without being put together first."""
+
+
+def whiten(segments: Sequence[Segment], noise: Noise, *series: Sequence[np.ndarray]) -> White:
+    """Whiten up to `_PARTS` series side by side, each of shape (k, len(BALANCES), c) a segment, or without the last for one."""
     s = noise.settings
     decay = np.exp(-INTERVAL / np.array(s.bands))
     rest_decay = float(np.exp(-INTERVAL / s.rest_time))
 
     decay, no_band = _padded(decay, _BANDS), np.zeros(_BANDS)
+    parts = [[x if x.ndim == 3 else x[..., None] for x in one] for one in series]
+    parts += [[x[..., :0] for x in parts[0]]] * (_PARTS - len(parts))
     lengths = [len(BALANCES) * len(one.at[:: one.block]) for one in segments]
-    rows = np.empty((sum(lengths), series[0].shape[2]))
+    rows = np.empty((sum(lengths), sum(part[0].shape[2] for part in parts)))
     places = np.split(rows, np.cumsum(lengths)[:-1])
 
     def one(index: int) -> float:
-        segment, x = segments[index], np.ascontiguousarray(series[index])
-        place = places[index].reshape(len(BALANCES), -1, x.shape[2])
-        out = place if segment.block == 1 else np.empty((len(BALANCES), len(segment.at), x.shape[2]))
+        segment = segments[index]
+        x, y, z = (np.ascontiguousarray(part[index]) for part in parts)
+        out = places[index].reshape(len(BALANCES), -1, rows.shape[1])
         total = 0.0
         for b in range(len(BALANCES)):
             if not segment.usable[:, b].any():
@@ -292,10 +314,8 @@ def whiten(segments: Sequence[Segment], noise: Noise, series: Sequence[np.ndarra
             bands[: len(s.bands)] = noise.discrepancy[b]
             total += _filter(
                 segment.usable[:, b], segment.at_rest, _padded(sensor.ar, _ORDER), sensor.white, bands, decay,
-                float(noise.rest[index, b]), rest_decay, x, b, out[b],
+                float(noise.rest[index, b]), rest_decay, x, y, z, b, segment.block, out[b],
             )  # fmt: skip
-        if segment.block > 1:
-            place[:] = _blocks(out, segment.usable.T, segment.block)
         return total / segment.block
 
     return White(rows, float(sum(parallel(one, list(range(len(segments)))))))
@@ -306,13 +326,6 @@ def _padded(x: np.ndarray, size: int) -> np.ndarray:
     found = np.zeros(size)
     found[: len(x)] = x
     return found
-
-
-def _blocks(white: np.ndarray, counts: np.ndarray, block: int) -> np.ndarray:
-    """Sums of `block` innovations each, shape (balances, k, c), over the root of how many count: of unit variance again."""
-    starts = np.arange(0, white.shape[1], block)
-    number = np.add.reduceat(counts.astype(np.float64), starts, axis=1)
-    return np.add.reduceat(white, starts, axis=1) / np.sqrt(np.maximum(number, 1.0))[..., None]
 
 
 def rows_of(segments: Sequence[Segment]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -535,7 +548,7 @@ def _likeliest(energy, known, number, shapes, v):
 
 def normalised_rms(segments: Sequence[Segment], noise: Noise, residuals: Sequence[np.ndarray]) -> float:
     """Root mean square of whitened residuals, outliers clipped: one when the noise is right."""
-    r = whiten(segments, noise, [x[..., None] for x in residuals]).rows[:, 0]
+    r = whiten(segments, noise, residuals).rows[:, 0]
     r = r[r != 0]
     if not len(r):
         return 1.0

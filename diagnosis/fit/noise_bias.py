@@ -16,7 +16,7 @@ import numpy as np
 
 from .noise import whiten
 from .residual import Model, Problem
-from .solver import Columns, Fit, Fitter, Point, bounded_step, normal_equations, stacked
+from .solver import Columns, Fit, Fitter, Point, bounded_step, normal_equations
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ def without_noise_bias(problem: Problem, fit: Fit, settings: BiasSettings = SETT
     where it is little."""
     bias = bias_of(problem, fit.theta, fit.model, fit.point)
     normal = normal_equations(problem, fit.noise, fit.model, fit.theta, fit.point, fit.jacobian, fit.noise_jacobian)
-    rows = whiten(problem.segments, fit.noise, stacked(bias, fit.jacobian)).rows
+    rows = whiten(problem.segments, fit.noise, bias, fit.jacobian).rows
     gradient = -rows[:, 1:].T @ (normal.weight * rows[:, 0])
     low, high = problem.bounds(fit.model)
     shift = bounded_step(normal.hessian, gradient, low - fit.theta, high - fit.theta)

@@ -19,7 +19,7 @@ from . import tare
 from .noise import whiten
 from .residual import Problem
 from .solver import SETTINGS as SOLVER
-from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_weight, stacked
+from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_weight
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ class NormalEquations:
 
     def __init__(self, problem: Problem, f: Fit):
         self.problem, self.f = problem, f
-        rows = whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows
+        rows = whiten(problem.segments, f.noise, f.point.residual, f.jacobian).rows
         weight = huber_weight(rows[:, 0], SOLVER.huber) * leverage_weight(
             rows[:, 1 : problem.size + 1], SOLVER.leverage
         )

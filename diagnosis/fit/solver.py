@@ -186,11 +186,6 @@ class Normal:
     weight: np.ndarray
 
 
-def stacked(first: Columns, *others: Columns) -> Columns:
-    """A residual and derivatives side by side, shape (k, len(BALANCES), 1 + n) a segment."""
-    return [np.concatenate([r[..., None], *(o[s] for o in others)], axis=-1) for s, r in enumerate(first)]
-
-
 def leverage_weight(
     X: np.ndarray, limit: float, noise: np.ndarray | None = None, noise_limit: float = np.inf
 ) -> np.ndarray:
@@ -299,7 +294,7 @@ def losses_of(problem: Problem, noise: Noise, near: Fit, residuals: Sequence[Col
     """Robust losses of residuals about a fit under a noise, rows of extreme leverage there counting as little as in a fit."""
     whole = [np.stack(parts, -1) for parts in zip(*residuals, strict=True)]
     common = [j[..., : problem.size] for j in near.jacobian]
-    rows = whiten(problem.segments, noise, [np.concatenate(p, -1) for p in zip(whole, common, strict=True)]).rows
+    rows = whiten(problem.segments, noise, whole, common).rows
     weight = leverage_weight(rows[:, len(residuals) :], SETTINGS.leverage)
     return [float(np.sum(weight * huber_loss(rows[:, i], SETTINGS.huber))) for i in range(len(residuals))]
 
@@ -321,10 +316,10 @@ def normal_equations(
       weight: of the rows, shape (total,); by leverage (`leverage_weight`) where it is not given.
     """
     curvature = 1 / problem.spread(model) ** 2
-    white = whiten(problem.segments, noise, stacked(point.residual, jacobian))
+    white = whiten(problem.segments, noise, point.residual, jacobian)
     common, noise_rows = slice(1, problem.size + 1), None
     if noise_jacobian is not None:
-        noise_rows = whiten(problem.segments, noise, stacked(point.noise, noise_jacobian)).rows
+        noise_rows = whiten(problem.segments, noise, point.noise, noise_jacobian).rows
     if weight is None:
         weight = leverage_weight(
             white.rows[:, common],
@@ -353,9 +348,7 @@ def _positive(information: np.ndarray, spread: np.ndarray) -> np.ndarray:
 
 def noise_share(problem: Problem, noise: Noise, point: Point) -> float:
     """Share of the sensors' noise in the whitened energy of a residual."""
-    white = whiten(
-        problem.segments, noise, [np.stack([a, b], -1) for a, b in zip(point.residual, point.noise, strict=True)]
-    )
+    white = whiten(problem.segments, noise, point.residual, point.noise)
     energy = np.sum(np.minimum(white.rows**2, SETTINGS.huber**2), axis=0)
     return float(energy[1] / max(energy[0], 1e-300))
 
@@ -592,9 +585,7 @@ class Fitter:
                 trial = evaluate_point(problem, theta + step, f.model)
                 change = [j @ step for j in f.jacobian]
                 beyond = [t - r - c for t, r, c in zip(trial.residual, point.residual, change, strict=True)]
-                rows = whiten(
-                    problem.segments, f.noise, [np.stack(p, -1) for p in zip(beyond, change, strict=True)]
-                ).rows
+                rows = whiten(problem.segments, f.noise, beyond, change).rows
                 left, moved = normal.weight @ rows**2
                 if left <= moved:
                     theta, point, refused = theta + step, trial, whole - step
@@ -613,12 +604,7 @@ class Fitter:
         weight: np.ndarray,
         share: Columns | None = None,
     ) -> float:
-        columns = (
-            [r[..., None] for r in residual]
-            if share is None
-            else [np.stack([a, b], -1) for a, b in zip(residual, share, strict=True)]
-        )
-        rows = whiten(self.problem.segments, noise, columns).rows
+        rows = whiten(self.problem.segments, noise, residual, *(() if share is None else (share,))).rows
         loss = corrected_loss(self.problem, rows[:, 0], None if share is None else rows[:, 1], weight, self.settings)
         total = loss + prior_cost(self.problem, theta, model)
         return total if np.isfinite(total) else np.inf
@@ -639,7 +625,7 @@ class Fitter:
         evidence = -0.5 * (cost + logdet) - sum(np.log(h.alternatives) for h in model)
         if extra is None:
             # What a model gains by making noise small is none of its merit.
-            rows = whiten(problem.segments, noise, [n[..., None] for n in point.noise]).rows[:, 0]
+            rows = whiten(problem.segments, noise, point.noise).rows[:, 0]
             evidence += 0.5 * float(np.sum(normal.weight * huber_loss(rows, self.settings.huber)))
         # The corrected gradient is noisier than the curvature says: the columns' noise counts once with the residual, once
         # as the replicate's share taken out (Godambe's information in place of Fisher's).
@@ -721,10 +707,10 @@ def _piece_scores(problem: Problem, f: Fit, normal: Normal, settings: SolverSett
 
     There must be more pieces than unknowns for their scatter to say something.
     """
-    rows = whiten(problem.segments, f.noise, stacked(f.point.residual, f.jacobian)).rows
+    rows = whiten(problem.segments, f.noise, f.point.residual, f.jacobian).rows
     score = _scores(rows, settings.huber, normal.weight)
     if f.noise_jacobian is not None:
-        rows = whiten(problem.segments, f.noise, stacked(f.point.noise, f.noise_jacobian)).rows
+        rows = whiten(problem.segments, f.noise, f.point.noise, f.noise_jacobian).rows
         score -= _scores(rows, settings.huber, normal.weight)
     segment, _, at = rows_of(problem.segments)
     seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)

@@ -202,8 +202,7 @@ def drowned(problem: Problem, f: Fit, index: int, settings: AcceptSettings) -> s
 def held_out_cost(problem: Problem, f: Fit, under: Fit) -> float:
     """Minus twice the log likelihood of held-out residuals of a fit, under the noise of another, less the noise's share."""
     kept = [replace(s, usable=s.held_out) for s in problem.segments]
-    pairs = [np.stack([a, b], -1) for a, b in zip(f.point.residual, f.point.noise, strict=True)]
-    white = whiten(kept, under.noise, pairs)
+    white = whiten(kept, under.noise, f.point.residual, f.point.noise)
     rows = white.rows
     return float(np.sum(huber_loss(rows[:, 0], 10.0)) - np.sum(huber_loss(rows[:, 1], 10.0))) + white.log_determinant
 

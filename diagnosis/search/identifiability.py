@@ -27,9 +27,7 @@ def limits(
         return [], []
     n = at.jacobian[0].shape[-1]
     columns = [np.concatenate([c[s] for c in library.columns], axis=-1) for s in range(len(problem.segments))]
-    X = whiten(
-        problem.segments, at.noise, [np.concatenate([j, c], -1) for j, c in zip(at.jacobian, columns, strict=True)]
-    ).rows
+    X = whiten(problem.segments, at.noise, at.jacobian, columns).rows
     G = gram(X, leverage_weight(X[:, : problem.size], SOLVER.leverage))
     H = G[:n, :n] + np.diag(1 / problem.spread(at.model) ** 2)
     information = G[n:, n:] - G[n:, :n] @ np.linalg.solve(H, G[:n, n:])

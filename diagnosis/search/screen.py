@@ -26,7 +26,6 @@ from ..fit.solver import (
     huber_weight,
     leverage_weight,
     prior_cost,
-    stacked,
     tamed,
 )
 from .worth import mean_squares
@@ -132,7 +131,10 @@ class _Linear:
     """The linear model about a fit under a noise: normal equations of the other unknowns, and whitened columns of hypotheses."""
 
     def __init__(self, problem: Problem, noise: Noise, at: Fit, columns: Sequence[Columns]):
-        white = whiten(problem.segments, noise, stacked(at.point.residual, at.jacobian, *columns))
+        together = (
+            columns[0] if len(columns) == 1 else [np.concatenate(parts, -1) for parts in zip(*columns, strict=True)]
+        )
+        white = whiten(problem.segments, noise, at.point.residual, at.jacobian, together)
         self.problem, self.at, self.rows, self.log_determinant = problem, at, white.rows, white.log_determinant
         rows = white.rows
         n = at.jacobian[0].shape[-1]

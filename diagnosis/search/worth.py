@@ -77,7 +77,9 @@ def worth(
       amount: of the effect's coordinates, from absent.
     """
     answer = instead(problem, f, columns, effect, others, amount)
-    own = [c[..., effect] @ amount - c[..., others] @ answer for c in columns]
+    change = np.zeros(columns[0].shape[-1])
+    change[effect], change[others] = amount, -answer
+    own = [c @ change for c in columns]
     return Worth(mean_squares(problem, own), _share(problem, own, f.point))
 
 
@@ -87,11 +89,14 @@ def instead(
     """By how much the other unknowns would move if an effect of a linear model were not there, shape (len(others),); arguments as
     of `worth`."""
     rows = whiten(problem.segments, f.noise, columns).rows
-    X, made = rows[:, others], rows[:, effect] @ amount
+    G = rows.T @ rows
     low, high = (limit - f.theta for limit in problem.bounds(f.model))
     precision = 1 / problem.spread(f.model)[others] ** 2
     return bounded_step(
-        X.T @ X + np.diag(precision), precision * f.theta[others] - X.T @ made, low[others], high[others]
+        G[np.ix_(others, others)] + np.diag(precision),
+        precision * f.theta[others] - G[np.ix_(others, effect)] @ amount,
+        low[others],
+        high[others],
     )
 
 

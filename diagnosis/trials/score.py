@@ -32,7 +32,6 @@ from ..answer import Diagnosis, Finding
 from ..diagnose import diagnose
 from ..fit.coordinates import Hypothesis, hypotheses
 from ..fit.noise import whiten
-from ..fit.solver import stacked
 from .draw import Challenge, Draw, Hidden, HiddenEffect, draw
 
 DETECTED = 3.33
@@ -228,7 +227,7 @@ def smallest_size(found: Diagnosis, nominal: Joint, effect: HiddenEffect) -> flo
     moved = problem.residuals([np.concatenate([base.theta, step])], [(h,)])[0]
     column = [(m - r)[..., None] * (length / _PROBE) for m, r in zip(moved, base.point.residual, strict=True)]
     n = problem.size
-    X = whiten(problem.segments, found.final.noise, stacked([c[..., 0] for c in column], base.jacobian)).rows
+    X = whiten(problem.segments, found.final.noise, column, base.jacobian).rows
     G = X.T @ X
     H = G[1:, 1:] + np.eye(n)
     information = float(G[0, 0] - G[0, 1:] @ np.linalg.solve(H, G[1:, 0]))
