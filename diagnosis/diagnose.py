@@ -31,6 +31,7 @@ from .search.acceptance import (
     MORE_THAN_NOISE,
     AcceptSettings,
     Decision,
+    by_chance,
     drowned,
     made_by,
     quiet_rms,
@@ -545,7 +546,10 @@ def _findings(
     doubtful = [
         x < ANSWER.significant or slim[i] or unseen[i] or unsure[i] or i in entangled for i, x in enumerate(away)
     ]
-    confidences = _confidences(problem, found, final, unknown, doubtful)
+    looked_at = len({(d.cause, *d.fixed.items()) for d in found.decisions})
+    chance = [by_chance(x, len(h.magnitudes), looked_at) for x, h in zip(away, final.model, strict=False)]
+    most = [ANSWER.beside if d else max(1.0 - p, ANSWER.beside) for d, p in zip(doubtful, chance, strict=True)]
+    confidences = _confidences(problem, found, final, unknown, most)
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         w = worths[i]
         share = float(np.clip(explained * w.rms**2 / total, 0.0, 1.0))
@@ -647,15 +651,15 @@ def _held_out_squares(problem: Problem, f: Fit) -> float:
 
 
 def _confidences(
-    problem: Problem, found: Search, final: Fit, unknown: Unknown | None, doubtful: list[bool]
+    problem: Problem, found: Search, final: Fit, unknown: Unknown | None, most: Sequence[float]
 ) -> list[float]:
     """Probability of each of the final model's causes: among its rivals, and as far as those on which it rests are there.
 
     Where the sizes of two causes are correlated by ρ, the part ρ² of the one is what it is because the other is there too.
 
     Args:
-      doubtful: of each, whether it is too few standard deviations from absent to be sure, the measurement none that shows it or
-        tells it from another, or data that no fit saw are the worse for what was found.
+      most: largest of each: less where it is few standard deviations from absent (`by_chance`), and where the measurement is none
+        that shows it or tells it from another, or data that no fit saw are the worse for what was found.
     """
     model = final.model if unknown is None else final.model[:-1]
     alone, sizes = [], []
@@ -665,9 +669,7 @@ def _confidences(
             confidence = min(confidence, ANSWER.beside)
         if h.at_bound(u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
             confidence = min(confidence, ANSWER.unsure)
-        if doubtful[i]:
-            confidence = min(confidence, ANSWER.beside)
-        alone.append(confidence)
+        alone.append(min(confidence, most[i]))
         sizes.append(problem.place(final.model, i).start + np.asarray(h.magnitudes))
     spread = np.sqrt(np.diag(final.covariance))
     correlation = final.covariance / np.maximum(spread[:, None] * spread, 1e-300)

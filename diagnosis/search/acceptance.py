@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import gammaincc
 
 from ..fit.noise import normalised_rms, whiten
 from ..fit.residual import Problem
@@ -180,6 +181,16 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     where = block.start + np.asarray(h.magnitudes)
     away = amount_of(problem, f, index)[h.magnitudes]
     return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
+
+
+def by_chance(away: float, dimensions: int, looked_at: int) -> float:
+    """Probability that the largest of so many effects is that far from absent by chance, at most (Bonferroni's bound).
+
+    Args:
+      away: standard deviations from absent, over all of an effect's coordinates that vanish with it.
+      dimensions: how many these are: an amplitude with a phase has two.
+    """
+    return float(min(looked_at * gammaincc(0.5 * dimensions, 0.5 * away**2), 1.0))
 
 
 def drowned(problem: Problem, f: Fit, index: int, settings: AcceptSettings) -> str:
