@@ -47,6 +47,8 @@ class AcceptSettings:
         the sensors' noise, `loosest` at most; temper: by how much of it less makes the special one e times as likely;
         temper_general: by how much of it more, once more times that residual, the general one. By draws: of a load-dependent
         friction and a back-driving with imperfections, 24 (seeds 561 and 562), three were taken for the other.
+      bent: largest confidence of what is not in every combination that plainly leaves no more, where a number that the data know
+        well stands at the end of its tolerance.
       unlikely: probability of a combination of causes, over that of the likeliest, from which on it may stand in its place.
       edge: standard deviations of its tolerance within which an effect's value is near its edge: whether the joint at the edge
         would do is then asked of fits without the noise's share (`_at_the_edge`), of `polish` iterations.
@@ -87,6 +89,7 @@ class AcceptSettings:
     temper: float = 4.0
     temper_general: float = 12.0
     loosest: float = 5.0
+    bent: float = 0.7
     unlikely: float = 0.05
     edge: float = 6.0
     polish: int = 8

@@ -69,10 +69,15 @@ def from_least_squares(fitter: Fitter, annealed: Fit, settings: CalibrateSetting
 
 
 def doubtful(problem: Problem, f: Fit, quiet: float, settings: CalibrateSettings) -> bool:
-    """Whether a fit may sit in a local minimum: a number that the data know well is near the end of its tolerance."""
+    """Whether a fit may sit in a local minimum: more than noise is left, and a number is `at_the_end`."""
+    return at_the_end(problem, f, settings) and quiet > settings.unsettled
+
+
+def at_the_end(problem: Problem, f: Fit, settings: CalibrateSettings = SETTINGS) -> bool:
+    """Whether a number that the data know well is near the end of its tolerance."""
     n = problem.calibration.size
     known = np.diag(f.covariance)[:n] < 0.3**2
-    return bool(np.any(known & (np.abs(f.theta[:n]) > settings.stuck))) and quiet > settings.unsettled
+    return bool(np.any(known & (np.abs(f.theta[:n]) > settings.stuck)))
 
 
 def fields_at_the_end(problem: Problem, f: Fit, settings: CalibrateSettings = SETTINGS) -> set[str]:
