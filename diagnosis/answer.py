@@ -111,6 +111,7 @@ class Diagnosis:
       mistakes: in the data.
       decisions: about every hypothesis that was looked at.
       problem, search: what was computed; None where mistakes in the data made physics meaningless.
+      final: the fit that the extended joint has: of `whole`, the one to the data, the `share` that holds where it was not fitted.
       before, after: residuals of every segment, shape (k, len(BALANCES)), for showing.
       estimation: what diagnosis gains for estimation.
       plan: what to measure next (`planning.plan`), where it was asked for.
@@ -134,6 +135,8 @@ class Diagnosis:
     problem: Problem | None = field(default=None, repr=False)
     search: Search | None = field(default=None, repr=False)
     final: Fit | None = field(default=None, repr=False)
+    whole: Fit | None = field(default=None, repr=False)
+    share: float = 1.0
     before: list[np.ndarray] = field(default_factory=list, repr=False)
     after: list[np.ndarray] = field(default_factory=list, repr=False)
     estimation: dict[str, Any] | None = None

@@ -149,7 +149,7 @@ def diagnose(
         return _meaningless(measurement, joint, mistakes, time.monotonic() - begin)
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
     missing = coverage.undetermined(measurement, joint)
-    if not problem.segments:
+    if not any(s.usable.any() for s in problem.segments):
         return _nothing(joint, mistakes, missing, time.monotonic() - begin)
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     available = [n for n in causes.of(joint) if coverage.can_show(n, measurement, problem.link_measured)]
@@ -159,19 +159,22 @@ def diagnose(
     fitter = Fitter(problem)
     found = search(problem, tried, settings, progress, deadline, fitter)
     progress("looking for unknown effects", 0.88)
-    looked = discrepancy.UnknownEffects()
-    if time.monotonic() < deadline:
+    looked, late = discrepancy.UnknownEffects(), time.monotonic() >= deadline
+    if not late:
         looked = discrepancy.find(fitter, found.base, found.chosen)
         best = found.chosen if looked.unknown is None else looked.unknown.fit
         astray = problem.link_measured and quiet_rms(problem, best) > settings.accept.again
-        if astray and time.monotonic() < deadline:
+        late = astray and time.monotonic() >= deadline
+        if astray and not late:
             progress("searching once more, the likeliest first", 0.9)
             again = likeliest_first(fitter, found, tried, settings, progress, deadline)
             likelier = again.chosen is not found.chosen and again.chosen.log_evidence > best.log_evidence
             found = replace(found, complete=found.complete and again.complete)
-            if likelier and time.monotonic() < deadline:
+            late = likelier and time.monotonic() >= deadline
+            if likelier and not late:
                 progress("looking for unknown effects", 0.92)
                 found, looked = again, discrepancy.find(fitter, again.base, again.chosen)
+    found = replace(found, complete=found.complete and not late)
     unknown = looked.unknown
     progress("numbers and their uncertainty", 0.94)
     if unknown is None:
@@ -195,9 +198,11 @@ def diagnose(
         outcome = replace(outcome, surest=ANSWER.beside)
     if drawn.share == 0.0 or few or outcome.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
-        described = _as_described(outcome, tried, missing, settings) if time.monotonic() < deadline else None
+        late = time.monotonic() >= deadline
+        described = None if late else _as_described(outcome, tried, missing, settings)
         most = ANSWER.unsure if drawn.share == 0.0 else 1.0
-        outcome = described or replace(outcome, surest=min(outcome.surest, most))
+        found = replace(found, complete=found.complete and not late)
+        outcome = described or replace(outcome, found=found, surest=min(outcome.surest, most))
     return replace(_told(outcome, measurement), mistakes=mistakes, seconds=time.monotonic() - begin)
 
 
@@ -303,6 +308,8 @@ def _told(outcome: _Outcome, measurement: Measurement) -> Diagnosis:
         problem=problem,
         search=found,
         final=final,
+        whole=outcome.final,
+        share=outcome.drawn.share,
         before=found.base.point.residual,
         after=final.point.residual,
         held_out=_held_out(problem),
@@ -523,7 +530,7 @@ def _findings(
     """The effects of the final model, each with what it is worth: causes, and minor ones; pairs that share what one explains."""
     problem, found, final, unknown = outcome.problem, outcome.found, outcome.final, outcome.unknown
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, outcome.judged))
-    explained = max(held_before - held_after, 1e-30) / max(held_before, 1e-30)
+    explained = max(held_before - held_after, 0.0) / held_before if held_before > 0.0 else 0.0
     real = quiet_rms(problem, final) > ANSWER.quiet
     left = left_by(problem, final) ** 0.5
     findings: dict[int, Finding] = {}  # by their places in the model
@@ -532,7 +539,8 @@ def _findings(
     worths = [worth_of(problem, final, linear, i) for i in range(len(final.model))]
     total = max(sum(w.rms**2 for w in worths), 1e-30)
     named = len(final.model) - (unknown is not None)
-    plain = [w.rms >= ANSWER.plainly * left for w in worths]
+    # Where more than noise is left deviations are widened by it, and say less than what an effect is worth.
+    plain = [real and w.rms >= ANSWER.plainly * left for w in worths]
     away = [significance(problem, final, i) for i in range(named)]
     slim = [w.rms**2 < ANSWER.slim * total and x < ANSWER.clearly for w, x in zip(worths, away, strict=False)]
     away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
@@ -638,12 +646,12 @@ def _diluted(problem: Problem, f: Fit, index: int) -> bool:
 
 
 def _held_out_squares(problem: Problem, f: Fit) -> float:
-    """Mean square of held-out residuals beyond the sensors' noise, over all balances [N·m]²."""
-    total = 0.0
+    """Mean square of held-out residuals beyond the sensors' noise, over all balances [N·m]²; of all where none is held out."""
+    total, some = 0.0, any(s.held_out.any() for s in problem.segments)
     for b in range(len(BALANCES)):
         squares, noise, count = 0.0, 0.0, 0
         for segment, r, n in zip(problem.segments, f.point.residual, f.point.noise, strict=True):
-            use = segment.held_out[:, b] & ~segment.at_rest
+            use = (segment.held_out if some else segment.usable)[:, b] & ~segment.at_rest
             squares, noise, count = squares + np.sum(r[use, b] ** 2), noise + np.sum(n[use, b] ** 2), count + use.sum()
         if count:
             total += max(squares - noise, 0.0) / count * problem.output_scale[b] ** 2
@@ -705,7 +713,7 @@ def _temper(quiet: float, gain: float) -> float:
       quiet: normalised RMS of what is left against the sensors' noise.
     """
     beside = float(np.clip(quiet, 1.0, ANSWER.inflation))
-    return beside * (ANSWER.temper + ANSWER.inexact * min(gain, 500.0 * beside**2))
+    return beside * (ANSWER.temper + ANSWER.inexact * float(np.clip(gain, 0.0, 500.0 * beside**2)))
 
 
 def _superseded(found: Search, name: str) -> bool:

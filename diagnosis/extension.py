@@ -82,8 +82,8 @@ def calibrated(problem: Problem, at: Fit, joint: Joint) -> Joint:
     c = problem.calibration
     x, covariance = at.theta[: c.size], at.covariance[: c.size, : c.size]
     data = joint.model_dump()
-    for i, slot in enumerate(c.slots):
-        if problem.held[i]:
+    for slot in c.slots:
+        if np.all(problem.held[c.variables(slot)]):
             continue  # as it was described
         value, std = _value(c, slot, x, covariance)
         if slot.field in ("amplitude", "phase"):

@@ -210,15 +210,17 @@ def _rms(
 
 def _in_regions(diagnosis: Diagnosis, pairs: Sequence[_Pair], quantity: str, name: str) -> tuple[RegionError, ...]:
     """Errors of an estimator in every region: before, and with the extended joint as a fit without the region has it."""
-    problem, final = diagnosis.problem, diagnosis.final
-    assert problem is not None and final is not None
+    problem, final, whole = diagnosis.problem, diagnosis.final, diagnosis.whole
+    assert problem is not None and final is not None and whole is not None
     told = {r.name for r in diagnosis.regions}
     masks = {region: m for region, m in region_masks(problem).items() if region in told}
-    system = NormalEquations(problem, final)
+    system = NormalEquations(problem, whole)
     where = {region: [_samples(problem.segments, m, i, r) for i, r, *_ in pairs] for region, m in masks.items()}
 
     def unseen(region: str) -> list[Estimates]:
-        theta = final.theta + system.without(masks[region])
+        if diagnosis.share == 0.0:  # nothing of the fit is in the extended joint
+            return [after for *_, after in pairs]
+        theta = final.theta + diagnosis.share * system.without(masks[region])
         records = dict(zip((s.recording for s in problem.segments), problem.records(theta, final.model), strict=True))
         return [
             _estimate(recording, diagnosis.extended, records[index], name) if use.any() else after

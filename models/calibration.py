@@ -116,6 +116,11 @@ class Calibration:
             place=np.array([s.place for s in self.slots], int),
         )  # fmt: skip
 
+    def variables(self, slot: Slot) -> list[int]:
+        """Indices of the variables that move a slot's number: its own and a shared one, as far as it has them."""
+        i = self.slots.index(slot)
+        return [int(j) for j in (self._laws.own[i], self._laws.shared[i]) if j < self.size]
+
     def values(self, x: np.ndarray) -> np.ndarray:
         """Value of the number of every slot at `x`, shape (len(slots),)."""
         n, x = self._laws, np.append(x, 0.0)

@@ -419,14 +419,14 @@ class Fitter:
 
     def __init__(self, problem: Problem, settings: SolverSettings = SETTINGS, noise: NoiseSettings = NOISE):
         self.problem, self.settings, self.noise = problem, settings, noise
-        self._kept: dict[tuple[int, ...], Fit] = {}
+        self._kept: dict[tuple[int, ...], tuple[Fit, Fit | None]] = {}
 
-    def once(self, model: Model, thoroughly: Callable[[], Fit]) -> Fit:
-        """A model's thorough fit, which does not depend on where it is asked for: made the first time, and kept."""
-        key = tuple(map(id, model))  # a fit that is kept holds its hypotheses
+    def once(self, model: Model, thoroughly: Callable[[], Fit], beside: Fit | None = None) -> Fit:
+        """A model's thorough fit, made beside another or alone the first time that it is asked for, and kept."""
+        key = (id(beside), *map(id, model))  # what is kept holds the hypotheses and the other fit
         if key not in self._kept:
-            self._kept[key] = thoroughly()
-        return self._kept[key]
+            self._kept[key] = thoroughly(), beside
+        return self._kept[key][0]
 
     def fit(
         self,
@@ -725,7 +725,7 @@ def _piece_scores(problem: Problem, f: Fit, normal: Normal, settings: SolverSett
 def _scatter(pieces: np.ndarray) -> np.ndarray:
     """Variance of a score by the scatter of its pieces, shape (n, n), its inverse without bias (an inverse Wishart matrix's)."""
     counted = pieces[np.any(pieces, axis=1)]
-    unbiased = max(len(counted) - counted.shape[1] - 1, 0.25 * len(counted)) / len(counted)
+    unbiased = max(len(counted) - counted.shape[1] - 1, 0.25 * len(counted)) / max(len(counted), 1)
     return counted.T @ counted / unbiased
 
 

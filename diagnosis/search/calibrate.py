@@ -12,7 +12,7 @@ from ..fit.noise import EVEN
 from ..fit.residual import REACH, Model, Problem
 from ..fit.solver import Fit, Fitter
 from ..fit.tare import tared
-from .worth import left_by
+from .worth import left_by, noise_of
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,8 @@ class CalibrateSettings:
       stuck: a number that the data know well and that sits so many standard deviations from nominal may stand in for an effect.
       unsettled: normalised RMS against the sensors' noise from which on a second start is tried.
       slow: ratio of slow to fast model discrepancy from which on the fit is also tried from least squares.
-      plainly: times as small as that of the likelier fit that the error of the other must be, to be the better one.
+      plainly: times as small as that of the likelier fit that the error of the other must be, to be the better one, `chance`
+        of the sensors' noise (mean square) aside.
     """
 
     iterations: int = 9
@@ -32,6 +33,7 @@ class CalibrateSettings:
     unsettled: float = 1.35
     slow: float = 2.0
     plainly: float = 1.5
+    chance: float = 0.1
 
 
 SETTINGS = CalibrateSettings()
@@ -41,31 +43,47 @@ def calibrate(fitter: Fitter, settings: CalibrateSettings = SETTINGS) -> Fit:
     """The joint without causes at its most probable numbers."""
     problem = fitter.problem
     start = tared(problem, problem.start(None, ()), ())
-    return from_least_squares(fitter, fitter.fit((), start, None, settings.iterations), settings)
+    annealed = fitter.fit((), start, None, settings.iterations)
+    return from_least_squares(fitter, annealed, settings) if is_slow(annealed, settings) else annealed
 
 
-def from_least_squares(fitter: Fitter, annealed: Fit, settings: CalibrateSettings = SETTINGS) -> Fit:
-    """The better of a fit, and one that goes on from least squares.
+def is_slow(f: Fit, settings: CalibrateSettings = SETTINGS) -> bool:
+    """Whether what a fit leaves is mostly slow.
 
     A slow discrepancy can hold what parameters would: gravity and friction then decide nothing, and the likelihood has a second
-    maximum with much of it. Whatever the likelihood says, a simulation that is off by several times as much is no calibration.
+    maximum with much of it.
     """
-    model = annealed.model
-    fast, slow = np.split(annealed.noise.discrepancy, [2], axis=1)
-    if np.all(slow.max(axis=1) <= settings.slow * fast.max(axis=1)):
-        return annealed
-    least_squares = Fitter(fitter.problem, fitter.settings, EVEN)
+    fast, slow = np.split(f.noise.discrepancy, [2], axis=1)
+    return bool(np.any(slow.max(axis=1) > settings.slow * fast.max(axis=1)))
+
+
+def from_least_squares(
+    fitter: Fitter, annealed: Fit, settings: CalibrateSettings = SETTINGS, beside: Fit | None = None
+) -> Fit:
+    """The better of a fit, and one that goes on from least squares; `beside` as of `Fitter.fit`."""
+    problem, model = fitter.problem, annealed.model
+    least_squares = Fitter(problem, fitter.settings, EVEN)
     quick = least_squares.fit(model, annealed.theta, annealed, settings.iterations, anew=True)
-    other = fitter.fit(model, quick.theta, quick, settings.iterations, anew=True)
+    other = fitter.fit(model, quick.theta, quick, settings.iterations, beside, anew=True)
+    if _plainly_less(problem, quick, other, settings):
+        # Further on, slow discrepancy takes over here too.
+        other = fitter.fit(model, quick.theta, None, 1, beside)
+    return better(problem, annealed, other, settings)
 
-    def error(f: Fit) -> float:
-        return left_by(fitter.problem, f) ** 0.5
 
-    if error(other) > settings.plainly * error(quick):
-        other = fitter.fit(model, quick.theta, iterations=1)  # further on, slow discrepancy takes over here too
-    if error(other) < error(annealed) / settings.plainly:
-        return other
-    return max((annealed, other), key=lambda f: f.log_evidence)
+def better(problem: Problem, a: Fit, b: Fit, settings: CalibrateSettings = SETTINGS) -> Fit:
+    """The likelier of two fits of a model; but whatever the likelihood says, a simulation that is off by several times as much is
+    no calibration."""
+    for one, other in ((a, b), (b, a)):
+        if _plainly_less(problem, one, other, settings):
+            return one
+    return max((a, b), key=lambda f: f.log_evidence)
+
+
+def _plainly_less(problem: Problem, one: Fit, other: Fit, settings: CalibrateSettings) -> bool:
+    """Whether a fit leaves several times less than another, by more than the chance of the sensors' noise."""
+    chance = settings.chance * noise_of(problem, other)
+    return left_by(problem, one) + chance < left_by(problem, other) / settings.plainly**2
 
 
 def doubtful(problem: Problem, f: Fit, quiet: float, settings: CalibrateSettings) -> bool:

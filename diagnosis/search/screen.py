@@ -273,7 +273,9 @@ def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: 
     for last in (False, True):
         change = best.start[here] - origin[here]
         r = [a + J @ best.shift + c @ change for a, J, c in zip(at.point.residual, at.jacobian, columns, strict=True)]
-        noise = learn(problem.segments, r, at.point.noise, problem.quantum(), sensors=sensors, rest=at.noise.rest)
+        noise = learn(
+            problem.segments, r, at.point.noise, problem.quantum(), None, at.noise.settings, sensors, at.noise.rest
+        )
         linear = _Linear(problem, noise, at, [columns])
         one = linear.judge(h, origin, slice(0, len(here)))
         if last:

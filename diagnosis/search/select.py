@@ -115,7 +115,9 @@ def with_effect(problem: Problem, f: Fit, library: Library, s: Screened) -> Fit:
     return replace(
         f, model=(*f.model, h), theta=theta, point=Point(residual, f.point.noise), noise_jacobian=None,
         jacobian=[np.concatenate([J, w], -1) for J, w in zip(f.jacobian, full, strict=True)],
-        noise=learn(problem.segments, residual, f.point.noise, problem.quantum(), rest=f.noise.rest),
+        noise=learn(
+            problem.segments, residual, f.point.noise, problem.quantum(), None, f.noise.settings, rest=f.noise.rest
+        ),
     )  # fmt: skip
 
 

@@ -13,7 +13,8 @@ from ..fit.noise import Noise
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, losses_of, tamed, weights_of, with_dispersion
 from .acceptance import AcceptSettings, Decision, Rivals, drowned, quiet_rms, significance, size_of, worth_of
-from .calibrate import from_least_squares, hand_over
+from .calibrate import SETTINGS as CALIBRATE
+from .calibrate import better, from_least_squares, hand_over, is_slow
 from .screen import Library, Screened
 from .select import with_effect
 from .worth import left_by, noise_of
@@ -96,7 +97,7 @@ def is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN)
 
 def without_effect(fitter: Fitter, f: Fit, index: int, settings: AcceptSettings) -> Fit:
     """A fit without one of its effects."""
-    return _not_lost(fitter, f, _quickly_without(fitter, f, index), settings)
+    return _not_lost(fitter, f, _quickly_without(fitter, f, index), settings, None)
 
 
 def _quickly_without(fitter: Fitter, f: Fit, index: int, beside: Fit | None = None) -> Fit:
@@ -112,14 +113,24 @@ def _quickly_without(fitter: Fitter, f: Fit, index: int, beside: Fit | None = No
     return fitter.fit(model, f.theta[kept], f, 4, beside)
 
 
-def _not_lost(fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings) -> Fit:
-    """A fit without an effect, thoroughly where it leaves much more: only then is that for want of the effect. The likelier of
-    both, as a thorough fit that is kept began elsewhere."""
+def _not_lost(fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings, beside: Fit | None) -> Fit:
+    """A fit without an effect, thoroughly where it leaves much more: only then is that for want of the effect. The better of the
+    two: a thorough fit that is kept began elsewhere.
+
+    Args:
+      beside: that with which `other` was made.
+    """
     problem = fitter.problem
     if left_by(problem, other) < settings.lost * left_by(problem, f) + settings.chance * noise_of(problem, f):
         return other
-    thorough = fitter.once(other.model, lambda: from_least_squares(fitter, other))
-    return max(other, thorough, key=lambda x: x.log_evidence)
+    return better(problem, other, fitter.once(other.model, lambda: _thoroughly(fitter, other, beside), beside))
+
+
+def _thoroughly(fitter: Fitter, f: Fit, beside: Fit | None) -> Fit:
+    """A fit that goes on with derivatives of its own, from least squares where what it leaves is slow."""
+    if is_slow(f):
+        return from_least_squares(fitter, f, beside=beside)
+    return fitter.fit(f.model, f.theta, f, CALIBRATE.iterations, beside, anew=True)
 
 
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
@@ -139,7 +150,7 @@ def _at_the_edge(fitter: Fitter, f: Fit, without: Fit, settings: AcceptSettings)
     """
     problem = fitter.problem
     here, there = (left_by(problem, fitter.polish(x, settings.polish)) ** 0.5 for x in (f, without))
-    if there**2 > (1 + settings.worth) * here**2:
+    if there**2 > (1 + settings.worth) * here**2 + settings.chance * noise_of(problem, f):
         return ""
     return (
         f"a little beyond the joint's tolerances; at their edge {there:.2g} N·m RMS of the simulation's error is not "
@@ -272,7 +283,7 @@ def _prune(
             tried = sorted(bad, key=lambda i: verdicts[i][0].share)[:3]
             quick |= {i: _quickly_without(fitter, f, i, f) for i in tried if i not in quick}
             i = max(tried, key=lambda i: quick[i].log_evidence)
-            other = _not_lost(fitter, f, quick[i], settings)
+            other = _not_lost(fitter, f, quick[i], settings, f)
             reason, gain = verdicts[i][2], float("nan")
             needed = "" if i in for_good else why_needed(problem, f, other, settings)
             if needed:

@@ -24,7 +24,7 @@ from ..fit.coordinates import Hypothesis
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
 from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
-from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, from_least_squares, hand_over
+from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, from_least_squares, hand_over, is_slow
 from .combinations import in_place_of_each_other
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
 from .rivals import against_rivals, beyond_the_ends
@@ -176,6 +176,7 @@ def _further(
     accept = settings.accept
     at, library, last = found.at, found.library, found.last
     rivals, decisions = list(found.rivals), list(found.decisions)
+    late = False
     for done in range(accept.rounds_again + 1):
         room = replace(accept, most=max(accept.most, len(at.model) + 2)) if done else accept
         progress("selecting further causes", 0.7 + 0.08 * done)
@@ -198,20 +199,24 @@ def _further(
         # An effect that was taken back stood for something, as numbers at the end of their tolerances do.
         unsettled = any(d.size > accept.large for d in gone)
         unsettled = unsettled or doubtful(problem, at, quiet_rms(problem, at), settings.calibrate)
-        if not (more and unsettled) or time.monotonic() > deadline:
+        late = time.monotonic() > deadline
+        if not (more and unsettled) or late:
             break
         keys = {(d.cause, *d.fixed.items()) for d in (*gone, *compared) if not d.taken}
         offered = [h for h in others_than(problem, hypotheses, at.model) if h.key not in keys]
         library, last = Library(problem, at, offered, settings.screen.probe), None
     alike: tuple[tuple[str, str], ...] = ()
-    if time.monotonic() < deadline:
+    late = late or time.monotonic() > deadline
+    if not late:
         combined = in_place_of_each_other(fitter, at, rivals, hypotheses, accept)
         alike, decisions = combined.confusable, [*decisions, *combined.decisions]
         at, rivals = combined.fit, combined.rivals
         if combined.decisions:
             at, rivals, settled = settle(fitter, at, rivals, hypotheses, accept, together=True)
             decisions += settled
-    return replace(found, at=at, rivals=tuple(rivals), decisions=tuple(decisions), last=None, confusable=alike)
+    return replace(
+        found, at=at, rivals=tuple(rivals), decisions=tuple(decisions), last=None, confusable=alike, late=late
+    )
 
 
 def _one_by_one(
@@ -278,5 +283,6 @@ def _settled(fitter: Fitter, chosen: Finalist, settings: SearchSettings) -> Fit:
         at = max((at, afresh(fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
     if quiet_rms(problem, at) > settings.accept.far:
         # Discrepancy holds nearly all that is left, and the fit creeps: further on from least squares.
-        at = max((at, from_least_squares(fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
+        if is_slow(at, settings.calibrate):
+            at = from_least_squares(fitter, at, settings.calibrate)
     return at

@@ -1,16 +1,19 @@
 """Fits that go on from other fits."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
+from swing import recording
 
 import flexspline as fs
 from flexspline.diagnosis.data.segments import segments
+from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.fit.solver import Fitter, evaluate_point, prior_cost
-from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
+from flexspline.diagnosis.fit.solver import Fit, Fitter, evaluate_point, prior_cost
+from flexspline.diagnosis.search.calibrate import CalibrateSettings, better, calibrate
 from flexspline.models import causes
 from flexspline.models.joint import Effect, Estimate, load_joint
 
@@ -79,3 +82,32 @@ def test_whatever_a_fit_does_its_effects_can_be_written(name):
             values = effect.values(far)
             Effect(name=name, parameters={q: Estimate(value=values[q], unit="") for q in values})
         assert effect.at_bound(high) == bool(effect.magnitudes)
+
+
+@cache
+def swung(off: float = 0.0) -> tuple[Problem, Fit]:
+    """The test joint in a swing, its link encoder's zero off; all numbers but zeros as described, fitted."""
+    joint, one = load_joint("test-joint"), recording(seconds=8.0)
+    columns = one.columns | {"link_position": one.columns["link_position"] + off}
+    problem = Problem(*segments([replace(one, columns=columns)], joint), joint).as_described()
+    return problem, Fitter(problem).fit((), problem.start(None, ()), iterations=4)
+
+
+def test_zeros_beside_numbers_as_described_are_written():
+    """Numbers that have but a shared tolerance shifted what is held: other numbers were written, and the zero was not."""
+    problem, fit = swung(1.5e-4)
+    joint = problem.joint
+    written = calibrated(problem, fit, joint)
+    zero = written.sensors.link_encoder.zero
+    assert zero is not None and abs(zero.value - 1.5e-4) < 3e-5 and zero.std
+    for name, number in written.numbers.items():
+        assert number == joint.numbers[name], name
+    assert written.sensors.motor_current.offset == joint.sensors.motor_current.offset
+
+
+def test_the_likelier_fit_is_the_better_one_unless_it_leaves_several_times_as_much():
+    problem, fit = swung()
+    for times, chosen in ((1.1, True), (30.0, False)):
+        residual = [times * r for r in fit.point.residual]
+        likelier = replace(fit, point=replace(fit.point, residual=residual), log_evidence=fit.log_evidence + 100.0)
+        assert (better(problem, fit, likelier) is likelier) == chosen == (better(problem, likelier, fit) is likelier)

@@ -37,7 +37,7 @@ def diagnosed() -> tuple[Draw, Diagnosis]:
     extended = calibrated(problem, fit, drawn.nominal)
     regions = held_out_regions(problem, fit)
     found = Diagnosis("consistent", "", (), {}, (), {}, {}, regions, extended)
-    return drawn, replace(found, problem=problem, search=SimpleNamespace(base=fit), final=fit)
+    return drawn, replace(found, problem=problem, search=SimpleNamespace(base=fit), final=fit, whole=fit)
 
 
 @cache
@@ -60,6 +60,15 @@ def test_calibration_gains_where_no_fit_has_been():
     assert gained.regions, "the regions of the measurement, the one where it gains least first"
     shares = [r.after / r.before for r in gained.regions]
     assert shares == sorted(shares, reverse=True)
+
+
+def test_what_was_not_written_gains_nothing_anywhere():
+    """Of a fit that is taken back altogether the description is left; regions had the whole fit's shift without them."""
+    drawn, found = diagnosed()
+    back = replace(found, share=0.0, extended=drawn.nominal)
+    gained = improvement(drawn.measurement, drawn.nominal, back)
+    assert gained is not None and gained.regions
+    assert all(r.before == r.after for r in gained.regions)
 
 
 def test_errors_are_those_of_the_blocks_that_no_fit_saw():

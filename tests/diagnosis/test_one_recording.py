@@ -1,8 +1,14 @@
 """One recording alone, 24 s and less: little of a joint shows, and what does not show is not claimed."""
 
+import importlib
 import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+from swing import recording
 
 from flexspline.diagnosis import improvement
 from flexspline.diagnosis.data.segments import segments
@@ -10,8 +16,12 @@ from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.regions import drawn_back
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter
+from flexspline.diagnosis.search import stages
 from flexspline.diagnosis.search.calibrate import calibrate
-from flexspline.models.recording import read_measurement
+from flexspline.models.joint import load_joint
+from flexspline.models.recording import Measurement, read_measurement
+
+of_diagnosis = importlib.import_module("flexspline.diagnosis.diagnose")
 
 EXAMPLES = [("bare", 3), ("exact", 6), ("toleranced", 7)]
 RECORDINGS = ("free", "push", "sweep")
@@ -77,3 +87,30 @@ def test_what_does_not_serve_is_drawn_back(shared):
     for name in ("K1", "K2", "K3", "Kt"):
         numbers[name] = numbers[name].model_copy(update={"value": 2 * numbers[name].value})
     assert not no_worse(joint.model_copy(update={"numbers": numbers}))
+
+
+def test_a_joint_that_holds_its_pose_says_nothing():
+    """No residual counts where nothing moves: that ended in a division by zero."""
+    one, rng = recording(seconds=4.0), np.random.default_rng(1)
+    columns = {
+        "motor_position": np.full(len(one.time), 30.0), "link_position": 0.3 + 1.5e-6 * rng.standard_normal(len(one.time)),
+        "motor_current": 0.5 + 0.01 * rng.standard_normal(len(one.time)),
+    }  # fmt: skip
+    found = diagnose(Measurement("swing", Path("swing"), (replace(one, columns=columns),)), load_joint("test-joint"))
+    assert found.verdict == "inconclusive" and not found.causes and found.undetermined
+
+
+def test_a_stage_for_which_there_was_no_time_is_told(monkeypatch):
+    """Where time ran out after the first causes, nobody was told that others were not looked for."""
+    one, now = recording(seconds=8.0), [0.0]
+    columns = one.columns | {"motor_current": one.columns["motor_current"] + 0.2}
+    for module in (stages, of_diagnosis):
+        monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
+
+    def progress(stage: str, share: float) -> None:
+        if stage == "selecting further causes":
+            now[0] = 1e3
+
+    measurement = Measurement("swing", Path("swing"), (replace(one, columns=columns),))
+    found = diagnose(measurement, load_joint("test-joint"), progress=progress, seconds=100.0)
+    assert now[0] and not found.complete
