@@ -64,14 +64,14 @@ def _plain(value: Any) -> Any:
 
 def _seen(joint: Joint) -> dict[str, list[str]]:
     """Causes by what a diagnosis could make of them, from recordings of both encoders and the motor current."""
-    from ...diagnosis.trials.draw import RECORDED, drowned
+    from ...diagnosis.trials.draw import drowned
     from ...models import causes
-    from ...models.signals import CHANNELS
+    from ...models.signals import CHANNELS, POSITIONS
 
     hidden, usual = drowned(joint), "with both encoders and the motor current"
     found: dict[str, list[str]] = {usual: []}
     for name in causes.of(joint):
-        needs = [n for n in causes.get(name).needs if n not in RECORDED]
+        needs = [n for n in causes.get(name).needs if n not in (*POSITIONS, "motor_current")]
         if name in hidden:
             what = "not to be told from the description's tolerances at ordinary size"
         elif needs:
