@@ -190,9 +190,8 @@ def test_one_of_many_orders_that_is_hardly_there_is_not_sure():
     """A cogging of 1.1 ± 0.36 mN·m that is not there, 3.1 deviations from absent, was told at 0.99; with twenty orders and more
     to choose from, one is that far by chance."""
     drawn = draw(Challenge(seed=811, real=True, sensor=False), 16)
-    found = diagnose(drawn.measurement, drawn.nominal)
-    require_found(drawn, found)
-    assert all(c.confidence < 0.9 for c in found.causes if c.name == "cogging")
+    confidence = {c.name: c.confidence for c in diagnose(drawn.measurement, drawn.nominal).causes}
+    assert confidence["rotor_inertia"] > 0.9 and confidence.get("cogging", 0.0) < 0.9
 
 
 @pytest.mark.slow
