@@ -415,10 +415,7 @@ class _State:
         """Fisher information of a problem's data, shape (columns, columns); none about causes that are not `shown`."""
         tried = [i for i, h in enumerate(self.tried) if h.cause.name in shown]
         library = Library(problem, self.at, [self.tried[i] for i in tried], SCREEN.probe)
-        columns = [
-            np.concatenate([j[..., :0], *(c[s] for c in library.columns)], axis=-1) for s, j in enumerate(jacobian)
-        ]
-        X = whiten(problem.segments, noise, jacobian, columns).rows
+        X = whiten(problem.segments, noise, jacobian, *([library.whole] if tried else [])).rows
         X = X[np.all(np.isfinite(X), axis=1)]
         X = X * np.sqrt(leverage_weight(X[:, : self.common], SOLVER.leverage))[:, None]
         found = np.zeros((self.columns, self.columns))

@@ -186,6 +186,12 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
 
 
+def plainly_more(left: float, noise: float, settings: AcceptSettings) -> float:
+    """Mean square [N·m]² from which on a fit plainly leaves more of the simulation's error than another, which leaves `left` with
+    so much of the sensors' noise in it."""
+    return (1 + settings.worth) * left + settings.chance * noise
+
+
 def by_chance(away: float, dimensions: int, looked_at: int) -> float:
     """Probability that the largest of so many effects is that far from absent by chance, at most (Bonferroni's bound).
 

@@ -19,7 +19,7 @@ from ..fit.instruments import SETTINGS as MEANS
 from ..fit.instruments import averaged
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, noise_share
-from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms, size_of
+from .acceptance import AcceptSettings, Decision, Rivals, plainly_more, quiet_rms, size_of
 from .calibrate import at_the_end
 from .settle import added
 from .worth import left_by, noise_of
@@ -82,7 +82,7 @@ def in_place_of_each_other(
     }
     total = sum(weights.values())
     share = {n: sum(w for names, w in weights.items() if n in names) / total for n in chosen.names}
-    most_left = _plainly(problem, chosen.fit, settings)
+    most_left = plainly_more(left_by(problem, chosen.fit), noise_of(problem, chosen.fit), settings)
     close = [one for one in (stays, *tried) if left_by(problem, one.fit) <= most_left]
     if any(at_the_end(problem, one.fit) for one in close):
         # Something that no description holds has bent numbers as far as they go, and may decide between these.
@@ -156,18 +156,13 @@ def _exchanged(fitter: Fitter, f: Fit, here: frozenset[str], instead: Sequence[H
     return fitter.fit((*(f.model[i] for i in kept), *new), theta, f, 6, f, anew=True)
 
 
-def _plainly(problem: Problem, f: Fit, settings: AcceptSettings) -> float:
-    """Mean square [N·m]² from which on another fit plainly leaves more of the simulation's error than this one."""
-    return (1 + settings.worth) * left_by(problem, f) + settings.chance * noise_of(problem, f)
-
-
 def _compared(
     fitter: Fitter, f: Fit, names: Sequence[frozenset[str]], fits: Sequence[Fit], settings: AcceptSettings
 ) -> list[_Tried]:
     """Fits with other causes beside one: over means where the noise of the motion would decide, but those that plainly leave
     more."""
     problem = fitter.problem
-    most = _plainly(problem, f, settings)
+    most = plainly_more(left_by(problem, f), noise_of(problem, f), settings)
     near = [left_by(problem, other) <= most for other in fits]
     means = _over_means(fitter, f) if any(near) else None
 

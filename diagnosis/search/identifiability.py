@@ -26,8 +26,7 @@ def limits(
     if not library.hypotheses:
         return [], []
     n = at.jacobian[0].shape[-1]
-    columns = [np.concatenate([c[s] for c in library.columns], axis=-1) for s in range(len(problem.segments))]
-    X = whiten(problem.segments, at.noise, at.jacobian, columns).rows
+    X = whiten(problem.segments, at.noise, at.jacobian, library.whole).rows
     G = gram(X, leverage_weight(X[:, : problem.size], SOLVER.leverage))
     H = G[:n, :n] + np.diag(1 / problem.spread(at.model) ** 2)
     information = G[n:, n:] - G[n:, :n] @ np.linalg.solve(H, G[:n, n:])

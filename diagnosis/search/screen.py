@@ -117,6 +117,11 @@ class Library:
         """Columns of one hypothesis."""
         return self.columns[self.hypotheses.index(hypothesis)]
 
+    @property
+    def whole(self) -> Columns:
+        """Columns of all hypotheses side by side; there is at least one."""
+        return [np.concatenate(parts, -1) for parts in zip(*self.columns, strict=True)]
+
     def keeping(self, hypotheses: Sequence[Hypothesis]) -> Library:
         """The library of some of its hypotheses."""
         kept = [i for i, h in enumerate(self.hypotheses) if any(h is g for g in hypotheses)]
@@ -130,11 +135,8 @@ class Library:
 class _Linear:
     """The linear model about a fit under a noise: normal equations of the other unknowns, and whitened columns of hypotheses."""
 
-    def __init__(self, problem: Problem, noise: Noise, at: Fit, columns: Sequence[Columns]):
-        together = (
-            columns[0] if len(columns) == 1 else [np.concatenate(parts, -1) for parts in zip(*columns, strict=True)]
-        )
-        white = whiten(problem.segments, noise, at.point.residual, at.jacobian, together)
+    def __init__(self, problem: Problem, noise: Noise, at: Fit, columns: Columns):
+        white = whiten(problem.segments, noise, at.point.residual, at.jacobian, columns)
         self.problem, self.at, self.rows, self.log_determinant = problem, at, white.rows, white.log_determinant
         rows = white.rows
         n = at.jacobian[0].shape[-1]
@@ -218,10 +220,10 @@ def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings
     """
     if not library.hypotheses:
         return ()
-    at = tamed(problem, at)
-    linear = _Linear(problem, at.noise, at, library.columns)
+    at, whole = tamed(problem, at), library.whole
+    linear = _Linear(problem, at.noise, at, whole)
     ranked = _ranked(linear, library)
-    plain = _ranked(_Linear(problem, plain_noise(problem, at), at, library.columns), library)
+    plain = _ranked(_Linear(problem, plain_noise(problem, at), at, whole), library)
     # From where white noise puts it the noise that a hypothesis would leave is none beside which it is seen: from there only if
     # it is not seen under the noise that was learned.
     seen = {s.key: s for s in ranked if s.gain > settings.least_gain}
@@ -276,7 +278,7 @@ def _again(problem: Problem, at: Fit, library: Library, s: Screened, reference: 
         noise = learn(
             problem.segments, r, at.point.noise, problem.quantum(), None, at.noise.settings, sensors, at.noise.rest
         )
-        linear = _Linear(problem, noise, at, [columns])
+        linear = _Linear(problem, noise, at, columns)
         one = linear.judge(h, origin, slice(0, len(here)))
         if last:
             gain = linear.evidence(one, origin) - reference - np.log(h.alternatives)

@@ -12,7 +12,17 @@ from ..fit.coordinates import Hypothesis
 from ..fit.noise import Noise
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, losses_of, tamed, weights_of, with_dispersion
-from .acceptance import AcceptSettings, Decision, Rivals, drowned, quiet_rms, significance, size_of, worth_of
+from .acceptance import (
+    AcceptSettings,
+    Decision,
+    Rivals,
+    drowned,
+    plainly_more,
+    quiet_rms,
+    significance,
+    size_of,
+    worth_of,
+)
 from .calibrate import SETTINGS as CALIBRATE
 from .calibrate import better, from_least_squares, hand_over, is_slow
 from .screen import Library, Screened
@@ -136,8 +146,8 @@ def _thoroughly(fitter: Fitter, f: Fit, beside: Fit | None) -> Fit:
 def why_needed(problem: Problem, f: Fit, without: Fit, settings: AcceptSettings) -> str:
     """Why an effect stays, however little is known of its size: without it the data are not explained. Empty where they are."""
     here, there = (left_by(problem, x) for x in (f, without))
-    plainly_more = (1 + settings.worth) * here + settings.chance * noise_of(problem, f)
-    if without.log_evidence < f.log_evidence - settings.threshold and there > plainly_more:
+    most = plainly_more(here, noise_of(problem, f), settings)
+    if without.log_evidence < f.log_evidence - settings.threshold and there > most:
         return f"without it what is not explained grows from {here**0.5:.2g} to {there**0.5:.2g} N·m RMS"
     return ""
 
@@ -150,7 +160,7 @@ def _at_the_edge(fitter: Fitter, f: Fit, without: Fit, settings: AcceptSettings)
     """
     problem = fitter.problem
     here, there = (left_by(problem, fitter.polish(x, settings.polish)) ** 0.5 for x in (f, without))
-    if there**2 > (1 + settings.worth) * here**2 + settings.chance * noise_of(problem, f):
+    if there**2 > plainly_more(here**2, noise_of(problem, f), settings):
         return ""
     return (
         f"a little beyond the joint's tolerances; at their edge {there:.2g} N·m RMS of the simulation's error is not "

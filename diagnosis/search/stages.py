@@ -176,7 +176,6 @@ def _further(
     accept = settings.accept
     at, library, last = found.at, found.library, found.last
     rivals, decisions = list(found.rivals), list(found.decisions)
-    late = False
     for done in range(accept.rounds_again + 1):
         room = replace(accept, most=max(accept.most, len(at.model) + 2)) if done else accept
         progress("selecting further causes", 0.7 + 0.08 * done)
@@ -199,14 +198,13 @@ def _further(
         # An effect that was taken back stood for something, as numbers at the end of their tolerances do.
         unsettled = any(d.size > accept.large for d in gone)
         unsettled = unsettled or doubtful(problem, at, quiet_rms(problem, at), settings.calibrate)
-        late = time.monotonic() > deadline
-        if not (more and unsettled) or late:
+        if not (more and unsettled) or time.monotonic() > deadline:
             break
         keys = {(d.cause, *d.fixed.items()) for d in (*gone, *compared) if not d.taken}
         offered = [h for h in others_than(problem, hypotheses, at.model) if h.key not in keys]
         library, last = Library(problem, at, offered, settings.screen.probe), None
     alike: tuple[tuple[str, str], ...] = ()
-    late = late or time.monotonic() > deadline
+    late = time.monotonic() > deadline
     if not late:
         combined = in_place_of_each_other(fitter, at, rivals, hypotheses, accept)
         alike, decisions = combined.confusable, [*decisions, *combined.decisions]
@@ -281,8 +279,7 @@ def _settled(fitter: Fitter, chosen: Finalist, settings: SearchSettings) -> Fit:
     at = fitter.fit(chosen.fit.model, hand_over(problem, chosen.fit.theta, chosen.fit.model), None, 4)
     if doubtful(problem, at, quiet_rms(problem, at), settings.calibrate):
         at = max((at, afresh(fitter, at, settings.calibrate)), key=lambda f: f.log_evidence)
-    if quiet_rms(problem, at) > settings.accept.far:
+    if quiet_rms(problem, at) > settings.accept.far and is_slow(at, settings.calibrate):
         # Discrepancy holds nearly all that is left, and the fit creeps: further on from least squares.
-        if is_slow(at, settings.calibrate):
-            at = from_least_squares(fitter, at, settings.calibrate)
+        at = from_least_squares(fitter, at, settings.calibrate)
     return at
