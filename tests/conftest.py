@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
+from collections import Counter
 from pathlib import Path
 from types import ModuleType
 
@@ -13,6 +14,25 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 SEED = 20130506
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    help_ = "of a test's parameters every N-th alone: every line that it runs, not every case"
+    parser.addoption("--every", type=int, default=1, metavar="N", help=help_)
+
+
+@pytest.hookimpl(trylast=True)  # of those that are run
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    every, seen = config.getoption("--every"), Counter[str]()
+    left_out = []
+    for item in items:
+        function = item.nodeid.partition("[")[0]
+        if seen[function] % every:
+            left_out.append(item)
+        seen[function] += 1
+    if left_out:
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if item not in set(left_out)]
 
 
 @pytest.fixture(scope="session")

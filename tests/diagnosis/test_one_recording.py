@@ -44,7 +44,7 @@ def one(shared, group, number, name):
         # The link turns without a load: torques can be of any scale, and what two models leave differs by chance.
         ("exact", 1, "free", set()),
         # One scale of all torques: a torque constant, with the sensor's gain at the end of its tolerance.
-        ("exact", 5, "push", {"viscous_friction", "torque_sensor_gain"}),
+        pytest.param("exact", 5, "push", {"viscous_friction", "torque_sensor_gain"}, marks=pytest.mark.slow),
     ],
 )
 def test_what_one_recording_shows(shared, group, number, name, named):

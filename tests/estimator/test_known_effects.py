@@ -183,7 +183,7 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
     assert not wrong, f"{case.name}: " + "; ".join(wrong)
 
 
-@pytest.mark.parametrize("push", [False, True], ids=["sweep", "push"])
+@pytest.mark.parametrize("push", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_told_of_an_effect(case, push):
     check(case, push, CHEAP)
