@@ -100,6 +100,17 @@ def test_a_joint_that_holds_its_pose_says_nothing():
     assert found.verdict == "inconclusive" and not found.causes and found.undetermined
 
 
+def test_a_recording_too_short_to_keep_a_part_from_the_fit_shows_what_is_left_of_all():
+    """It had no residual at all, which left nothing to doubt, and said that blocks had been kept."""
+    one = recording(seconds=2.4)
+    columns = one.columns | {"joint_torque": one.columns["joint_torque"] + 0.8}
+    measurement = Measurement("swing", Path("swing"), (replace(one, columns=columns),))
+    found = diagnose(measurement, load_joint("test-joint"), seconds=0.0)
+    assert found.residual["joint_torque"].after > 10 * found.residual["joint_torque"].noise
+    assert "N·m RMS is left" in found.reason
+    assert "too short" in found.held_out and "was kept from every fit" not in found.held_out
+
+
 def test_a_stage_for_which_there_was_no_time_is_told(monkeypatch):
     """Where time ran out after the first causes, nobody was told that others were not looked for."""
     one, now = recording(seconds=8.0), [0.0]

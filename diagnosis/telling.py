@@ -1,0 +1,212 @@
+"""The answer: verdict and reason, what is left, and the joint that is written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..models import causes
+from ..models.joint import Joint
+from ..models.recording import Measurement
+from .answer import BalanceResidual, Diagnosis, Finding, ParameterShift
+from .conclusion import ANSWER, Conclusion
+from .data.mistakes import NO_CHANGE, Mistake
+from .data.segments import BALANCES, SETTINGS, UNITS
+from .extension import DELAYS, extended, parameter_shifts
+from .findings import close, explains_nothing, findings_of, other_ripples
+from .fit.regions import valid_range
+from .fit.residual import Problem
+from .fit.solver import Fit
+from .uncertainty import stated
+
+
+def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
+    """What a diagnosis came to, as the answer."""
+    problem, found, final, joint = conclusion.problem, conclusion.found, conclusion.drawn.fit, conclusion.problem.joint
+    findings, minor, entangled = findings_of(conclusion, measurement)
+    useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
+    surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
+    findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
+    if conclusion.nearly_all:
+        # Something is wrong; where it sits cannot be told from what could not have shown.
+        findings = [
+            replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
+        ]
+    residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
+    verdict, reason = _verdict(conclusion, findings, minor, residual, useless)
+    calibration = parameter_shifts(problem, final)
+    reason = _joined(reason, _at_the_end(calibration), _holds_back(conclusion))
+    extended_joint = joint
+    if conclusion.drawn.share > 0.0:
+        extended_joint = extended(problem, final, joint, conclusion.unknown)
+        known = {
+            "valid": valid_range(problem, final),
+            "uncertainty": stated(problem, final, extended_joint, conclusion.drawn.regions),
+        }
+        extended_joint = extended_joint.model_copy(update=known)
+    ripples = [(h.cause.name, name) for h in conclusion.final.model for name in other_ripples(problem, h)]
+    alike = {
+        (min(pair), max(pair)) for pair in (*conclusion.alike, *close(found), *ripples, *entangled, *found.confusable)
+    }
+    return Diagnosis(
+        verdict=verdict,
+        reason=reason,
+        causes=tuple(sorted(findings, key=lambda f: -f.worth)),
+        calibration=calibration,
+        confusable=tuple(sorted(alike)),
+        undetermined=conclusion.undetermined,
+        residual=residual,
+        regions=conclusion.drawn.regions,
+        extended=extended_joint,
+        minor=tuple(sorted(minor, key=lambda f: -f.worth)),
+        decisions=found.decisions,
+        problem=problem,
+        search=found,
+        final=final,
+        whole=conclusion.final,
+        share=conclusion.drawn.share,
+        before=found.base.point.residual,
+        after=final.point.residual,
+        held_out=_held_out(problem),
+        complete=found.complete,
+    )
+
+
+def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
+    """Numbers that calibration moved to the end of their tolerances: they may be what is wrong; empty where there are none."""
+    ends = [
+        f"{name} ({s.value:.3g} {s.unit})" if s.nominal == 0.0 else f"{name} ({100 * (s.value / s.nominal - 1):+.0f} %)"
+        for name, s in calibration.items()
+        if abs(s.moved) > ANSWER.end and name not in DELAYS.values()
+    ]
+    late = [
+        f"{sensor.replace('_', ' ')} is read {1e3 * abs(s.value - s.nominal):.1f} ms {'later' if s.moved > 0 else 'earlier'} "
+        "than described"
+        for sensor, name in DELAYS.items()
+        if (s := calibration.get(name)) is not None and abs(s.moved) > ANSWER.end
+    ]
+    return _joined(f"at the end of what the description allows: {', '.join(ends)}" if ends else "", *late)
+
+
+def _holds_back(conclusion: Conclusion) -> str:
+    """Why the extended joint is not what a fit of all numbers says; empty where it is."""
+    drawn = conclusion.drawn
+    if drawn.share < 1.0 and not drawn.regions:
+        return "too little motion to keep a region of it from the fit: joint.yaml is the description"
+    if drawn.share < 1.0:
+        if drawn.refused:
+            why = "with what was found estimates of torque are worse than with the description"
+        elif drawn.share == 0.0:
+            why = "what was found does worse than the description where a fit has not seen the data"
+        else:
+            why = "what was found does worse than the description in a region that a fit has not seen"
+        left = f"the numbers in joint.yaml are drawn back to {100 * drawn.share:.0f} % of the way"
+        return f"{why}: {left if drawn.share else 'joint.yaml is the description'}"
+    if not conclusion.problem.held.any():
+        return ""
+    worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in drawn.regions if r.worse)
+    alike = dict.fromkeys(n for pair in conclusion.found.confusable for n in pair)
+    names = " or ".join(name.replace("_", " ") for name in alike)
+    return _joined(
+        "no numbers within tolerance hold where a fit has not seen the data: they are left as described, and the causes are what "
+        "explains most with these",
+        f"on regions that were kept from the fit worse than the description in {worse}" if worse else "",
+        f"what is left beside may be {names}, which this motion cannot tell apart" if names else "",
+    )
+
+
+def meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
+    """The answer while mistakes in the data make physics meaningless."""
+    named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
+    reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
+    everything = {n: "mistakes in the data" for n in causes.of(joint)}
+    told = Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
+    return told if told.mendable else replace(told, reason=f"{NO_CHANGE}; what would mend most: {named}")
+
+
+def nothing_usable(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:
+    shortest = SETTINGS.shortest
+    reason = f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s"
+    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), joint, mistakes=mistakes, seconds=seconds)
+
+
+def _held_out(problem: Problem) -> str:
+    """How data were kept from the fits, and over what the numbers of `residual` are means."""
+    every, block = SETTINGS.held_out_every, SETTINGS.held_out_block
+    if any(s.held_out.any() for s in problem.segments):
+        kept = f"every {every}th block of {block:g} s of each recording was kept from every fit; RMS"
+    else:
+        kept = f"too short to keep every {every}th block of {block:g} s from the fits: RMS of what was fitted,"
+    return (
+        f"{kept} in motion, while what was measured of the motion is followed; `regions`: the ends of the range of angle, speed "
+        "and load, and whole recordings, each kept from a fit of its own"
+    )
+
+
+def _verdict(
+    conclusion: Conclusion,
+    findings: list[Finding],
+    minor: list[Finding],
+    residual: dict[str, BalanceResidual],
+    useless: bool,
+) -> tuple[str, str]:
+    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent, nor is one beside which
+    a minor effect is worth as much as an unknown one that is told.
+
+    Args:
+      useless: whether the causes leave no less unexplained than calibration alone.
+    """
+    problem = conclusion.problem
+    # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
+    taken_back = conclusion.drawn.share < 1.0
+    rated = problem.joint.numbers["rated_torque"].value
+    scale = dict(zip(BALANCES, problem.output_scale, strict=True))
+    times, worth = (ANSWER.far, ANSWER.worth) if findings or not taken_back else (ANSWER.near, 0.0)
+    far = [
+        (name, r) for name, r in residual.items()
+        if r.after > times * r.noise and r.after * scale[name] > worth * rated
+    ]  # fmt: skip
+    left = "; ".join(
+        f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise"
+        for name, r in far
+    )
+    late = "" if conclusion.found.complete else "time was up before every stage was done: with more, more may be found"
+    if useless:
+        return "inconclusive", _joined("the causes named leave no less unexplained than calibration alone", late, left)
+    if findings:
+        return "discrepancy", _joined(late, f"beside the causes named, {left}" if far else "")
+    if conclusion.nearly_all:
+        return "inconclusive", _joined("nearly all causes could not have shown", late, left)
+    if late:
+        return "inconclusive", _joined(late, left)
+    if far:
+        return "inconclusive", left if taken_back else f"no known cause explains the residual; {left}"
+    large = [f for f in minor if f.confidence >= ANSWER.unsure and f.worth > ANSWER.little * rated]
+    if large:
+        names = " and ".join(f"{f.name.replace('_', ' ')} ({f.worth:.2g} N·m)" for f in large)
+        return "inconclusive", f"{names} may be there, too small or too little known to be named"
+    return "consistent", ""
+
+
+def _joined(*parts: str) -> str:
+    return "; ".join(part for part in parts if part)
+
+
+def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResidual]:
+    """RMS on held-out samples by balance, in motion: at rest friction may be anything up to its level; of all where none is held
+    out."""
+    found, some = {}, any(s.held_out.any() for s in problem.segments)
+    for b, name in enumerate(BALANCES):
+        kept = [(s.held_out if some else s.usable)[:, b] for s in problem.segments]
+        use = [k & ~s.at_rest for k, s in zip(kept, problem.segments, strict=True)]
+        if not any(u.any() for u in use):
+            use = kept
+        if not any(u.any() for u in use):
+            continue
+        before, after, noise = (
+            float(np.sqrt(np.mean(np.concatenate([r[u, b] for r, u in zip(rs, use, strict=True)]) ** 2)))
+            for rs in (base.point.residual, final.point.residual, final.point.noise)
+        )
+        found[name] = BalanceResidual(before, after, noise, UNITS[name])
+    return found
