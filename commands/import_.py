@@ -16,7 +16,7 @@ from ._options import with_plugins
 
 if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
-    from ..models.recording import Measurement
+    from ..models.recording import Measurement, Recording
 
 EXAMPLES = (
     "flexspline import mapping.yaml log.csv --out measurement",
@@ -130,11 +130,23 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
         if name is not None:
             raise InputError("--name: expected a log in another layout, got a measurement")
         read = [read_measurement(path) for path in what]
-        found = [r if joint is None else replace(r, joint=joint) for m in read for r in m.recordings]
-        home = here if joint is not None else read[0].folder
+        found = [replace(r, joint=joint or _joint_of(r, m)) for m in read for r in m.recordings]
+        joints = dict.fromkeys(r.joint for r in found)
+        if len(joints) > 1:
+            raise InputError(f"expected measurements of one joint, or --joint, got {' and '.join(joints)}")
+        home = here
         inputs = [file for m in read for file in m.files]
     _each_once([r.name for r in found])
     return Measurement(found[0].name, home, tuple(found)), home, inputs
+
+
+def _joint_of(recording: Recording, measurement: Measurement) -> str:
+    """A recording's joint by its name where it is a shipped one, by its absolute path else."""
+    from ..models.joint import known_joints
+
+    if recording.joint.replace("_", "-") in known_joints():
+        return recording.joint
+    return str((measurement.folder / recording.joint).resolve())
 
 
 def _keep(sidecar: Path, table: Path) -> None:

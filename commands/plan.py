@@ -31,7 +31,12 @@ def command(
     """Say what to measure next, and what each experiment is expected to tell: simulated, nothing is moved."""
     from ._console import console
 
-    proposals = _of_diagnosis(source) if (source / "diagnosis.json").is_file() else _of_measurement(source, joint)
+    diagnosed = (source / "diagnosis.json").is_file()
+    if diagnosed and joint is not None:
+        raise InputError(
+            f"--joint: expected with a measurement, got it with a diagnosis, {source}, which has its joint"
+        )
+    proposals = _of_diagnosis(source) if diagnosed else _of_measurement(source, joint)
     if as_json:
         print(json.dumps(proposals, indent=1, ensure_ascii=False))
         return
@@ -57,6 +62,8 @@ def _of_diagnosis(folder: Path) -> list[dict[str, Any]]:
         proposals = [{**one, "sentence": str(one["sentence"])} for one in answer["next"]]
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{path}: next: expected proposals, found none; plan from the measurement instead") from error
+    if not proposals and not answer.get("residual"):
+        raise InputError(f"{path}: nothing could be planned: {answer.get('reason') or 'nothing was fitted'}")
     return proposals
 
 
@@ -71,5 +78,7 @@ def _of_measurement(source: Path, option: str | None) -> list[dict[str, Any]]:
     described = data.load_joint(option)
     with stages(f"looking at {data.name}") as stage:
         found = diagnose(data, described, progress=lambda name, done: stage(name, 0.6 * done), seconds=_BY)
+        if found.problem is None:
+            raise InputError(f"{source}: nothing can be planned: {found.reason}")
         stage("what to measure next", 0.6)
         return plan(data, described, found).to_json()

@@ -287,7 +287,7 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
 
 def _thin(recording: Recording) -> Recording:
     """A recording with as few samples as it takes to see where it has been, and how fast."""
-    every = max(int(_THIN / recording.interval), 1)
+    every = max(min(int(_THIN / recording.interval), len(recording.time) // 2), 1)
     return recording.at(slice(None, None, every))
 
 
@@ -576,7 +576,8 @@ def experiments(
     """What could be measured next with the sensors there are or one more: motions, loads, a locked output, sensors."""
     p = diagnosis.extended.record()[0]
     recordings = measurement.recordings
-    link = max((r.link for r in recordings), key=lambda m: m.gravity_moment)
+    movable = [r.link for r in recordings if not r.link.locked] or [joint.mount()]
+    link = max(movable, key=lambda m: m.gravity_moment)
     seen = frozenset(name for r in recordings for name in r.columns) & {
         "motor_position", "link_position", "motor_current", "motor_torque", "joint_torque", "temperature",
     }  # fmt: skip
@@ -647,7 +648,7 @@ def experiments(
             usual, loaded, effort=effort[0],
         )  # fmt: skip
     name, lightest = min(joint.mountings.items(), key=lambda pair: pair[1].gravity_moment)
-    if lightest.gravity_moment < 0.5 * min(r.link.gravity_moment for r in recordings):
+    if lightest.gravity_moment < 0.5 * min(m.gravity_moment for m in movable):
         add(
             "light_link",
             f"Take the load off (mounting {name}) and {motion}",

@@ -112,6 +112,7 @@ class Channels:
       time: shape (n,) [s].
       measured, simulated, deviation: by channel, shape (n,); the last is half a band over `SIGMAS`.
       noise: what the sensors' noise leaves of `measured` − `simulated`, rms by channel, shape (n,).
+      sensor: the part of it that is the channel's own sensor's, rms by channel.
       moving: which samples count, shape (n,), bool.
       angle, velocity, load: of the link, shape (n,) [rad], [rad/s], [N·m].
       units: by channel.
@@ -123,6 +124,7 @@ class Channels:
     simulated: dict[str, np.ndarray]
     deviation: dict[str, np.ndarray]
     noise: dict[str, np.ndarray]
+    sensor: dict[str, float]
     moving: np.ndarray
     angle: np.ndarray
     velocity: np.ndarray
@@ -257,11 +259,12 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
         motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
             motion = motion + (np.nan_to_num(velocity) * clock_error(recording, joint)) ** 2
-        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], _sensor_noise(joint, name)))
+        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint))
         noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
     return Channels(
         name=recording.name, time=recording.time, measured=measured, simulated=simulated, deviation=deviation,
-        noise=noise, moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
+        noise=noise, sensor={name: _sensor_noise(joint, name) for name in measured},
+        moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
         units={name: CHANNELS[name].unit for name in measured},
     )  # fmt: skip
 
@@ -273,14 +276,16 @@ def _loose(joint: Joint) -> bool:
     return joint.numbers["K1"].value * known > _LOOSE * joint.numbers["rated_torque"].value
 
 
-def _fast(recording: Recording, name: str, parts: Sequence[_Part], noise: float) -> np.ndarray | float:
+def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint) -> np.ndarray | float:
     """Mean square of a measured channel beyond the smoother's passband and its sensor's noise, shape (n,)."""
-    if name not in ("motor_current", "joint_torque"):
+    if name not in ("motor_current", "motor_torque", "joint_torque"):
         return 0.0
     since = recording.time - recording.time[0]
-    slow = _joined(parts, since, [part.segment.measured[:, _BALANCE_OF[name]] for part in parts])
+    scale = float(joint.record(recording.link)[0]["Kt_drive"]) if name == "motor_torque" else 1.0
+    slow = _joined(parts, since, [scale * part.segment.measured[:, _BALANCE_OF[name]] for part in parts])
     rest = np.nan_to_num(recording[name] - slow) ** 2
     around = max(round(_AROUND * 1e-3 / recording.interval), 1)
+    noise = _sensor_noise(joint, name)
     return np.maximum(uniform_filter1d(rest, around, mode="nearest") - noise**2, 0.0)
 
 
@@ -424,10 +429,11 @@ def _residual(recordings: Sequence[Channels]) -> dict[str, ChannelError]:
             for columns in (
                 [r.measured[name] - r.simulated[name] for r in having],
                 [r.noise[name] for r in having],
-                [r.deviation[name] for r in having],
+                # A band holds the channel without its sensor's noise, and the noise of the measured motion already.
+                [np.hypot(r.deviation[name], r.sensor[name]) for r in having],
             )
         )
-        half = SIGMAS * np.hypot(deviation, noise)
+        half = SIGMAS * deviation
         inside = float(np.mean(np.abs(error) <= half))
         found[name] = ChannelError(
             _rms(error), float(np.mean(error)), _rms(noise), CHANNELS[name].unit, inside, len(error)

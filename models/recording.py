@@ -327,22 +327,22 @@ def read_recording(path: str | Path) -> Recording:
                 f"{path}: column {next(iter(angles))!r}: expected {sidecar_path.name} to have `arm:`, got link"
             )
         return recording
-    return in_arm(recording, sidecar.arm, angles, sidecar_path)
+    return in_arm(recording, sidecar.arm, angles, sidecar_path, sidecar_path.parent, sidecar_path.parent)
 
 
 def in_arm(
-    recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path, folder: Path | None = None
+    recording: Recording, spec: ArmSpec, angles: Mapping[str, np.ndarray], path: Path, folder: Path, home: Path | None
 ) -> Recording:
     """The recording with mounting and load from its arm.
 
     Args:
       recording: of one of the arm's joints; its own mounting does not count.
       spec: of the arm; angles: columns of its other joints, shape (n,) each [rad].
-      path: of the file that messages name; folder: where the arm's MJCF and the joint are looked for, that of `path` by default.
+      path: of the file that messages name; folder: where the arm's MJCF is; home: where a path to the joint begins.
     """
     from .arm_dynamics import Arm
 
-    where, folder = recording.source, path.parent if folder is None else folder
+    where = recording.source
     for name, values in angles.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if len(bad):
@@ -355,7 +355,7 @@ def in_arm(
         if "link_position" in recording:
             position = recording["link_position"]
         else:
-            position = recording["motor_position"] / load_joint(recording.joint, folder).numbers["N"].value
+            position = recording["motor_position"] / load_joint(recording.joint, home).numbers["N"].value
         link, load = arm.of(recording.time, position, positions, recording.segments)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error

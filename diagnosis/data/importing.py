@@ -48,12 +48,18 @@ class Zero(Strict):
     """The foreign column that it is compared with."""
     unit: str
     """Of that column."""
+    counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
+    """Per revolution, for unit `counts`."""
     scale: float = 1.0
-    """Factor on that column."""
+    """Factor on that column; may carry a unit."""
     at: Literal["mean", "first"] = "mean"
     """All of the log, or its first sample."""
     beyond: Annotated[float, Field(ge=0)] = 0.0
     """Only where the difference is larger, SI."""
+
+    def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
+        """What the channel is compared with, SI, shape (n,)."""
+        return self.scale * UNITS[self.unit][1] / (self.counts or 1) * table[self.column]
 
 
 class SourceColumn(Strict):
@@ -74,9 +80,7 @@ class SourceColumn(Strict):
 
     @model_validator(mode="after")
     def _known_unit(self) -> SourceColumn:
-        _check_unit(self.unit)
-        if (self.unit == "counts") != (self.counts is not None):
-            raise ValueError("counts: expected with unit 'counts' and only then (per revolution)")
+        _check_counts(self.unit, self.counts)
         if self.wraps and UNITS[self.unit][0] != "rad":
             raise ValueError(f"wraps: expected only with angles, got unit {self.unit!r}")
         return self
@@ -132,7 +136,7 @@ class ChannelSource(Strict):
         else:
             self.parts  # noqa: B018  checks them
         if isinstance(self.zero, Zero):
-            _check_unit(self.zero.unit)
+            _check_counts(self.zero.unit, self.zero.counts, "zero.")
         return self
 
     @property
@@ -159,7 +163,7 @@ class ChannelSource(Strict):
         if self.zero == "first":
             return values - values[0]
         if self.zero is not None:
-            off = values - self.zero.scale * UNITS[self.zero.unit][1] * table[self.zero.column]
+            off = values - self.zero.read(table)
             away = float(off[0] if self.zero.at == "first" else np.mean(off))
             return values - away if abs(away) > self.zero.beyond else values
         return values
@@ -247,6 +251,10 @@ class Layout(Strict):
                 raise ValueError(f"columns.{name}: unknown key{nearest(name, CHANNELS)}")
         if "time" not in self.columns:
             raise ValueError("columns.time: missing")
+        if self.columns["time"].integrate:
+            raise ValueError(
+                "columns.time.integrate: expected false, as it is over this column that others are integrated"
+            )
         check_channels("columns", self.columns)
         measured = "external_torque" in self.columns
         if measured != (self.external_torque == "measured"):
@@ -269,8 +277,13 @@ class Layout(Strict):
                     f"logs.{pattern}.external_torque: expected 'measured' where columns has external_torque and only there"
                 )
         for name, channel in self.columns.items():
+            expected = CHANNELS[name].unit if name in CHANNELS else "rad"
+            zero = channel.zero
+            if isinstance(zero, Zero) and zero.scale == 1.0 and UNITS[zero.unit][0] != expected:
+                raise ValueError(
+                    f"columns.{name}.zero.unit: expected one of {expected!r}, or a scale that makes it so, got {zero.unit!r}"
+                )
             if len(channel.parts) == 1 and channel.scale == 1.0 and channel.sum is None:
-                expected = CHANNELS[name].unit if name in CHANNELS else "rad"
                 if UNITS[channel.parts[0].unit][0] != (f"{expected}/s" if channel.integrate else expected):
                     raise ValueError(
                         f"columns.{name}.unit: expected one of {expected!r}, or a scale that makes it so, got {channel.unit!r}"
@@ -304,9 +317,11 @@ class Layout(Strict):
         return self.model_copy(update=update)
 
 
-def _check_unit(unit: str) -> None:
+def _check_counts(unit: str, counts: int | None, where: str = "") -> None:
     if unit not in UNITS:
-        raise ValueError(f"unit: expected one of {', '.join(UNITS)}, got {unit!r}{nearest(unit, UNITS)}")
+        raise ValueError(f"{where}unit: expected one of {', '.join(UNITS)}, got {unit!r}{nearest(unit, UNITS)}")
+    if (unit == "counts") != (counts is not None):
+        raise ValueError(f"{where}counts: expected with unit 'counts' and only then (per revolution)")
 
 
 def known_layouts() -> dict[str, Path]:
@@ -362,6 +377,8 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
                     f"{path}: column {column!r}: missing, {target} is made of it (format {layout.name!r})"
                     f"{nearest(column, names)}"
                 )
+            if names.count(column) > 1:
+                raise InputError(f"{path}: column {column!r}: expected once, stands {names.count(column)} times")
             if column not in wanted:
                 wanted.append(column)
     table = log.read(wanted)
@@ -392,4 +409,5 @@ def import_recording(layout: Layout, path: str | Path, name: str | None = None, 
     if layout.arm is None:
         return recording
     beside_log = (path.parent / layout.arm.model).is_file()
-    return in_arm(recording, layout.arm, angles, path, path.parent if beside_log else layout._folder)
+    home = layout._folder if joint is None else None
+    return in_arm(recording, layout.arm, angles, path, path.parent if beside_log else layout._folder, home)

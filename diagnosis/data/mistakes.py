@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from ...models.errors import InputError
 from ...models.joint import Joint
-from ...models.recording import Measurement, Recording, check_channels
+from ...models.recording import GAP, Measurement, Recording, check_channels
 from ...models.signals import POSITIONS
 from .changes import GRAVITY, Found, Suspicions, time_unit
 from .lateness import LateColumn, late_columns
@@ -131,7 +131,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     try:
         recordings = _apply(moving, joint, found)
     except InputError:  # what does not move is all there is
-        return tuple(found)
+        return _by_name(found, moving, measurement.recordings)
     suspicions = Suspicions(recordings, joint)
     further = [m for f in suspicions.found if f.change.name != "late" for m in _of_change(f, recordings)]
     late = [m for one in late_columns(_apply(recordings, joint, further), joint) for m in _of_lateness(one, recordings)]
@@ -140,7 +140,8 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     if not late and suspicions.misfit < _WRONG:
         # What mends most leaves channels that cannot be of this joint: it may be something else.
         further = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in further]
-    return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in (*found, *further))
+    told = [replace(m, severe=m.severe and m.column not in _BESIDE) for m in (*found, *further)]
+    return _by_name(told, moving, measurement.recordings)
 
 
 def require_sound(measurement: Measurement, joint: Joint) -> None:
@@ -185,6 +186,16 @@ def _of_samples(found: SampleMistake, recording: Recording) -> Mistake:
 def _merged(found: list[Mistake], recordings: int) -> list[Mistake]:
     """The same, with no recording's name where there is but one."""
     return [replace(m, recording="") for m in found] if recordings == 1 else found
+
+
+def _by_name(
+    found: Sequence[Mistake], looked_at: Sequence[Recording], all_of_them: Sequence[Recording]
+) -> tuple[Mistake, ...]:
+    """The same; what all recordings have that were looked at, of each of these by its name where there are others."""
+    if len(looked_at) == len(all_of_them):
+        return tuple(found)
+    every = [r.name for r in looked_at]
+    return tuple(replace(m, recording=name) for m in found for name in ([m.recording] if m.recording else every))
 
 
 def _of_lateness(found: LateColumn, recordings: Sequence[Recording]) -> list[Mistake]:
@@ -249,7 +260,10 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
             elif m.name == "late":
                 assert m.seconds is not None
                 columns[column] = np.interp(time + m.seconds, time, x)
+                # Nothing was measured beyond the ends, and none of what lies within a gap.
+                after = np.clip(np.searchsorted(time, time + m.seconds), 1, len(time) - 1)
                 lost |= (time + m.seconds > time[-1]) | (time + m.seconds < time[0])
+                lost |= time[after] - time[after - 1] > GAP
             else:
                 columns[column] = _column(m, column, time, x, columns, N)
     found = replace(recording, time=time, columns=columns)

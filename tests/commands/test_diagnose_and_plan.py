@@ -197,6 +197,22 @@ def test_plan_of_a_folder_that_is_no_diagnosis(flexspline, tmp_path):
     assert code == 2 and "diagnosis.json: next" in one_line(err)
     code, _, err = flexspline("plan", tmp_path / "nowhere")
     assert code == 2 and "expected a recording" in one_line(err)
+    code, _, err = flexspline("plan", tmp_path, "--joint", "test-joint")
+    assert code == 2 and "--joint: expected with a measurement" in one_line(err)
+
+
+def test_nothing_is_said_to_be_planned_where_nothing_was_looked_at(flexspline, tmp_path):
+    """No experiment would tell more, it said of data with mistakes in them."""
+    answer = {"format": 1, "verdict": "inconclusive", "reason": "mistakes in the data", "residual": {}, "next": []}
+    (tmp_path / "diagnosis.json").write_text(json.dumps(answer))
+    code, out, err = flexspline("plan", tmp_path)
+    assert code == 2 and not out and "nothing could be planned: mistakes in the data" in one_line(err)
+    t = 2e-3 * np.arange(5000)
+    link = 0.8 * np.sin(2 * t)
+    columns = {"motor_position": 180 / np.pi * 100 * link, "link_position": link, "motor_current": 1.3 * np.sin(link)}
+    write_recording(Recording("degrees", t, columns), tmp_path / "bench")
+    code, out, err = flexspline("plan", tmp_path / "bench")
+    assert code == 2 and not out and "nothing can be planned: mistakes in the data" in err.splitlines()[-1]
 
 
 def test_stages_are_a_bar_on_a_terminal(monkeypatch):

@@ -15,7 +15,7 @@ import flexspline as fs
 from flexspline import commands
 from flexspline.diagnosis.data.importing import import_recording, known_layouts, load_layout
 from flexspline.models.errors import InputError
-from flexspline.models.recording import read_measurement
+from flexspline.models.recording import read_measurement, write_recording
 
 LAYOUT = {
     "format": 1,
@@ -45,6 +45,11 @@ def columns(**changes):
     return {"columns": {**LAYOUT["columns"], **changes}}
 
 
+def zero(**keys):
+    link = LAYOUT["columns"]["link_position"]
+    return columns(link_position={**link, "zero": {"column": "angle", **keys}})
+
+
 def log(tmp_path, text=LOG):
     path = tmp_path / "log.csv"
     path.write_text(text)
@@ -60,6 +65,12 @@ def test_units_signs_zeros_and_sums(tmp_path):
     np.testing.assert_allclose(r["motor_current"], [0.1, 0.2])
     np.testing.assert_allclose(r["joint_torque"], [2.0, 3.0])
     assert "external_torque" not in r and r.external == "none" and r.joint == "test-joint"
+
+
+def test_a_zero_in_counts(tmp_path):
+    """One count was taken for a whole turn."""
+    r = import_recording(layout(tmp_path, **zero(unit="counts", counts=360)), log(tmp_path))
+    assert np.mean(r["link_position"]) == pytest.approx(np.deg2rad(0.1))
 
 
 def test_an_encoder_that_wraps_is_unwrapped(tmp_path):
@@ -85,6 +96,9 @@ def test_an_encoder_that_wraps_is_unwrapped(tmp_path):
         (columns(motor_position={"column": "m", "unit": "counts", "counts": 10**400}), ["counts", "less than"]),
         (columns(motor_current={"column": "i", "unit": "A", "sum": []}), ["either column or sum"]),
         (columns(external_torque={"column": "my", "unit": "N·m"}), ["external_torque", "'measured'"]),
+        (columns(time={"column": "t", "unit": "s", "integrate": True, "scale": 2.0}), ["columns.time.integrate"]),
+        (zero(unit="counts"), ["link_position: zero.counts: expected with unit 'counts'"]),
+        (zero(unit="A"), ["columns.link_position.zero.unit", "'rad'"]),
     ],
 )
 def test_a_bad_mapping_is_named(tmp_path, changes, words):
@@ -105,6 +119,7 @@ def test_a_bad_mapping_is_named(tmp_path, changes, words):
         (LOG.replace(";200;", ";inf;"), ["'i'", "row 2"]),
         (LOG.splitlines()[0] + "\n", ["header alone"]),
         ("", ["empty"]),
+        (LOG.replace(";junk", ";i"), ["'i'", "stands 2 times"]),
     ],
 )
 def test_a_bad_log_is_named(tmp_path, text, words):
@@ -399,6 +414,41 @@ def test_a_mapping_may_be_called_as_the_log_beside_it(tmp_path, mapping):
     result = run(tmp_path / "mine.yaml", tmp_path / "mine.csv", "--out", tmp_path / "out")
     assert result.exit_code == 0, result.output
     assert (tmp_path / "out" / "mine.parquet").is_file()
+
+
+def test_a_joint_that_is_named_is_not_looked_for_beside_the_mapping(tmp_path, monkeypatch):
+    """Where the motor alone was measured its gear ratio says how far the arm was."""
+    from flexspline.models.joint import load_joint, shipped
+
+    (tmp_path / "mapping").mkdir()
+    (tmp_path / "mapping" / "my_arm.xml").write_text(shipped("ur3e.xml").read_text())
+    monkeypatch.chdir(tmp_path)
+    load_joint("ur3e-shoulder").write("mine.yaml")
+    motor = {name: LAYOUT["columns"][name] for name in ("time", "motor_position", "motor_current")}
+    arm = {"model": "my_arm.xml", "joint": "shoulder_lift"}
+    angle = {"arm_elbow_position": {"column": "angle", "unit": "rad"}}
+    mine = layout(tmp_path / "mapping", link=None, arm=arm, columns=motor | angle)
+    found = import_recording(mine, log(tmp_path), joint="mine.yaml")
+    assert found.joint == "mine.yaml" and found.link.gravity_moment > 5.0
+
+
+def test_measurements_of_two_joints_are_not_one(tmp_path):
+    """The second was written with the first one's joint."""
+    from flexspline.models.joint import load_joint
+
+    for name in ("a", "b"):
+        folder = tmp_path / name
+        folder.mkdir()
+        load_joint("test-joint").write(folder / "joint.yaml")
+        r = import_recording(layout(tmp_path), log(tmp_path), name, joint="joint.yaml")
+        write_recording(r, folder)
+    both = (tmp_path / "a", tmp_path / "b", "--fix", "--out", tmp_path / "both")
+    result = run(*both)
+    assert isinstance(result.exception, InputError) and "of one joint" in str(result.exception)
+    assert not (tmp_path / "both").exists()
+    result = run(*both, "--joint", tmp_path / "b" / "joint.yaml")
+    assert result.exit_code == 0, result.output
+    assert all(r.joint == "../b/joint.yaml" for r in read_measurement(tmp_path / "both").recordings)
 
 
 def test_an_arm_may_lie_beside_the_mapping(tmp_path):

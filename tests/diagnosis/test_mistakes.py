@@ -18,7 +18,7 @@ from flexspline import commands
 from flexspline.diagnosis.data.mistakes import find_mistakes, mended
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.models.errors import InputError, InputWarning
-from flexspline.models.joint import load_joint
+from flexspline.models.joint import LOCKED, Mounting, load_joint
 from flexspline.models.recording import Measurement, Recording, read_measurement, write_recording
 
 ALL = {h.label: h for h in hidden_mistakes()}
@@ -103,6 +103,41 @@ def test_a_mistake_in_one_recording_is_named_there():
     (found,) = find_mistakes(spoilt, JOINT)
     assert (found.name, found.column, found.recording) == ("sign", "motor_current", "b")
     assert find_mistakes(mended(spoilt, JOINT, [found]), JOINT) == ()
+
+
+def bolted(seconds: float = 2.0) -> Recording:
+    """The same joint on the bench, its output held."""
+    r = recording("bench", seconds=seconds)
+    columns = r.columns | {"link_position": np.full(len(r.time), 0.2)}
+    return replace(r, columns=columns, link=Mounting(inertia=LOCKED, gravity_moment=0.0), external="unmeasured")
+
+
+@pytest.mark.parametrize("label", ["unit motor_current mA", "glitch motor_position 6.3 × 1"])
+def test_what_the_moving_recordings_have_is_not_mended_in_a_bolted_one(label):
+    """Of which nothing was looked at: its current was made a thousandth, and rows that it does not have were bridged."""
+    spoilt = hide(ALL[label], measurement(), JOINT, np.random.default_rng(SEED)).recordings[0]
+    both = measurement(spoilt, bolted())
+    found = find_mistakes(both, JOINT)
+    assert [m.recording for m in found] == ["swing"]
+    moving, bench = mended(both, JOINT, found).recordings
+    assert find_mistakes(measurement(moving), JOINT) == ()
+    for name, x in bolted().columns.items():
+        np.testing.assert_array_equal(bench[name], x, err_msg=name)
+
+
+def test_a_late_column_is_not_made_up_where_nothing_was_measured():
+    """The last of a tenth of a second before a gap was a straight line through it."""
+    sound = recording()
+    spoilt = hide(ALL["late joint_torque 50 ms"], measurement(sound), JOINT, np.random.default_rng(SEED)).recordings[0]
+    n = len(sound.time)
+    kept = np.r_[0 : n // 2, n // 2 + 2000 : n]
+    both = measurement(spoilt.at(kept))
+    (found,) = find_mistakes(both, JOINT)
+    assert found.name == "late" and found.column == "joint_torque"
+    (again,) = mended(both, JOINT, [found]).recordings
+    true = np.interp(again.time, sound.time, sound["joint_torque"])
+    assert np.max(np.abs(again["joint_torque"] - true)) < 0.3
+    assert len(again.segments) == 2 and len(kept) - len(again.time) < 70
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,7 @@ from flexspline.diagnosis.search.screen import SETTINGS as SCREEN
 from flexspline.diagnosis.search.screen import Library
 from flexspline.diagnosis.trials.motions import waypoints
 from flexspline.models import causes
-from flexspline.models.joint import Effect, Estimate, Joint, load_joint
+from flexspline.models.joint import LOCKED, Effect, Estimate, Joint, Mounting, load_joint
 from flexspline.models.recording import Measurement, Recording
 
 BOTH = ("motor_position", "link_position", "motor_current")
@@ -82,6 +82,17 @@ def test_with_one_encoder_load_reversals_lock_and_rest_are_looked_at(joint, swin
     heavy = found["second_payload"].mounting.gravity_moment
     assert blind.recordings[0].link.gravity_moment < heavy <= SETTINGS.heaviest * joint.numbers["rated_torque"].value
     assert all(5 < e.duration < 45 for e in found.values())
+
+
+def test_a_bolted_link_is_not_asked_to_move(joint, swing):
+    """A motion was planned for the bench's inertia, hours of it, where a link without weight stood beside it or nothing did."""
+    r = swing.recordings[0]
+    bench = replace(r, name="bench", link=Mounting(inertia=LOCKED, gravity_moment=0.0), external="unmeasured")
+    free = replace(r, link=joint.mount("no_load"))
+    for recordings in ((bench,), (bench, free)):
+        found = proposed(replace(swing, recordings=recordings), joint)
+        assert all(e.duration < 60 for e in found.values())
+        assert all(e.locked or e.mounting.inertia < 10 for e in found.values())
 
 
 def test_experiments_can_be_carried_out(joint, swing):
@@ -171,6 +182,14 @@ def test_proposals_in_plain_words():
     assert one["expected"][2] == {
         "about": ["torque_constant", "payload"], "now": 1.0, "expected": 1.0, "needed": 3.0, "unit": "standard deviations",
     }  # fmt: skip
+
+
+def test_a_stub_of_a_recording_is_no_hindrance(joint, swing):
+    """Thinned to one sample it was none, at the end of a diagnosis."""
+    stub = replace(swing.recordings[0].at(slice(0, 8)), name="stub")
+    both = replace(swing, recordings=(swing.recordings[0], stub))
+    found = plan(both, joint, diagnose(both, joint, seconds=0.0))
+    assert found.proposals
 
 
 def test_nothing_is_planned_where_nothing_was_computed(joint, swing):

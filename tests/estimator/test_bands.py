@@ -60,6 +60,21 @@ def test_noise_is_the_sensors_with_their_counts():
     assert np.std(band["current"] ** 2) / 0.04 == pytest.approx(np.sqrt(2 / 250), rel=0.35)
 
 
+def test_a_drives_torque_is_as_little_known_as_its_current():
+    """What the description cannot hold of the current was nothing where the drive told the torque."""
+    per_ampere = float(P["Kt_drive"])
+
+    def run(s: Signals, _):
+        return {"torque": SCALE * (s["motor_current"] if "motor_current" in s else s["motor_torque"] / per_ampere)}
+
+    read = signals(RAMP)
+    columns = {name: read[name] for name in ("motor_position", "link_position")}
+    told = Signals(TIME, columns | {"motor_torque": per_ampere * read["motor_current"]})
+    joint = stating({"motor_current": 0.3})
+    one, other = (found(run, s, joint)["torque"] for s in (read, told))
+    np.testing.assert_allclose(other, one, rtol=1e-9)
+
+
 def test_errors_of_current_pass_as_far_as_the_estimator_lets_them():
     """A first-order low-pass of time constant τ passes T/(T + τ) of the variance of an error that forgets in T = 0.3 s."""
 
@@ -103,12 +118,14 @@ def test_each_sensor_has_its_own_errors(read):
     def run(s: Signals, _):
         turned = s["motor_position"] / P["N"] if "motor_position" in s else 0.0
         angle = s["link_position"] if "link_position" in s else 0.0
-        current = s["motor_current"] if "motor_current" in s else np.zeros(len(s.time))
+        torque = s["motor_torque"] if "motor_torque" in s else np.zeros(len(s.time))
+        current = s["motor_current"] if "motor_current" in s else torque / P["Kt_drive"]
         return {"angles": P["K1"] * (turned - angle) + 0.0 * s.time, "current": SCALE * current}
 
     band = found(run, s, joint)
     assert rms(band["angles"]) == (pytest.approx(4.0, rel=0.2) if both else 0.0)
-    assert rms(band["current"]) == (pytest.approx(SCALE * 0.02, rel=0.2) if "motor_current" in read else 0.0)
+    driven = {"motor_current", "motor_torque"} & set(read)
+    assert rms(band["current"]) == (pytest.approx(SCALE * 0.02, rel=0.2) if driven else 0.0)
 
 
 def test_errors_grow_beyond_the_range():
