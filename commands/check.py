@@ -67,6 +67,9 @@ def command(
         return
     terminal = console()
     print_mistakes(terminal, mistakes, "and what mends them (flexspline import MEASUREMENT --fix --out DIR)")
+    bolted = ", ".join(r.name for r in given.recordings if r.link.locked)
+    if bolted:
+        terminal.print(Text(f"{bolted}: bolted to the bench, where mistakes are not looked for"))
     title = f"{given.name}: {len(summaries)} recording(s) of {described.name}" + (
         ", as mended" if any(m.sure for m in mistakes) else ""
     )

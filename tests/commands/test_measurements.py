@@ -13,6 +13,7 @@ import pytest
 
 import flexspline as fs
 from flexspline.estimator import registry
+from flexspline.models.joint import LOCKED, Mounting
 from flexspline.models.recording import Recording, read_recording, write_recording
 
 
@@ -52,6 +53,15 @@ def test_check_says_what_is_there(flexspline, measurement):
     assert code == 0
     for text in ("gap of 1.00", "reversals", "joint_torque", "torque_sensor_gain", "current at its limit in"):
         assert text in out
+
+
+def test_check_says_where_it_does_not_look_for_mistakes(flexspline, sweep, tmp_path):
+    columns = sweep.columns | {"link_position": np.zeros(len(sweep.time))}
+    bench = Mounting(inertia=LOCKED, gravity_moment=0.0)
+    write_recording(replace(sweep, name="bench", columns=columns, link=bench, external="unmeasured"), tmp_path / "m")
+    code, out, err = flexspline("check", tmp_path / "m")
+    assert code == 0 and not err
+    assert "bench: bolted to the bench, where mistakes are not looked for" in out
 
 
 def test_check_says_what_cannot_show(flexspline, tmp_path, rng):
