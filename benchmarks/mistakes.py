@@ -50,6 +50,13 @@ class Hidden:
         """Whether nothing else is."""
         return all(self._is(m) for m in mistakes)
 
+    def everywhere(self, mistakes: tuple[Mistake, ...], measurement: Measurement) -> bool:
+        """Whether it is named of every recording that has the column."""
+        named = {m.recording for m in mistakes if self._is(m)}
+        every = self.columns in (("",), ("time",))
+        having = {r.name for r in measurement.recordings if every or set(self.columns) & set(r.columns)}
+        return "" in named or having <= named
+
     def _is(self, m: Mistake) -> bool:
         if m.name != self.name or (m.column not in self.columns and self.columns != ("",)):
             return False
@@ -326,7 +333,7 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
     for mistake in hidden_mistakes():
         if arguments.only not in mistake.label:
             continue
-        hits, alone, missed = 0, 0, []
+        hits, alone, whole, missed = 0, 0, 0, []
         tried = [(m, j) for m, j in sound if mistake.there(m)]
         for measurement, joint in tried:
             only = len(measurement.recordings) - 1 if arguments.one else None
@@ -334,20 +341,19 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
             looks += 1
             hits += mistake.found(found)
             alone += mistake.found(found) and mistake.alone(found)
+            whole += mistake.everywhere(found, measurement)
             if not (mistake.found(found) and mistake.alone(found)):
                 missed.append(f"{measurement.name}: " + (", ".join(map(_short, found)) or "nothing"))
-        kind = kinds.setdefault(mistake.name, [0, 0, 0])
-        kind[0], kind[1], kind[2] = kind[0] + hits, kind[1] + alone, kind[2] + len(tried)
-        print(f"  {mistake.label:45s} {hits}/{len(tried)}, alone {alone}", flush=True)
+        counts = kinds.setdefault(mistake.name, [0, 0, 0, 0])
+        kinds[mistake.name] = [a + b for a, b in zip(counts, (hits, alone, whole, len(tried)), strict=True)]
+        print(f"  {mistake.label:45s} {hits}/{len(tried)}, alone {alone}, of every recording {whole}", flush=True)
         for line in missed[:4]:
             print(f"      {line}")
-    for name, (hits, alone, tried) in kinds.items():
-        print(
-            f"  {name:12s} {100 * hits / max(tried, 1):5.1f} % of {tried}, alone {100 * alone / max(tried, 1):5.1f} %"
-        )
-    total, all_ = sum(k[0] for k in kinds.values()), sum(k[2] for k in kinds.values())
-    seconds = (time.process_time() - begin) / max(looks, 1)
-    print(f"  all          {100 * total / max(all_, 1):5.1f} % of {all_}, {seconds:.2f} s each")
+    kinds["all"] = [sum(counts) for counts in zip(*kinds.values(), strict=True)] or [0, 0, 0, 0]
+    for name, (*counts, tried) in kinds.items():
+        hits, alone, whole = (f"{100 * count / max(tried, 1):5.1f} %" for count in counts)
+        print(f"  {name:12s} {hits} of {tried}, alone {alone}, of every recording {whole}")
+    print(f"  {(time.process_time() - begin) / max(looks, 1):.2f} s each")
     if arguments.only not in ("", "sound"):
         return
     recordings, claimed = 0, 0

@@ -158,7 +158,13 @@ def show(
         ]
         if gained is not None:
             rows += [
-                (f"estimate, {plain(name)}", f"{before:.3g}", f"{after:.3g}", f"{gained.noise:.2g}", "N·m")
+                (
+                    f"estimate, {plain(name)}",
+                    f"{before:.3g}",
+                    f"{after:.3g}",
+                    f"{gained.noise:.2g}" if gained.noise else "–",
+                    "N·m",
+                )
                 for name, (before, after) in gained.errors.items()
             ]
         page.table(("", "before", "after", "noise", ""), rows)
@@ -213,6 +219,8 @@ def _commands(found: Diagnosis, measurement: Path, out: Path, report: bool) -> l
             f"flexspline import {measured} --fix --out MENDED" if found.mendable else f"flexspline check {measured}"
         ]
     lines = [f"flexspline view {folder}"] if report else []
+    if not found.complete:
+        lines.append("# time was up: the same command with more --time, or without, looks for what is left")
     if found.problem is not None:
         lines += [
             f"flexspline validate NEW_MEASUREMENT --joint {folder}/joint.yaml --out check{plugins.options()}",

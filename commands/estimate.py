@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import tempfile
+import warnings
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..models.errors import InputError
+from ..models.errors import InputError, InputWarning
 from ._listing import AsJson
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
@@ -57,7 +58,7 @@ def command(
     stems = [recording.name for recording in data.recordings]
     written = [f"{stem}{suffix}" for stem in stems for suffix in (".parquet", ".csv", ".yaml")]  # none may be hidden
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
-    require_sound(data, described)
+    unread = require_sound(data, described)
     give_back_free_pages()
     if all(s.stop - s.start < SHORTEST for recording in data.recordings for s in recording.segments):
         got = "none: too short to estimate"
@@ -75,7 +76,12 @@ def command(
                 if name in found.left_out:
                     raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.left_out[name]}")
             path = out / write_estimates(found, folder).name
-            scores = score(recording, found, described)
+            wrong = {m.column: m.description for m in unread if m.recording in ("", recording.name)}
+            for column, what in wrong.items():
+                warnings.warn(
+                    f"{recording.name}: {column}: {what}: nothing is scored against it", InputWarning, stacklevel=2
+                )
+            scores = {k: v for k, v in score(recording, found, described).items() if k not in wrong}
             report[recording.name] = {
                 "joint": described.name,
                 "notes": found.notes,

@@ -56,9 +56,10 @@ def _show(terminal: Console, found: Validation) -> None:
     from rich.text import Text
 
     from ..models.joint import beyond_sentence
+    from ._mistakes import print_mistakes
 
-    for mistake in found.mistakes:
-        terminal.print(f"mistake in the data: {mistake.description}")
+    if found.mistakes:
+        print_mistakes(terminal, found.mistakes, "and what mends them (flexspline import MEASUREMENT --fix --out DIR)")
     table = Table(title=f"{found.joint}: error of the simulation in motion (RMS)")
     for heading in ("", "error", "mean", "noise", "unit", "inside the 95 % band"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")

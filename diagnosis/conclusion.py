@@ -62,7 +62,7 @@ class AnswerSettings:
     clearly: float = 5.0
     entangled: float = 0.01
     surest: float = 0.99
-    unsure: float = 0.5
+    unsure: float = 0.45
     beside: float = 0.7
     plain_share: float = 0.95
     nearly_all: float = 2 / 3

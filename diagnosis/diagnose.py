@@ -106,8 +106,10 @@ def diagnose(
     if all(pushed(r) for r in measurement.recordings):
         conclusion = replace(conclusion, surest=ANSWER.unsure)  # what a push did cannot be told from what a cause does
     elif not problem.link_measured and quiet_rms(problem, final) > ANSWER.far:
-        # The other end moves otherwise than it was taken to, which looks like any number of the joint.
-        conclusion = replace(conclusion, surest=ANSWER.beside)
+        # The other end moves otherwise than it was taken to, which looks like any number of the joint, and most of all like
+        # friction and inertia where that end is the rotor.
+        behind = not any("motor_position" in r for r in measurement.recordings)
+        conclusion = replace(conclusion, surest=ANSWER.unsure if behind else ANSWER.beside)
     if drawn.share == 0.0 or few or conclusion.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         late = time.monotonic() >= deadline

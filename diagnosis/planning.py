@@ -641,10 +641,12 @@ def experiments(
             gravity_moment=float(f"{link.gravity_moment + mass * GRAVITY * arm:.4g}"),
             gravity_angle=link.gravity_angle,
         )
+        where = f"link: {{inertia: {loaded.inertia:g}, gravity_moment: {loaded.gravity_moment:g}}}"
+        if any(r.arm is not None for r in recordings):
+            where = "in the arm's MJCF, too"
         add(
             "second_payload",
-            f"Add a known payload, {mass:g} kg at {arm:g} m (link: {{inertia: {loaded.inertia:g}, gravity_moment: "
-            f"{loaded.gravity_moment:g}}}), and {motion}",
+            f"Add a known payload, {mass:g} kg at {arm:g} m ({where}), and {motion}",
             usual, loaded, effort=effort[0],
         )  # fmt: skip
     name, lightest = min(joint.mountings.items(), key=lambda pair: pair[1].gravity_moment)

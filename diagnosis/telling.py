@@ -174,6 +174,10 @@ def _verdict(
     late = "" if conclusion.found.complete else "time was up before every stage was done: with more, more may be found"
     if useless:
         return "inconclusive", _joined("the causes named leave no less unexplained than calibration alone", late, left)
+    if findings and conclusion.drawn.share == 0.0 and all(f.confidence <= ANSWER.unsure for f in findings):
+        return "inconclusive", _joined(
+            "the causes named do not hold where they were not fitted, and are not sure", late, left
+        )
     if findings:
         return "discrepancy", _joined(late, f"beside the causes named, {left}" if far else "")
     if conclusion.nearly_all:

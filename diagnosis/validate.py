@@ -466,12 +466,13 @@ def _regions(recordings: Sequence[Channels], valid: ValidRange | None) -> Iterat
                 ]  # fmt: skip
                 if any(map(len, errors)):
                     rms[name] = _rms(np.concatenate(errors))
-            outside = np.concatenate([_distance(r, valid)[u] > 0 for r, u in zip(recordings, use, strict=True)])
+            outside = np.concatenate([_outside(r, valid)[u] for r, u in zip(recordings, use, strict=True)])
             yield ValidationRegion(by, float(low), float(high), unit, samples, rms, float(np.mean(outside)))
 
 
-def _distance(r: Channels, valid: ValidRange | None) -> np.ndarray:
-    return np.zeros(len(r.time)) if valid is None else valid.distance(r.angle, r.velocity, r.load)
+def _outside(r: Channels, valid: ValidRange | None) -> np.ndarray:
+    """Which samples are beyond the range of validity, shape (n,), bool."""
+    return np.zeros(len(r.time), bool) if valid is None else valid.outside(r.angle, r.velocity, r.load)
 
 
 def _beyond(recordings: Sequence[Channels], valid: ValidRange | None) -> dict[str, float]:

@@ -384,6 +384,10 @@ class ValidRange(Strict):
         ]  # fmt: skip
         return np.max(past, axis=0)
 
+    def outside(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> np.ndarray:
+        """Which samples, shape (n,) each, lie further beyond the range than still counts as seen, shape (n,), bool."""
+        return self.distance(link_position, link_velocity, joint_torque) > _SLACK
+
     def _past(self, name: str, x: np.ndarray) -> np.ndarray:
         low, high = getattr(self, name)
         return np.maximum(np.maximum(low - x, x - high), 0.0) / max(high - low, 1e-9)

@@ -198,6 +198,12 @@ class _Progress:
         return sum(_total(fits) for fits in self.fits) - self.price
 
 
+def _mends(new: dict[str, RelationFit], old: dict[str, RelationFit]) -> bool:
+    """Whether channels that do not go together do."""
+    worst, least = (min((fit.misfit for fit in fits.values()), default=0.0) for fits in (old, new))
+    return worst < SETTINGS.suspicious <= least
+
+
 def _total(fits: dict[str, RelationFit]) -> float:
     return sum(fit.agreement for fit in fits.values())
 
@@ -271,12 +277,20 @@ class Suspicions:
                 f if m is None or m is old else self._plausible[i].agreement(m, old, f)
                 for i, (m, old, f) in enumerate(zip(motions, state.motions, state.fits, strict=True))
             ]
-            gains = [
-                _total(new) - _total(old) - (0.0 if new is old else change.shrinkage)
-                for new, old in zip(fits, state.fits, strict=True)
-            ]
+            more = [_total(new) - _total(old) for new, old in zip(fits, state.fits, strict=True)]
+            same = [new is old for new, old in zip(fits, state.fits, strict=True)]
+            gains = [x - (0.0 if unchanged else change.shrinkage) for x, unchanged in zip(more, same, strict=True)]
             everywhere = all(gain > SETTINGS.worse for gain in gains)
-            chosen = [i for i, g in enumerate(gains) if everywhere or g > change.price + SETTINGS.sure]
+            least = change.price + SETTINGS.sure
+            chosen = [i for i, g in enumerate(gains) if everywhere or g > least]
+            # Where it is so in one recording, that a torque looks like nothing is no reason against it in another whose channels
+            # do not go together as they are.
+            also = [
+                i for i, (new, old) in enumerate(zip(fits, state.fits, strict=True))
+                if chosen and i not in chosen and more[i] > least and _mends(new, old)
+            ]  # fmt: skip
+            chosen = sorted([*chosen, *also])
+            everywhere = all(i in chosen or unchanged for i, unchanged in enumerate(same))
             price = change.price if everywhere else (change.price + SETTINGS.one_of_several) * max(len(chosen), 1)
             gain = sum(gains[i] for i in chosen) - price
             if not chosen or gain <= 0:

@@ -197,7 +197,10 @@ def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterat
             yield f"there is no column {column}"
     if cause.torsion and not both_encoders:
         yield "it lives in the torsion, which one encoder does not show"
-    if cause.rotor and not both_encoders and "motor_position" not in columns:
+    behind = not both_encoders and "motor_position" not in columns
+    if cause.swings and behind:
+        yield "it is faster than what the link's encoder says of the rotor's motion"
+    if cause.rotor and behind:
         yield "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
 
 

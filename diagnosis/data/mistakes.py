@@ -144,14 +144,18 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     return _by_name(told, moving, measurement.recordings)
 
 
-def require_sound(measurement: Measurement, joint: Joint) -> None:
+def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
     """Refuse a measurement of whose motion and current no estimate means anything.
+
+    Returns:
+      Mistakes in columns that no estimator reads: what is held against them means nothing.
 
     Raises:
       InputError: the first severe mistake in a column that estimators read, and the change that mends it.
     """
-    for m in find_mistakes(measurement, joint):
-        if m.severe and m.column not in _UNREAD:
+    severe = [m for m in find_mistakes(measurement, joint) if m.severe]
+    for m in severe:
+        if m.column not in _UNREAD:
             where = ": ".join(name for name in (m.recording or measurement.name, m.column) if name)
             if not m.sure:
                 raise InputError(f"{where}: {m.unmended}")
@@ -159,6 +163,7 @@ def require_sound(measurement: Measurement, joint: Joint) -> None:
                 f"{where}: {m.description}, mended by: {m.change}; "
                 f"`flexspline import {shlex.quote(str(measurement.path))} --fix --out DIR` writes it mended"
             )
+    return tuple(m for m in severe if m.column in _UNREAD)
 
 
 def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:

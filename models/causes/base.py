@@ -190,6 +190,8 @@ class Cause(ABC):
     """Whether it lives in the torsion alone, so that one encoder cannot show it."""
     rotor: ClassVar[bool] = False
     """Whether what it makes of a current hangs on how the rotor answers, which the link's encoder alone does not show."""
+    swings: ClassVar[bool] = False
+    """Whether it swings at a frequency of its own, at which the link's encoder alone does not say how the rotor moves."""
     resonance: ClassVar[bool] = False
     """Whether it is a resonance, or makes one: one encoder cannot tell it from the transmission's own or a controller's."""
 

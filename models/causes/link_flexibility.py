@@ -26,5 +26,6 @@ class LinkFlexibility(Cause):
         CauseParameter("damping", "1", (1e-3, 0.5), ((0.01, 0.05),), starts=(0.05,)),
     )
     sets = {"share": "flexible_share", "frequency": "flexible_frequency", "damping": "flexible_damping"}
+    swings = True
     resonance = True
     requires = Requirements(known_push=True)

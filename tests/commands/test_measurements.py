@@ -111,6 +111,17 @@ def test_estimate_refuses_what_is_wrong_with_the_data(flexspline, sweep, tmp_pat
     assert code == 0
 
 
+def test_nothing_is_scored_against_a_sensor_that_is_known_to_be_wrong(flexspline, sound, sweep, tmp_path):
+    """A torque sensor that was stuck was the estimators' error, without a word."""
+    columns = sweep.columns | {"joint_torque": np.full(len(sweep.time), 0.4)}
+    path = write_recording(replace(sweep, columns=columns), tmp_path / "stuck")
+    code, out, err = flexspline("estimate", path, "--filter", "model", "--out", tmp_path / "e")
+    assert code == 0 and "joint_torque: does not move at all: nothing is scored against it" in err
+    assert "joint_torque" not in json.loads((tmp_path / "e" / "metrics.json").read_text())[sweep.name]
+    code, out, err = flexspline("validate", path, "--out", tmp_path / "v")
+    assert code == 0 and "stuck" in out and "left out" in out
+
+
 def test_time_in_milliseconds_is_not_called_too_short(flexspline, sweep, tmp_path):
     write_recording(replace(sweep, time=1000 * sweep.time), tmp_path / "ms")
     code, _, err = flexspline("estimate", tmp_path / "ms", "--out", tmp_path / "out")

@@ -16,7 +16,7 @@ from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.score import deviations
 from flexspline.diagnosis.validate import validate
 from flexspline.models.joint import Mounting, load_joint
-from flexspline.models.recording import Measurement, Recording
+from flexspline.models.recording import Measurement, Recording, read_measurement
 
 RIPPLE = 2 * np.pi * 40.0
 """Above twice the frequency at which the link swings against a rotor that is held, and below the Nyquist frequency [rad/s]."""
@@ -84,6 +84,28 @@ def test_what_the_gear_makes_of_a_current_is_not_asked_of_the_links_encoder():
     assert not can_show("kinematic_error", measurement, link_measured=False)
     motor = Measurement("log", Path(), (log("motor_position", 100.0),))
     assert can_show("kinematic_error", motor, link_measured=False)
+
+
+def test_a_resonance_is_not_asked_of_the_links_encoder():
+    """It is faster than what that says of the rotor; on sound joints one was named at 0.7."""
+    measurement = Measurement("log", Path(), (log("link_position", 1.0),))
+    assert "faster than" in undetermined(measurement, load_joint("test-joint"))["link_flexibility"]
+    motor = Measurement("log", Path(), (log("motor_position", 100.0),))
+    assert can_show("link_flexibility", motor, link_measured=False)
+
+
+@pytest.mark.slow
+@pytest.mark.long
+@pytest.mark.parametrize(("group", "number"), [("toleranced", 0), ("bare", 0)])
+@pytest.mark.parametrize("columns", [("motor_current",), ("joint_torque",), ("motor_current", "joint_torque")])
+def test_of_sound_joints_nothing_is_claimed(shared, group, number, columns):
+    measurement = read_measurement(shared / "data" / "examples" / group / f"{number:02d}")
+    if not all(name in r for r in measurement.recordings for name in columns):
+        pytest.skip("not measured")
+    kept = ("link_position", *columns)
+    bare = tuple(r.without(*(name for name in r.columns if name not in kept)) for r in measurement.recordings)
+    found = diagnose(replace(measurement, recordings=bare), measurement.load_joint(None))
+    assert not [c for c in found.causes if c.confidence >= 0.5], found.causes
 
 
 @pytest.mark.long

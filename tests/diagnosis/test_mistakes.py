@@ -105,6 +105,18 @@ def test_a_mistake_in_one_recording_is_named_there():
     assert find_mistakes(mended(spoilt, JOINT, [found]), JOINT) == ()
 
 
+def test_a_unit_is_that_of_every_recording_whose_channels_do_not_go_together():
+    """In a slow one smaller torques look like nothing: two of three were mended, and the third was diagnosed at 0.95."""
+    label = "unit motor_current N·m output"
+    slow = draw(Challenge(seed=SEED, hidden="none"), 0)
+    spoilt = hide(ALL[label], slow.measurement, slow.nominal, np.random.default_rng(SEED))
+    found = find_mistakes(spoilt, slow.nominal)
+    assert ALL[label].everywhere(found, spoilt) and ALL[label].alone(found), found
+    one = hide(ALL[label], slow.measurement, slow.nominal, np.random.default_rng(SEED), only=2)
+    found = find_mistakes(one, slow.nominal)
+    assert [m.recording for m in found] == [one.recordings[2].name]
+
+
 def bolted(seconds: float = 2.0) -> Recording:
     """The same joint on the bench, its output held."""
     r = recording("bench", seconds=seconds)

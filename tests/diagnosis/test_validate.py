@@ -121,6 +121,13 @@ def test_what_is_beyond_is_told():
     assert 0.2 < found.beyond["link_position"] < 0.9 and found.beyond["driving"] > 0.9, "it only lifts the link"
     outer = [r.beyond for r in found.regions if r.by == "angle"]
     assert outer[0] == 0.0 and outer[-1] == 1.0
+    # What counts as seen as a whole counts so in every region.
+    edge = float(np.quantile(measurement.recordings[0]["link_position"], 0.9))
+    nearly = valid.model_copy(update={"link_position": [-edge, edge]})
+    found = validate(measurement, drawn.nominal.model_copy(update={"valid": nearly}))
+    by_angle = [r for r in found.regions if r.by == "angle"]
+    whole = sum(r.beyond * r.samples for r in by_angle) / sum(r.samples for r in by_angle)
+    assert whole == pytest.approx(found.beyond.get("link_position", 0.0), abs=0.01)
 
 
 def test_a_second_is_too_short_or_refused():
