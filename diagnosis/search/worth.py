@@ -14,6 +14,9 @@ from ..fit.solver import Columns, Fit, Point, bounded_step
 
 OCTAVES = 8
 """Of frequency in which an effect's worth is judged: the slowest holds all that takes longer than a second or so."""
+_FAR = 4.0
+"""Mean square that an effect and what others would do in its place make together, over that of the effect alone, beyond which the
+linear model is of no use."""
 
 
 def mean_squares(problem: Problem, columns: Columns) -> np.ndarray:
@@ -87,17 +90,22 @@ def instead(
     problem: Problem, f: Fit, columns: Columns, effect: np.ndarray, others: np.ndarray, amount: np.ndarray
 ) -> np.ndarray:
     """By how much the other unknowns would move if an effect of a linear model were not there, shape (len(others),); arguments as
-    of `worth`."""
+    of `worth`. Not at all where that is far worse than if they stayed: rows that do not count in a fit say nothing of what others
+    do there."""
     rows = whiten(problem.segments, f.noise, columns).rows
     G = rows.T @ rows
     low, high = (limit - f.theta for limit in problem.bounds(f.model))
     precision = 1 / problem.spread(f.model)[others] ** 2
-    return bounded_step(
+    step = bounded_step(
         G[np.ix_(others, others)] + np.diag(precision),
         precision * f.theta[others] - G[np.ix_(others, effect)] @ amount,
         low[others],
         high[others],
     )
+    alone = [c[..., effect] @ amount for c in columns]
+    beside = [x - c[..., others] @ step for c, x in zip(columns, alone, strict=True)]
+    worse = mean_squares(problem, beside).sum() > _FAR * mean_squares(problem, alone).sum()
+    return np.zeros_like(step) if worse else step
 
 
 def _share(problem: Problem, own: Columns, point: Point) -> float:
