@@ -14,7 +14,7 @@ from ..fit.solver import Columns, Fit, Point, bounded_step
 
 OCTAVES = 8
 """Of frequency in which an effect's worth is judged: the slowest holds all that takes longer than a second or so."""
-_FAR = 4.0
+_FAR = 1e4
 """Mean square that an effect and what others would do in its place make together, over that of the effect alone, beyond which the
 linear model is of no use."""
 

@@ -297,6 +297,15 @@ def test_without_load_no_backlash_is_sure(challenge, index):
 
 
 @pytest.mark.slow
+def test_what_orders_beside_an_unknown_friction_are_worth():
+    """1382 N·m, of a friction of 3.5 mN·m: rows that no fit counts were what the unknown effect would have spoilt in its place."""
+    drawn = draw(Challenge(seed=920, hidden="outside"), 3)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert found.causes[0].name == "unknown" and found.causes[0].component == "transmission"
+    assert all(c.worth < 2.0 for c in (*found.causes, *found.minor))
+
+
+@pytest.mark.slow
 def test_numbers_at_the_end_of_their_tolerances_are_told():
     """A stiffness so much off that tolerances just express it is no cause, and not passed over either."""
     drawn = draw(Challenge(seed=214, hidden="one", real=True), 11)
