@@ -298,7 +298,7 @@ def test_without_load_no_backlash_is_sure(challenge, index):
 
 @pytest.mark.slow
 def test_what_orders_beside_an_unknown_friction_are_worth():
-    """1382 N·m, of a friction of 3.5 mN·m: rows that no fit counts were what the unknown effect would have spoilt in its place."""
+    """1382 N·m, of a friction of 3.5 mN·m: in rows that no fit counts the unknown effect, put in its place, did anything."""
     drawn = draw(Challenge(seed=920, hidden="outside"), 3)
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == "unknown" and found.causes[0].component == "transmission"
