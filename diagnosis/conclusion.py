@@ -49,7 +49,7 @@ class AnswerSettings:
         as described are preferred to numbers that calibration moved.
       end: standard deviations of its tolerance from which on a number is at the end of it.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent,
-        and with one encoder no cause is sure where so many times the noise is left;
+        and with one encoder no cause is sure where so many times the noise is left, nor likely where it is the link's (`behind`);
         near: so many times the noise, where the fit was taken back that would explain it.
     """
 
@@ -62,7 +62,8 @@ class AnswerSettings:
     clearly: float = 5.0
     entangled: float = 0.01
     surest: float = 0.99
-    unsure: float = 0.45
+    unsure: float = 0.5
+    behind: float = 0.45
     beside: float = 0.7
     plain_share: float = 0.95
     nearly_all: float = 2 / 3

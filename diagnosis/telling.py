@@ -174,7 +174,8 @@ def _verdict(
     late = "" if conclusion.found.complete else "time was up before every stage was done: with more, more may be found"
     if useless:
         return "inconclusive", _joined("the causes named leave no less unexplained than calibration alone", late, left)
-    if findings and conclusion.drawn.share == 0.0 and all(f.confidence <= ANSWER.unsure for f in findings):
+    unlikely = not problem.link_measured and all(f.confidence <= ANSWER.unsure for f in findings)
+    if findings and unlikely and conclusion.drawn.share == 0.0:
         return "inconclusive", _joined(
             "the causes named do not hold where they were not fitted, and are not sure", late, left
         )
