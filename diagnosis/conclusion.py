@@ -47,6 +47,7 @@ class AnswerSettings:
       useless: ratio of the mean square that is left with causes to the one without from which on no cause is sure.
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
+      orders: so many orders of one law of the link's angle any law of it has: none of them is sure then.
       end: standard deviations of its tolerance from which on a number is at the end of it.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent,
         and with one encoder no cause is sure where so many times the noise is left, nor likely where it is the link's (`behind`);
@@ -84,6 +85,7 @@ class AnswerSettings:
     diluted: float = 0.1
     useless: float = 1.05
     simpler: float = 2.0
+    orders: int = 3
 
 
 ANSWER = AnswerSettings()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -47,8 +48,13 @@ def findings_of(
     away = [np.inf if plain[i] and x >= ANSWER.barely else x for i, x in enumerate(away)]
     unseen = [h.cause.name in conclusion.missing for h in final.model]
     # What makes data worse that no fit saw is not sure, nor is which of two makes a ripple that either could.
+    orders = Counter(h.cause.series for h in final.model if _turns_with_the_link(h))
     unsure = [
-        held_after > held_before or h.key in conclusion.doubted or bool(other_ripples(problem, h)) for h in final.model
+        held_after > held_before
+        or h.key in conclusion.doubted
+        or bool(other_ripples(problem, h))
+        or orders[h.cause.series] >= ANSWER.orders
+        for h in final.model
     ]
     pairs = _entangled(problem, final, linear, worths)
     entangled = {i for pair in pairs for i in pair}
@@ -99,6 +105,11 @@ def findings_of(
             findings[i] = replace(findings[i], explains=share, worth=both, estimation=g**0.5)
     names = [h.cause.name for h in final.model]
     return list(findings.values()), list(minor.values()), [(names[i], names[j]) for i, j in pairs]
+
+
+def _turns_with_the_link(h: Hypothesis) -> bool:
+    """Whether an effect is an order of a law of the link's angle."""
+    return h.cause.series is not None and h.cause.series[1].endswith("link_position")
 
 
 def _entangled(problem: Problem, f: Fit, linear: Fit, worths: Sequence[Worth]) -> list[tuple[int, int]]:

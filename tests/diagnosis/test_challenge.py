@@ -306,6 +306,14 @@ def test_what_orders_beside_an_unknown_friction_are_worth():
 
 
 @pytest.mark.slow
+def test_three_orders_of_a_law_of_the_links_angle_are_any_law():
+    """A friction that steps at an angle was told as three orders, at 0.99 each."""
+    drawn = draw(Challenge(seed=920, hidden="outside"), 21)
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert found.causes and all(c.component == "transmission" and c.confidence <= 0.7 for c in found.causes)
+
+
+@pytest.mark.slow
 def test_numbers_at_the_end_of_their_tolerances_are_told():
     """A stiffness so much off that tolerances just express it is no cause, and not passed over either."""
     drawn = draw(Challenge(seed=214, hidden="one", real=True), 11)
