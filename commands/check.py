@@ -101,7 +101,8 @@ def command(
             "one encoder: torsion cannot be seen, the other side's motion follows from the joint's description"
         )
     if shows:
-        terminal.print(f"can be found: {', '.join(shows)}")
+        swallowed = "unless the joint's tolerances swallow it (flexspline joint show)"
+        terminal.print(f"can be found by channels and motion, {swallowed}: {', '.join(shows)}")
     if not reasons:
         return
     cannot = Table(title="What this measurement cannot show")
