@@ -27,6 +27,7 @@ _WRONG = -1.2  # misfit of a relation after all changes from which on they are u
 _TURN = 2 * np.pi
 _BESIDE = ("position_command", "temperature")  # columns that no balance takes
 _UNSURE = 0.5  # largest confidence where no change makes the channels fit
+_KEPT = 0.5  # of a recording's samples that stuck and clipped ones must leave for its channels to be held against each other
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
 
 
@@ -132,6 +133,9 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         recordings = _apply(moving, joint, found)
     except InputError:  # what does not move is all there is
         return _by_name(found, moving, measurement.recordings)
+    # Of one in which next to nothing but rest is left, what is beside it in the others says more.
+    whole = [r for r, before in zip(recordings, moving, strict=True) if len(r.time) > _KEPT * len(before.time)]
+    recordings = tuple(whole) or recordings
     suspicions = Suspicions(recordings, joint)
     further = [m for f in suspicions.found if f.change.name != "late" for m in _of_change(f, recordings)]
     late = [m for one in late_columns(_apply(recordings, joint, further), joint) for m in _of_lateness(one, recordings)]
@@ -140,8 +144,8 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     if not late and suspicions.misfit < _WRONG:
         # What mends most leaves channels that cannot be of this joint: it may be something else.
         further = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in further]
-    told = [replace(m, severe=m.severe and m.column not in _BESIDE) for m in (*found, *further)]
-    return _by_name(told, moving, measurement.recordings)
+    told = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
+    return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in told)
 
 
 def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:

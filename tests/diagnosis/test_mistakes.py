@@ -117,6 +117,15 @@ def test_a_unit_is_that_of_every_recording_whose_channels_do_not_go_together():
     assert [m.recording for m in found] == [one.recordings[2].name]
 
 
+@pytest.mark.parametrize(("group", "number"), [("exact", 0), ("toleranced", 3)])
+def test_what_clipped_samples_leave_is_no_reason_for_another_unit(shared, group, number):
+    """Next to nothing but rest was left of one recording, where an angle in turns fits as well as one in radians."""
+    sound = read_measurement(shared / "data" / "examples" / group / f"{number:02d}")
+    joint, clipped = sound.load_joint(None), ALL["clipped motor_current 0.6"]
+    found = find_mistakes(hide(clipped, sound, joint, np.random.default_rng(SEED)), joint)
+    assert clipped.everywhere(found, sound) and clipped.alone(found), found
+
+
 def bolted(seconds: float = 2.0) -> Recording:
     """The same joint on the bench, its output held."""
     r = recording("bench", seconds=seconds)
