@@ -11,7 +11,10 @@ if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
 
 
-def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str) -> None:
+MENDING = "and what mends them (flexspline import MEASUREMENT --fix --out DIR)"
+
+
+def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str = MENDING) -> None:
     """Print mistakes with the change that mends each; one line where there is none."""
     from rich.table import Table
     from rich.text import Text

@@ -66,7 +66,7 @@ def command(
         print(json_text(report))
         return
     terminal = console()
-    print_mistakes(terminal, mistakes, "and what mends them (flexspline import MEASUREMENT --fix --out DIR)")
+    print_mistakes(terminal, mistakes)
     bolted = ", ".join(r.name for r in given.recordings if r.link.locked)
     if bolted:
         terminal.print(Text(f"{bolted}: bolted to the bench, where mistakes are not looked for"))

@@ -157,14 +157,9 @@ def show(
             for name, r in found.residual.items()
         ]
         if gained is not None:
+            noise = f"{gained.noise:.2g}" if gained.noise else "–"
             rows += [
-                (
-                    f"estimate, {plain(name)}",
-                    f"{before:.3g}",
-                    f"{after:.3g}",
-                    f"{gained.noise:.2g}" if gained.noise else "–",
-                    "N·m",
-                )
+                (f"estimate, {plain(name)}", f"{before:.3g}", f"{after:.3g}", noise, "N·m")
                 for name, (before, after) in gained.errors.items()
             ]
         page.table(("", "before", "after", "noise", ""), rows)

@@ -142,11 +142,7 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
 
 def _joint_of(recording: Recording, measurement: Measurement) -> str:
     """A recording's joint by its name where it is a shipped one, by its absolute path else."""
-    from ..models.joint import known_joints
-
-    if recording.joint.replace("_", "-") in known_joints():
-        return recording.joint
-    return str((measurement.folder / recording.joint).resolve())
+    return recording.joint if _is_shipped(recording.joint) else str((measurement.folder / recording.joint).resolve())
 
 
 def _keep(sidecar: Path, table: Path) -> None:
@@ -199,8 +195,13 @@ def _each_once(names: list[str]) -> None:
 
 def _beside(joint: str, home: Path, out: Path) -> str:
     """A joint as a recording in `out` names it: a shipped one by its name, a path relative to that folder."""
-    from ..models.joint import known_joints
-
-    if joint.replace("_", "-") in known_joints():
+    if _is_shipped(joint):
         return joint
     return Path(os.path.relpath((home / joint).resolve(), out.resolve())).as_posix()
+
+
+def _is_shipped(joint: str) -> bool:
+    """Whether that is a shipped joint's name."""
+    from ..models.joint import known_joints
+
+    return joint.replace("_", "-") in known_joints()

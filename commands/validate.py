@@ -59,7 +59,7 @@ def _show(terminal: Console, found: Validation) -> None:
     from ._mistakes import print_mistakes
 
     if found.mistakes:
-        print_mistakes(terminal, found.mistakes, "and what mends them (flexspline import MEASUREMENT --fix --out DIR)")
+        print_mistakes(terminal, found.mistakes)
     table = Table(title=f"{found.joint}: error of the simulation in motion (RMS)")
     for heading in ("", "error", "mean", "noise", "unit", "inside the 95 % band"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")

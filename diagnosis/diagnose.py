@@ -26,7 +26,7 @@ from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, with_dispersion
 from .improvement import serves
 from .search import discrepancy
-from .search.acceptance import AcceptSettings, Decision, drowned, quiet_rms, significance, size_of
+from .search.acceptance import AcceptSettings, Decision, drowned, much_more, quiet_rms, significance, size_of
 from .search.described import as_described
 from .search.identifiability import limits
 from .search.settle import is_calibration, why_needed, without_effect
@@ -220,7 +220,7 @@ def _on_all(problem: Problem, f: Fit) -> Fit:
     whole = problem.with_held_out()
     fitter = Fitter(whole)
     _, found = _corrected(whole, _at_its_end(fitter, fitter.fit(f.model, f.theta)))
-    return f if _plainly_more(whole, found, f) else found
+    return f if _much_more(whole, found, f) else found
 
 
 def _at_its_end(fitter: Fitter, f: Fit) -> Fit:
@@ -228,7 +228,7 @@ def _at_its_end(fitter: Fitter, f: Fit) -> Fit:
     noise, the fit stays, and neither is right to better than what is between them."""
     problem = fitter.problem
     polished = fitter.polish(f)
-    return with_dispersion(problem, _as_it_was(f, polished) if _plainly_more(problem, polished, f) else polished)
+    return with_dispersion(problem, _as_it_was(f, polished) if _much_more(problem, polished, f) else polished)
 
 
 def _as_it_was(before: Fit, after: Fit) -> Fit:
@@ -237,10 +237,9 @@ def _as_it_was(before: Fit, after: Fit) -> Fit:
     return replace(before, covariance=before.covariance + np.outer(away, away))
 
 
-def _plainly_more(problem: Problem, after: Fit, before: Fit) -> bool:
-    """Whether a correction leaves plainly more than there was before it."""
-    accept = SEARCH.accept
-    return left_by(problem, after) > accept.lost * left_by(problem, before) + accept.chance * noise_of(problem, before)
+def _much_more(problem: Problem, after: Fit, before: Fit) -> bool:
+    """Whether a correction leaves much more than there was before it."""
+    return left_by(problem, after) > much_more(left_by(problem, before), noise_of(problem, before), SEARCH.accept)
 
 
 def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
@@ -259,7 +258,7 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     found = instrumented(less, unbiased)
     if found is f:
         return problem, f
-    if _plainly_more(problem, found, told):
+    if _much_more(problem, found, told):
         return problem, replace(_as_it_was(told, found), noise=f.noise)
     covariance = found.covariance
     for after, before in ((unbiased, told), (found, unbiased)):

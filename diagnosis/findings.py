@@ -159,11 +159,12 @@ def _diluted(problem: Problem, f: Fit, index: int) -> bool:
 
 def _held_out_squares(problem: Problem, f: Fit) -> float:
     """Mean square of held-out residuals beyond the sensors' noise, over all balances [N·m]²; of all where none is held out."""
-    total, some = 0.0, any(s.held_out.any() for s in problem.segments)
+    total = 0.0
+    moving = [judged & ~s.at_rest[:, None] for judged, s in zip(problem.judged, problem.segments, strict=True)]
     for b in range(len(BALANCES)):
         squares, noise, count = 0.0, 0.0, 0
-        for segment, r, n in zip(problem.segments, f.point.residual, f.point.noise, strict=True):
-            use = (segment.held_out if some else segment.usable)[:, b] & ~segment.at_rest
+        for judged, r, n in zip(moving, f.point.residual, f.point.noise, strict=True):
+            use = judged[:, b]
             squares, noise, count = squares + np.sum(r[use, b] ** 2), noise + np.sum(n[use, b] ** 2), count + use.sum()
         if count:
             total += max(squares - noise, 0.0) / count * problem.output_scale[b] ** 2

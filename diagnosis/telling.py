@@ -134,7 +134,7 @@ def nothing_usable(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[st
 def _held_out(problem: Problem) -> str:
     """How data were kept from the fits, and over what the numbers of `residual` are means."""
     every, block = SETTINGS.held_out_every, SETTINGS.held_out_block
-    if any(s.held_out.any() for s in problem.segments):
+    if problem.holds_out:
         kept = f"every {every}th block of {block:g} s of each recording was kept from every fit; RMS"
     else:
         kept = f"too short to keep every {every}th block of {block:g} s from the fits: RMS of what was fitted,"
@@ -201,9 +201,9 @@ def _joined(*parts: str) -> str:
 def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResidual]:
     """RMS on held-out samples by balance, in motion: at rest friction may be anything up to its level; of all where none is held
     out."""
-    found, some = {}, any(s.held_out.any() for s in problem.segments)
+    found, judged = {}, problem.judged
     for b, name in enumerate(BALANCES):
-        kept = [(s.held_out if some else s.usable)[:, b] for s in problem.segments]
+        kept = [j[:, b] for j in judged]
         use = [k & ~s.at_rest for k, s in zip(kept, problem.segments, strict=True)]
         if not any(u.any() for u in use):
             use = kept

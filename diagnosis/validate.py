@@ -253,18 +253,18 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
         )
     )  # fmt: skip
     simulated, deviation, noise = {}, {}, {}
+    sensor = {name: _sensor_noise(joint, name) for name in measured}
     for name in measured:
         simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
         variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
         motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
             motion = motion + (np.nan_to_num(velocity) * clock_error(recording, joint)) ** 2
-        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint))
-        noise[name] = np.sqrt(motion + _sensor_noise(joint, name) ** 2)
+        deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint, sensor[name]))
+        noise[name] = np.sqrt(motion + sensor[name] ** 2)
     return Channels(
         name=recording.name, time=recording.time, measured=measured, simulated=simulated, deviation=deviation,
-        noise=noise, sensor={name: _sensor_noise(joint, name) for name in measured},
-        moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
+        noise=noise, sensor=sensor, moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
         units={name: CHANNELS[name].unit for name in measured},
     )  # fmt: skip
 
@@ -276,7 +276,7 @@ def _loose(joint: Joint) -> bool:
     return joint.numbers["K1"].value * known > _LOOSE * joint.numbers["rated_torque"].value
 
 
-def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint) -> np.ndarray | float:
+def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint, noise: float) -> np.ndarray | float:
     """Mean square of a measured channel beyond the smoother's passband and its sensor's noise, shape (n,)."""
     if name not in ("motor_current", "motor_torque", "joint_torque"):
         return 0.0
@@ -285,7 +285,6 @@ def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint)
     slow = _joined(parts, since, [scale * part.segment.measured[:, _BALANCE_OF[name]] for part in parts])
     rest = np.nan_to_num(recording[name] - slow) ** 2
     around = max(round(_AROUND * 1e-3 / recording.interval), 1)
-    noise = _sensor_noise(joint, name)
     return np.maximum(uniform_filter1d(rest, around, mode="nearest") - noise**2, 0.0)
 
 

@@ -78,7 +78,7 @@ def deviations(
       run: estimates the segment.
       threads: on which cases are run.
     """
-    signals, rng = _in_amperes(signals, known), np.random.default_rng(_SEED)
+    signals, rng = smoothed.in_amperes(signals, known), np.random.default_rng(_SEED)
     time, probes = signals.time, dict[str, float]()
     noisy = _noisier(signals, known, rng)
     few = signals.part(slice(None, None, max(int(_rate(time) / RATE), 1)))
@@ -169,20 +169,13 @@ def _torques(signals: Signals, known: KnownJoint) -> np.ndarray:
 def motion_and_load(signals: Signals, known: KnownJoint) -> tuple[smoothed.Motion, np.ndarray]:
     """Smooth motion of a segment, and the torque that the joint gives its link on the motion's grid [N·m]: from the current, or
     without one what the link's weight and inertia ask for."""
-    signals = _in_amperes(signals, known)
+    signals = smoothed.in_amperes(signals, known)
     if "motor_position" not in signals:
         signals = signals.with_columns(motor_position=known.p["N"] * signals["link_position"])
     motion = smoothed.smooth_motion(signals, known, smoothed.BANDWIDTHS[-2])
     if "motor_current" in signals:
         return motion, smoothed.torque_from_current(motion, known)
     return motion, smoothed.own_torque(motion, known, np.zeros(len(motion.time)))
-
-
-def _in_amperes(signals: Signals, known: KnownJoint) -> Signals:
-    """The signals with the current of which a drive told the torque."""
-    if "motor_current" in signals or "motor_torque" not in signals:
-        return signals
-    return signals.with_columns(motor_current=signals["motor_torque"] / known.p["Kt_drive"])
 
 
 def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:

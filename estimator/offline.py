@@ -402,9 +402,7 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     given = set(signals)
     if not given & set(POSITIONS):
         raise InputError(f"recording: expected one of the columns {', '.join(POSITIONS)}, got {sorted(given)}")
-    if "motor_current" not in signals and "motor_torque" in signals:
-        signals = signals.with_columns(motor_current=signals["motor_torque"] / joint.p["Kt_drive"])
-    signals, joint = smoothed.in_time(signals, joint)
+    signals, joint = smoothed.in_time(smoothed.in_amperes(signals, joint), joint)
     measured = set(signals)
     if "link_position" not in measured:
         signals = signals.with_columns(link_position=_link_of_motor(signals, joint))

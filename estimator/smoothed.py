@@ -102,6 +102,13 @@ def _rotor_link_current(signals: Signals, joint: KnownJoint) -> np.ndarray:
     return found
 
 
+def in_amperes(signals: Signals, joint: KnownJoint) -> Signals:
+    """The signals with the current of which a drive told the torque."""
+    if "motor_current" in signals or "motor_torque" not in signals:
+        return signals
+    return signals.with_columns(motor_current=signals["motor_torque"] / joint.p["Kt_drive"])
+
+
 def in_time(signals: Signals, joint: KnownJoint) -> tuple[Signals, KnownJoint]:
     """Signals in which the link encoder is not late any more, and a joint that knows so: what is over can be read earlier."""
     delay = float(joint.p["link_delay"])

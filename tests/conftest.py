@@ -24,15 +24,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 @pytest.hookimpl(trylast=True)  # of those that are run
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     every, seen = config.getoption("--every"), Counter[str]()
-    left_out = []
+    kept, left_out = [], []
     for item in items:
         function = item.nodeid.partition("[")[0]
-        if seen[function] % every:
-            left_out.append(item)
+        (left_out if seen[function] % every else kept).append(item)
         seen[function] += 1
     if left_out:
         config.hook.pytest_deselected(items=left_out)
-        items[:] = [item for item in items if item not in set(left_out)]
+        items[:] = kept
 
 
 @pytest.fixture(scope="session")

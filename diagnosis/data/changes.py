@@ -200,8 +200,12 @@ class _Progress:
 
 def _mends(new: dict[str, RelationFit], old: dict[str, RelationFit]) -> bool:
     """Whether channels that do not go together do."""
-    worst, least = (min((fit.misfit for fit in fits.values()), default=0.0) for fits in (old, new))
-    return worst < SETTINGS.suspicious <= least
+    return _suspicious(old) and not _suspicious(new)
+
+
+def _suspicious(fits: dict[str, RelationFit]) -> bool:
+    """Whether a recording's channels do not go together."""
+    return any(fit.misfit < SETTINGS.suspicious for fit in fits.values())
 
 
 def _total(fits: dict[str, RelationFit]) -> float:
@@ -255,7 +259,7 @@ class Suspicions:
         for _ in range(SETTINGS.most):
             further: list[_Progress] = []
             for state in beam:
-                if self._suspicious(state):
+                if any(map(_suspicious, state.fits)):
                     further += self._steps(state)
             if not further:
                 break
@@ -264,9 +268,6 @@ class Suspicions:
                 break
             best = beam[0]
         return best
-
-    def _suspicious(self, state: _Progress) -> bool:
-        return any(fit.misfit < SETTINGS.suspicious for fits in state.fits for fit in fits.values())
 
     def _steps(self, state: _Progress) -> list[_Progress]:
         """All states one change further that are better than this one by more than that change's price."""

@@ -59,7 +59,7 @@ class Zero(Strict):
 
     def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
         """What the channel is compared with, SI, shape (n,)."""
-        return self.scale * UNITS[self.unit][1] / (self.counts or 1) * table[self.column]
+        return self.scale * _factor(self.unit, self.counts) * table[self.column]
 
 
 class SourceColumn(Strict):
@@ -87,8 +87,7 @@ class SourceColumn(Strict):
 
     def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
         """Values in SI, shape (n,)."""
-        factor = UNITS[self.unit][1] / (self.counts or 1)
-        values = table[self.column] * factor
+        values = table[self.column] * _factor(self.unit, self.counts)
         if self.wraps:
             values = np.unwrap(values)
         return self.sign * self.scale * values
@@ -315,6 +314,11 @@ class Layout(Strict):
         external = other.external_torque or self.external_torque
         update = {"link": link, "mounting": None, "arm": other.arm or self.arm, "external_torque": external}
         return self.model_copy(update=update)
+
+
+def _factor(unit: str, counts: int | None) -> float:
+    """Of a foreign column, to SI."""
+    return UNITS[unit][1] / (counts or 1)
 
 
 def _check_counts(unit: str, counts: int | None, where: str = "") -> None:

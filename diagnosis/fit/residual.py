@@ -125,6 +125,17 @@ class Problem:
         """Whether both encoders were read."""
         return any(s.link_measured for s in self.segments)
 
+    @property
+    def holds_out(self) -> bool:
+        """Whether some residual was kept from the fits."""
+        return any(s.held_out.any() for s in self.segments)
+
+    @property
+    def judged(self) -> list[np.ndarray]:
+        """Residuals by which a fit is judged, shape (k, len(BALANCES)) a segment: those kept from it, all where none is."""
+        some = self.holds_out
+        return [s.held_out if some else s.usable for s in self.segments]
+
     def split(self, theta: np.ndarray, model: Model) -> list[np.ndarray]:
         """Coordinates of each hypothesis in the vector of unknowns."""
         parts, at = [], self.size

@@ -192,6 +192,11 @@ def plainly_more(left: float, noise: float, settings: AcceptSettings) -> float:
     return (1 + settings.worth) * left + settings.chance * noise
 
 
+def much_more(left: float, noise: float, settings: AcceptSettings) -> float:
+    """The same from which on it leaves several times more, as where it lacks something or ended too early."""
+    return settings.lost * left + settings.chance * noise
+
+
 def by_chance(away: float, dimensions: int, looked_at: int) -> float:
     """Probability that the largest of so many effects is that far from absent by chance, at most (Bonferroni's bound).
 

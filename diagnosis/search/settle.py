@@ -17,6 +17,7 @@ from .acceptance import (
     Decision,
     Rivals,
     drowned,
+    much_more,
     plainly_more,
     quiet_rms,
     significance,
@@ -131,7 +132,7 @@ def _not_lost(fitter: Fitter, f: Fit, other: Fit, settings: AcceptSettings, besi
       beside: that with which `other` was made.
     """
     problem = fitter.problem
-    if left_by(problem, other) < settings.lost * left_by(problem, f) + settings.chance * noise_of(problem, f):
+    if left_by(problem, other) < much_more(left_by(problem, f), noise_of(problem, f), settings):
         return other
     return better(problem, other, fitter.once(other.model, lambda: _thoroughly(fitter, other, beside), beside))
 

@@ -79,19 +79,26 @@ def worth(
       columns: derivatives, shape (k, len(BALANCES), n) a segment; `effect`, `others`: indices of columns.
       amount: of the effect's coordinates, from absent.
     """
-    answer = instead(problem, f, columns, effect, others, amount)
-    change = np.zeros(columns[0].shape[-1])
-    change[effect], change[others] = amount, -answer
-    own = [c @ change for c in columns]
-    return Worth(mean_squares(problem, own), _share(problem, own, f.point))
+    _, own, squares = _removed(problem, f, columns, effect, others, amount)
+    return Worth(squares, _share(problem, own, f.point))
 
 
 def instead(
     problem: Problem, f: Fit, columns: Columns, effect: np.ndarray, others: np.ndarray, amount: np.ndarray
 ) -> np.ndarray:
     """By how much the other unknowns would move if an effect of a linear model were not there, shape (len(others),); arguments as
-    of `worth`. Not at all where that is far worse than if they stayed: rows that do not count in a fit say nothing of what others
-    do there."""
+    of `worth`."""
+    return _removed(problem, f, columns, effect, others, amount)[0]
+
+
+def _removed(
+    problem: Problem, f: Fit, columns: Columns, effect: np.ndarray, others: np.ndarray, amount: np.ndarray
+) -> tuple[np.ndarray, Columns, np.ndarray]:
+    """`instead`, the series that the effect alone removes, and its mean squares by balance; arguments as of `worth`.
+
+    The others do not move where they would do far worse than that: rows that do not count in a fit say nothing of what they do
+    there.
+    """
     rows = whiten(problem.segments, f.noise, columns).rows
     G = rows.T @ rows
     low, high = (limit - f.theta for limit in problem.bounds(f.model))
@@ -102,10 +109,13 @@ def instead(
         low[others],
         high[others],
     )
-    alone = [c[..., effect] @ amount for c in columns]
-    beside = [x - c[..., others] @ step for c, x in zip(columns, alone, strict=True)]
-    worse = mean_squares(problem, beside).sum() > _FAR * mean_squares(problem, alone).sum()
-    return np.zeros_like(step) if worse else step
+    change = np.zeros(columns[0].shape[-1])
+    change[effect], change[others] = amount, -step
+    own, alone = [c @ change for c in columns], [c[..., effect] @ amount for c in columns]
+    squares, most = mean_squares(problem, own), mean_squares(problem, alone)
+    if squares.sum() > _FAR * most.sum():
+        return np.zeros_like(step), alone, most
+    return step, own, squares
 
 
 def _share(problem: Problem, own: Columns, point: Point) -> float:
