@@ -83,7 +83,7 @@ def command(
     for recording, s in zip(data.recordings, summaries, strict=True):
         if recording.sparse:
             terminal.print(
-                f"{s.name}: samples are {s.interval:.3g} s apart, and more than {GAP:g} s is a gap: what happens between them "
+                f"{s.name}: samples are {s.interval:.3g} s apart, and more than {GAP:.2g} s is a gap: what happens between them "
                 "is unknown; record at 50 Hz at least, 250 Hz and more serve"
             )
         else:

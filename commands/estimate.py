@@ -63,7 +63,7 @@ def command(
     if all(s.stop - s.start < SHORTEST for recording in data.recordings for s in recording.segments):
         got = "none: too short to estimate"
         if all(recording.sparse for recording in data.recordings):
-            got = f"samples that are {data.recordings[0].interval:.3g} s apart, and more than {GAP:g} s is a gap"
+            got = f"samples that are {data.recordings[0].interval:.3g} s apart, and more than {GAP:.2g} s is a gap"
         raise InputError(f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
     terminal = console()
     report: dict[str, dict[str, Any]] = {}

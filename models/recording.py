@@ -37,8 +37,8 @@ from .tables import TableWriter, reading_parquet
 if TYPE_CHECKING:
     import pyarrow as pa
 
-GAP = 0.1
-"""A time [s] between samples that splits a recording into segments."""
+GAP = 0.1 + 1e-6
+"""A time [s] between samples that splits a recording into segments: more than 0.1 s, however stamps are rounded."""
 LARGEST = 1e30
 """A number that no sensor reads in any unit, and whose powers are still numbers."""
 SUFFIXES = (".parquet", ".csv")

@@ -252,7 +252,7 @@ class _Extent:
 def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
     """Why a cause cannot show, the plainest reason first; nothing where it can."""
     yield from _hidden_from(cause, found.columns, found.both_encoders)
-    if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint):
+    if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint, found.both_encoders):
         yield "it shows in what the drive needs alone, and there is no motor current"
     if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in found.columns:
         louder = shaken(found.joint)
@@ -301,6 +301,9 @@ def shaken(joint: Joint) -> float:
     return current / sensors.motor_current.noise
 
 
+_READ = 0.1
+"""Part of the encoders' counts that many samples in motion still tell. On the test joint, without a current, friction that winds it
+up by 0.2 to 0.7 counts was found in 14 of 14 draws, if not always told from one of which it is a special case."""
 _DRAWS = 3  # of a cause: one may happen to do nothing
 _TRIED = (
     State(3.0, 40.0, 2.99, 40.0, 0.9, 0.4, 1e-3, 2e-5, 0.5, 4.0, 35.0),
@@ -309,11 +312,13 @@ _TRIED = (
 """States in which it is seen what a cause changes: sliding both ways, loaded, warm, far to either side."""
 
 
-def in_drive_alone(cause: Cause, joint: Joint) -> bool:
-    """Whether a cause changes what current the drive needs, and nothing else that is measured: friction does, and the motor's."""
+def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bool:
+    """Whether a cause changes what current the drive needs, and nothing else that is measured: the motor's own do, and friction
+    where there is but one encoder. With both it shows in how far it winds the wave generator up."""
     rng = np.random.default_rng(0)
     before = joint.record()
     p = before[0]
+    counts = joint.sensors.motor_encoder.resolution + p["N"] * joint.sensors.link_encoder.resolution
     drive = False
     for _ in range(_DRAWS):
         after = before.copy()
@@ -323,6 +328,9 @@ def in_drive_alone(cause: Cause, joint: Joint) -> bool:
             return False
         for state in _TRIED:
             if not np.allclose(_beside_the_drive(state, p), _beside_the_drive(state, q), rtol=1e-9, atol=0.0):
+                return False
+            wound = abs(_rotor_position(state, q) - _rotor_position(state, p))
+            if both_encoders and wound > _READ * counts:
                 return False
             drive = drive or not np.isclose(_in_the_drive(state, p), _in_the_drive(state, q), rtol=1e-9, atol=0.0)
     return drive
@@ -335,6 +343,14 @@ def _beside_the_drive(state: State, p: np.void) -> list[float]:
         t.flexspline_torque, dynamics.link_torque(state, t.load, p), dynamics.read_motor_position(state, p),
         dynamics.read_link_position(state, t.load, p), dynamics.read_joint_torque(t.flexspline_torque, state, t.load, p),
     ]  # fmt: skip
+
+
+def _rotor_position(state: State, p: np.void) -> float:
+    """Rotor angle [rad] in a steady motion of the link: wound up by what the link and friction take."""
+    motor, _, _ = dynamics.steady_motion(
+        state.link_position, state.link_velocity, 0.0, 0.0, state.time, state.temperature, p
+    )
+    return motor
 
 
 def _in_the_drive(state: State, p: np.void) -> float:

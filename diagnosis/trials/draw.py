@@ -84,7 +84,7 @@ class Challenge:
             joint, both = load_joint(self.joint), columns >= set(POSITIONS)
             known = [n for n in causes.of(joint) if shows_in(causes.get(n), columns, both)]
             if "motor_current" not in columns:
-                known = [n for n in known if not in_drive_alone(causes.get(n), joint)]
+                known = [n for n in known if not in_drive_alone(causes.get(n), joint, both)]
             if not self.exact:
                 drowned = _drowned(self.joint)
                 known = [n for n in known if n not in drowned]

@@ -43,9 +43,19 @@ def test_counts_may_hide_the_inertia_of_a_heavy_rotor():
     assert "3.5 times the current's noise" in undetermined(measurement(), heavy)["rotor_inertia"]
 
 
-def test_without_current_friction_is_undetermined_and_torsion_is_not():
+MOTOR = {"torque_constant", "cogging", "rotor_inertia", "current_offset"}
+FRICTION = {"viscous_friction", "mesh_friction", "friction_asymmetry", "load_dependent_friction", "back_driving"}
+
+
+def test_without_current_what_is_the_motors_is_undetermined_and_friction_shows_in_what_it_winds_up():
     reasons = undetermined(measurement("motor_current"), JOINT)
-    assert set(reasons) >= DRIVE and not {"stiffness", "gravity_moment"} & set(reasons)
+    assert set(reasons) >= MOTOR and not (FRICTION | {"stiffness", "gravity_moment"}) & set(reasons)
+    assert "motor current" in reasons["cogging"]
+
+
+def test_with_one_encoder_and_no_current_friction_shows_nowhere():
+    reasons = undetermined(measurement("motor_current", "link_position"), JOINT)
+    assert set(reasons) >= MOTOR | FRICTION and "gravity_moment" not in reasons
     assert "motor current" in reasons["viscous_friction"]
 
 

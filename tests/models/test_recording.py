@@ -94,6 +94,13 @@ def test_gaps_split_into_segments():
     assert recording().segments == (slice(0, 50),) and recording().gaps == ()
 
 
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def test_samples_a_tenth_of_a_second_apart_are_no_gaps_however_they_round(start):
+    t = start + 0.1 * np.arange(50)
+    assert np.any(np.diff(t) > 0.1)
+    assert recording(n=50, time=t).gaps == ()
+
+
 def test_a_measurement_is_a_folder_of_tables_with_yaml(tmp_path):
     write_recording(recording("b"), tmp_path)
     write_csv(tmp_path, HEADER + "0,1,2,3\n0.001,1,2,3\n")
