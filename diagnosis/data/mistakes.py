@@ -27,6 +27,7 @@ _WRONG = -1.2  # misfit of a relation after all changes from which on they are u
 _TURN = 2 * np.pi
 _BESIDE = ("position_command", "temperature")  # columns that no balance takes
 _UNSURE = 0.5  # largest confidence where no change makes the channels fit
+_LISTED = 4  # rows that are told one by one
 _KEPT = 0.5  # of a recording's samples that stuck and clipped ones must leave for its channels to be held against each other
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
 
@@ -179,15 +180,18 @@ def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) 
 def _of_samples(found: SampleMistake, recording: Recording) -> Mistake:
     n, rows = len(recording.time), found.rows
     count = "one sample" if len(rows) == 1 else f"{len(rows)} samples"
+    where = f"row {rows[0]}" if len(rows) == 1 else f"rows {', '.join(map(str, rows))}"
+    if len(rows) > _LISTED:
+        where = f"rows {rows[0]} to {rows[-1]}"
     severe = True
     if found.name == "glitch":
-        text = f"{count} far off the neighbours"
+        text = f"{count} far off the neighbours, {where}"
     elif found.name == "wrapped":
-        text = f"jumps by a whole turn ({found.turn:g}) {'once' if len(rows) == 1 else f'{len(rows)} times'}"
+        text = f"jumps by a whole turn ({found.turn:g}) {'once' if len(rows) == 1 else f'{len(rows)} times'}, {where}"
     elif found.name == "stuck":
-        text = "does not move at all" if len(rows) == n else f"does not move in {count} although it should"
+        text = "does not move at all" if len(rows) == n else f"does not move in {count} although it should, {where}"
     else:
-        text = f"{count} at the sensor's end"
+        text = f"{count} at the sensor's end, {where}"
         severe = len(rows) > _CLIPPED * n
     return Mistake(found.name, found.column, recording.name, text, 0.99, factor=found.turn, rows=rows, severe=severe)
 
