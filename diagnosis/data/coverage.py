@@ -197,11 +197,8 @@ def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterat
             yield f"there is no column {column}"
     if cause.torsion and not both_encoders:
         yield "it lives in the torsion, which one encoder does not show"
-    behind = not both_encoders and "motor_position" not in columns
-    if cause.swings and behind:
-        yield "it is faster than what the link's encoder says of the rotor's motion"
-    if cause.rotor and behind:
-        yield "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
+    if cause.behind_link_encoder and not both_encoders and "motor_position" not in columns:
+        yield cause.behind_link_encoder
 
 
 @dataclass(frozen=True)
@@ -302,8 +299,8 @@ def shaken(joint: Joint) -> float:
 
 
 _READ = 0.1
-"""Part of the encoders' counts that many samples in motion still tell. On the test joint, without a current, friction that winds it
-up by 0.2 to 0.7 counts was found in 14 of 14 draws, if not always told from one of which it is a special case."""
+"""Part of the encoders' counts that many samples in motion still tell. On the test joint, without a current, friction that winds
+it up by 0.2 to 0.7 counts was found in 14 of 14 draws, if not always told from one of which it is a special case."""
 _DRAWS = 3  # of a cause: one may happen to do nothing
 _TRIED = (
     State(3.0, 40.0, 2.99, 40.0, 0.9, 0.4, 1e-3, 2e-5, 0.5, 4.0, 35.0),

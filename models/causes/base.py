@@ -188,10 +188,8 @@ class Cause(ABC):
     """Motion and load without which it cannot show at ordinary size."""
     torsion: ClassVar[bool] = False
     """Whether it lives in the torsion alone, so that one encoder cannot show it."""
-    rotor: ClassVar[bool] = False
-    """Whether what it makes of a current hangs on how the rotor answers, which the link's encoder alone does not show."""
-    swings: ClassVar[bool] = False
-    """Whether it swings at a frequency of its own, at which the link's encoder alone does not say how the rotor moves."""
+    behind_link_encoder: ClassVar[str] = ""
+    """Why it does not show where the link's encoder is the only one; empty where it does."""
     resonance: ClassVar[bool] = False
     """Whether it is a resonance, or makes one: one encoder cannot tell it from the transmission's own or a controller's."""
 

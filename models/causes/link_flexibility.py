@@ -26,6 +26,6 @@ class LinkFlexibility(Cause):
         CauseParameter("damping", "1", (1e-3, 0.5), ((0.01, 0.05),), starts=(0.05,)),
     )
     sets = {"share": "flexible_share", "frequency": "flexible_frequency", "damping": "flexible_damping"}
-    swings = True
+    behind_link_encoder = "it is faster than what the link's encoder says of the rotor's motion"
     resonance = True
     requires = Requirements(known_push=True)
