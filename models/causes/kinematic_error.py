@@ -17,7 +17,9 @@ class KinematicError(Cause):
     description = "an order of the kinematic error differs from calibration"
     adds = True
     ripple = True
-    behind_link_encoder = "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
+    behind_link_encoder = (
+        "what it makes of the current hangs on how the rotor answers, which the link's encoder does not show"
+    )
     series = ("link_position", "motor_position")
     requires = Requirements(sliding=0.5, motor_turn=1.0)
     parameters = (
