@@ -15,7 +15,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from ...models.joint import EncoderSpec, Joint
-from ...models.recording import Recording
+from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
 from .plausibility import SETTINGS as AGREEMENT
 from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
@@ -37,10 +37,13 @@ class ChangeSettings:
       kept: states that are kept beside each other.
       most: changes on top of each other.
       slope: by how much the encoders' ratio may be off at the least to be another gear ratio, relative.
+      whole: by how much a gear ratio may be off a whole number to be that, relative: torsion under gravity goes with the angle.
+      least_motion: of the link [rad], which angles in another unit must still show.
       offsets: of the angle's zero, that are tried in a turn.
       smallest_offset: between the encoders [rad]; smallest_turn: of all angles together, by which way gravity pulls [rad]: less
         is what a joint's gravity direction, a payload or a stop may make of it, and no mistake.
       slow: between samples, from which on time may be in other units than seconds [s].
+      smooth: of an angle's second differences to its first ones, over 20 samples: less is sampled much faster than it moves.
       latest: between which one encoder is late: less may be in sound data, more is nothing of the same motion [s].
     """
 
@@ -53,14 +56,18 @@ class ChangeSettings:
     kept: int = 3
     most: int = 3
     slope: float = 0.004
+    whole: float = 1.5e-3
+    least_motion: float = 0.1
     offsets: int = 24
     smallest_offset: float = 0.015
     smallest_turn: float = 0.3
     slow: float = 0.05
+    smooth: float = 0.3
     latest: tuple[float, float] = (0.015, 0.3)
 
 
 SETTINGS = ChangeSettings()
+_APART = 20  # samples
 _DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
 GRAVITY = "gravity_angle"
 """What stands for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
@@ -107,7 +114,22 @@ class ColumnChange:
             or not (self.also or self.column in (*DRIVING, "external_torque"))
         ):
             return 0.0
-        return 0.5 * AGREEMENT.effective * max(-math.log(self.factor), 0.0)
+        return 0.5 * AGREEMENT.effective * max(-math.log(abs(self.factor)), 0.0)
+
+    def leaves_motion(self, mended: Sequence[SmoothedChannels | None], N: float) -> bool:
+        """Whether channels without the mistake still show a motion, where the change makes all angles smaller."""
+        if self.name != "unit" or self.factor is None or abs(self.factor) >= 1.0:
+            return True
+        columns = {self.column, *(one.column for one in self.also)}
+        for motion in mended:
+            there = [name for name in POSITIONS if motion is not None and name in motion]
+            if not there or not columns.issuperset(there):
+                return True
+            assert motion is not None
+            spans = [float(np.ptp(motion.channels[n][:, 0])) / (N if n == "motor_position" else 1.0) for n in there]
+            if max(spans) > SETTINGS.least_motion:
+                return True
+        return not mended
 
     def _own(self, motion: SmoothedChannels) -> SmoothedChannels:
         if self.name == "swapped":
@@ -224,11 +246,26 @@ def time_unit(recordings: Sequence[Recording], joint: Joint) -> float:
         fits = [p.agreement(m) for p, m in zip(plausible, motions, strict=True) if m is not None]
         return sum(map(_total, fits)) if fits else -math.inf
 
-    best, found = max(score(1.0), -1e9) + SETTINGS.price + SETTINGS.sure, 1.0
+    # Samples with gaps between them all, of a motion that hardly changes from one to the next, are no log in seconds, whatever
+    # else is wrong with it.
+    nothing = interval > GAP and all(_sampled_fast(r) for r in recordings)
+    best, found = -1e9 if nothing else max(score(1.0), -1e9) + SETTINGS.price + SETTINGS.sure, 1.0
     for unit in (1e-3, 1e-6, 1e-9):
         if 5e-5 < interval * unit < SETTINGS.slow and (now := score(unit)) > best:
             best, found = now, unit
     return found
+
+
+def _sampled_fast(recording: Recording) -> bool:
+    """Whether a recording's angles are sampled much faster than they move."""
+    for name in POSITIONS:
+        x = recording.columns.get(name)
+        if x is not None and len(x) > 4 * _APART:
+            first = x[_APART:] - x[:-_APART]
+            second = first[_APART:] - first[:-_APART]
+            if float(np.std(second)) < SETTINGS.smooth * float(np.std(first)):
+                return True
+    return False
 
 
 class Suspicions:
@@ -291,6 +328,8 @@ class Suspicions:
                 if chosen and i not in chosen and more[i] > least and _mends(new, old)
             ]  # fmt: skip
             chosen = sorted([*chosen, *also])
+            if not change.leaves_motion([motions[i] for i in chosen], self.joint.numbers["N"].value):
+                continue  # a link that hardly moves asks for no torque: that suits any log
             everywhere = all(i in chosen or unchanged for i, unchanged in enumerate(same))
             price = change.price if everywhere else (change.price + SETTINGS.one_of_several) * max(len(chosen), 1)
             gain = sum(gains[i] for i in chosen) - price
@@ -325,6 +364,7 @@ class Suspicions:
             if column in there:
                 yield _sign(column)
                 yield from _angles(column)
+                yield from map(_turned, _angles(column))
                 yield from self._counts(column, encoder)
         angles = [name for name in ("link_position", "motor_position", "position_command") if name in there]
         for count in range(2, len(angles) + 1):  # the encoders, or all: nothing between them shows it
@@ -410,10 +450,13 @@ class Suspicions:
         """Another ratio between the encoders; near N ± 1 the one of the other kind of strain wave gear."""
         N = round(self.joint.numbers["N"].value)
         for other in (N - 1, N + 1):
-            if abs(slope * N / other - 1) < 1.5e-3:
+            if abs(slope * N / other - 1) < SETTINGS.whole:
                 text = f"the motor makes {other} turns for one of the link, not {N}"
                 if column == "motor_position":
                     return ColumnChange("gear_ratio", column, text, other / N, price=SETTINGS.price)
+        whole = round(slope * N)
+        if whole and abs(slope * N / whole - 1) < SETTINGS.whole and column == "motor_position":
+            slope = whole / N
         text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:g}"
         if column == "motor_position":
             return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free)
@@ -505,6 +548,13 @@ class Suspicions:
 
 def _sign(column: str) -> ColumnChange:
     return ColumnChange("sign", column, "turned round", price=SETTINGS.price - 1)
+
+
+def _turned(unit: ColumnChange) -> ColumnChange:
+    """A wrong unit whose column is turned round as well: either alone mends nothing."""
+    assert unit.factor is not None
+    text = f"{unit.description}, and turned round"
+    return replace(unit, description=text, factor=-unit.factor, price=unit.price + SETTINGS.price - 1)
 
 
 def _unit(column: str, said: str, factor: float, price: float = SETTINGS.price) -> ColumnChange:

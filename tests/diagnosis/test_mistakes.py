@@ -90,6 +90,47 @@ def test_nothing_is_claimed_of_a_shipped_experiment(scenario, joint):
     assert find_mistakes(measurement(run.as_recording()), load_joint(joint)) == ()
 
 
+@pytest.mark.parametrize("column", ["motor_position", "link_position"])
+def test_a_column_in_degrees_and_turned_round_is_both(column):
+    """Neither alone mends anything: three other units were offered."""
+    r = recording()
+    (found,) = find_mistakes(measurement(replace(r, columns={**r.columns, column: -np.degrees(r[column])})), JOINT)
+    assert (found.name, found.column, found.sure) == ("unit", column, True)
+    assert found.factor == pytest.approx(-math.pi / 180)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.8, 1.2])
+def test_another_gear_ratio_is_a_whole_number(ratio):
+    """Torsion under gravity goes with the angle: 80.04 turns were told, and the mended data had an eccentricity at 0.97."""
+    r = recording()
+    columns = {**r.columns, "motor_position": ratio * r["motor_position"]}
+    (found,) = find_mistakes(measurement(replace(r, columns=columns)), JOINT)
+    assert (found.name, found.factor) == ("gear_ratio", pytest.approx(ratio, rel=1e-12))
+
+
+def test_milliseconds_are_found_whatever_else_is_wrong():
+    """With degrees beside them they were taken for seconds, and every interval for a gap."""
+    r = recording()
+    columns = {**r.columns, "link_position": np.degrees(r["link_position"])}
+    found = find_mistakes(measurement(replace(r, time=1e3 * r.time, columns=columns)), JOINT)
+    assert [(m.name, m.column) for m in found] == [("unit", "time"), ("unit", "link_position")]
+
+
+def test_a_slow_log_is_no_log_in_milliseconds():
+    r = recording()
+    assert not [m for m in find_mistakes(measurement(r.at(slice(None, None, 1000))), JOINT) if m.column == "time"]
+
+
+def test_a_link_that_is_described_wrongly_is_no_unit_of_the_angles():
+    """In degrees a motion of 1.3 rad asks for next to no torque, which suits any log; only the link's balance is at odds."""
+    hidden = draw(Challenge(seed=971, hidden="none", without=("joint_torque",)), 0)
+    free = min(hidden.measurement.recordings, key=lambda r: r.link.gravity_moment)
+    heavy = replace(free, link=Mounting(inertia=0.35, gravity_moment=9.0))
+    for recordings in ((heavy,), tuple(heavy if r is free else r for r in hidden.measurement.recordings)):
+        found = find_mistakes(measurement(*recordings), hidden.nominal)
+        assert not [m for m in found if m.name == "unit" and m.sure], found
+
+
 def test_a_stop_that_the_link_leans_on_is_no_zero_of_the_angle_elsewhere():
     """It pulls the best direction of gravity aside, by less than any mistake would."""
     hidden = draw(Challenge(seed=203, hidden="two", real=True), 5)
