@@ -103,6 +103,8 @@ class Conclusion:
       undetermined: these and others that could not have shown; alike: pairs that look the same.
       doubted: causes in whose place an unknown effect might stand (`discrepancy.UnknownEffects`).
       surest: largest confidence of a cause.
+      behind: whether much is left where the rotor's motion follows from the link's: nothing is sure but what the link's own
+        balance tells.
     """
 
     problem: Problem
@@ -116,6 +118,7 @@ class Conclusion:
     alike: tuple[tuple[str, str], ...]
     doubted: frozenset[tuple[Any, ...]] = frozenset()
     surest: float = 1.0
+    behind: bool = False
 
     @property
     def nearly_all(self) -> bool:

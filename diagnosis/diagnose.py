@@ -109,7 +109,7 @@ def diagnose(
         # The other end moves otherwise than it was taken to, which looks like any number of the joint, and most of all like
         # friction and inertia where that end is the rotor.
         behind = not any("motor_position" in r for r in measurement.recordings)
-        conclusion = replace(conclusion, surest=ANSWER.behind if behind else ANSWER.beside)
+        conclusion = replace(conclusion, surest=ANSWER.beside, behind=behind)
     if drawn.share == 0.0 or few or conclusion.only_unknown:
         # What does not hold where it was not fitted is not sure to be there, nor is one of few that could have shown.
         late = time.monotonic() >= deadline
@@ -140,7 +140,7 @@ def _as_described(
     drawn = DrawnBack(1.0, final, regions)
     return Conclusion(
         problem, found, None, final, final, drawn, missing, undetermined, alike,
-        surest=min(conclusion.surest, ANSWER.beside),
+        surest=min(conclusion.surest, ANSWER.beside), behind=conclusion.behind,
     )  # fmt: skip
 
 

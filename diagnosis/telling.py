@@ -27,13 +27,20 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     findings, minor, entangled = findings_of(conclusion, measurement)
     useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
     surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
-    findings, minor = ([replace(f, confidence=min(f.confidence, surest)) for f in fs] for fs in (findings, minor))
+    residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
+    weighed = problem.weighed and "link_balance" in residual and not _far(residual["link_balance"])
+
+    def told(f: Finding) -> Finding:
+        """A finding as sure as the motion that was measured lets it be."""
+        behind = conclusion.behind and not (weighed and _acts_on_the_link(f))
+        return replace(f, confidence=min(f.confidence, surest, ANSWER.behind if behind else 1.0))
+
+    findings, minor = ([told(f) for f in fs] for fs in (findings, minor))
     if conclusion.nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
         findings = [
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
-    residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
     verdict, reason = _verdict(conclusion, findings, minor, residual, useless)
     calibration = parameter_shifts(problem, final)
     reason = _joined(reason, _at_the_end(calibration), _holds_back(conclusion))
@@ -71,6 +78,16 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         held_out=_held_out(problem),
         complete=found.complete,
     )
+
+
+def _far(r: BalanceResidual) -> bool:
+    """Whether a balance leaves far more than the sensors' noise."""
+    return r.after > ANSWER.far * r.noise
+
+
+def _acts_on_the_link(f: Finding) -> bool:
+    """Whether what a finding does shows in the balance of the link's own motion and its torque sensor."""
+    return f.component == "link" or (f.name in causes.names() and causes.get(f.name).sensor == "joint_torque")
 
 
 def _at_the_end(calibration: dict[str, ParameterShift]) -> str:

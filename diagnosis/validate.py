@@ -340,7 +340,9 @@ def _parts(recording: Recording, joint: Joint, names: Sequence[str]) -> list[_Pa
 def _can(segment: Segment, recording: Recording, name: str) -> bool:
     """Whether a channel can be simulated in a segment."""
     if name == "external_torque":
-        return recording.external == "measured" and segment.link_measured
+        return recording.external == "measured" and segment.weighed
+    if name == "joint_torque" and segment.weighed:
+        return True
     return name == "link_position" or bool(segment.balances[_BALANCE_OF[name]])
 
 
@@ -360,6 +362,11 @@ def _channels(segment: Segment, record: np.ndarray, names: Sequence[str], late: 
         elif name == "external_torque":  # what is left of the balance beside the torque that was measured
             scale = p["torque_gain"] if segment.has_torque else segment.stiffness / (p["K1"] + p["K2"] + p["K3"])
             found[name] = segment.external - out[:, LINK] / scale
+        elif (
+            name == "joint_torque" and not segment.link_measured and segment.weighed
+        ):  # what the link's motion asks for
+            needed = np.interp(time + late[TORQUE], time, segment.torque) - out[:, LINK]
+            found[name] = np.interp(time - late[TORQUE], time, needed)
         elif name == "link_position":
             reading = np.empty(len(segment.time))
             _link_readings(p, segment.time, segment.temperature, inner, reading)
@@ -393,6 +400,8 @@ def _discrepancy(joint: Joint, name: str) -> float:
         return known.get("link_balance", 0.0)
     if name == "link_position":
         return max(known.get("link_balance", 0.0), known.get("joint_torque", 0.0)) / value["K1"]
+    if name == "joint_torque":
+        return known.get(name, known.get("link_balance", 0.0))
     return known.get(name, 0.0)
 
 

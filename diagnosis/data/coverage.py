@@ -98,8 +98,9 @@ def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
     w, v = _velocity(recording, rotor), _velocity(recording, link)
     sliding = np.abs(w) > SLIDING * joint.numbers["vs"].value
     load = _load(recording, joint)
-    turns = _turning_points(rotor)
-    travel = np.diff(rotor)
+    # What happens within a gap is unknown.
+    turns = [_turning_points(rotor[part]) for part in recording.segments]
+    travel = np.concatenate([np.diff(rotor[part]) for part in recording.segments])
     current = recording.columns.get("motor_current")
     limit = joint.numbers["current_limit"].value
     return RecordingSummary(
@@ -115,7 +116,7 @@ def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
         motor_speed=float(np.abs(w).max()),
         link_speed=float(np.abs(v).max()),
         sliding=float(np.mean(sliding)),
-        reversals=max(len(turns) - 2, 0),
+        reversals=sum(max(len(points) - 2, 0) for points in turns),
         forward=float(travel[travel > 0].sum()),
         backward=float(-travel[travel < 0].sum()),
         load=(float(np.percentile(load, 0.5)), float(np.percentile(load, 99.5))),
@@ -156,7 +157,8 @@ def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
         if said is not None:
             yield "motor_current", f"{said} against rotor, friction and link together"
         if sensor:
-            yield "joint_torque", "joint torque against the link's inertia and gravity"
+            name = "link_balance" if "link_position" in recording else "joint_torque"
+            yield name, "joint torque against the link's inertia and gravity"
 
 
 def undetermined(
@@ -197,7 +199,9 @@ def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterat
             yield f"there is no column {column}"
     if cause.torsion and not both_encoders:
         yield "it lives in the torsion, which one encoder does not show"
-    if cause.behind_link_encoder and not both_encoders and "motor_position" not in columns:
+    # What acts on the link shows in what a torque sensor says of its motion.
+    weighed = cause.component == "link" and "joint_torque" in columns
+    if cause.behind_link_encoder and not both_encoders and "motor_position" not in columns and not weighed:
         yield cause.behind_link_encoder
 
 

@@ -10,7 +10,8 @@ joint's description, and the link moves as the replay simulates it (`Segment.lin
 
 Where that encoder is the link's, what it sees of the gear's kinematic error and of the link's own swinging is not the rotor's
 motion: the rotor is taken to turn as the link does below the frequency at which the link swings against it, and evenly above.
-The gear's orders are then in the simulation alone, at full size, and readings need no smoothing that motion would.
+The gear's orders are then in the simulation alone, at full size, and readings need no smoothing that motion would. A torque
+sensor is held against the link's own motion.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ BALANCES = ("motor_current", "joint_torque", "link_balance")
 """The torque balances of a joint, by what their residual is told in: current [A], transmission [N·m], link [N·m]."""
 CURRENT, TORQUE, LINK = range(len(BALANCES))
 ENCODERS = ("motor_position", "link_position")
+_WEIGHING = ("link_position", "joint_torque", "external_torque")
 UNITS = {"motor_current": "A", "joint_torque": "N·m", "link_balance": "N·m"}
 
 
@@ -90,7 +92,9 @@ class Segment:
       time: of each replay step since the recording's start [s], shape (n,).
       rotor: motor encoder's reading and its two derivatives [rad], shape (n, 3).
       link: link encoder's reading and its two derivatives [rad], shape (n, 3); where it is not measured, as described.
-      link_measured: whether the link's motion was measured; else it is simulated.
+      link_measured: whether the motion of both ends was measured; else the link's is simulated.
+      weighed: whether the link balance is of the link's measured motion: so with both encoders, and with the link's alone where
+        a torque sensor tells what moves it.
       torque: joint torque reading [N·m], shape (n,); empty without a sensor.
       external: known torque on the link [N·m], shape (n,).
       temperature: [°C], shape (n,).
@@ -116,6 +120,7 @@ class Segment:
     rotor: np.ndarray
     link: np.ndarray
     link_measured: bool
+    weighed: bool
     torque: np.ndarray
     external: np.ndarray
     temperature: np.ndarray
@@ -246,6 +251,10 @@ def _segment(
     values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
     mistimed = wrong_times(time, {name: channels[name] for name in ENCODERS if name in recording}, joint) > 0.0
     cutoff, share, settle = settings.mistimed if mistimed else CUTOFF, SHARE, settings.settle_time
+    link_measured = "link_position" in recording and "motor_position" in recording
+    # In an arm the load comes of the joint's own motion, and pushes that nobody measured may be anything.
+    alone = "joint_torque" in recording and recording.load is None and recording.external != "unmeasured"
+    weighed = "link_position" in recording and (link_measured or alone)
     if "motor_position" in recording:
         s = smooth(time, values, STEP, cutoff)
     else:
@@ -257,6 +266,8 @@ def _segment(
             smooth(time, values, STEP, following),
             smooth(time, values, STEP, cutoff, share=share),
         )
+        if weighed:  # what is held against each other goes through one smoother
+            s = _joined([name in _WEIGHING for name in (*names, *names)], smooth(time, values, STEP, cutoff), s)
         settle = max(settle, 1 / passband(time, following))
     place = {name: i for i, name in enumerate(names)}
 
@@ -267,7 +278,6 @@ def _segment(
         return np.column_stack([of(name, what, noisy) for what in (s.value, s.rate, s.acceleration)])
 
     n = len(s.time)
-    link_measured = "link_position" in recording and "motor_position" in recording
     rotor, rotor_noise = motion("motor_position", False), motion("motor_position", True)
     link, link_noise = motion("link_position", False), motion("link_position", True)
     has = {b: b in names for b in ("motor_current", "joint_torque")}
@@ -288,14 +298,14 @@ def _segment(
     state = decimate(np.column_stack([rotor[:, 0], link[:, 0], rotor[:, 1], link[:, 1], link[:, 2]]))
     measured = decimate(read)
     at_rest = _at_rest(state[:, 0], settings.rest_travel)
-    balances = np.array([has["motor_current"], has["joint_torque"] and link_measured, link_measured])
-    if not link_measured and has["joint_torque"]:
-        balances = np.array([has["motor_current"], True, False])  # the link's own motion against the sensor
+    # With one encoder the sensor is held against the link's motion, as it was read or as it is simulated.
+    transmitted = has["joint_torque"] and (link_measured or not weighed)
+    balances = np.array([has["motor_current"], transmitted, weighed])
     usable, held_out = _usable(recording, index, at, state[:, 0], balances, has["joint_torque"], settle, settings)
     load = measured[:, TORQUE] if has["joint_torque"] else _own_torque(p, state) - decimate(external)
     one = Segment(
         recording=index, name=recording.name, time=since, rotor=np.ascontiguousarray(rotor),
-        link=np.ascontiguousarray(link), link_measured=link_measured,
+        link=np.ascontiguousarray(link), link_measured=link_measured, weighed=weighed,
         torque=np.ascontiguousarray(read[:, TORQUE]) if has["joint_torque"] else np.empty(0),
         external=external, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),

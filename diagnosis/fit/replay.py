@@ -10,10 +10,11 @@ between and is not measured: the wave generator, the friction's bristle and the 
 
 Nothing drifts, since both ends are tied to the data, and a push of unknown size on the link does no harm: it enters the
 link balance alone, which is then left out. With one encoder the rotor is driven and the link is simulated with the
-rest: the current then says what rotor and link together need, and what a kinematic error does passes through the joint's own
-resonance. The motion is reconstructed from the encoders' readings with the parameters of the encoders (zero, delay,
-eccentricity) in the record. It has been smoothed, and so have current and torque: what is linear does not mind, and of the
-orders of motor and gear the replay has what the smoother leaves of them at that speed.
+rest (where that encoder is the link's, a torque sensor is held against the motion that it read): the current then says what
+rotor and link together need, and what a kinematic error does passes through the joint's own resonance. The motion is
+reconstructed from the encoders' readings with the parameters of the encoders (zero, delay, eccentricity) in the record. It
+has been smoothed, and so have current and torque: what is linear does not mind, and of the orders of motor and gear the replay
+has what the smoother leaves of them at that speed.
 
 The equations are those of `models.dynamics`; here is only how they are stepped: with pulsation Ω and step h a linear transmission
 has its inertia to (Ωh)²/6 and its dampings to (Ωh)²/8, whatever its stiffness.
@@ -295,8 +296,10 @@ def _readings(
     p,
     time,
     temperature,
+    link,
     torque,
     measured,
+    weighed,
     external,
     stiffness,
     passband,
@@ -313,8 +316,10 @@ def _readings(
     shape (k, len(BALANCES)).
 
     Where the link's motion is measured, the part that hangs on it by a spring moves here: it does nothing inside. `swinging`, a
-    record of `SWINGING`: where it came to before, and where it comes to.
+    record of `SWINGING`: where it came to before, and where it comes to. `weighed`: the link's balance is of the motion that its
+    encoder has seen, though that of the rest is simulated.
     """
+    shift = p.link_delay / h
     phi, phi_rate, before = swinging.position, swinging.velocity, swinging.link_acceleration
     has_torque = len(torque) > 0
     k = begin // every
@@ -332,14 +337,22 @@ def _readings(
             s.link_velocity, s.bristle, s.dahl, current, time[i], temperature[i],
         )  # fmt: skip
         Ts = s.flexspline_torque - p.bl * s.link_velocity
+        acceleration = s.link_acceleration
+        if weighed and not measured:
+            reading, velocity, acceleration = _between(link, i, shift, h)
+            position = dynamics.actual_link_position(reading, s.motor_position, s.motor_velocity, time[i], p)
+            state = State(
+                s.motor_position, s.motor_velocity, s.wave_generator_position, s.wave_generator_velocity, position,
+                velocity, s.bristle, s.dahl, current, time[i], temperature[i],
+            )  # fmt: skip
         balance = dynamics.link_torque(state, s.load, p) + external[i]
-        if not measured:
+        if not weighed:
             phi, phi_rate = s.flexible_position, s.flexible_velocity
         elif p.flexible_share != 0.0:
-            phi, phi_rate = laws.flexible_step(phi, phi_rate, before, s.link_acceleration, h, p)
-            before = s.link_acceleration
+            phi, phi_rate = laws.flexible_step(phi, phi_rate, before, acceleration, h, p)
+            before = acceleration
         balance += laws.flexible_torque(phi, phi_rate, p)
-        balance -= (p.Jl - laws.flexible_inertia(p)) * s.link_acceleration
+        balance -= (p.Jl - laws.flexible_inertia(p)) * acceleration
         # The link's balance as the torque sensor reads it: in these units its noise is the same at all parameters. Without one
         # the noise is the torsion's, which the stiffness scales: at the described stiffness it stays the same.
         if has_torque:
@@ -372,6 +385,7 @@ def _replay(
     link,
     torque,
     measured,
+    weighed,
     external,
     stiffness,
     passband,
@@ -392,8 +406,8 @@ def _replay(
         ):
             return False
         _readings(
-            p, time, temperature, torque, measured, external, stiffness, passband, h, every, window, begin, end, inner,
-            swinging, out,
+            p, time, temperature, link, torque, measured, weighed, external, stiffness, passband, h, every, window, begin,
+            end, inner, swinging, out,
         )  # fmt: skip
         begin = end
     return True
@@ -412,6 +426,7 @@ def _replay_dual(
     link,
     torque,
     measured,
+    weighed,
     external,
     stiffness,
     passband,
@@ -426,8 +441,8 @@ def _replay_dual(
     swinging, swinging_d = np.zeros(1, SWINGING), np.zeros((1, _SWINGING, LANES))
     inner, inner_d = np.empty(_BLOCK, INNER), np.empty((_BLOCK, _INNER, LANES))
     return _replay(
-        dual_records(record, directions)[0], time, temperature, rotor, link, torque, measured, external, stiffness,
-        passband, h, every, window, dual_records(moving, moving_d)[0], dual_records(inner, inner_d),
+        dual_records(record, directions)[0], time, temperature, rotor, link, torque, measured, weighed, external,
+        stiffness, passband, h, every, window, dual_records(moving, moving_d)[0], dual_records(inner, inner_d),
         dual_records(swinging, swinging_d)[0], _readings_table(out, derivatives),
     )  # fmt: skip
 
@@ -454,8 +469,8 @@ def _motion(segment: Segment) -> tuple[Any, ...]:
 def _sensed(segment: Segment, every: int, window: np.ndarray) -> tuple[Any, ...]:
     """Of a segment what readings depend on."""
     return (
-        segment.time, segment.temperature, segment.torque, segment.link_measured, segment.external, segment.stiffness,
-        segment.passband, STEP, every, window,
+        segment.time, segment.temperature, segment.link, segment.torque, segment.link_measured, segment.weighed,
+        segment.external, segment.stiffness, segment.passband, STEP, every, window,
     )  # fmt: skip
 
 
@@ -463,7 +478,7 @@ def _whole(segment: Segment) -> tuple[Any, ...]:
     """Of a segment all that a replay depends on."""
     return (
         segment.time, segment.temperature, segment.rotor, segment.link, segment.torque, segment.link_measured,
-        segment.external, segment.stiffness, segment.passband, STEP, DECIMATION, WINDOW,
+        segment.weighed, segment.external, segment.stiffness, segment.passband, STEP, DECIMATION, WINDOW,
     )  # fmt: skip
 
 

@@ -72,6 +72,17 @@ def test_a_motion_one_way_shows_no_reversal():
     assert reasons["hysteresis"] == "the motion never reverses"
 
 
+def test_what_happens_within_a_gap_is_no_motion():
+    """Forward strokes with the ways back left out: the jumps between them counted as reversals."""
+    r = recording()
+    forward = np.flatnonzero(np.gradient(r["motor_position"]) > 0)
+    strokes = r.at(forward)
+    assert strokes.gaps
+    one = summarise(strokes, JOINT)
+    assert one.reversals == 0 and one.backward < 0.02 * one.forward
+    assert undetermined(Measurement("m", Path(), (strokes,)), JOINT)["hysteresis"] == "the motion never reverses"
+
+
 def test_everything_shows_in_a_full_measurement_but_what_has_no_column():
     reasons = undetermined(measurement(temperature=np.full(7000, 25.0)), JOINT)
     assert set(reasons) <= {"friction_temperature", "hard_stop"}

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import swing
 
 import flexspline as fs
 from flexspline.diagnosis.data.coverage import can_show, undetermined
-from flexspline.diagnosis.data.segments import CURRENT, decimate, segments
+from flexspline.diagnosis.data.segments import CURRENT, LINK, decimate, segments
 from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.fit.replay import residual
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.score import deviations
 from flexspline.diagnosis.validate import validate
@@ -92,6 +94,36 @@ def test_a_resonance_is_not_asked_of_the_links_encoder():
     assert "faster than" in undetermined(measurement, load_joint("test-joint"))["link_flexibility"]
     motor = Measurement("log", Path(), (log("motor_position", 100.0),))
     assert can_show("link_flexibility", motor, link_measured=False)
+
+
+def test_a_torque_sensor_is_held_against_the_links_own_motion():
+    """It was held against a motion that the description makes of it, which was off by ten times the noise."""
+    joint = load_joint("test-joint")
+    log = swing.recording().without("motor_position")
+    ((one,), _) = segments([log], joint)
+    assert one.weighed and one.balances.tolist() == [True, False, True]
+
+    def left(gravity: float) -> float:
+        mount = log.link.model_copy(update={"gravity_moment": gravity})
+        r = residual(one, joint.record(mount))[:, LINK]
+        return float(np.sqrt(np.mean(r[one.usable[:, LINK]] ** 2)))
+
+    assert left(9.0) < 0.03  # the sensor's noise, less what the means take of it
+    off = 0.9 * np.sin(one.link_position[one.usable[:, LINK]])
+    assert left(9.9) == pytest.approx(float(np.sqrt(np.mean(off**2))), rel=0.01)
+    unmeasured = replace(log, external="unmeasured")
+    ((pushed,), _) = segments([unmeasured], joint)
+    assert not pushed.weighed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("index", "name"), [(14, "gravity_moment"), (18, "hard_stop"), (9, "torque_sensor_gain")])
+def test_what_acts_on_the_link_is_told_with_a_torque_sensor(index, name):
+    drawn = draw(Challenge(seed=961, without=("motor_position",)), index)
+    assert [e.name for e in drawn.effects] == [name]
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert found.causes[0].name == name and found.causes[0].confidence > 0.5
+    assert all(error < 3 for error, _ in deviations(drawn, found).values())
 
 
 @pytest.mark.slow
