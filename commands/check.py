@@ -32,6 +32,7 @@ def command(
     from rich.table import Table
     from rich.text import Text
 
+    from ..diagnosis.data.counts import coarser
     from ..diagnosis.data.coverage import balances, missing_columns, summarise, undetermined
     from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models import causes
@@ -52,6 +53,7 @@ def command(
     summaries = [summarise(recording, described) for recording in data.recordings]
     missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]
+    coarse = coarser(data.recordings, described)
     if as_json:
         report = {
             "measurement": given.name,
@@ -59,6 +61,7 @@ def command(
             "mistakes": [m.to_json() for m in mistakes],
             "recordings": [asdict(s) for s in summaries],
             "missing": missing,
+            "coarser": [asdict(one) for one in coarse],
             "balances": [asdict(b) for b in found],
             "can_show": shows,
             "undetermined": reasons,
@@ -92,6 +95,8 @@ def command(
                 terminal.print(text)
         if s.clipped:
             terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples")
+    for one in coarse:
+        terminal.print(f"{one.text}; a diagnosis takes it as it comes")
     if missing:
         terminal.print(f"not there: {', '.join(missing)}")
     for balance in found:

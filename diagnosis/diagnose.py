@@ -14,6 +14,7 @@ from ..models.recording import Measurement
 from .answer import Diagnosis
 from .conclusion import ANSWER, Conclusion
 from .data import coverage
+from .data.counts import as_logged
 from .data.mistakes import find_mistakes
 from .data.segments import pushed, segments
 from .extension import extended
@@ -59,6 +60,7 @@ def diagnose(
     mistakes = find_mistakes(measurement, joint)
     if any(m.severe for m in mistakes):
         return meaningless(measurement, joint, mistakes, time.monotonic() - begin)
+    joint = as_logged(joint, measurement.recordings)
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
     missing = coverage.undetermined(measurement, joint)
     if not any(s.usable.any() for s in problem.segments):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -118,6 +119,8 @@ def _holds_back(conclusion: Conclusion) -> str:
             why = "what was found does worse than the description where a fit has not seen the data"
         else:
             why = "what was found does worse than the description in a region that a fit has not seen"
+        if drawn.worst is not None and not drawn.refused:
+            why += f" ({drawn.worst.name}: {drawn.worst.ratio:.2g} times)"
         left = f"the numbers in joint.yaml are drawn back to {100 * drawn.share:.0f} % of the way"
         return f"{why}: {left if drawn.share else 'joint.yaml is the description'}"
     if not conclusion.problem.held.any():
@@ -184,10 +187,7 @@ def _verdict(
         (name, r) for name, r in residual.items()
         if r.after > times * r.noise and r.after * scale[name] > worth * rated
     ]  # fmt: skip
-    left = "; ".join(
-        f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left, {r.after / max(r.noise, 1e-12):.0f} times the noise"
-        for name, r in far
-    )
+    left = _left(far, " by joint.yaml" if taken_back else "")
     late = "" if conclusion.found.complete else "time was up before every stage was done: with more, more may be found"
     if useless:
         return "inconclusive", _joined("the causes named leave no less unexplained than calibration alone", late, left)
@@ -208,7 +208,16 @@ def _verdict(
     if large:
         names = " and ".join(f"{f.name.replace('_', ' ')} ({f.worth:.2g} N·m)" for f in large)
         return "inconclusive", f"{names} may be there, too small or too little known to be named"
-    return "consistent", ""
+    some = [(name, r) for name, r in residual.items() if r.after > ANSWER.near * r.noise]
+    return "consistent", f"small, but more than noise: {_left(some)}" if some else ""
+
+
+def _left(far: Sequence[tuple[str, BalanceResidual]], by: str = "") -> str:
+    """What balances leave beyond the sensors' noise; empty for none."""
+    return "; ".join(
+        f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left{by}, {r.after / max(r.noise, 1e-12):.0f} times the noise"
+        for name, r in far
+    )
 
 
 def _joined(*parts: str) -> str:

@@ -34,6 +34,7 @@ from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
+from .data.counts import as_logged
 from .data.mistakes import Mistake, find_mistakes
 from .data.segments import CURRENT, LINK, TORQUE, Segment, clock_error, segments
 from .fit.replay import parallel, readings, transmission
@@ -203,6 +204,7 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
     Raises:
       InputError: a measurement of which no part without gaps is long enough to be simulated.
     """
+    joint = as_logged(joint, measurement.recordings)
     recordings = tuple(_simulated(recording, joint) for recording in measurement.recordings)
     if not any(np.isfinite(x).any() for r in recordings for x in r.simulated.values()):
         raise InputError(

@@ -117,12 +117,14 @@ class DrawnBack:
       fit: there; what is not known of it is wider by the way back.
       regions: with it.
       refused: whether a larger share, with which no region is worse, does not serve.
+      worst: region in which the whole fit does worst, where that is why it is drawn back.
     """
 
     share: float
     fit: Fit
     regions: tuple[Region, ...]
     refused: bool = False
+    worst: Region | None = None
 
 
 def drawn_back(
@@ -137,6 +139,7 @@ def drawn_back(
     start[problem.zeros] = f.theta[problem.zeros]  # of two encoders against each other nothing is described
     before = tare.described(problem)
     at, regions, refused = f, held_out_regions(problem, f, settings, system, described=before), False
+    worst = next((r for r in regions if r.worse), None)
     for share in settings.shares if regions else (0.0,):  # what nothing can be held against is not written
         if share < 1.0:
             theta = start + share * (f.theta - start)
@@ -149,9 +152,9 @@ def drawn_back(
         if any(r.worse for r in regions):
             continue
         if share == 0.0 or serves(at):
-            return DrawnBack(share, at, regions, refused)
+            return DrawnBack(share, at, regions, refused, worst)
         refused = True
-    return DrawnBack(0.0, at, regions, refused)
+    return DrawnBack(0.0, at, regions, refused, worst)
 
 
 def held_out_regions(

@@ -1,0 +1,102 @@
+"""How coarse a log's readings are: its own steps and rates, where the description says finer ones.
+
+A link encoder of 16 bits that is described with 20 makes noise of the torsion that no replicate has, which looks like a
+resonance; so does a torque sensor whose readings are held for ten samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...models.joint import AnalogSpec, EncoderSpec, Joint
+from ...models.recording import Recording
+from ...models.signals import CHANNELS
+
+_CHANNELS = ("motor_position", "link_position", "motor_current", "joint_torque")
+_FEWEST = 200  # changes of a reading
+_NEAR = 20  # steps: changes of so many at most are looked at
+_OFF = 0.1  # of a step: changes that are so near a whole number of steps
+_SHARE = 0.98  # of the changes that must be whole numbers of steps
+_COARSER = 1.5  # times the described step
+_HELD = 0.9  # share of readings that must be held for the same number of samples
+_SLOWER = 0.75  # times the described rate
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """A column whose readings are coarser than described: in steps [its unit], or read anew at a rate [Hz]."""
+
+    column: str
+    what: str
+    found: float
+    described: float
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        if self.what == "rate":
+            return f"{self.column} is read anew at {self.found:.4g} Hz, described: {self.described:.4g} Hz"
+        was = f"{self.described:.3g}" if self.described else "none"
+        return f"{self.column} comes in steps of {self.found:.3g} {CHANNELS[self.column].unit}, described: {was}"
+
+
+def step_of(reading: np.ndarray) -> float:
+    """Step of a reading, shape (n,), of which all its changes are whole numbers, in its unit; 0 where it comes in none."""
+    change = np.abs(np.diff(reading))
+    change = change[change > 1e-12 * max(float(np.ptp(reading)), 1e-300)]
+    if len(change) < _FEWEST:
+        return 0.0
+    step = float(np.percentile(change, 1))
+    steps = change[change < _NEAR * step] / step
+    whole = float(np.mean(np.abs(steps - np.round(steps)) < _OFF))
+    return step if whole > _SHARE else 0.0
+
+
+def rate_of(time: np.ndarray, reading: np.ndarray) -> float:
+    """Rate [Hz] at which a reading, shape (n,), that is held for a number of samples is read anew; 0 where it is not held so."""
+    held = np.diff(np.flatnonzero(np.diff(reading) != 0.0))
+    if len(held) < _FEWEST:
+        return 0.0
+    samples = int(np.median(held))
+    if samples < 2 or float(np.mean(held == samples)) < _HELD:
+        return 0.0
+    return 1.0 / (samples * float(np.median(np.diff(time))))
+
+
+def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]:
+    """Columns that are coarser in all recordings than the joint's description says."""
+    found = []
+    for name in _CHANNELS:
+        there = [r for r in recordings if name in r]
+        spec = joint.sensors.of(CHANNELS[name])
+        steps = [step_of(r[name]) for r in there]
+        if not steps or not isinstance(spec, EncoderSpec | AnalogSpec):
+            continue
+        described = spec.resolution if isinstance(spec, EncoderSpec) else spec.step
+        least = (
+            0.0 if isinstance(spec, EncoderSpec) else spec.noise
+        )  # finer steps are none beside an analog sensor's noise
+        if min(steps) > max(_COARSER * described, least):
+            found.append(Coarse(name, "step", min(steps), described))
+        if isinstance(spec, AnalogSpec) and spec.noise:  # without noise a reading may well stay the same
+            rates = [rate_of(r.time, r[name]) for r in there]
+            if 0.0 < min(rates) and max(rates) < _SLOWER * min(spec.rate, 1 / min(r.interval for r in there)):
+                found.append(Coarse(name, "rate", max(rates), spec.rate))
+    return tuple(found)
+
+
+def as_logged(joint: Joint, recordings: Sequence[Recording]) -> Joint:
+    """The joint with sensors as coarse as a log's readings are; the same where the description has it right."""
+    changed: dict[str, Any] = {}
+    for one in coarser(recordings, joint):
+        channel = CHANNELS[one.column]
+        spec = changed.get(channel.sensor, joint.sensors.of(channel))
+        new: dict[str, Any] = {one.what: one.found}
+        if isinstance(spec, EncoderSpec):
+            new = {"counts": round(2 * np.pi / one.found), "bits": None}
+        changed[channel.sensor] = spec.model_copy(update=new)
+    return joint.model_copy(update={"sensors": joint.sensors.model_copy(update=changed)}) if changed else joint
