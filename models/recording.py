@@ -464,9 +464,12 @@ def check_channels(where: str, columns: Iterable[str]) -> None:
 
 def _check_header(path: Path, names: list[str]) -> None:
     for i, name in enumerate(names):
+        if "\x00" in name:
+            raise InputError(f"{path}: expected text in UTF-8, got UTF-16")
         if channel(name) is None and joint_of(name) is None:
             raise InputError(
-                f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)}"
+                f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)} "
+                "(`flexspline import` reads a log with columns of its own)"
             )
         if name in names[:i]:
             raise InputError(f"{path}: column {name!r}: stands twice")
