@@ -164,12 +164,12 @@ def test_what_is_too_short_for_any_estimate_is_refused(flexspline, tmp_path):
 
 def test_samples_too_far_apart_are_told_as_that(flexspline, tmp_path):
     """Not as too short, nor as a gap after every sample."""
-    t = np.arange(350) * 0.1
+    t = np.arange(350) * 0.2
     columns = {"motor_position": 100 * np.sin(t), "link_position": np.sin(t), "motor_current": np.cos(t)}
     write_recording(Recording("sparse", t, columns), tmp_path / "m")
     code, out, err = flexspline("estimate", tmp_path / "m", "--out", tmp_path / "e")
     assert code == 2 and not out and not (tmp_path / "e").exists()
-    assert "got samples that are 0.1 s apart" in one_line(err)
+    assert "got samples that are 0.2 s apart" in one_line(err)
     code, out, _ = flexspline("check", tmp_path / "m")
-    assert code == 0 and "samples are 0.1 s apart" in out
+    assert code == 0 and "samples are 0.2 s apart" in out
     assert out.count("the recording is split there") == 0
