@@ -43,6 +43,11 @@ _BLOCK = 1 << 16
 """Samples that are looked at together, for an hour to fit into memory."""
 
 
+def is_slower(time: np.ndarray, rate: float) -> bool:
+    """Whether a sensor of a rate [Hz] is slower than a log of samples at times [s], shape (n,)."""
+    return rate * float(np.median(np.diff(time))) <= SETTINGS.slower
+
+
 def fresh(time: np.ndarray, reading: np.ndarray, rate: float) -> np.ndarray:
     """Which samples the sensor read anew, shape (n,), bool: where the value changed, or its period was over.
 
@@ -52,7 +57,7 @@ def fresh(time: np.ndarray, reading: np.ndarray, rate: float) -> np.ndarray:
       rate: of the sensor [Hz]; everything is fresh where the log is not faster.
     """
     found = np.ones(len(time), bool)
-    if len(time) < 3 or rate * float(np.median(np.diff(time))) > SETTINGS.slower:
+    if len(time) < 3 or not is_slower(time, rate):
         return found
     changed = np.diff(reading) != 0
     period, last = 0.999 / rate, time[0]

@@ -29,7 +29,7 @@ from ...models.joint import EncoderSpec, Joint, Mounting
 from ...models.kernels import kernel
 from ...models.parameters import REFERENCE_TEMPERATURE
 from ...models.recording import Recording
-from .sampling import between, clock_times, fresh, timing_error, timing_error_of_one
+from .sampling import between, clock_times, fresh, is_slower, timing_error, timing_error_of_one
 
 STEP = 1e-3
 """Step of the replay [s]."""
@@ -251,9 +251,10 @@ def _segment(
     values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
     mistimed = wrong_times(time, {name: channels[name] for name in ENCODERS if name in recording}, joint) > 0.0
     cutoff, share, settle = settings.mistimed if mistimed else CUTOFF, SHARE, settings.settle_time
-    # What a slow sensor does not say of a fast motion would look like a part that does not take part in it.
+    # What a sensor slower than the log does not say of a fast motion would look like a part that does not take part in it.
     analog = {"motor_current": joint.sensors.motor_current, "joint_torque": joint.sensors.joint_torque}
-    cutoff = min([cutoff, *(SHARE * spec.rate for name, spec in analog.items() if name in channels)])
+    rates = [spec.rate for name, spec in analog.items() if name in channels and is_slower(time, spec.rate)]
+    cutoff = min([cutoff, *(SHARE * rate for rate in rates)])
     link_measured = "link_position" in recording and "motor_position" in recording
     # In an arm the load comes of the joint's own motion, and pushes that nobody measured may be anything.
     alone = "joint_torque" in recording and recording.load is None and recording.external != "unmeasured"
