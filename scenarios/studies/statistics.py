@@ -131,6 +131,8 @@ def read_csv(path: Path, study: Study) -> list[Aggregate]:
     try:
         with path.open(newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
+                if None in row or None in row.values():
+                    raise ValueError("a row that is shorter or longer than the header")
                 head = list(row)
                 axes = head[1 : head.index("filter")]
                 runs, failed = int(row["runs"]), int(row["failed"])

@@ -214,9 +214,11 @@ def test_a_summary_is_read_back(tmp_path):
     path = tmp_path / "summary.csv"
     write_csv(found(), Of, path)
     assert list(summary_rows(read_csv(path, STUDY), Of)) == list(summary_rows(found(), Of))
-    path.write_text("a,b\n1,2\n")
-    with pytest.raises(InputError, match="expected the summary of a sweep of levels"):
-        read_csv(path, STUDY)
+    header, first, *_ = path.read_text().splitlines()
+    for other in ("a,b\n1,2\n", f"{header}\n{first.split(',')[0]}\n", f"{header}\n{first},1\n"):
+        path.write_text(other)
+        with pytest.raises(InputError, match="expected the summary of a sweep of levels"):
+            read_csv(path, STUDY)
 
 
 def test_a_summary_with_empty_cells_has_no_mean_there(tmp_path):
