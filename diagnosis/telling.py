@@ -29,7 +29,8 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
     surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
     residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
-    weighed = problem.weighed and "link_balance" in residual and not _far(residual["link_balance"])
+    link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
+    weighed = link is not None and link.after <= ANSWER.far * link.noise
 
     def told(f: Finding) -> Finding:
         """A finding as sure as the motion that was measured lets it be."""
@@ -79,11 +80,6 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         held_out=_held_out(problem),
         complete=found.complete,
     )
-
-
-def _far(r: BalanceResidual) -> bool:
-    """Whether a balance leaves far more than the sensors' noise."""
-    return r.after > ANSWER.far * r.noise
 
 
 def _acts_on_the_link(f: Finding) -> bool:

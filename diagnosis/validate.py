@@ -343,9 +343,8 @@ def _can(segment: Segment, recording: Recording, name: str) -> bool:
     """Whether a channel can be simulated in a segment."""
     if name == "external_torque":
         return recording.external == "measured" and segment.weighed
-    if name == "joint_torque" and segment.weighed:
-        return True
-    return name == "link_position" or bool(segment.balances[_BALANCE_OF[name]])
+    # A joint torque that was read is held against the torsion, or with one encoder against the link's motion.
+    return name in ("link_position", "joint_torque") or bool(segment.balances[_BALANCE_OF[name]])
 
 
 def _channels(segment: Segment, record: np.ndarray, names: Sequence[str], late: np.ndarray) -> dict[str, np.ndarray]:
@@ -364,9 +363,7 @@ def _channels(segment: Segment, record: np.ndarray, names: Sequence[str], late: 
         elif name == "external_torque":  # what is left of the balance beside the torque that was measured
             scale = p["torque_gain"] if segment.has_torque else segment.stiffness / (p["K1"] + p["K2"] + p["K3"])
             found[name] = segment.external - out[:, LINK] / scale
-        elif (
-            name == "joint_torque" and not segment.link_measured and segment.weighed
-        ):  # what the link's motion asks for
+        elif name == "joint_torque" and not segment.balances[TORQUE]:  # what the link's motion asks for
             needed = np.interp(time + late[TORQUE], time, segment.torque) - out[:, LINK]
             found[name] = np.interp(time - late[TORQUE], time, needed)
         elif name == "link_position":

@@ -129,7 +129,7 @@ class ColumnChange:
             spans = [float(np.ptp(motion.channels[n][:, 0])) / (N if n == "motor_position" else 1.0) for n in there]
             if max(spans) > SETTINGS.least_motion:
                 return True
-        return not mended
+        return False
 
     def _own(self, motion: SmoothedChannels) -> SmoothedChannels:
         if self.name == "swapped":
@@ -449,17 +449,12 @@ class Suspicions:
     def _gear_ratio(self, column: str, slope: float) -> ColumnChange:
         """Another ratio between the encoders; near N ± 1 the one of the other kind of strain wave gear."""
         N = round(self.joint.numbers["N"].value)
-        for other in (N - 1, N + 1):
-            if abs(slope * N / other - 1) < SETTINGS.whole:
-                text = f"the motor makes {other} turns for one of the link, not {N}"
-                if column == "motor_position":
-                    return ColumnChange("gear_ratio", column, text, other / N, price=SETTINGS.price)
-        whole = round(slope * N)
-        if whole and abs(slope * N / whole - 1) < SETTINGS.whole and column == "motor_position":
-            slope = whole / N
-        text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:g}"
         if column == "motor_position":
-            return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free)
+            whole, free = round(slope * N), SETTINGS.free
+            if whole and abs(slope * N / whole - 1) < SETTINGS.whole:
+                slope, free = whole / N, 0.0 if whole in (N - 1, N + 1) else free
+            text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N}"
+            return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + free)
         text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
         return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free + 3)
 

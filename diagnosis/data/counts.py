@@ -15,6 +15,7 @@ import numpy as np
 from ...models.joint import AnalogSpec, EncoderSpec, Joint
 from ...models.recording import Recording
 from ...models.signals import CHANNELS
+from .sampling import SETTINGS as SAMPLING
 
 _CHANNELS = ("motor_position", "link_position", "motor_current", "joint_torque")
 _FEWEST = 200  # changes of a reading
@@ -23,7 +24,6 @@ _OFF = 0.1  # of a step: changes that are so near a whole number of steps
 _SHARE = 0.98  # of the changes that must be whole numbers of steps
 _COARSER = 1.5  # times the described step
 _HELD = 0.9  # share of readings that must be held for the same number of samples
-_SLOWER = 0.75  # times the described rate
 
 
 @dataclass(frozen=True)
@@ -77,14 +77,13 @@ def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]
         if not steps or not isinstance(spec, EncoderSpec | AnalogSpec):
             continue
         described = spec.resolution if isinstance(spec, EncoderSpec) else spec.step
-        least = (
-            0.0 if isinstance(spec, EncoderSpec) else spec.noise
-        )  # finer steps are none beside an analog sensor's noise
+        # Finer steps are none beside an analog sensor's noise.
+        least = 0.0 if isinstance(spec, EncoderSpec) else spec.noise
         if min(steps) > max(_COARSER * described, least):
             found.append(Coarse(name, "step", min(steps), described))
         if isinstance(spec, AnalogSpec) and spec.noise:  # without noise a reading may well stay the same
             rates = [rate_of(r.time, r[name]) for r in there]
-            if 0.0 < min(rates) and max(rates) < _SLOWER * min(spec.rate, 1 / min(r.interval for r in there)):
+            if 0.0 < min(rates) and max(rates) < SAMPLING.slower * spec.rate:
                 found.append(Coarse(name, "rate", max(rates), spec.rate))
     return tuple(found)
 

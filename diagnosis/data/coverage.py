@@ -330,8 +330,7 @@ def in_drive_alone(cause: Cause, joint: Joint, both_encoders: bool = True) -> bo
         for state in _TRIED:
             if not np.allclose(_beside_the_drive(state, p), _beside_the_drive(state, q), rtol=1e-9, atol=0.0):
                 return False
-            wound = abs(_rotor_position(state, q) - _rotor_position(state, p))
-            if both_encoders and wound > _READ * counts:
+            if both_encoders and abs(_rotor_position(state, q) - _rotor_position(state, p)) > _READ * counts:
                 return False
             drive = drive or not np.isclose(_in_the_drive(state, p), _in_the_drive(state, q), rtol=1e-9, atol=0.0)
     return drive

@@ -180,9 +180,8 @@ def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) 
 def _of_samples(found: SampleMistake, recording: Recording) -> Mistake:
     n, rows = len(recording.time), found.rows
     count = "one sample" if len(rows) == 1 else f"{len(rows)} samples"
-    where = f"row {rows[0]}" if len(rows) == 1 else f"rows {', '.join(map(str, rows))}"
-    if len(rows) > _LISTED:
-        where = f"rows {rows[0]} to {rows[-1]}"
+    listed = ", ".join(map(str, rows)) if len(rows) <= _LISTED else f"{rows[0]} to {rows[-1]}"
+    where = f"row{'s' if len(rows) > 1 else ''} {listed}"
     severe = True
     if found.name == "glitch":
         text = f"{count} far off the neighbours, {where}"

@@ -126,11 +126,6 @@ class Problem:
         return any(s.link_measured for s in self.segments)
 
     @property
-    def weighed(self) -> bool:
-        """Whether a link balance is of the link's measured motion."""
-        return any(s.weighed for s in self.segments)
-
-    @property
     def holds_out(self) -> bool:
         """Whether some residual was kept from the fits."""
         return any(s.held_out.any() for s in self.segments)
