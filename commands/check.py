@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..models.errors import InputError
+from ._measurement import measurement_at
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
@@ -38,12 +39,12 @@ def command(
     from ..models import causes
     from ..models.files import json_text
     from ..models.memory import give_back_large_arrays
-    from ..models.recording import GAP, read_measurement
+    from ..models.recording import GAP
     from ._console import console
     from ._mistakes import print_mistakes
 
     give_back_large_arrays()
-    given = read_measurement(measurement)
+    given = measurement_at(measurement)
     described = given.load_joint(joint)
     mistakes = find_mistakes(given, described)
     try:

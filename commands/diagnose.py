@@ -18,6 +18,7 @@ from ..models import plugins
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._listing import AsJson
+from ._measurement import measurement_at
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -55,12 +56,11 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
-    from ..models.recording import read_measurement
     from ._console import console, stages
 
     if seconds is not None and not seconds > 0:
         raise InputError(f"--time {seconds:g}: expected more than 0 s")
-    data = read_measurement(measurement)
+    data = measurement_at(measurement)
     described = data.load_joint(joint)
     _check_apart(measurement, out)
     check_output(out, "diagnose", inputs=[*data.files, measurement, described.path], whole=True)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
 from ._listing import AsJson
+from ._measurement import measurement_at
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -44,11 +45,11 @@ def command(
     from ..models.joint import beyond_sentence
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
-    from ..models.recording import GAP, read_measurement
+    from ..models.recording import GAP
     from ._console import console
 
     give_back_large_arrays()
-    data = read_measurement(measurement)
+    data = measurement_at(measurement)
     described = data.load_joint(joint)
     for name in filter_ or ():
         registry.get(name)

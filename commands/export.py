@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ._listing import AsJson
+from ._measurement import measurement_at
 from ._options import MeasurementPath
 
 EXAMPLES = ("flexspline export measurement --out mcap",)
@@ -24,10 +25,9 @@ def command(
     """
     from ..diagnosis.data.exporting import write_mcap
     from ..models.output import check_output, made_from, output_folder
-    from ..models.recording import read_measurement
     from ._console import console
 
-    data = read_measurement(measurement)
+    data = measurement_at(measurement)
     maker, names = made_from("export", measurement), [f"{recording.name}.mcap" for recording in data.recordings]
     check_output(out, maker, inputs=data.files, writes=names)
     with output_folder(out, maker, inputs=data.files, writes=names) as folder:

@@ -12,6 +12,7 @@ import typer
 
 from ..models.errors import InputError, InputWarning
 from ._listing import AsJson
+from ._measurement import measurement_at
 from ._options import with_plugins
 
 if TYPE_CHECKING:
@@ -112,7 +113,7 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
     """The recordings, the folder to which a path to their joint is relative, and the files that were read."""
     from ..diagnosis.data.importing import import_recording, known_layouts, load_layout
     from ..models.files import check_name
-    from ..models.recording import Measurement, read_measurement
+    from ..models.recording import Measurement
 
     here = Path()
     is_layout = what[0] in known_layouts() or (len(what) > 1 and not Path(what[0]).is_dir() and not _is_table(what[0]))
@@ -129,7 +130,7 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
     else:
         if name is not None:
             raise InputError("--name: expected a log in another layout, got a measurement")
-        read = [read_measurement(path) for path in what]
+        read = [measurement_at(path) for path in what]
         found = [replace(r, joint=joint or _joint_of(r, m)) for m in read for r in m.recordings]
         joints = dict.fromkeys(r.joint for r in found)
         if len(joints) > 1:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
+from ._measurement import measurement_at
 from ._options import OtherJoint, with_plugins
 
 _BY = 1.0
@@ -71,10 +72,9 @@ def _of_measurement(source: Path, option: str | None) -> list[dict[str, Any]]:
     """The proposals for a measurement, calibrated and searched as far as a few seconds go."""
     from ..diagnosis.diagnose import diagnose
     from ..diagnosis.planning import plan
-    from ..models.recording import read_measurement
     from ._console import stages
 
-    data = read_measurement(source)
+    data = measurement_at(source)
     described = data.load_joint(option)
     with stages(f"looking at {data.name}") as stage:
         found = diagnose(data, described, progress=lambda name, done: stage(name, 0.6 * done), seconds=_BY)

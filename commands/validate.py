@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from ._listing import AsJson
+from ._measurement import measurement_at
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -25,11 +26,10 @@ def command(
     """Say how well a joint's description predicts a measurement: nothing is fitted."""
     from ..models.files import json_text
     from ..models.output import check_output, made_from, output_folder
-    from ..models.recording import read_measurement
     from ..models.tables import write_table
     from ._console import console
 
-    data = read_measurement(measurement)
+    data = measurement_at(measurement)
     described = data.load_joint(joint)
     maker = made_from("validate", measurement)
     names = ["validation.json", *(f"{r.name}.parquet" for r in data.recordings)]

@@ -224,11 +224,13 @@ class Measurement:
       name: of the file or folder.
       path: that file or folder.
       recordings: at least one, by name.
+      passed_over: tables in that folder that are no recording of it, as no YAML file of their stem lies beside them.
     """
 
     name: str
     path: Path
     recordings: tuple[Recording, ...]
+    passed_over: tuple[Path, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -266,10 +268,15 @@ def read_measurement(path: str | Path) -> Measurement:
         recording = read_recording(path)
         return Measurement(recording.name, path, (recording,))
     tables: dict[str, Path] = {}
+    passed_over: list[Path] = []
     for suffix in SUFFIXES:
         for table in sorted(path.glob(f"*{suffix}")):
-            if not table.name.startswith(".") and table.with_suffix(".yaml").is_file():
+            if table.name.startswith("."):
+                continue
+            if table.with_suffix(".yaml").is_file():
                 tables.setdefault(table.stem, table)
+            else:
+                passed_over.append(table)
     if not tables:
         raise InputError(
             f"{path}: expected tables ({' or '.join(SUFFIXES)}), each with a YAML file of its stem, got none"
@@ -281,7 +288,7 @@ def read_measurement(path: str | Path) -> Measurement:
                 f"{tables[other.name].with_suffix('.yaml')}: joint: expected {recordings[0].joint!r}, as in "
                 f"{recordings[0].name}.yaml, got {other.joint!r}"
             )
-    return Measurement(path.resolve().name, path, recordings)
+    return Measurement(path.resolve().name, path, recordings, tuple(passed_over))
 
 
 def read_recording(path: str | Path) -> Recording:

@@ -55,6 +55,14 @@ def test_check_says_what_is_there(flexspline, measurement):
         assert text in out
 
 
+def test_tables_that_no_yaml_file_describes_are_told(flexspline, measurement):
+    (measurement / "swept.csv").write_text("time,motor_position\n0,1\n")
+    (measurement / ".kept.csv").write_text("")
+    code, out, err = flexspline("check", measurement, "--json")
+    assert code == 0 and [r["name"] for r in json.loads(out)["recordings"]] == ["slow"]
+    assert "swept.csv" in one_line(err) and "swept.yaml" in err
+
+
 def test_check_says_where_it_does_not_look_for_mistakes(flexspline, sweep, tmp_path):
     columns = sweep.columns | {"link_position": np.zeros(len(sweep.time))}
     bench = Mounting(inertia=LOCKED, gravity_moment=0.0)
