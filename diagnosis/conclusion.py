@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from ..models import causes
@@ -52,6 +52,10 @@ class AnswerSettings:
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent,
         and with one encoder no cause is sure where so many times the noise is left, nor likely where it is the link's (`behind`);
         near: so many times the noise, where the fit was taken back that would explain it.
+      apart: error of a recording by the description over that of every other, from which on it may be of another joint, where
+        more than `explained` of it is left with what was found.
+      rezeroed: by how much the link encoder's zero differs between recordings from which on that is told, in torsions under the
+        rated torque: a stiffness that is off does less; less: logarithm by which what the description leaves must become less.
     """
 
     temper: float = 5.0
@@ -82,6 +86,10 @@ class AnswerSettings:
     far: float = 5.0
     near: float = 2.0
     worth: float = 0.02
+    apart: float = 5.0
+    explained: float = 0.5
+    rezeroed: float = 0.2
+    less: float = 0.3
     diluted: float = 0.1
     useless: float = 1.05
     simpler: float = 2.0
@@ -103,6 +111,7 @@ class Conclusion:
       undetermined: these and others that could not have shown; alike: pairs that look the same.
       doubted: causes in whose place an unknown effect might stand (`discrepancy.UnknownEffects`).
       surest: largest confidence of a cause.
+      zeros: by how much the link encoder's zero of each recording lies from that of the first [rad]; empty where it is one.
       behind: whether much is left where the rotor's motion follows from the link's: nothing is sure but what the link's own
         balance tells.
     """
@@ -118,6 +127,7 @@ class Conclusion:
     alike: tuple[tuple[str, str], ...]
     doubted: frozenset[tuple[Any, ...]] = frozenset()
     surest: float = 1.0
+    zeros: dict[str, float] = field(default_factory=dict)
     behind: bool = False
 
     @property

@@ -19,6 +19,7 @@ from .data.mistakes import find_mistakes
 from .data.segments import pushed, segments
 from .extension import extended
 from .findings import explains_nothing
+from .fit import tare
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.instruments import instrumented
 from .fit.noise_bias import without_noise_bias
@@ -105,6 +106,9 @@ def diagnose(
     undetermined, alike = _limits(problem, found, final, tried, missing)
     conclusion = Conclusion(problem, found, unknown, judged, final, drawn, missing, undetermined, alike, looked.doubted)
     few = bool(found.chosen.model) and conclusion.nearly_all and problem.link_measured
+    zeros = _zeros(measurement, problem, final)
+    if zeros:  # what moves a zero between recordings looks like anything that a spring does
+        conclusion = replace(conclusion, zeros=zeros, surest=ANSWER.unsure)
     if all(pushed(r) for r in measurement.recordings):
         conclusion = replace(conclusion, surest=ANSWER.unsure)  # what a push did cannot be told from what a cause does
     elif not problem.link_measured and quiet_rms(problem, final) > ANSWER.far:
@@ -120,6 +124,19 @@ def diagnose(
         found = replace(found, complete=found.complete and not late)
         conclusion = described or replace(conclusion, found=found, surest=min(conclusion.surest, most))
     return replace(answer_of(conclusion, measurement), mistakes=mistakes, seconds=time.monotonic() - begin)
+
+
+def _zeros(measurement: Measurement, problem: Problem, f: Fit) -> dict[str, float]:
+    """By how much the link encoder's zero of each recording lies from that of the first [rad], where they differ and a fit leaves
+    far more than noise; else empty."""
+    if len(measurement.recordings) < 2 or quiet_rms(problem, f) <= ANSWER.far:
+        return {}
+    moved, less = tare.zeros(problem)
+    numbers = problem.joint.numbers
+    if np.ptp(moved) < ANSWER.rezeroed * numbers["rated_torque"].value / numbers["K1"].value or less < ANSWER.less:
+        return {}
+    there = sorted({s.recording for s in problem.segments})
+    return {measurement.recordings[i].name: float(x - moved[0]) for i, x in zip(there, moved, strict=True)}
 
 
 def _as_described(
@@ -142,7 +159,7 @@ def _as_described(
     drawn = DrawnBack(1.0, final, regions)
     return Conclusion(
         problem, found, None, final, final, drawn, missing, undetermined, alike,
-        surest=min(conclusion.surest, ANSWER.beside), behind=conclusion.behind,
+        surest=min(conclusion.surest, ANSWER.beside), zeros=conclusion.zeros, behind=conclusion.behind,
     )  # fmt: skip
 
 

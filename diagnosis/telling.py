@@ -45,7 +45,9 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         ]
     verdict, reason = _verdict(conclusion, findings, minor, residual, useless)
     calibration = parameter_shifts(problem, final)
-    reason = _joined(reason, _at_the_end(calibration), _holds_back(conclusion))
+    reason = _joined(
+        reason, _at_the_end(calibration), _holds_back(conclusion), _stands_apart(conclusion), _rezeroed(conclusion)
+    )
     extended_joint = joint
     if conclusion.drawn.share > 0.0:
         extended_joint = extended(problem, final, joint, conclusion.unknown)
@@ -130,6 +132,27 @@ def _holds_back(conclusion: Conclusion) -> str:
         f"on regions that were kept from the fit worse than the description in {worse}" if worse else "",
         f"what is left beside may be {names}, which this motion cannot tell apart" if names else "",
     )
+
+
+def _stands_apart(conclusion: Conclusion) -> str:
+    """The recording that the description fits far worse than every other, and what was found hardly better; empty for none."""
+    each = sorted((r for r in conclusion.drawn.regions if r.recordings), key=lambda r: -r.described)
+    if len(each) < 2 or each[0].described < ANSWER.apart * each[1].described:
+        return ""
+    if each[0].extended < ANSWER.explained * each[0].described:
+        return ""
+    return (
+        f"by the description {each[0].name} is off by {each[0].described:.2g} N·m RMS, every other by {each[1].described:.2g} "
+        "at most: is it of the same joint, with the load that its YAML file says?"
+    )
+
+
+def _rezeroed(conclusion: Conclusion) -> str:
+    """Where the link encoder's zero differs between recordings; empty where it does not."""
+    if not conclusion.zeros:
+        return ""
+    each = ", ".join(f"{name} {1e3 * x:+.2g}" for name, x in conclusion.zeros.items())
+    return f"each recording alone has another zero of the link encoder ({each} mrad): was one set in between? Diagnose each alone"
 
 
 def meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:

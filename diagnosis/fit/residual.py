@@ -38,7 +38,7 @@ _STEP, _FAR = 1e-6, 1e-4  # of differences of the record's numbers
 _STEP_X, _STEP_U = 0.05, 0.03  # of differences of residuals, where these stand for derivatives
 _BENT = 0.2  # part of a number's change over such a step by which it may differ from its derivative
 _UNBOUNDED = 100.0  # times what nine of ten are at most
-_INFINITE = 1e100  # a derivative that is as good as infinite
+_INFINITE = 1e6  # A or N·m per standard deviation or ordinary size: a derivative that is as good as infinite
 _HELD = 1e-4  # prior standard deviation of what stays as described
 _LINEAR = ("Jm", "bm", "bl", "Jl", "Mg", "current_offset", "torque_offset")
 _ZEROS = ("link_encoder_zero", "torque_sensor_offset")
@@ -97,6 +97,18 @@ class Problem:
         other.segments, other.replicates = (
             [change(s) for s in segments] for segments in (self.segments, self.replicates)
         )
+        return other
+
+    def of_recording(self, recording: int) -> Problem:
+        """The same problem of one of the recordings alone."""
+        other = copy(self)
+        kept = [i for i, s in enumerate(self.segments) if s.recording == recording]
+        other.segments, other.replicates = (
+            [segments[i] for i in kept] for segments in (self.segments, self.replicates)
+        )
+        other.mountings = [self.mountings[i] for i in kept]
+        if self.bias is not None:
+            other.bias = [self.bias[i] for i in kept]
         return other
 
     def with_held_out(self) -> Problem:

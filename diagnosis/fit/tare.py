@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from ..data.segments import BALANCES
 from .residual import Model, Problem
@@ -18,9 +19,12 @@ class TareSettings:
     Attributes:
       grid: its values that are tried first, evenly spaced, in its standard deviations: a milliradian is several newton metres,
         where nothing is linear.
+      farthest, finest: changes of one recording's zero that are tried, each twice as large as the one before [rad].
     """
 
     grid: tuple[float, ...] = (-2.4, -1.8, -1.2, -0.6, 0.0, 0.6, 1.2, 1.8, 2.4)
+    farthest: float = 12.8e-3
+    finest: float = 0.1e-3
 
 
 SETTINGS = TareSettings()
@@ -46,6 +50,38 @@ def tared(problem: Problem, theta: np.ndarray, model: Model, settings: TareSetti
             np.r_[best[:at], best[at] + part * step, best[at + 1 :]] for part in (-0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6)
         ]
     return best
+
+
+def zeros(problem: Problem, settings: TareSettings = SETTINGS) -> tuple[np.ndarray, float]:
+    """Where each recording alone has the link encoder's zero by the description.
+
+    Returns:
+      By how much that moves the zero of all of them [rad], shape (recordings,): within 0.1 mrad or so, as a stiffness that is off
+      moves it too. And the logarithm by which what is left becomes less (its median, in the mean over samples).
+    """
+    theta = tared(problem, problem.start(None, ()), ())
+    zero = next((s for s in problem.calibration.slots if s.name == "link_encoder_zero"), None)
+    recordings = sorted({s.recording for s in problem.segments})
+    if zero is None or zero.name not in problem.calibration.names or not problem.link_measured:
+        return np.zeros(len(recordings)), 0.0
+    unit = np.eye(len(theta))[problem.calibration.names.index(zero.name)] / problem.calibration.deviation(zero)
+    steps = settings.finest * 2.0 ** np.arange(round(np.log2(settings.farthest / settings.finest)) + 1)
+    tried = np.r_[-steps[::-1], 0.0, steps]
+    found, less, samples = [], 0.0, 0
+    for recording in recordings:
+        own = problem.of_recording(recording)
+
+        def left(change: float, own: Problem = own) -> float:
+            return roughness(own, own.residuals([theta + change * unit], [()])[0])
+
+        each = [left(x) for x in tried]
+        best = int(np.nanargmin(each))
+        ends = (tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)])
+        end = minimize_scalar(left, bounds=ends, method="bounded", options={"xatol": 0.02 * settings.finest})
+        found.append(end.x if end.fun < each[best] else tried[best])
+        less += left(0.0) - min(end.fun, each[best])
+        samples += sum(int((s.usable & ~s.at_rest[:, None]).sum()) for s in own.segments)
+    return np.array(found), less / max(samples, 1)
 
 
 def roughness(problem: Problem, residuals: Sequence[np.ndarray]) -> float:
