@@ -107,7 +107,8 @@ def in_place_of_each_other(
 
 
 def combinations(here: frozenset[str], available: Collection[str]) -> list[frozenset[str]]:
-    """Sets of causes that may stand in the place of those that are here: one exchanged for such as imitate it, or these for it.
+    """Sets of causes that may stand in the place of those that are here: one exchanged for such as imitate it, these for it, or one for
+    another that does beside what is here.
 
     None has all that are here: what would be there beside them was asked before.
     """
@@ -121,13 +122,19 @@ def combinations(here: frozenset[str], available: Collection[str]) -> list[froze
                 found |= {here - {name} | part for part in (others, *(frozenset({n}) for n in alone))}
             if others <= here:
                 found.add(here - others | {name})
+        if name in here:
+            found |= {
+                here - {name} | {o} for o, beside in causes.get(name).imitated_beside if beside in here and o in there
+            }
     return sorted((names for names in found if names <= there and not names >= here), key=sorted)
 
 
 def _imitates(name: str) -> bool:
-    """Whether a cause imitates others, or others it."""
-    return bool(causes.get(name).imitated_by) or any(
-        name in others for n in causes.names() for others in causes.get(n).imitated_by
+    """Whether a cause imitates others, or others it, or one does beside it."""
+    return any(
+        name == n or name in others
+        for n in causes.names()
+        for others in (*causes.get(n).imitated_by, *causes.get(n).imitated_beside)
     )
 
 

@@ -206,6 +206,9 @@ class Cause(ABC):
     imitated_by: ClassVar[tuple[tuple[str, ...], ...]] = ()
     """Sets of other causes that together make nearly the same."""
 
+    imitated_beside: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Another cause that makes nearly the same, and the one that must be there for it."""
+
     def apply(self, p: np.void, values: dict[str, float]) -> None:
         """Put the effect into a parameter record, in place."""
         for name, field in self.sets.items():

@@ -37,11 +37,25 @@ def test_back_driving_against_friction_with_a_torque_constant_and_back():
     assert combinations(here, FRICTION | {"torque_constant"}) == [frozenset({"back_driving"})]
 
 
+def test_offsets_are_exchanged_beside_a_cable_alone():
+    offsets = {"friction_asymmetry", "current_offset", "torque_sensor_offset"}
+    here = frozenset({"torque_sensor_offset", "cable_spring"})
+    assert set(combinations(here, offsets)) == sets("friction_asymmetry cable_spring", "current_offset cable_spring")
+    here = frozenset({"friction_asymmetry", "cable_spring"})
+    assert combinations(here, offsets) == [frozenset({"torque_sensor_offset", "cable_spring"})]
+    assert all(combinations(frozenset({name}), offsets) == [] for name in offsets)
+
+
 def test_what_a_measurement_cannot_show_is_in_none():
     assert combinations(frozenset({"torque_constant"}), {"torque_constant", "gravity_moment"}) == []
     assert combinations(frozenset(), ALL) == []
 
 
 def test_imitation_is_told_of_causes_that_there_are():
-    named = {n for name in causes.names() for others in causes.get(name).imitated_by for n in others}
+    named = {
+        n
+        for name in causes.names()
+        for others in (*causes.get(name).imitated_by, *causes.get(name).imitated_beside)
+        for n in others
+    }
     assert named and named <= set(causes.names())
