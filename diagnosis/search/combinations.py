@@ -107,8 +107,8 @@ def in_place_of_each_other(
 
 
 def combinations(here: frozenset[str], available: Collection[str]) -> list[frozenset[str]]:
-    """Sets of causes that may stand in the place of those that are here: one exchanged for such as imitate it, these for it, or one for
-    another that does beside what is here.
+    """Sets of causes that may stand in the place of those that are here: one exchanged for such as imitate it, these for it, or
+    one for another that does beside what is here.
 
     None has all that are here: what would be there beside them was asked before.
     """
