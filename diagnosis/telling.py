@@ -46,7 +46,11 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     verdict, reason = _verdict(conclusion, findings, minor, residual, useless)
     calibration = parameter_shifts(problem, final)
     reason = _joined(
-        reason, _at_the_end(calibration), _holds_back(conclusion), _stands_apart(conclusion), _rezeroed(conclusion)
+        reason,
+        _at_the_end(calibration),
+        _holds_back(conclusion),
+        _stands_apart(conclusion),
+        _rezeroed(conclusion),
     )
     extended_joint = joint
     if conclusion.drawn.share > 0.0:
@@ -143,7 +147,7 @@ def _stands_apart(conclusion: Conclusion) -> str:
         return ""
     return (
         f"by the description {each[0].name} is off by {each[0].described:.2g} N·m RMS, every other by {each[1].described:.2g} "
-        "at most: is it of the same joint, with the load that its YAML file says?"
+        "at most: is it of the same joint, with the load and the pushes that its YAML file states?"
     )
 
 

@@ -509,6 +509,15 @@ def test_a_recording_of_another_joint_is_named():
 
 
 @pytest.mark.slow
+def test_a_push_that_no_yaml_file_mentions_is_no_cause():
+    drawn = draw(Challenge(hidden="none", seed=SEED, exact=True), 0)
+    recordings = tuple(replace(r, external="none") for r in drawn.measurement.recordings)
+    found = diagnose(replace(drawn.measurement, recordings=recordings), drawn.nominal, seconds=5)
+    assert "by the description recording push is off by" in found.reason, found.reason
+    assert found.verdict == "inconclusive" and not found.causes
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("shift", [0.0, 1.5e-3])
 def test_an_encoder_that_was_zeroed_between_recordings_is_told(shift):
     drawn = draw(Challenge(hidden="none", seed=SEED, real=True), 0)
