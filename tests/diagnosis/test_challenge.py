@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -496,39 +495,6 @@ def test_extended_joint_makes_a_fresh_measurement_consistent():
         recordings.append(record_motion(drawn.nominal, mounting, record, scenario, SEED + len(recordings)))
     again = diagnose(Measurement("again", Path(), tuple(recordings)), found.extended)
     assert again.verdict == "consistent", [(c.name, c.confidence, c.explains) for c in again.causes]
-
-
-@pytest.mark.slow
-def test_a_recording_of_another_joint_is_named():
-    own, other = (draw(Challenge(hidden="none", seed=SEED, real=True), i) for i in (0, 1))
-    recordings = list(own.measurement.recordings)
-    recordings[1] = replace(other.measurement.recordings[1], name=recordings[1].name)
-    found = diagnose(replace(own.measurement, recordings=tuple(recordings)), own.nominal, seconds=5)
-    assert f"by the description recording {recordings[1].name} is off by" in found.reason, found.reason
-    assert all(c.confidence <= 0.5 for c in found.causes), [(c.name, c.confidence) for c in found.causes]
-
-
-@pytest.mark.slow
-def test_a_push_that_no_yaml_file_mentions_is_no_cause():
-    drawn = draw(Challenge(hidden="none", seed=SEED, exact=True), 0)
-    recordings = tuple(replace(r, external="none") for r in drawn.measurement.recordings)
-    found = diagnose(replace(drawn.measurement, recordings=recordings), drawn.nominal, seconds=5)
-    assert "by the description recording push is off by" in found.reason, found.reason
-    assert found.verdict == "inconclusive" and not found.causes
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("shift", [0.0, 1.5e-3])
-def test_an_encoder_that_was_zeroed_between_recordings_is_told(shift):
-    drawn = draw(Challenge(hidden="none", seed=SEED, real=True), 0)
-    *others, last = drawn.measurement.recordings
-    last = replace(last, columns=last.columns | {"link_position": last.columns["link_position"] + shift})
-    found = diagnose(replace(drawn.measurement, recordings=(*others, last)), drawn.nominal, seconds=5)
-    told = re.search(rf"another zero of the link encoder \(.*{last.name} \+([\d.]+).*mrad\)", found.reason)
-    assert (told is not None) == (shift > 0.0), found.reason
-    if told is not None:
-        assert float(told[1]) == pytest.approx(1e3 * shift, abs=0.3)
-        assert all(c.confidence <= 0.5 for c in found.causes), [(c.name, c.confidence) for c in found.causes]
 
 
 EXAMPLES = [
