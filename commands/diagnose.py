@@ -134,10 +134,12 @@ def show(
     terminal: Console, found: Diagnosis, gained: Improvement | None, measurement: Path, out: Path, report: bool
 ) -> None:
     """Print the answer: what was found, how sure that is, what it is worth, what to do now; legible in 80 columns."""
-    from ..views.report import look_alikes, plain, verdict_sentence
+    from ..views.report import further_reasons, look_alikes, plain, verdict_sentence
 
     page = _Page(terminal)
     page.say(found.verdict, verdict_sentence(found))
+    for reason in further_reasons(found):
+        page.item(reason)
     if found.mistakes:
         page.heading("Mistakes in the data")
         for m in found.mistakes:

@@ -48,21 +48,29 @@ def look_alikes(pairs: Sequence[Sequence[str]]) -> list[tuple[str, list[str]]]:
 
 
 def verdict_sentence(d: Diagnosis) -> str:
-    """The verdict in one sentence."""
+    """The verdict in one sentence; why else, and what holds it back, is `further_reasons`."""
     if d.verdict == "inconclusive":
-        reason = f": {d.reason}" if d.reason else ""
+        reason = f": {_reasons(d)[0]}" if d.reason else ""
         return f"This measurement cannot tell{reason}."
     if not d.causes:
         blind = len(d.undetermined)
         left = f"; {blind} cause{'s' if blind > 1 else ''} could not have shown" if blind else ""
-        return f"The joint behaves as its description says, within its tolerances{left}{f'; {d.reason}' if d.reason else ''}."
+        return f"The joint behaves as its description says, within its tolerances{left}."
     parts = [f"{title(c)} ({c.component}, {100 * c.confidence:.0f} % sure)" for c in d.causes]
     whole = min(sum(c.explains for c in d.causes), 1.0)
     return (
         f"The joint differs from its description by {listed(parts)}, which "
-        f"{'explains' if len(parts) == 1 else 'explain'} {100 * whole:.0f} % of what calibration leaves"
-        f"{f'; {d.reason}' if d.reason else ''}."
+        f"{'explains' if len(parts) == 1 else 'explain'} {100 * whole:.0f} % of what calibration leaves."
     )
+
+
+def further_reasons(d: Diagnosis) -> list[str]:
+    """What a diagnosis's `reason` says beside its verdict in a sentence, part by part."""
+    return _reasons(d)[1:] if d.verdict == "inconclusive" else _reasons(d)
+
+
+def _reasons(d: Diagnosis) -> list[str]:
+    return [part for part in d.reason.split("; ") if part]
 
 
 def title(c: Finding) -> str:
@@ -83,7 +91,7 @@ def listed(parts: list[str]) -> str:
 def markdown(report: Report) -> str:
     """The verdict and its tables, short, in Markdown."""
     d = report.diagnosis
-    lines = [f"# {d.verdict}", verdict_sentence(d), ""]
+    lines = [f"# {d.verdict}", verdict_sentence(d), "", *(f"- {reason}" for reason in further_reasons(d)), ""]
     for m in d.mistakes:
         lines.append(f"- mistake in the data, {plain(m.name)}: {m.description}")
     for c in d.causes:

@@ -186,6 +186,20 @@ def test_page_begins_with_what_was_found_how_sure_and_what_to_do(report):
     assert "DIR stands for the folder" in read(html(report))[1]
 
 
+def test_page_says_one_by_one_what_holds_the_verdict_back(report):
+    parts = "time was up; link balance: 0.2 N·m RMS is left; one recording stands apart"
+    found = replace(report.diagnosis, verdict="inconclusive", causes=(), reason=parts, share=0.0, calibration={})
+    page = html(replace(report, diagnosis=found, improvement=None))
+    assert re.search(r"<h1>.*This measurement cannot tell: time was up\.</h1>", page, re.S)
+    for part in parts.split("; ")[1:]:
+        assert f"<li>{part[0].upper()}{part[1:]}.</li>" in page and f"- {part}" in markdown(
+            replace(report, diagnosis=found)
+        )
+    _, text = read(page)
+    assert "Every number stays as described" in text and "nothing of what was found carries over" in text
+    assert "it was not computed in the time given" in text and "no torque sensor to compare with" not in text
+
+
 def test_page_ends_with_where_it_comes_from(report):
     _, text = read(html(report))
     end = text.split("Where this page comes from")[1]

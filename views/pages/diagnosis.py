@@ -18,7 +18,7 @@ import numpy as np
 from ...models import causes, plugins
 from ...models.files import write_into_place
 from ..glossary import meaning, pieces
-from ..report import Report, listed, look_alikes, plain, title, verdict_sentence
+from ..report import Report, further_reasons, listed, look_alikes, plain, title, verdict_sentence
 from ..residuals import balances, overlays
 from . import residual_charts
 from .provenance import provenance
@@ -101,6 +101,8 @@ def context(report: Report) -> dict[str, Any]:
         "joint": report.joint.name,
         "verdict": d.verdict,
         "sentence": verdict_sentence(d),
+        "reasons": further_reasons(d),
+        "share": d.share,
         "mistakes": [_mistake(m) for m in d.mistakes],
         "mendable": d.mendable,
         "computed": d.problem is not None,
