@@ -38,6 +38,7 @@ class AnswerSettings:
       little: part of the rated torque that an unknown effect must be worth there, not to be a minor one; or `mostly` of what all
         effects are worth together (mean square), or so much that what nothing explains would be `plainer` times as large (mean
         square) without it: what real joints have a little of everything of does not stand out so.
+      about: part of what one effect is worth from which on another is worth about the same: it is known no better than that.
       inflation: largest factor on standard deviations where more than noise is left; lookalike: part of an effect's ordinary size
         that may then be small imperfections which look like it; inexact_size: where only noise is left, part that may be the
         reconstruction of the motion from counts; inexact_bias: part that is not known of by how much the motion's noise moves a
@@ -77,6 +78,7 @@ class AnswerSettings:
     little: float = 0.015
     mostly: float = 0.6
     plainer: float = 4.0
+    about: float = 0.9
     inflation: float = 5.0
     lookalike: float = 0.05
     inexact_size: float = 0.01

@@ -29,7 +29,8 @@ from .search.worth import Worth, left_by, noise_of
 def findings_of(
     conclusion: Conclusion, measurement: Measurement
 ) -> tuple[list[Finding], list[Finding], list[tuple[str, str]]]:
-    """The effects of the final model, each with what it is worth: causes, and minor ones; pairs that share what one explains."""
+    """The effects of the final model, each with what it is worth, in the order in which they matter: causes, and minor ones; pairs
+    that share what one explains."""
     problem, found, final, unknown = conclusion.problem, conclusion.found, conclusion.final, conclusion.unknown
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, conclusion.judged))
     explained = max(held_before - held_after, 0.0) / held_before if held_before > 0.0 else 0.0
@@ -104,7 +105,23 @@ def findings_of(
             share = float(np.clip(explained * both**2 / whole, 0.0, 1.0))
             findings[i] = replace(findings[i], explains=share, worth=both, estimation=g**0.5)
     names = [h.cause.name for h in final.model]
-    return list(findings.values()), list(minor.values()), [(names[i], names[j]) for i, j in pairs]
+    sizes = [size_of(problem, final, i) for i in range(named)] + [1.0] * (len(final.model) - named)
+    ordered = _in_order(findings, sizes), _in_order(minor, sizes)
+    return *ordered, [(names[i], names[j]) for i, j in pairs]
+
+
+def _in_order(findings: dict[int, Finding], sizes: Sequence[float]) -> list[Finding]:
+    """What is worth most first; of what is worth about the same, the one that is the largest for its kind.
+
+    Args:
+      sizes: of all effects of the model, in ordinary ones.
+    """
+    left, found = dict(findings), list[Finding]()
+    while left:
+        most = max(f.worth for f in left.values())
+        first = max((i for i, f in left.items() if f.worth >= ANSWER.about * most), key=lambda i: sizes[i])
+        found.append(left.pop(first))
+    return found
 
 
 def _turns_with_the_link(h: Hypothesis) -> bool:

@@ -497,6 +497,15 @@ def test_extended_joint_makes_a_fresh_measurement_consistent():
     assert again.verdict == "consistent", [(c.name, c.confidence, c.explains) for c in again.causes]
 
 
+@pytest.mark.slow
+def test_of_two_causes_worth_the_same_the_one_that_is_larger_for_its_kind_stands_first():
+    """A link's inertia 1.8 times as large, on a joint whose link is not quite rigid: both are worth 0.13 N·m."""
+    drawn = draw(Challenge(hidden="one", seed=1010, real=True), 27)
+    first, second = diagnose(drawn.measurement, drawn.nominal).causes
+    assert (first.name, second.name) == ("link_inertia", "link_flexibility")
+    assert second.worth == pytest.approx(first.worth, rel=0.15)
+
+
 EXAMPLES = [
     f"{kind}/{number:02d}" for kind, count in (("exact", 6), ("toleranced", 7), ("bare", 3)) for number in range(count)
 ]
