@@ -29,8 +29,9 @@ from .search.worth import Worth, left_by, noise_of
 def findings_of(
     conclusion: Conclusion, measurement: Measurement
 ) -> tuple[list[Finding], list[Finding], list[tuple[str, str]]]:
-    """The effects of the final model, each with what it is worth, in the order in which they matter: causes, and minor ones; pairs
-    that share what one explains."""
+    """The effects of the final model, each with what it is worth, in the order in which they matter: causes, and minor ones;
+    pairs that share what one explains.
+    """
     problem, found, final, unknown = conclusion.problem, conclusion.found, conclusion.final, conclusion.unknown
     held_before, held_after = (_held_out_squares(problem, f) for f in (found.base, conclusion.judged))
     explained = max(held_before - held_after, 0.0) / held_before if held_before > 0.0 else 0.0
