@@ -110,12 +110,14 @@ def combinations(here: frozenset[str], available: Collection[str]) -> list[froze
     """Sets of causes that may stand in the place of those that are here: one exchanged for such as imitate it, these for it, or
     one for another that does beside what is here.
 
-    None has all that are here: what would be there beside them was asked before.
+    None has all that are here: what would be there beside them was asked before. Of a set what a measurement cannot show is left
+    out: a torque constant is imitated by a gravity moment and a torque sensor's gain, without that sensor by the moment alone.
     """
     found, there = set[frozenset[str]](), {*available, *here}
     for name in there:
-        for others in map(frozenset, causes.get(name).imitated_by):
-            if not others <= there:
+        cause = causes.get(name)
+        for others in (frozenset(whole) & there for whole in cause.imitated_by):
+            if not others or others <= {*cause.generalises}:  # a special case has been asked for
                 continue
             if name in here:
                 alone = {n for n in others if any(name in more for more in causes.get(n).imitated_by)}
@@ -123,9 +125,7 @@ def combinations(here: frozenset[str], available: Collection[str]) -> list[froze
             if others <= here:
                 found.add(here - others | {name})
         if name in here:
-            found |= {
-                here - {name} | {o} for o, beside in causes.get(name).imitated_beside if beside in here and o in there
-            }
+            found |= {here - {name} | {o} for o, beside in cause.imitated_beside if beside in here and o in there}
     return sorted((names for names in found if names <= there and not names >= here), key=sorted)
 
 

@@ -47,7 +47,11 @@ def test_offsets_are_exchanged_beside_a_cable_alone():
 
 
 def test_what_a_measurement_cannot_show_is_in_none():
-    assert combinations(frozenset({"torque_constant"}), {"torque_constant", "gravity_moment"}) == []
+    """Without a torque sensor a torque constant and a gravity moment look alike."""
+    available = {"torque_constant", "gravity_moment"}
+    assert combinations(frozenset({"torque_constant"}), available) == [frozenset({"gravity_moment"})]
+    assert combinations(frozenset({"gravity_moment"}), available) == [frozenset({"torque_constant"})]
+    assert combinations(frozenset({"load_dependent_friction"}), FRICTION) == []
     assert combinations(frozenset(), ALL) == []
 
 
