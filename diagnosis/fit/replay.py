@@ -569,7 +569,8 @@ def _derivatives(segment: Segment, record: np.ndarray, directions: np.ndarray) -
     sign = np.ones(len(BALANCES))
     sign[[CURRENT, TORQUE]] = -1.0
     sign[~segment.balances] = 0.0
-    return found[..., :m] * (sign / _weights(len(out), len(segment.time))[:, None])[..., None]
+    with np.errstate(invalid="ignore", over="ignore"):  # what has grown without bound is judged by whoever asked
+        return found[..., :m] * (sign / _weights(len(out), len(segment.time))[:, None])[..., None]
 
 
 def _inside(segment: Segment, record: np.ndarray) -> bytes:
