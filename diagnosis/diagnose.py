@@ -133,10 +133,11 @@ def _zeros(measurement: Measurement, problem: Problem, f: Fit) -> dict[str, floa
         return {}
     moved, less = tare.zeros(problem)
     numbers = problem.joint.numbers
-    if np.ptp(moved) < ANSWER.rezeroed * numbers["rated_torque"].value / numbers["K1"].value or less < ANSWER.less:
+    most = ANSWER.rezeroed * numbers["rated_torque"].value / numbers["K1"].value
+    if not less >= ANSWER.less or np.ptp([*moved.values()]) < most:
         return {}
-    there = sorted({s.recording for s in problem.segments})
-    return {measurement.recordings[i].name: float(x - moved[0]) for i, x in zip(there, moved, strict=True)}
+    first = next(iter(moved.values()))
+    return {name: x - first for name, x in moved.items()}
 
 
 def _as_described(

@@ -54,7 +54,6 @@ class Problem:
       segments, replicates: of the measurement (`data.segments`).
       joint: its description.
       calibration: the joint's variables.
-      mountings: of the link, one a segment.
       size: number of unknowns that every model has: calibration, two sample times and the crosstalk.
       late: by how much current and joint torque are described to be sampled later than the motor encoder [s], shape (2,).
       crosstalk: prior standard deviation of its amplitude [N·m].
@@ -71,7 +70,6 @@ class Problem:
         self.joint = joint
         self.bias: list[np.ndarray] | None = None
         self.calibration = Calibration(joint)
-        self.mountings = [s.mounting for s in self.segments]
         self.size = self.calibration.size + len(_TIMED) + 1
         self.late = lateness(joint)
         self.crosstalk = CROSSTALK * max(m.gravity_moment for m in (joint.mount(), *self.mountings))
@@ -99,14 +97,13 @@ class Problem:
         )
         return other
 
-    def of_recording(self, recording: int) -> Problem:
+    def of_recording(self, name: str) -> Problem:
         """The same problem of one of the recordings alone."""
         other = copy(self)
-        kept = [i for i, s in enumerate(self.segments) if s.recording == recording]
+        kept = [i for i, s in enumerate(self.segments) if s.name == name]
         other.segments, other.replicates = (
             [segments[i] for i in kept] for segments in (self.segments, self.replicates)
         )
-        other.mountings = [self.mountings[i] for i in kept]
         if self.bias is not None:
             other.bias = [self.bias[i] for i in kept]
         return other
@@ -126,6 +123,11 @@ class Problem:
         other = copy(self)
         other.bias = list(bias)
         return other
+
+    @property
+    def mountings(self) -> list[Mounting]:
+        """Of the link, one a segment."""
+        return [s.mounting for s in self.segments]
 
     @property
     def has_torque(self) -> bool:

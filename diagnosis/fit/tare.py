@@ -52,36 +52,39 @@ def tared(problem: Problem, theta: np.ndarray, model: Model, settings: TareSetti
     return best
 
 
-def zeros(problem: Problem, settings: TareSettings = SETTINGS) -> tuple[np.ndarray, float]:
+def zeros(problem: Problem, settings: TareSettings = SETTINGS) -> tuple[dict[str, float], float]:
     """Where each recording alone has the link encoder's zero by the description.
 
     Returns:
-      By how much that moves the zero of all of them [rad], shape (recordings,): within 0.1 mrad or so, as a stiffness that is off
-      moves it too. And the logarithm by which what is left becomes less (its median, in the mean over samples).
+      By how much that moves the zero of all of them [rad], by recording: within 0.1 mrad or so, as a stiffness that is off moves
+      it too. And the logarithm by which what is left becomes less (its median, in the mean over samples).
     """
-    theta = tared(problem, problem.start(None, ()), ())
     zero = next((s for s in problem.calibration.slots if s.name == "link_encoder_zero"), None)
-    recordings = sorted({s.recording for s in problem.segments})
     if zero is None or zero.name not in problem.calibration.names or not problem.link_measured:
-        return np.zeros(len(recordings)), 0.0
+        return {}, 0.0
+    theta = tared(problem, problem.start(None, ()), ())
     unit = np.eye(len(theta))[problem.calibration.names.index(zero.name)] / problem.calibration.deviation(zero)
     steps = settings.finest * 2.0 ** np.arange(round(np.log2(settings.farthest / settings.finest)) + 1)
     tried = np.r_[-steps[::-1], 0.0, steps]
-    found, less, samples = [], 0.0, 0
-    for recording in recordings:
-        own = problem.of_recording(recording)
+    found, less, samples = {}, 0.0, 0
+    for name in dict.fromkeys(s.name for s in problem.segments):
+        own = problem.of_recording(name)
 
-        def left(change: float, own: Problem = own) -> float:
-            return roughness(own, own.residuals([theta + change * unit], [()])[0])
+        def left(changes: Sequence[float], own: Problem = own) -> list[float]:
+            residuals = own.residuals([theta + x * unit for x in changes], [()] * len(changes))
+            return [roughness(own, rs) for rs in residuals]
 
-        each = [left(x) for x in tried]
+        each = left(tried)
         best = int(np.nanargmin(each))
         ends = (tried[max(best - 1, 0)], tried[min(best + 1, len(tried) - 1)])
-        end = minimize_scalar(left, bounds=ends, method="bounded", options={"xatol": 0.02 * settings.finest})
-        found.append(end.x if end.fun < each[best] else tried[best])
-        less += left(0.0) - min(end.fun, each[best])
+        end = minimize_scalar(
+            lambda x, left=left: left([x])[0], bounds=ends, method="bounded", options={"xatol": 0.02 * settings.finest}
+        )
+        change, least = (end.x, end.fun) if end.fun < each[best] else (tried[best], each[best])
+        found[name] = float(change)
+        less += each[len(steps)] - least
         samples += sum(int((s.usable & ~s.at_rest[:, None]).sum()) for s in own.segments)
-    return np.array(found), less / max(samples, 1)
+    return found, less / max(samples, 1)
 
 
 def roughness(problem: Problem, residuals: Sequence[np.ndarray]) -> float:

@@ -126,7 +126,7 @@ def combinations(here: frozenset[str], available: Collection[str]) -> list[froze
                 found.add(here - others | {name})
         if name in here:
             found |= {here - {name} | {o} for o, beside in cause.imitated_beside if beside in here and o in there}
-    return sorted((names for names in found if names <= there and not names >= here), key=sorted)
+    return sorted((names for names in found if not names >= here), key=sorted)
 
 
 def _imitates(name: str) -> bool:
