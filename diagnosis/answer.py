@@ -99,7 +99,8 @@ class Diagnosis:
     """The answer, with what is needed to show how it came about.
 
     Attributes:
-      verdict: consistent, discrepancy or inconclusive; reason: why, where that is not plain from the causes.
+      verdict: consistent, discrepancy or inconclusive; reasons: why, where that is not plain from the causes, and what holds the
+        answer back.
       causes: by how much each is worth; minor: effects that are there, too small to be called causes or
         part of the unknown one.
       calibration: numbers that moved.
@@ -121,7 +122,7 @@ class Diagnosis:
     """
 
     verdict: str
-    reason: str
+    reasons: tuple[str, ...]
     causes: tuple[Finding, ...]
     calibration: dict[str, ParameterShift]
     confusable: tuple[tuple[str, str], ...]
@@ -144,6 +145,11 @@ class Diagnosis:
     held_out: str = ""
     complete: bool = True
     seconds: float = 0.0
+
+    @property
+    def reason(self) -> str:
+        """The reasons in one sentence, as `diagnosis.json` has them; empty for none."""
+        return "; ".join(self.reasons)
 
     @property
     def mendable(self) -> bool:

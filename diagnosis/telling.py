@@ -21,6 +21,9 @@ from .fit.residual import Problem
 from .fit.solver import Fit
 from .uncertainty import stated
 
+_LATE = "time was up before every stage was done: with more, more may be found"
+_NOT_SURE = "the causes named do not hold where they were not fitted, and are not sure"
+
 
 def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     """What a diagnosis came to, as the answer."""
@@ -43,15 +46,14 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         findings = [
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
-    verdict, reason = _verdict(conclusion, findings, minor, residual, useless)
+    verdict, reasons = _verdict(conclusion, findings, minor, residual, useless)
     calibration = parameter_shifts(problem, final)
-    reason = _joined(
-        reason,
-        _at_the_end(calibration),
-        _holds_back(conclusion),
-        _stands_apart(conclusion),
-        _rezeroed(conclusion),
-    )
+    reasons += [
+        *_at_the_end(calibration),
+        *_holds_back(conclusion),
+        *_stands_apart(conclusion),
+        *_rezeroed(conclusion),
+    ]
     extended_joint = joint
     if conclusion.drawn.share > 0.0:
         extended_joint = extended(problem, final, joint, conclusion.unknown)
@@ -66,7 +68,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     }
     return Diagnosis(
         verdict=verdict,
-        reason=reason,
+        reasons=tuple(reasons),
         causes=tuple(findings),
         calibration=calibration,
         confusable=tuple(sorted(alike)),
@@ -93,8 +95,8 @@ def _acts_on_the_link(f: Finding) -> bool:
     return f.component == "link" or (f.name in causes.names() and causes.get(f.name).sensor == "joint_torque")
 
 
-def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
-    """Numbers that calibration moved to the end of their tolerances: they may be what is wrong; empty where there are none."""
+def _at_the_end(calibration: dict[str, ParameterShift]) -> list[str]:
+    """Numbers that calibration moved to the end of their tolerances: they may be what is wrong."""
     ends = [
         f"{name} ({s.value:.3g} {s.unit})" if s.nominal == 0.0 else f"{name} ({100 * (s.value / s.nominal - 1):+.0f} %)"
         for name, s in calibration.items()
@@ -106,14 +108,14 @@ def _at_the_end(calibration: dict[str, ParameterShift]) -> str:
         for sensor, name in DELAYS.items()
         if (s := calibration.get(name)) is not None and abs(s.moved) > ANSWER.end
     ]
-    return _joined(f"at the end of what the description allows: {', '.join(ends)}" if ends else "", *late)
+    return [f"at the end of what the description allows: {', '.join(ends)}", *late] if ends else late
 
 
-def _holds_back(conclusion: Conclusion) -> str:
-    """Why the extended joint is not what a fit of all numbers says; empty where it is."""
+def _holds_back(conclusion: Conclusion) -> list[str]:
+    """Why the extended joint is not what a fit of all numbers says; nothing where it is."""
     drawn = conclusion.drawn
     if drawn.share < 1.0 and not drawn.regions:
-        return "too little motion to keep a region of it from the fit: joint.yaml is the description"
+        return ["too little motion to keep a region of it from the fit: joint.yaml is the description"]
     if drawn.share < 1.0:
         if drawn.refused:
             why = "with what was found estimates of torque are worse than with the description"
@@ -124,54 +126,62 @@ def _holds_back(conclusion: Conclusion) -> str:
         if drawn.worst is not None and not drawn.refused:
             why += f" ({drawn.worst.name}: {drawn.worst.ratio:.2g} times)"
         left = f"the numbers in joint.yaml are drawn back to {100 * drawn.share:.0f} % of the way"
-        return f"{why}: {left if drawn.share else 'joint.yaml is the description'}"
+        return [f"{why}: {left if drawn.share else 'joint.yaml is the description'}"]
     if not conclusion.problem.held.any():
-        return ""
+        return []
     worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in drawn.regions if r.worse)
     alike = dict.fromkeys(n for pair in conclusion.found.confusable for n in pair)
     names = " or ".join(name.replace("_", " ") for name in alike)
-    return _joined(
+    told = [
         "no numbers within tolerance hold where a fit has not seen the data: they are left as described, and the causes are what "
-        "explains most with these",
-        f"on regions that were kept from the fit worse than the description in {worse}" if worse else "",
-        f"what is left beside may be {names}, which this motion cannot tell apart" if names else "",
-    )
+        "explains most with these"
+    ]
+    if worse:
+        told.append(f"on regions that were kept from the fit worse than the description in {worse}")
+    if names:
+        told.append(f"what is left beside may be {names}, which this motion cannot tell apart")
+    return told
 
 
-def _stands_apart(conclusion: Conclusion) -> str:
-    """The recording that the description fits far worse than every other, and what was found hardly better; empty for none."""
+def _stands_apart(conclusion: Conclusion) -> list[str]:
+    """The recording that the description fits far worse than every other, and what was found hardly better."""
     each = sorted((r for r in conclusion.drawn.regions if r.recordings), key=lambda r: -r.described)
     if len(each) < 2 or each[0].described < ANSWER.apart * each[1].described:
-        return ""
+        return []
     if each[0].extended < ANSWER.explained * each[0].described:
-        return ""
-    return (
+        return []
+    return [
         f"by the description {each[0].name} is off by {each[0].described:.2g} N·m RMS, every other by {each[1].described:.2g} "
         "at most: is it of the same joint, with the load and the pushes that its YAML file states?"
-    )
+    ]
 
 
-def _rezeroed(conclusion: Conclusion) -> str:
-    """Where the link encoder's zero differs between recordings; empty where it does not."""
+def _rezeroed(conclusion: Conclusion) -> list[str]:
+    """Where the link encoder's zero differs between recordings."""
     if not conclusion.zeros:
-        return ""
+        return []
     each = ", ".join(f"{name} {1e3 * x:+.2g}" for name, x in conclusion.zeros.items())
-    return f"each recording alone has another zero of the link encoder ({each} mrad): was one set in between? Diagnose each alone"
+    return [
+        f"each recording alone has another zero of the link encoder ({each} mrad): was one set in between? Diagnose each alone"
+    ]
 
 
 def meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
     """The answer while mistakes in the data make physics meaningless."""
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
-    reason = f"mistakes in the data ({named}) make physics meaningless; `flexspline import --fix` writes them mended"
+    reasons = (
+        f"mistakes in the data ({named}) make physics meaningless",
+        "`flexspline import --fix` writes them mended",
+    )
     everything = {n: "mistakes in the data" for n in causes.of(joint)}
-    told = Diagnosis("inconclusive", reason, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
-    return told if told.mendable else replace(told, reason=f"{NO_CHANGE}; what would mend most: {named}")
+    told = Diagnosis("inconclusive", reasons, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
+    return told if told.mendable else replace(told, reasons=(NO_CHANGE, f"what would mend most: {named}"))
 
 
 def nothing_usable(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:
     shortest = SETTINGS.shortest
-    reason = f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s"
-    return Diagnosis("inconclusive", reason, (), {}, (), missing, {}, (), joint, mistakes=mistakes, seconds=seconds)
+    reasons = (f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s",)
+    return Diagnosis("inconclusive", reasons, (), {}, (), missing, {}, (), joint, mistakes=mistakes, seconds=seconds)
 
 
 def _held_out(problem: Problem) -> str:
@@ -193,9 +203,9 @@ def _verdict(
     minor: list[Finding],
     residual: dict[str, BalanceResidual],
     useless: bool,
-) -> tuple[str, str]:
-    """Verdict and, where it is not plain, its reason: a residual far above the noise is never consistent, nor is one beside which
-    a minor effect is worth as much as an unknown one that is told.
+) -> tuple[str, list[str]]:
+    """Verdict and, where it is not plain, its reasons: a residual far above the noise is never consistent, nor is one beside
+    which a minor effect is worth as much as an unknown one that is told.
 
     Args:
       useless: whether the causes leave no less unexplained than calibration alone.
@@ -211,40 +221,39 @@ def _verdict(
         if r.after > times * r.noise and r.after * scale[name] > worth * rated
     ]  # fmt: skip
     left = _left(far, " by joint.yaml" if taken_back else "")
-    late = "" if conclusion.found.complete else "time was up before every stage was done: with more, more may be found"
+    late = [] if conclusion.found.complete else [_LATE]
     if useless:
-        return "inconclusive", _joined("the causes named leave no less unexplained than calibration alone", late, left)
+        return "inconclusive", ["the causes named leave no less unexplained than calibration alone", *late, *left]
     unlikely = not problem.link_measured and all(f.confidence <= ANSWER.unsure for f in findings)
     if findings and unlikely and conclusion.drawn.share == 0.0:
-        return "inconclusive", _joined(
-            "the causes named do not hold where they were not fitted, and are not sure", late, left
-        )
+        return "inconclusive", [_NOT_SURE, *late, *left]
     if findings:
-        return "discrepancy", _joined(late, f"beside the causes named, {left}" if far else "")
+        return "discrepancy", [*late, *_after("beside the causes named, ", left)]
     if conclusion.nearly_all:
-        return "inconclusive", _joined("nearly all causes could not have shown", late, left)
+        return "inconclusive", ["nearly all causes could not have shown", *late, *left]
     if late:
-        return "inconclusive", _joined(late, left)
+        return "inconclusive", [*late, *left]
     if far:
-        return "inconclusive", left if taken_back else f"no known cause explains the residual; {left}"
+        return "inconclusive", left if taken_back else ["no known cause explains the residual", *left]
     large = [f for f in minor if f.confidence >= ANSWER.unsure and f.worth > ANSWER.little * rated]
     if large:
         names = " and ".join(f"{f.name.replace('_', ' ')} ({f.worth:.2g} N·m)" for f in large)
-        return "inconclusive", f"{names} may be there, too small or too little known to be named"
+        return "inconclusive", [f"{names} may be there, too small or too little known to be named"]
     some = [(name, r) for name, r in residual.items() if r.after > ANSWER.near * r.noise]
-    return "consistent", f"small, but more than noise: {_left(some)}" if some else ""
+    return "consistent", _after("small, but more than noise: ", _left(some))
 
 
-def _left(far: Sequence[tuple[str, BalanceResidual]], by: str = "") -> str:
-    """What balances leave beyond the sensors' noise; empty for none."""
-    return "; ".join(
+def _left(far: Sequence[tuple[str, BalanceResidual]], by: str = "") -> list[str]:
+    """What balances leave beyond the sensors' noise."""
+    return [
         f"{name.replace('_', ' ')}: {r.after:.3g} {r.unit} RMS is left{by}, {r.after / max(r.noise, 1e-12):.0f} times the noise"
         for name, r in far
-    )
+    ]
 
 
-def _joined(*parts: str) -> str:
-    return "; ".join(part for part in parts if part)
+def _after(words: str, reasons: list[str]) -> list[str]:
+    """The same reasons, the first of them after some words."""
+    return [words + reasons[0], *reasons[1:]] if reasons else []
 
 
 def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResidual]:

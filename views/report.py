@@ -50,7 +50,7 @@ def look_alikes(pairs: Sequence[Sequence[str]]) -> list[tuple[str, list[str]]]:
 def verdict_sentence(d: Diagnosis) -> str:
     """The verdict in one sentence; why else, and what holds it back, is `further_reasons`."""
     if d.verdict == "inconclusive":
-        reason = f": {_reasons(d)[0]}" if d.reason else ""
+        reason = f": {d.reasons[0]}" if d.reasons else ""
         return f"This measurement cannot tell{reason}."
     if not d.causes:
         blind = len(d.undetermined)
@@ -64,13 +64,9 @@ def verdict_sentence(d: Diagnosis) -> str:
     )
 
 
-def further_reasons(d: Diagnosis) -> list[str]:
-    """What a diagnosis's `reason` says beside its verdict in a sentence, part by part."""
-    return _reasons(d)[1:] if d.verdict == "inconclusive" else _reasons(d)
-
-
-def _reasons(d: Diagnosis) -> list[str]:
-    return [part for part in d.reason.split("; ") if part]
+def further_reasons(d: Diagnosis) -> tuple[str, ...]:
+    """A diagnosis's reasons beside the one that its verdict in a sentence has."""
+    return d.reasons[1:] if d.verdict == "inconclusive" else d.reasons
 
 
 def title(c: Finding) -> str:

@@ -41,7 +41,7 @@ def answered(**changes) -> Diagnosis:
     }
     regions = tuple(Region(f"recording sweep_{i}", True, 400, 1.4 + i, 1.0, 1.5, 1.5 / (1.4 + i)) for i in range(5))
     base = Diagnosis(
-        verdict="discrepancy", reason="", causes=causes, minor=causes[:1],
+        verdict="discrepancy", reasons=(), causes=causes, minor=causes[:1],
         calibration={"K1": ParameterShift(8400, 8790, 60, 0.07, "N·m/rad")},
         confusable=(("torque_constant", "torque_sensor_gain"),), undetermined={"friction_temperature": "no column"},
         residual=residual, regions=regions, extended=load_joint("test-joint"), plan=PLAN, problem=object(),  # type: ignore[arg-type]
@@ -112,7 +112,9 @@ def test_the_answer_is_legible_in_80_columns():
 
 def test_mistakes_that_make_physics_meaningless_are_mended_first():
     mistake = Mistake("swapped", "", "", "motor and link column exchanged", 0.99)
-    found = answered(verdict="inconclusive", reason="mistakes", causes=(), mistakes=(mistake,), problem=None, plan=None)
+    found = answered(
+        verdict="inconclusive", reasons=("mistakes",), causes=(), mistakes=(mistake,), problem=None, plan=None
+    )
     text = printed(found)
     assert text.rstrip().endswith("flexspline import bench --fix --out MENDED")
     assert "--joint out/joint.yaml" not in text

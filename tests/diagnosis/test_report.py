@@ -187,11 +187,11 @@ def test_page_begins_with_what_was_found_how_sure_and_what_to_do(report):
 
 
 def test_page_says_one_by_one_what_holds_the_verdict_back(report):
-    parts = "time was up; link balance: 0.2 N·m RMS is left; one recording stands apart"
-    found = replace(report.diagnosis, verdict="inconclusive", causes=(), reason=parts, share=0.0, calibration={})
+    parts = ("time was up", "link balance: 0.2 N·m RMS is left; that is much", "one recording stands apart")
+    found = replace(report.diagnosis, verdict="inconclusive", causes=(), reasons=parts, share=0.0, calibration={})
     page = html(replace(report, diagnosis=found, improvement=None))
     assert re.search(r"<h1>.*This measurement cannot tell: time was up\.</h1>", page, re.S)
-    for part in parts.split("; ")[1:]:
+    for part in parts[1:]:
         assert f"<li>{part[0].upper()}{part[1:]}.</li>" in page and f"- {part}" in markdown(
             replace(report, diagnosis=found)
         )
@@ -312,7 +312,7 @@ def test_a_measurement_that_made_no_sense_has_a_page_too(report, tmp_path):
     d = report.diagnosis
     wrong = Mistake("swapped", "", "", "the encoders are swapped", 0.99)
     nothing = replace(
-        d, verdict="inconclusive", reason="mistakes in the data", causes=(), minor=(), calibration={}, confusable=(),
+        d, verdict="inconclusive", reasons=("mistakes in the data",), causes=(), minor=(), calibration={}, confusable=(),
         residual={}, regions=(), extended=report.joint, mistakes=(wrong,), decisions=(), problem=None, search=None,
         final=None, before=[], after=[], estimation=None,
     )  # fmt: skip
