@@ -38,11 +38,14 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
         covariance = larger(covariance, fit.least)
     names, period, values = _quantities(problem, fit, joint)
     base = values(fit.theta)
-    changes = np.stack([values(fit.theta + _STEP * e) - base for e in np.eye(len(fit.theta))], axis=1)
-    changes -= period[:, None] * np.round(
-        changes / np.where(period > 0, period, 1.0)[:, None]
-    )  # of an angle, the short way
-    slope = changes / _STEP
+
+    def slope_by(step: float) -> np.ndarray:
+        changes = np.stack([values(fit.theta + step * e) - base for e in np.eye(len(fit.theta))], axis=1)
+        short = np.round(changes / np.where(period > 0, period, 1.0)[:, None])
+        return (changes - period[:, None] * short) / step  # of an angle, the short way
+
+    slope = slope_by(_STEP)
+    slope = np.where(slope == 0.0, slope_by(-_STEP), slope)  # at the end of what an effect can be, from inside
     root = root_of(covariance)
     # L of L Lᵀ = (slope·root)(slope·root)ᵀ, also where numbers share all that is not known of them.
     lower = np.asarray(np.linalg.qr((slope @ root).T, mode="r")).T

@@ -168,18 +168,26 @@ class Calibration:
           within: standard deviations that count as within tolerance.
         """
         nominal = self.record(np.zeros(self.size), mounting)
-        allowed = np.zeros(1, record.dtype)
+        allowed, period = np.zeros(1, record.dtype), np.zeros(record.nbytes // 8)
         for slot in self.slots:
             deviation = self.deviation(slot)
+            if slot.field in _ANGLES:
+                period[slot.place] = 2 * np.pi
             if slot.index >= 0:
                 allowed[0][slot.field][slot.index] = within * deviation
             else:
                 scale = nominal[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
                 allowed[0][slot.field] = within * deviation * scale
         now, before, described, limit = (as_floats(r) for r in (record, without, nominal, allowed))
-        return not np.any((now != before) & (np.abs(now - described) > limit))
+        off = now - described
+        off -= period * np.round(
+            np.divide(off, period, out=np.zeros_like(off), where=period > 0.0)
+        )  # the short way round
+        return not np.any((now != before) & (np.abs(off) > limit))
 
 
+_ANGLES = ("phase", "gravity_angle")
+"""Fields of the record that return after a turn."""
 _LEAST = 0.3
 _LEAST_SHARE = 1e-3  # of its nominal value, of a number that is not zero
 

@@ -131,17 +131,19 @@ class Hypothesis:
 
     def deviation(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
         """Standard deviations of the free parameters, from the coordinates' covariance."""
-        step = 1e-4
         at = self.values(u)
         names = [q.name for q in self.free]
         slope = np.empty((len(names), self.size))
+
+        def slope_of(q: CauseParameter, j: int, step: float) -> float:
+            change = self.values(u + step * np.eye(self.size)[j])[q.name] - at[q.name]
+            if q.period:
+                change = (change + 0.5 * q.period) % q.period - 0.5 * q.period
+            return change / step
+
         for j in range(self.size):
-            moved = self.values(u + step * np.eye(self.size)[j])
             for i, q in enumerate(self.free):
-                change = moved[q.name] - at[q.name]
-                if q.period:
-                    change = (change + 0.5 * q.period) % q.period - 0.5 * q.period
-                slope[i, j] = change / step
+                slope[i, j] = slope_of(q, j, 1e-4) or slope_of(q, j, -1e-4)  # at the end of its bounds from inside
         variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
         return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)), strict=True))
 

@@ -237,19 +237,19 @@ def worth_of(problem: Problem, f: Fit, linear: Fit, *indices: int) -> Worth:
     columns = linear.jacobian
     for index in indices:
         columns = _as_without(problem, f, columns, index)
-    return worth(problem, f, columns, *_alone(problem, f, *indices))
+    return worth(problem, f, columns, *alone(problem, f, *indices))
 
 
 def made_by(problem: Problem, f: Fit, linear: Fit, index: int) -> np.ndarray:
     """Mean squares of what one of a fit's effects makes while no other unknown answers, by balance [N·m]²."""
-    own, _, amount = _alone(problem, f, index)
+    own, _, amount = alone(problem, f, index)
     return mean_squares(problem, [J[..., own] @ amount for J in linear.jacobian])
 
 
 def without_it(problem: Problem, f: Fit, linear: Fit, index: int) -> Fit:
     """A fit as it would be without one of its effects, in the linear model: the other unknowns do what they can instead. It has
     the linear model's derivatives."""
-    effect, others, amount = _alone(problem, f, index)
+    effect, others, amount = alone(problem, f, index)
     step = instead(problem, f, _as_without(problem, f, linear.jacobian, index), effect, others, amount)
     model = tuple(g for j, g in enumerate(f.model) if j != index)
     return replace(
@@ -275,7 +275,7 @@ def _as_without(problem: Problem, f: Fit, columns: Columns, index: int) -> Colum
     return [c * weight for c in columns]
 
 
-def _alone(problem: Problem, f: Fit, *indices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def alone(problem: Problem, f: Fit, *indices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Places of some of a fit's effects and of all other unknowns, and these effects' coordinates from absent."""
     blocks = [problem.place(f.model, i) for i in indices]
     magnitudes = [np.asarray(f.model[i].magnitudes) for i in indices]

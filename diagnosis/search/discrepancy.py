@@ -23,7 +23,7 @@ from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight, tamed
-from .acceptance import quiet_rms, without_it, worth_of
+from .acceptance import alone, made_by, quiet_rms, without_it, worth_of
 from .screen import plain_noise
 from .worth import left_by, mean_squares, noise_of
 
@@ -257,7 +257,7 @@ class Candidate:
       share: of the mean square of the residual, each balance over its own, that it takes away.
       score: by which candidates are ranked: log likelihood under white noise as loud as the residual, with the priors of its
         coefficients.
-      coordinates, shift: its coefficients, and the change of the other unknowns.
+      coordinates, shift: its coefficients, and the change of the unknowns that stay.
     """
 
     spline: Spline
@@ -424,14 +424,10 @@ class _Plain:
         """A spline in the place of some of the model's causes."""
         problem, at = self.problem, self.at
         B = self._rows(columns) * self.root[:, None]
-        gone = (
-            np.concatenate([np.arange(*_bounds(problem.place(at.model, i))) for i in without])
-            if without
-            else np.zeros(0, int)
-        )
-        gone = gone.astype(int)
-        kept = np.setdiff1d(np.arange(len(at.theta)), gone)
-        r = self.rows[:, 0] - self.rows[:, 1 + gone] @ at.theta[gone] if len(gone) else self.rows[:, 0]
+        r, kept = self.rows[:, 0], np.arange(len(at.theta))
+        if without:
+            own, kept, amount = alone(problem, at, *without)
+            r = r - self.rows[:, 1 + own] @ amount
         J = self.rows[:, 1 + kept]
         X = np.concatenate([J, B], -1)
         precision = np.concatenate([1 / self.spread[kept] ** 2, np.ones(spline.count)])
@@ -445,13 +441,8 @@ class _Plain:
         score = 0.5 * len(r) * np.log(np.sum(self.rows[:, 0] ** 2) / np.sum(left**2)) - 0.5 * cost
         shift = np.zeros(len(at.theta))
         shift[kept] = solution[:n]
-        shift[gone] = -at.theta[gone]
         share = 1 - float(np.sum(left**2) / max(np.sum(self.rows[:, 0] ** 2), 1e-300))
         return Candidate(spline, without, share, float(score), solution[n:], shift)
-
-
-def _bounds(block: slice) -> tuple[int, int]:
-    return block.start, block.stop
 
 
 def find(
@@ -537,12 +528,7 @@ def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
     """Sets of causes in whose place an unknown effect may stand: none, the one that is worth most, all of its component."""
     if not chosen.model:
         return [()]
-    size = [
-        float(np.sum(mean_squares(problem, [
-            J[..., problem.place(chosen.model, i)] @ chosen.theta[problem.place(chosen.model, i)] for J in chosen.jacobian
-        ])))
-        for i in range(len(chosen.model))
-    ]  # fmt: skip
+    size = [made_by(problem, chosen, chosen, i).sum() for i in range(len(chosen.model))]
     order = np.argsort(size)[::-1]
     top = int(order[0])
     component = chosen.model[top].cause.component
@@ -569,7 +555,7 @@ def _refined(
     problem = fitter.problem
     kept = [i for i in range(len(chosen.model)) if i not in candidate.without]
     places = [problem.place(chosen.model, i) for i in kept]
-    index = np.concatenate([np.arange(problem.size), *(np.arange(*_bounds(p)) for p in places)]).astype(int)
+    index = np.concatenate([np.arange(problem.size), *(np.arange(p.start, p.stop) for p in places)]).astype(int)
     model: Model = tuple(chosen.model[i] for i in kept)
     start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
     near = replace(chosen, model=model, theta=chosen.theta[index], jacobian=[J[..., index] for J in chosen.jacobian])

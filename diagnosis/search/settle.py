@@ -274,12 +274,12 @@ def _prune(
                 reason = drowned(problem, f, i, settings)
             if reason:
                 for_good.add(i)
+            elif id(h) in kept:
+                pass
             elif size <= settings.smallest:
                 reason = f"{100 * size:.1f} % of its ordinary size once all causes are fitted together"
             elif near and w.rms < settings.slight * left**0.5:
                 reason = f"takes {w.rms:.2g} N·m RMS from the simulation's error, {left**0.5:.2g} is left that nothing explains"
-            elif id(h) in kept:
-                pass
             elif away < settings.significant:
                 reason = f"{away:.1f} standard deviations from absent once all causes are fitted together"
             elif w.share < needed_share:
