@@ -86,11 +86,11 @@ def command(
             gained = None
             if in_time():
                 stage("estimating torque before and after", 0.7)
-                gained = improvement(data, described, found)
+                gained = improvement(data, found)
                 found = with_improvement(found, gained)
             if in_time():
                 stage("what to measure next", 0.85)
-                found = replace(found, plan=plan(data, described, found))
+                found = replace(found, plan=plan(data, found))
             stage("writing", 0.95)
             with output_folder(out, "diagnose", whole=True) as folder:
                 answer = json.dumps(

@@ -81,4 +81,4 @@ def _of_measurement(source: Path, option: str | None) -> list[dict[str, Any]]:
         if found.problem is None:
             raise InputError(f"{source}: nothing can be planned: {found.reason}")
         stage("what to measure next", 0.6)
-        return plan(data, described, found).to_json()
+        return plan(data, found).to_json()

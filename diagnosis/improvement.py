@@ -16,11 +16,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..estimator import registry
-from ..estimator.errors import FilterDiverged
-from ..estimator.estimator import KnownJoint
-from ..estimator.offline import SHORTEST, Estimates, estimate_recording, prepare
-from ..models.errors import InputError
+from ..estimator.offline import Estimates, estimate_recording
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
 from .answer import Diagnosis
@@ -96,15 +92,12 @@ class Improvement:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")
-def improvement(measurement: Measurement, joint: Joint, diagnosis: Diagnosis) -> Improvement | None:
-    """Error of estimators before and after; None where nothing was measured to hold them against, or nothing was computed.
-
-    Args:
-      joint: the description that diagnosis was given.
-    """
+def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement | None:
+    """Error of estimators before and after; None where nothing was measured to hold them against, or nothing was computed."""
     quantity = _measured_torque(measurement)
     if quantity is None or diagnosis.problem is None or diagnosis.search is None:
         return None
+    joint = diagnosis.problem.joint
     before = calibrated(diagnosis.problem, diagnosis.search.base, joint) if diagnosis.causes else joint
     sensed = _sensed(measurement, quantity)
     with ThreadPoolExecutor(2) as pool:
@@ -203,8 +196,10 @@ def _rms(
     """RMS error of an estimator [N·m] over some samples of recordings; NaN where there are none."""
     squares = []
     for (recording, estimates), kept in zip(pairs, use, strict=True):
-        error = (_of(estimates, quantity)[name] - recording[quantity])[kept]
-        squares.append(error[np.isfinite(error)] ** 2)
+        estimate = _of(estimates, quantity).get(name)
+        if estimate is not None:  # none where the filter diverged
+            error = (estimate - recording[quantity])[kept]
+            squares.append(error[np.isfinite(error)] ** 2)
     return float(np.sqrt(np.mean(np.concatenate(squares)))) if any(map(len, squares)) else float("nan")
 
 
@@ -223,7 +218,7 @@ def _in_regions(diagnosis: Diagnosis, pairs: Sequence[_Pair], quantity: str, nam
         theta = final.theta + diagnosis.share * system.without(masks[region])
         records = dict(zip((s.recording for s in problem.segments), problem.records(theta, final.model), strict=True))
         return [
-            _estimate(recording, diagnosis.extended, records[index], name) if use.any() else after
+            estimate_recording(recording, diagnosis.extended, (name,), record=records[index]) if use.any() else after
             for (index, recording, _, after), use in zip(pairs, where[region], strict=True)
         ]
 
@@ -247,24 +242,6 @@ def _samples(segments: Sequence[Segment], masks: Sequence[np.ndarray], index: in
             inside = (since >= segment.at[0]) & (since <= segment.at[-1])
             found |= inside & (mask & ~segment.at_rest)[nearest]
     return found
-
-
-def _estimate(recording: Recording, joint: Joint, record: np.ndarray, name: str) -> Estimates:
-    """One estimator over a recording that knows another record, shape (1,), than the joint's own."""
-    known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
-    blind = recording.signals.without(*TRUTHS)
-    torque, external = np.full(len(recording.time), np.nan), np.full(len(recording.time), np.nan)
-    for part in recording.segments:
-        if part.stop - part.start < SHORTEST:
-            continue
-        ready = prepare(blind.part(part), known)
-        try:
-            found = ready.ready(registry.get(name)).estimate(ready.signals, ready.known)
-        except (FilterDiverged, InputError):
-            continue
-        torque[part] = ready.known.as_read(found.mean, ready.signals)
-        external[part] = ready.own_torque - found.mean if found.external is None else found.external
-    return Estimates(recording.name, recording.time, {name: torque}, {name: external})
 
 
 def held_out(recording: Recording, index: int) -> np.ndarray:

@@ -230,12 +230,11 @@ class Plan:
         ]  # fmt: skip
 
 
-def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS) -> Plan:
+def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings = SETTINGS) -> Plan:
     """Open questions of a diagnosis, and what each experiment would tell about them.
 
     Args:
       measurement: that was diagnosed.
-      joint: the description that diagnosis was given.
       diagnosis: what came out; without anything computed (mistakes in the data) nothing is planned.
 
     Returns:
@@ -244,6 +243,7 @@ def plan(measurement: Measurement, joint: Joint, diagnosis: Diagnosis, settings:
     if diagnosis.problem is None or diagnosis.final is None:
         return Plan()
     problem, at = diagnosis.problem, _without_splines(diagnosis.problem, diagnosis.final)
+    joint = problem.joint  # with sensors as coarse and as slow as they were logged
     asked = [*_asked(measurement, diagnosis, joint, settings), *_numbers(problem, at, settings)]
     tried = _representatives(joint, at, problem, asked, settings)
     thin = tuple(_thin(r) for r in measurement.recordings)

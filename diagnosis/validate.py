@@ -258,8 +258,10 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
     sensor = {name: _sensor_noise(joint, name) for name in measured}
     for name in measured:
         simulated[name] = _joined(of[name], since, [part.values[name] for part in of[name]])
+        if name == "external_torque":  # a part of all that is known to act on the link
+            simulated[name] -= recording.torque_of_arm
         variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
-        motion = _joined(of[name], since, [part.motion_noise[name] for part in of[name]])
+        motion = np.maximum(_joined(of[name], since, [part.motion_noise[name] for part in of[name]]), 0.0)
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
             motion = motion + (np.nan_to_num(velocity) * clock_error(recording, joint)) ** 2
         deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint, sensor[name]))

@@ -102,7 +102,7 @@ def deviations(
     for name, values in estimated.items():
         change = [np.nan_to_num(other.get(name, base[name]) - base[name]) for other in done] if name in base else []
         noise = np.nan_to_num(again.get(name, values) - values)
-        variance = uniform_filter1d(noise**2, _samples(time), mode="nearest")
+        variance = _smoothed_square(noise, time)
         for one, (error, size) in zip(change, probes.items(), strict=False):
             gain = float(np.sqrt(np.mean(one**2))) / max(size, 1e-12)
             variance = variance + (gain * getattr(errors, error)) ** 2
@@ -127,7 +127,12 @@ def reference_torque(signals: Signals, known: KnownJoint) -> np.ndarray:
 
 def disagreement(time: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Root mean square difference of two estimates around every sample, shape (n,)."""
-    return np.sqrt(uniform_filter1d((one - other) ** 2, _samples(time), mode="nearest"))
+    return np.sqrt(_smoothed_square(one - other, time))
+
+
+def _smoothed_square(x: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """Mean square around every sample, shape (n,); the filter's running sum may end a little below zero."""
+    return np.maximum(uniform_filter1d(x**2, _samples(time), mode="nearest"), 0.0)
 
 
 def _samples(time: np.ndarray) -> int:

@@ -167,6 +167,7 @@ def estimate_recording(
     names: Sequence[str] | None = None,
     bands: bool = False,
     spool: Path | None = None,
+    record: np.ndarray | None = None,
 ) -> Estimates:
     """Run estimators over a recording of a joint.
 
@@ -177,12 +178,13 @@ def estimate_recording(
       bands: whether estimates are told how far they may be off (`bands`); those that simulate the joint's dynamics
         (`Estimator.costly`) only where they are named: some ten times their work.
       spool: a folder whose files hold the estimates, for as long as they are read; by default they are in memory.
+      record: parameter record that estimators know in place of the joint's own, shape (1,).
 
     Raises:
       InputError: a name that is none.
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
-    known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
+    known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
     blind = recording.signals.without("joint_torque", "external_torque")
     n = len(recording.time)
     found, deviation = (

@@ -334,7 +334,7 @@ def plan(
     from .diagnosis.planning import plan as plan_measurement
 
     data, described = _measured(measurement, joint)
-    return plan_measurement(data, described, diagnosis if diagnosis is not None else diagnose(data, described))
+    return plan_measurement(data, diagnosis if diagnosis is not None else diagnose(data, described))
 
 
 def validate(measurement: Measured, joint: str | Path | Joint | None = None) -> Validation:

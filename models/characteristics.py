@@ -14,7 +14,6 @@ import numpy as np
 
 from . import laws
 from .joint import Joint
-from .parameters import REFERENCE_TEMPERATURE
 from .uncertainty import directions
 
 _POINTS = 121
@@ -131,8 +130,9 @@ def drive_gains(joint: Joint) -> tuple[float, float]:
 
 def _friction(w: float, p: np.void) -> float:
     """Friction of mesh, rotor and output at a steady motor speed, unloaded, seen at the output [N·m]."""
-    sliding = laws.stribeck_friction(w, 0.0, 0.0, 0.0, REFERENCE_TEMPERATURE, p)
-    own = sliding + laws.viscous_friction(w, REFERENCE_TEMPERATURE, p) + p["bm"] * w
+    temperature = p["reference_temperature"]
+    sliding = laws.stribeck_friction(w, 0.0, 0.0, 0.0, temperature, p)
+    own = sliding + laws.viscous_friction(w, temperature, p) + p["bm"] * w
     return float(p["N"] * own + p["bl"] * w / p["N"])
 
 
@@ -143,7 +143,7 @@ def _loop(p: np.void, largest: float) -> tuple[np.ndarray, np.ndarray]:
     exponential (`laws.bristle_step`); so is the Dahl state over the flexspline's torsion where that has hysteresis.
     """
     N = float(p["N"])
-    g = laws.stribeck_friction(0.0, 0.0, 0.0, 0.0, REFERENCE_TEMPERATURE, p)
+    g = laws.stribeck_friction(0.0, 0.0, 0.0, 0.0, p["reference_temperature"], p)
     reach = laws.wave_generator_torsion(1.2 * largest / N + g, p)
     winding, load = _branch(reach, lambda x: N * laws.wave_generator_spring(x, p), N * g, g / float(p["s0"]), largest)
     wound, own = _branch(

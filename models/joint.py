@@ -50,6 +50,15 @@ def may_be_zero(symbol: str) -> bool:
     return (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][1]
 
 
+_UNREAD = {
+    ("motor_encoder", "zero"): "angles count from its zero, and link_encoder.zero is the other's against it",
+    ("motor_current", "gain"): "a torque that the current means at another scale is another Kt",
+    ("motor_torque", "gain"): "what a drive believes of its motor is numbers.Kt_drive",
+    ("motor_torque", "offset"): "it is the current's, motor_current.offset",
+    ("temperature", "gain"): "nothing reads it",
+    ("temperature", "offset"): "nothing reads it",
+}
+"""Fields of sensors that mean nothing, and what says it instead."""
 POSSIBLE: dict[str, tuple[float, float]] = {
     "N": (2, 1e4), "Jm": (1e-9, 0.3), "Jw": (1e-9, 0.3), "Kt": (1e-5, 1e2), "R": (1e-6, 1e4), "L": (1e-9, 10),
     "supply_voltage": (0.1, 1e4), "current_limit": (1e-3, 1e5), "K1": (1, 1e8), "K2": (1, 1e8), "K3": (1, 1e8),
@@ -503,6 +512,7 @@ class Joint(Strict):
         for i, effect in enumerate(self.effects):
             if not causes.get(effect.name).adds and effect.name in [e.name for e in self.effects[:i]]:
                 yield f"effects.{i}: {effect.name} stands twice, and a second one would replace the first"
+        yield from self._unread()
         if self.mounting not in self.mountings:
             yield (
                 f"mounting: expected one of {sorted(self.mountings)}, got {self.mounting!r}"
@@ -517,12 +527,23 @@ class Joint(Strict):
                 if not np.isfinite(as_floats(record)).all():
                     yield "effects: expected effects that leave the joint's numbers finite, got some that do not"
 
+    def _unread(self) -> Iterator[str]:
+        """Fields of sensors that mean nothing in a joint's description."""
+        for (sensor, field), instead in _UNREAD.items():
+            if getattr(getattr(self.sensors, sensor), field) is not None:
+                yield f"sensors.{sensor}.{field}: expected none, got one: {instead}"
+        motor, link = self.sensors.motor_encoder.delay, self.sensors.link_encoder.delay
+        if motor > link:
+            yield (
+                f"sensors.motor_encoder.delay: expected at most the link encoder's, {link:g} s, as a torsion is made of both "
+                f"readings once the later one is there, got {motor:g}"
+            )
+
     def _placed_units(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
         for i, order in enumerate(self.kinematic_error):
             yield order.amplitude, (f"kinematic_error.{i}.amplitude", "rad")
             yield order.phase, (f"kinematic_error.{i}.phase", "rad")
         s = self.sensors
-        yield s.motor_encoder.zero, ("sensors.motor_encoder.zero", "rad")
         yield s.link_encoder.zero, ("sensors.link_encoder.zero", "rad")
         yield s.motor_current.offset, ("sensors.motor_current.offset", "A")
         yield s.joint_torque.offset, ("sensors.joint_torque.offset", "N·m")
@@ -601,7 +622,7 @@ class Joint(Strict):
         p["Mg"] = mounting.gravity_moment * scale.get("gravity_moment", 1.0)
         p["gravity_angle"] = mounting.gravity_angle + (self.gravity_angle.value if self.gravity_angle else 0.0)
         s = self.sensors
-        p["link_delay"] = s.link_encoder.delay
+        p["link_delay"] = s.link_encoder.delay - s.motor_encoder.delay
         if s.link_encoder.zero is not None:
             p["link_zero"] = s.link_encoder.zero.value
         if s.motor_current.offset is not None:

@@ -34,7 +34,8 @@ _CYCLE = 4  # counts of an incremental encoder in one line of its disc
 def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
     """The joint's sensors as records, shape (channels,), in the order of `signals.SENSED`; `dt`: control period [s].
 
-    `link_delay`: of the link encoder [s]; it is a number of the parameter record, as a cause may change it.
+    `link_delay`: by how much later than the motor's the link encoder is read [s]; it is a number of the parameter record, as a
+    cause may change it.
     """
     records = np.zeros(len(SENSED), SENSOR)
     for i, name in enumerate(SENSED):
@@ -51,7 +52,7 @@ def sensor_records(joint: Joint, link_delay: float, dt: float) -> np.ndarray:
             if spec.ripple is not None:
                 r["ripple_order"], r["ripple_amplitude"] = spec.ripple.order, spec.ripple.amplitude
                 r["ripple_phase"] = spec.ripple.phase
-    records[SENSED.index("link_position")]["delay"] = link_delay
+    records[SENSED.index("link_position")]["delay"] = joint.sensors.motor_encoder.delay + link_delay
     return records
 
 

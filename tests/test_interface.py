@@ -206,7 +206,7 @@ def test_results_show_themselves_in_a_notebook(run):
     finding = Finding("unknown", "link", 0.6, {}, 0.4, 1.2, "a torque that <depends>", ("link_position",))
     plan = Plan((Question(("backlash",), 0.0, 3.7),), (Proposal("sweeps", "Move <it>", 20.0, (9.0,)),))
     alike, open_ = (("payload", "gravity_moment"),), {"backlash": "no reversal"}
-    diagnosis = Diagnosis("discrepancy", "", (finding,), {}, alike, open_, {}, (), run.joint, plan=plan)
+    diagnosis = Diagnosis("discrepancy", (), (finding,), {}, alike, open_, {}, (), run.joint, plan=plan)
     text = diagnosis._repr_html_()
     assert "a torque that &lt;depends&gt;" in text and "Move &lt;it&gt; (20 s): would show backlash" in text
     assert plan._repr_html_().count("<li>") == 1

@@ -27,7 +27,6 @@ from ...estimator.motion import CUTOFF, SHARE, Smooth, passband, smooth
 from ...models import dynamics, laws
 from ...models.joint import EncoderSpec, Joint, Mounting
 from ...models.kernels import kernel
-from ...models.parameters import REFERENCE_TEMPERATURE
 from ...models.recording import Recording
 from .sampling import between, clock_times, fresh, is_slower, timing_error, timing_error_of_one
 
@@ -295,7 +294,7 @@ def _segment(
     )
     since = s.time - recording.time[0]
     external = np.ascontiguousarray(of("external_torque", s.value)) if "external_torque" in place else zero
-    temperature = np.full(n, REFERENCE_TEMPERATURE)
+    temperature = np.full(n, p["reference_temperature"])
     if "temperature" in recording:
         temperature = np.interp(s.time, recording.time[part], recording["temperature"][part])
     at = decimate(since)

@@ -70,12 +70,19 @@ class Hypothesis:
 
     def values(self, u: np.ndarray) -> dict[str, float]:
         """Parameters of the cause at coordinates u, within their bounds."""
+        values = self._unbounded(u)
+        for q in self.free:
+            if not q.period:
+                low, high = q.bounds
+                values[q.name] = min(max(values[q.name], low), high)
+        return values
+
+    def _unbounded(self, u: np.ndarray) -> dict[str, float]:
         values = dict(self.fixed)
         if self.polar:
             amplitude, phase = (q.name for q in self.free)
             z = complex(u[0], u[1]) * self.scale[amplitude] + self.centre[amplitude] * np.exp(1j * self.centre[phase])
-            values[amplitude] = min(float(abs(z)), self.free[0].bounds[1])
-            values[phase] = float(np.angle(z))
+            values[amplitude], values[phase] = float(abs(z)), float(np.angle(z))
             return values
         for q, x in zip(self.free, u, strict=True):
             if q.magnitude:
@@ -84,7 +91,7 @@ class Hypothesis:
                 value = self.start[q.name] * np.exp(self.scale[q.name] * x)
             else:
                 value = self.start[q.name] + self.scale[q.name] * x
-            values[q.name] = float(np.clip(value, *q.bounds))
+            values[q.name] = float(value)
         return values
 
     def coordinates(self, values: dict[str, float]) -> np.ndarray:
@@ -130,20 +137,19 @@ class Hypothesis:
         return np.array([SPREAD if i in self.magnitudes else SHAPE_SPREAD for i in range(self.size)])
 
     def deviation(self, u: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
-        """Standard deviations of the free parameters, from the coordinates' covariance."""
-        at = self.values(u)
+        """Standard deviations of the free parameters, from the coordinates' covariance; at the end of a parameter's bounds as
+        inside."""
+        step = 1e-4
+        at = self._unbounded(u)
         names = [q.name for q in self.free]
         slope = np.empty((len(names), self.size))
-
-        def slope_of(q: CauseParameter, j: int, step: float) -> float:
-            change = self.values(u + step * np.eye(self.size)[j])[q.name] - at[q.name]
-            if q.period:
-                change = (change + 0.5 * q.period) % q.period - 0.5 * q.period
-            return change / step
-
         for j in range(self.size):
+            moved = self._unbounded(u + step * np.eye(self.size)[j])
             for i, q in enumerate(self.free):
-                slope[i, j] = slope_of(q, j, 1e-4) or slope_of(q, j, -1e-4)  # at the end of its bounds from inside
+                change = moved[q.name] - at[q.name]
+                if q.period:
+                    change = (change + 0.5 * q.period) % q.period - 0.5 * q.period
+                slope[i, j] = change / step
         variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
         return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)), strict=True))
 

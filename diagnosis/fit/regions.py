@@ -16,7 +16,7 @@ import numpy as np
 from ...models.joint import ValidRange
 from ..data.segments import BALANCES
 from . import tare
-from .noise import whiten
+from .noise import learn, whiten
 from .residual import Problem
 from .solver import SETTINGS as SOLVER
 from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_weight
@@ -145,9 +145,12 @@ def drawn_back(
             theta = start + share * (f.theta - start)
             residual = problem.residuals([theta], [f.model])[0]
             away = f.theta - theta
+            # By how much it is not what the data say is not known of it, and what it leaves is what it cannot hold.
+            covariance = f.covariance + np.outer(away, away)
             at = replace(
-                f, theta=theta, point=Point(residual, f.point.noise), covariance=f.covariance + np.outer(away, away)
-            )
+                f, theta=theta, point=Point(residual, f.point.noise), covariance=covariance, least=covariance,
+                noise=learn(problem.segments, residual, f.point.noise, problem.quantum(), None, f.noise.settings),
+            )  # fmt: skip
             regions = held_out_regions(problem, at, settings, system, share, before)
         if any(r.worse for r in regions):
             continue

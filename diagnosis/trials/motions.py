@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...models.joint import Joint, Mounting
-from ...models.parameters import REFERENCE_TEMPERATURE
 from ...models.recording import Recording
 from ...scenarios.scenario import Disturbance, Scenario, Waypoint
 from ...sim import plant, sensors
@@ -98,7 +97,7 @@ def record_motion(
         sensors.sensor_records(nominal, float(record[0]["link_delay"]), CONTROL_PERIOD),
         sensors.noise(nominal, seed, n, CONTROL_PERIOD),
         scenario.controller.record(record[0], CONTROL_PERIOD, False),
-        temperature=REFERENCE_TEMPERATURE + warming * CONTROL_PERIOD * np.arange(n),
+        temperature=float(record[0]["reference_temperature"]) + warming * CONTROL_PERIOD * np.arange(n),
     )
     pushed = bool(np.any(external))
     kept = ("motor_position", "link_position", "motor_current", "joint_torque")

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, evaluate_point, prior_cost
+from flexspline.diagnosis.search import settle
+from flexspline.diagnosis.search.acceptance import AcceptSettings, alone
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, better, calibrate
 from flexspline.models import causes
 from flexspline.models.joint import Effect, Estimate, load_joint
@@ -111,3 +114,72 @@ def test_the_likelier_fit_is_the_better_one_unless_it_leaves_several_times_as_mu
         residual = [times * r for r in fit.point.residual]
         likelier = replace(fit, point=replace(fit.point, residual=residual), log_evidence=fit.log_evidence + 100.0)
         assert (better(problem, fit, likelier) is likelier) == chosen == (better(problem, likelier, fit) is likelier)
+
+
+@pytest.mark.parametrize("name", ["stiffness", "encoder_delay", "hysteresis", "link_flexibility", "cogging"])
+def test_a_size_at_the_end_of_what_it_can_be_is_not_known_exactly(name):
+    """A fit that is clipped to its bounds had a standard deviation of 0 there, and a plan nothing to ask of it."""
+    record = load_joint("test-joint").record()
+    effect = hypotheses(causes.get(name), record)[0]
+    end = np.array([2e3, 0.0]) if effect.polar else effect.limits[1]
+    covariance = np.diag(np.full(effect.size, 0.04))
+    inside, at_its_end = (effect.deviation(u, covariance) for u in (0.5 * effect.confine(0.02 * end), end))
+    for q in effect.free:
+        assert inside[q.name] > 0.0 and at_its_end[q.name] > 0.0, q.name
+
+
+def test_an_effect_that_the_data_need_is_asked_for_once(monkeypatch):
+    """What is kept though the linear model finds it slight was found so again and again, and nothing else was looked at."""
+    slight, unsure, good = (
+        SimpleNamespace(cause=SimpleNamespace(name=name), fixed={}) for name in ("slight", "unsure", "good")
+    )
+
+    def fit(*model):
+        return SimpleNamespace(model=model, log_evidence=float(len(model) + (slight in model)))
+
+    for name, stub in {
+        "with_dispersion": lambda problem, f: f,
+        "tamed": lambda problem, f: f,
+        "left_by": lambda problem, f: 1.0,
+        "quiet_rms": lambda problem, f: 1.5,
+        "worth_of": lambda problem, f, linear, i: SimpleNamespace(rms=0.1 if f.model[i] is slight else 1.0, share=1.0),
+        "size_of": lambda problem, f, i: 1.0,
+        "significance": lambda problem, f, i: 1.0 if f.model[i] is unsure else 9.0,
+        "is_calibration": lambda *_: False,
+        "drowned": lambda *_: "",
+        "_quickly_without": lambda fitter, f, i, beside=None: fit(*(h for j, h in enumerate(f.model) if j != i)),
+        "_not_lost": lambda fitter, f, other, settings, beside: other,
+        "why_needed": lambda problem, f, other, settings: "" if slight in other.model else "nothing else explains it",
+    }.items():
+        monkeypatch.setattr(settle, name, stub)
+    problem = SimpleNamespace(problem=None)
+    found, _, decisions = settle._prune(problem, fit(slight, unsure, good), [], AcceptSettings())
+    assert found.model == (slight, good)
+    assert [(d.cause, d.taken) for d in decisions] in (
+        [("slight", True), ("unsure", False)],
+        [("unsure", False), ("slight", True)],
+    )
+
+
+def test_an_effect_is_taken_away_from_absent():
+    """Of what another effect replaces the size goes, and not where or how it acts: what these make of it is none of it."""
+    joint, values = load_joint("test-joint"), {"torque": 1.0, "extent": 1.5e-4}
+    problem = Problem(*segments([recording(seconds=4.0)], joint), joint)
+    (effect, *_) = hypotheses(causes.get("hysteresis"), problem.calibration.record(np.zeros(problem.calibration.size)))
+    u = effect.coordinates(values)
+    (shape,) = set(range(effect.size)) - set(effect.magnitudes)
+    u[shape] = np.log(values["extent"] / effect.start["extent"]) / effect.scale["extent"] + 0.8
+    theta = np.concatenate([np.zeros(problem.size), u])
+    (with_it,), (without,) = (
+        problem.residuals([t], [model])[0] for t, model in ((theta, (effect,)), (theta[: problem.size], ()))
+    )
+    (J,) = problem.jacobian(theta, (effect,))
+    at = SimpleNamespace(theta=theta, model=(effect,))
+    own, others, amount = alone(problem, at, 0)
+    block = problem.place((effect,), 0)
+    assert set(others) == set(range(problem.size))
+    off, whole = (
+        np.linalg.norm(r - without) for r in (with_it - J[..., own] @ amount, with_it - J[..., block] @ theta[block])
+    )
+    print(off, whole, np.linalg.norm(with_it - without))
+    assert off < 0.7 * whole

@@ -36,7 +36,7 @@ def diagnosed() -> tuple[Draw, Diagnosis]:
     fit = calibrate(Fitter(problem), CalibrateSettings(iterations=3))
     extended = calibrated(problem, fit, drawn.nominal)
     regions = held_out_regions(problem, fit)
-    found = Diagnosis("consistent", "", (), {}, (), {}, {}, regions, extended)
+    found = Diagnosis("consistent", (), (), {}, (), {}, {}, regions, extended)
     return drawn, replace(found, problem=problem, search=SimpleNamespace(base=fit), final=fit, whole=fit)
 
 
@@ -44,7 +44,7 @@ def diagnosed() -> tuple[Draw, Diagnosis]:
 def measured() -> Improvement:
     """What it gains."""
     drawn, found = diagnosed()
-    gained = improvement(drawn.measurement, drawn.nominal, found)
+    gained = improvement(drawn.measurement, found)
     assert gained is not None
     return gained
 
@@ -66,7 +66,7 @@ def test_what_was_not_written_gains_nothing_anywhere():
     """Of a fit that is taken back altogether the description is left; regions had the whole fit's shift without them."""
     drawn, found = diagnosed()
     back = replace(found, share=0.0, extended=drawn.nominal)
-    gained = improvement(drawn.measurement, drawn.nominal, back)
+    gained = improvement(drawn.measurement, back)
     assert gained is not None and gained.regions
     assert all(r.before == r.after for r in gained.regions)
 
@@ -99,7 +99,7 @@ def test_estimates_do_not_read_the_sensor_they_are_held_against():
 def test_nothing_is_gained_without_a_sensor():
     drawn, found = diagnosed()
     bare = tuple(r.without("joint_torque") for r in drawn.measurement.recordings)
-    gained = improvement(replace(drawn.measurement, recordings=bare), drawn.nominal, found)
+    gained = improvement(replace(drawn.measurement, recordings=bare), found)
     assert gained is None
     assert with_improvement(found, gained).to_json()["estimation"] is None
 
@@ -107,7 +107,7 @@ def test_nothing_is_gained_without_a_sensor():
 def test_nothing_is_gained_where_nothing_was_computed():
     drawn, found = diagnosed()
     empty = replace(found, problem=None, search=None, final=None)
-    assert improvement(drawn.measurement, drawn.nominal, empty) is None
+    assert improvement(drawn.measurement, empty) is None
 
 
 def test_what_an_effect_is_worth_to_estimators():

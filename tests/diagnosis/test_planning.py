@@ -188,13 +188,26 @@ def test_a_stub_of_a_recording_is_no_hindrance(joint, swing):
     """Thinned to one sample it was none, at the end of a diagnosis."""
     stub = replace(swing.recordings[0].at(slice(0, 8)), name="stub")
     both = replace(swing, recordings=(swing.recordings[0], stub))
-    found = plan(both, joint, diagnose(both, joint, seconds=0.0))
+    found = plan(both, diagnose(both, joint, seconds=0.0))
     assert found.proposals
 
 
+def test_experiments_are_weighed_with_sensors_as_they_were_logged(joint, swing):
+    """A log of 16 bits of an encoder that is described with 20: what the finer one would say is not promised."""
+    told = joint.sensors.link_encoder.model_copy(update={"bits": 16})
+    coarse = joint.model_copy(update={"sensors": joint.sensors.model_copy(update={"link_encoder": told})})
+    coarse._path = joint._path
+    logged = measured(coarse, coarse, "link", BOTH, way=1.6)
+    plans = [plan(logged, diagnose(logged, j, seconds=0.0)) for j in (joint, coarse)]
+    found, right = ({p.name: p.expected for p in one.proposals} for one in plans)
+    assert found.keys() == right.keys()
+    for name, each in found.items():
+        np.testing.assert_allclose(each, right[name], rtol=0.05, err_msg=name)
+
+
 def test_nothing_is_planned_where_nothing_was_computed(joint, swing):
-    empty = Diagnosis("inconclusive", "mistakes", (), {}, (), {}, {}, (), joint)
-    assert plan(swing, joint, empty) == Plan()
+    empty = Diagnosis("inconclusive", ("mistakes",), (), {}, (), {}, {}, (), joint)
+    assert plan(swing, empty) == Plan()
 
 
 @pytest.mark.long
@@ -213,7 +226,7 @@ def test_what_was_open_is_answered_once_the_plan_is_followed(
     first = measured(joint, true, mounting, channels)
     before = diagnose(first, joint)
     assert name in before.undetermined
-    found = plan(first, joint, before)
+    found = plan(first, before)
     assert {p.name for p in found.proposals[: len(experiments_named)]} == set(experiments_named)
     carried_out = {e.name: e for e in experiments(first, joint, before)}
     for proposal in found.proposals[: len(experiments_named)]:

@@ -12,9 +12,12 @@ from flexspline.diagnosis.fit.replay import READ_OUT, residual, residuals, trans
 from flexspline.diagnosis.fit.residual import TIMING, Problem
 from flexspline.diagnosis.fit.tare import tared
 from flexspline.diagnosis.trials.draw import Challenge, draw
+from flexspline.diagnosis.trials.motions import motions, record_motion
 from flexspline.estimator.motion import smooth
+from flexspline.estimator.offline import estimate_recording
 from flexspline.models import causes
-from flexspline.models.joint import load_joint
+from flexspline.models.characteristics import characteristics
+from flexspline.models.joint import Effect, Estimate, as_joint, load_joint
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +42,47 @@ def rms(joint, replayed, change=lambda p: None):
         for c in range(3):
             left[c].append(r[segment.usable[:, c] & ~segment.at_rest, c])
     return np.array([np.sqrt(np.mean(np.concatenate(x) ** 2)) for x in left])
+
+
+@pytest.mark.parametrize("delay", [0.0, 1e-3])
+def test_sensors_that_are_all_as_late_tell_of_the_same_joint(joint, delay):
+    """Times count from the motor's encoder: the link was shifted against it by a delay that both have.
+
+    With 2 ms the drive swings.
+    """
+    data = joint.model_dump()
+    for sensor in ("motor_encoder", "link_encoder", "motor_current", "joint_torque"):
+        data["sensors"][sensor]["delay"] = delay
+    late = as_joint(data, joint._path)
+    recording = recorded(late, late)
+    found = rms(late, segments([recording], late)[0])
+    assert found[0] < 0.01 and np.all(found[1:] < 0.03), found
+    told = estimate_recording(recording, late, ("RAREKF",)).torque["RAREKF"] - recording["joint_torque"]
+    assert np.sqrt(np.nanmean(told[200:-200] ** 2)) < 0.2
+
+
+def test_a_gear_whose_temperature_nobody_read_has_that_of_its_description(joint):
+    data = joint.model_dump()
+    data["numbers"]["reference_temperature"] = {"value": 45.0, "unit": "°C", "source": "bench"}
+    warm = as_joint(data, joint._path)
+    heated = warm.model_copy(update={"effects": [friction_by_temperature()]})
+    recording = recorded(heated, heated)
+    read = replace(recording, columns={**recording.columns, "temperature": np.full(len(recording.time), 45.0)})
+    one, other = (rms(heated, segments([r], heated)[0]) for r in (recording, read))
+    np.testing.assert_allclose(one, other, rtol=1e-9)
+    assert one[0] < 0.01
+    curve, plain = characteristics(heated).friction, characteristics(warm).friction
+    np.testing.assert_allclose(curve, plain, rtol=1e-12)
+
+
+def friction_by_temperature() -> Effect:
+    return Effect(name="friction_temperature", parameters={"coefficient": Estimate(value=0.02, unit="1/K")})
+
+
+def recorded(joint, true):
+    """A sweep of a joint that has exactly the numbers of a description."""
+    scenario, mounting = motions(np.random.default_rng(0))[2], true.mount("link")
+    return record_motion(joint, mounting, true.record(mounting), scenario, 5)
 
 
 def test_true_numbers_leave_the_sensors_noise(joint, replayed):

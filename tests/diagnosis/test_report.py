@@ -82,7 +82,7 @@ def measured(tmp_path_factory) -> tuple[Path, Measurement]:
 def report(measured) -> Report:
     joint = load_joint("test-joint")
     found = diagnose(measured[1], joint)
-    gained = improvement(measured[1], joint, found)
+    gained = improvement(measured[1], found)
     plan = Plan(
         (Question(("backlash",), 1.0, 7.0), Question(("cogging", "kinematic_error"), 2.0, 4.5)),
         (Proposal("link_sweep", "slow", 40.0, (9.0, 3.0)),),
@@ -379,7 +379,7 @@ def test_improvement_is_measured_on_what_no_fit_saw(report):
     answer = report.diagnosis.to_json()["estimation"]
     assert answer["filter"] == "RAREKF" and answer["unit"] == "N·m" and answer["of"] == "joint_torque"
     assert 0 < answer["after"] < 1.05 * answer["before"]
-    assert improvement(without_sensor(report).measurement, report.joint, report.diagnosis) is None
+    assert improvement(without_sensor(report).measurement, report.diagnosis) is None
 
 
 def test_rerun_shows_the_joint_in_motion_beside_its_channels(report, tmp_path):

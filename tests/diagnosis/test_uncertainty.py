@@ -11,7 +11,7 @@ import pytest
 
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.extension import calibrated
-from flexspline.diagnosis.fit.regions import Region, held_out_regions, region_masks, valid_range
+from flexspline.diagnosis.fit.regions import Region, drawn_back, held_out_regions, region_masks, valid_range
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, with_dispersion
 from flexspline.diagnosis.search.acceptance import by_chance
@@ -40,6 +40,26 @@ def fitted() -> tuple[Draw, Problem, Fit]:
         problem,
         with_dispersion(problem, calibrate(Fitter(problem), CalibrateSettings(iterations=4))),
     )
+
+
+def test_what_is_drawn_back_is_known_no_better_than_that():
+    """A number that is left as described is off by what the data say of it, and what it leaves cannot be held."""
+    drawn, problem, fit = fitted()
+    pulled = drawn_back(problem, fit, serves=lambda f: abs(f.theta).sum() < 0.6 * abs(fit.theta).sum())
+    assert 0.0 < pulled.share < 0.5
+    told = {}
+    for share, f in ((1.0, fit), (pulled.share, pulled.fit)):
+        joint = calibrated(problem, f, drawn.nominal)
+        told[share] = joint, stated(problem, f, joint, pulled.regions)
+    (_, whole), (joint, part) = told[1.0], told[pulled.share]
+    deviations = dict(zip(part.names, np.sqrt(np.sum(part.matrix**2, axis=1)), strict=True))
+    for name in ("Kt", "bw", "Fc"):
+        slot = next(s for s in problem.calibration.slots if s.name == name)
+        away = abs(joint.numbers[name].value - problem.calibration.value(slot, fit.theta[: problem.calibration.size]))
+        print(name, deviations[name], away)
+        assert deviations[name] >= 0.99 * away
+    for balance in ("motor_current", "joint_torque"):
+        assert part.discrepancy[balance] > whole.discrepancy[balance]
 
 
 @cache

@@ -12,6 +12,7 @@ import pytest
 
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.validate import validate
+from flexspline.models.arm import Load
 from flexspline.models.errors import InputError
 from flexspline.models.joint import ValidRange, load_joint
 from flexspline.models.recording import Measurement, write_recording
@@ -55,6 +56,23 @@ def test_sensors_are_as_late_as_they_are_described():
         rms = [v.residual[name].rms for v in (right, told, untold)]
         print(name, rms)
         assert rms[1] < 1.02 * rms[0] < rms[2]
+
+
+def test_a_push_that_the_arm_makes_is_not_held_against_the_one_that_was_measured():
+    """What an arm in motion does and what a sensor reads act together; the column has the sensor's part alone."""
+    drawn = draw(Challenge(seed=SEED, hidden="none", exact=True, scenarios=("external_push",)), 0)
+    (whole,) = drawn.measurement.recordings
+    push, none = whole["external_torque"], np.zeros(len(whole.time))
+    assert np.std(push) > 0.5
+    inertia = np.full(len(whole.time), whole.link.inertia)
+    parted = replace(
+        whole, columns={**whole.columns, "external_torque": 0.6 * push}, load=Load(inertia, 0.4 * push, none)
+    )
+    one, other = (
+        validate(replace(drawn.measurement, recordings=(r,)), drawn.nominal).residual["external_torque"]
+        for r in (whole, parted)
+    )
+    assert other.rms == pytest.approx(one.rms, rel=0.01) and other.inside == pytest.approx(one.inside, abs=1e-3)
 
 
 def test_wrong_description_shows_where_it_is_wrong():

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from flexspline.models import causes
 from flexspline.models.calibration import CUT, Calibration
-from flexspline.models.joint import known_joints, load_joint
+from flexspline.models.joint import as_joint, known_joints, load_joint
 from flexspline.models.parameters import as_floats
 
 
@@ -109,3 +110,20 @@ def test_an_order_of_unknown_phase_stands_there_in_two_quadratures():
     p = calibration.record(x)[0]
     whole = p["amplitude"] * np.exp(1j * p["phase"]) * (np.abs(p["order"] - 200 / 101) < 1e-5)
     assert np.sum(whole) == pytest.approx(1e-4 * (0.3 - 0.4j), abs=3e-6)
+
+
+@pytest.mark.parametrize("phase", [0.3, 3.0, 3.5, 4.0, -4.0])
+def test_tolerances_express_a_larger_amplitude_whatever_turn_its_phase_is_told_in(phase):
+    """A cause tells its phase within half a turn: where the description did not, a change within tolerance was a cause."""
+    path = known_joints()["test-joint"]
+    data = load_joint("test-joint").model_dump()
+    data["kinematic_error"][0]["phase"]["value"] = phase
+    calibration = Calibration(as_joint(data, path))
+    before = calibration.record(np.zeros(calibration.size))
+    for factor, within in ((1.02, True), (2.5, False)):
+        after, cause = before.copy(), causes.get("kinematic_error")
+        at = cause.centre(before[0], {"order": 2.0})
+        cause.apply(
+            after[0], {**at, "amplitude": factor * at["amplitude"], "phase": np.angle(np.exp(1j * at["phase"]))}
+        )
+        assert calibration.expresses(after, before) == within, factor

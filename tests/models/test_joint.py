@@ -38,6 +38,21 @@ def changed(tmp_path: Path, old: str, new: str) -> Path:
 
 
 BAD = {
+    "zero of the motor's encoder": (
+        "  motor_encoder: {counts: 4096}",
+        "  motor_encoder: {zero: {value: 0.5, unit: rad, source: bench}, counts: 4096}",
+        "sensors.motor_encoder.zero: expected none, got one: angles count from its zero",
+    ),
+    "gain of the current": (
+        "    offset: {value: 0, unit: A, deviation",
+        '    gain: {value: 1.3, unit: "1", source: bench}\n    offset: {value: 0, unit: A, deviation',
+        "sensors.motor_current.gain: expected none, got one",
+    ),
+    "motor read later than the link": (
+        "  motor_encoder: {counts: 4096}",
+        "  motor_encoder: {delay: 0.002, counts: 4096}",
+        "sensors.motor_encoder.delay: expected at most the link encoder's, 0 s",
+    ),
     "wrong unit": (
         "Jm: {value: 1.38e-5, unit: kg·m²",
         "Jm: {value: 1.38e-5, unit: g·cm²",
