@@ -32,7 +32,8 @@ class ChangeSettings:
       free: of a number that is free, more.
       one_of_several: of a mistake that not all recordings have, more.
       sure: gain beyond its price from which on a change is believed.
-      suspicious: misfit below which a relation is looked into.
+      suspicious: misfit below which a relation is looked into; at_odds: by how much changes may make one of these worse.
+      lasting: of recordings whose misfit says that nothing fits [s].
       worse: loss in a recording from which on a change is not one of the whole measurement.
       kept: states that are kept beside each other.
       most: changes on top of each other.
@@ -52,6 +53,8 @@ class ChangeSettings:
     one_of_several: float = 4.0
     sure: float = 7.0
     suspicious: float = -0.15
+    at_odds: float = 0.1
+    lasting: float = 4.0
     worse: float = -3.0
     kept: int = 3
     most: int = 3
@@ -230,6 +233,40 @@ def _suspicious(fits: dict[str, RelationFit]) -> bool:
     return any(fit.misfit < SETTINGS.suspicious for fit in fits.values())
 
 
+def _worst(fits: Sequence[dict[str, RelationFit]]) -> float:
+    """Misfit of the relation that fits worst; 0 where there is none."""
+    return min((fit.misfit for relations in fits for fit in relations.values()), default=0.0)
+
+
+def _not_followed(before: Sequence[dict[str, RelationFit]], after: Sequence[dict[str, RelationFit]]) -> bool:
+    """Whether changes mend nothing but what the command says, and the link does not follow it all the same: a stop holds it, or
+    the drive's limit does."""
+    gained, commanded = 0.0, False
+    for old, new in zip(before, after, strict=True):
+        for name, fit in new.items():
+            if name == "command":
+                commanded |= fit.misfit < SETTINGS.suspicious and fit != old.get(name)
+            elif name in old:
+                gained += AGREEMENT.effective * (fit.misfit - old[name].misfit)
+    return commanded and gained < SETTINGS.sure
+
+
+def _better(before: Sequence[dict[str, RelationFit]], after: Sequence[dict[str, RelationFit]]) -> bool:
+    """Whether readings fit better than before, beside what is known of more of them, and no relation is at odds that was not.
+
+    An angle in turns moves six times as fast: less of it is at rest, where friction may be anything, and of a second in which
+    next to nothing moves that alone once spoke for turns.
+    """
+    gained = 0.0
+    for old, new in zip(before, after, strict=True):
+        for name, fit in new.items():
+            was = old[name].misfit if name in old else 0.0
+            gained += AGREEMENT.effective * (fit.misfit - was)
+            if fit.misfit < SETTINGS.suspicious and fit.misfit < was - SETTINGS.at_odds:
+                return False
+    return gained > SETTINGS.sure
+
+
 def _total(fits: dict[str, RelationFit]) -> float:
     return sum(fit.agreement for fit in fits.values())
 
@@ -273,16 +310,24 @@ class Suspicions:
 
     Attributes:
       found: changes, in the order in which they mend.
-      misfit: of the relation that fits worst when they are made, as in `RelationFit`; 0 where there is none.
+      mends: whether channels fit better when they are made.
+      before: misfit of the relation that fits worst in recordings that last, as in `RelationFit`; misfit: of all when they are
+        made; 0 where there is none.
     """
 
     def __init__(self, recordings: Sequence[Recording], joint: Joint):
         self.joint = joint
         self.recordings = tuple(recordings)
         self._plausible = [Plausibility(joint, r) for r in recordings]
-        end = self._search(self._state())
+        start = self._state()
+        end = self._search(start)
+        if _not_followed(start.fits, end.fits):
+            end = start
+        self.mends = _better(start.fits, end.fits)
         self.found = end.found
-        self.misfit = min((fit.misfit for fits in end.fits for fit in fits.values()), default=0.0)
+        lasting = [r.time[-1] - r.time[0] > SETTINGS.lasting for r in recordings]
+        self.before = _worst([fits for fits, there in zip(start.fits, lasting, strict=True) if there])
+        self.misfit = _worst(end.fits)
 
     def _state(self) -> _Progress:
         motions = tuple(motion_of(r) for r in self.recordings)

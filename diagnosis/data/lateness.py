@@ -4,6 +4,7 @@
     drive and each encoder     N Kt i is gravity, inertia and friction: shapes of that encoder's motion
     torque and each encoder    Ts is gravity and inertia, likewise
 
+Where the link went one way only, later is another angle: what counts are angles that it went through in either direction.
 Shapes are free here (their sizes were looked at before); what a shift leaves unexplained says how well it suits. A late column
 shifts all relations that it is in, and no other: that tells whose fault it is. A link encoder that is late by less than what
 `encoder_delay` may be, and what sensors and filters are late anyway, is no mistake.
@@ -49,6 +50,7 @@ class LatenessSettings:
       ordinary_link: by how much the link encoder is late in sound data, by `encoder_delay`, sensors and filters [s].
       ordinary: the same of all other columns [s].
       travel: of the link, below which motion says nothing [rad].
+      moving: speed over the largest from which on the link goes somewhere.
     """
 
     step: float = 5e-3
@@ -73,6 +75,7 @@ class LatenessSettings:
     ordinary_link: tuple[float, float] = (-2e-3, 14e-3)
     ordinary: tuple[float, float] = (-2e-3, 5e-3)
     travel: float = 0.05
+    moving: float = 0.02
 
 
 SETTINGS = LatenessSettings()
@@ -208,7 +211,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
     stride = max(sum(len(values) for _, values in parts) // SETTINGS.most, 1)
     found = []
     for first, second in pairs:
-        A, B = [], []
+        A, B, V = [], [], []
         for time, values in parts:
             i = np.arange(k, len(values) - k, stride)
             motion = values[:, names.index(first)] / (N if first == "motor_position" else 1.0)
@@ -223,13 +226,27 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
                 shapes = np.column_stack([shapes, values[i, -1, 0]])
             A.append(shapes[use])
             B.append(shifted[use])
-        if not A or sum(map(len, A)) < SETTINGS.fewest:
+            V.append(motion[i, 1][use])
+        if not A:
             continue
-        whole, y = np.concatenate(A), np.concatenate(B)
+        whole, y, v = np.concatenate(A), np.concatenate(B), np.concatenate(V)
+        again = _both_ways(whole[:, 0], v)
+        whole, y = whole[again], y[again]
+        if len(y) < SETTINGS.fewest:
+            continue
         count = min(SETTINGS.effective[0] * SETTINGS.step * stride * len(y), SETTINGS.effective[1])
         least = _least_that_counts(joint, second)
         found.append(_Relation(first, second, 0.5 * count * np.log(_unexplained(whole, y) + least**2)))
     return found
+
+
+def _both_ways(theta: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Whether the link went through where it is in either direction, shape (n,): of one alone, later is another angle, and what
+    a torque is at each angle is free."""
+    piece = ((theta - theta.min()) / max(float(np.ptp(theta)), 1e-9) * (SETTINGS.hats - 1)).astype(int)
+    moving = np.abs(v) > SETTINGS.moving * float(np.max(np.abs(v), initial=0.0))
+    forth, back = (np.bincount(piece[moving & (s * v > 0)], minlength=SETTINGS.hats) > 0 for s in (1, -1))
+    return (forth & back)[piece]
 
 
 def _least_that_counts(joint: Joint, channel: str) -> float:

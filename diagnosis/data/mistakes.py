@@ -20,7 +20,7 @@ from ...models.recording import GAP, Measurement, Recording, check_channels
 from ...models.signals import POSITIONS
 from .changes import GRAVITY, Found, Suspicions, time_unit
 from .lateness import LateColumn, late_columns
-from .samples import SampleMistake, bridged, unwrapped, wrong_samples
+from .samples import SampleMistake, bridged, still_commands, unwrapped, wrong_samples
 
 _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
 _WRONG = -1.2  # misfit of a relation after all changes from which on they are unsure: sound data keep above −0.9
@@ -127,8 +127,9 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         said = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[second]
         found.append(Mistake("unit", "time", "", f"{said} taken for seconds", 0.99, factor=second))
     recordings = _apply(recordings, joint, found)
-    for recording in recordings:
-        found += [_of_samples(m, recording) for m in wrong_samples(recording, joint)]
+    for recording, still in zip(recordings, still_commands(recordings, joint), strict=True):
+        wrong = [*wrong_samples(recording, joint), *([still] if still is not None else [])]
+        found += [_of_samples(m, recording) for m in wrong]
     found = _merged(found, len(recordings))
     try:
         recordings = _apply(moving, joint, found)
@@ -138,11 +139,12 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     whole = [r for r, before in zip(recordings, moving, strict=True) if len(r.time) > _KEPT * len(before.time)]
     recordings = tuple(whole) or recordings
     suspicions = Suspicions(recordings, joint)
-    further = [m for f in suspicions.found if f.change.name != "late" for m in _of_change(f, recordings)]
+    changes = suspicions.found if suspicions.mends or suspicions.before < _WRONG else ()
+    further = [m for f in changes if f.change.name != "late" for m in _of_change(f, recordings)]
     late = [m for one in late_columns(_apply(recordings, joint, further), joint) for m in _of_lateness(one, recordings)]
     # Which column is late all relations together know better; the search had to know that one is.
-    further += late or [m for f in suspicions.found if f.change.name == "late" for m in _of_change(f, recordings)]
-    if not late and suspicions.misfit < _WRONG:
+    further += late or [m for f in changes if f.change.name == "late" for m in _of_change(f, recordings)]
+    if not late and (suspicions.misfit < _WRONG or not suspicions.mends):
         # What mends most leaves channels that cannot be of this joint: it may be something else.
         further = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in further]
     told = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))

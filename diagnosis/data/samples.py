@@ -7,7 +7,7 @@ are taken less the local speed times the interval, so that motion, jitter and mi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,6 +36,7 @@ class SampleSettings:
       flat: samples at a sensor's end at the least.
       peaked: times more often that the value at the end is there than those beside it.
       drive_moved: share of its range by which a position moves while a torque is stuck.
+      uncommanded: way of the link [rad] that nothing but a command makes: no push and no compliance.
     """
 
     neighbours: int = 9
@@ -49,6 +50,7 @@ class SampleSettings:
     flat: int = 8
     peaked: float = 4.0
     drive_moved: float = 0.01
+    uncommanded: float = 0.3
 
 
 SETTINGS = SampleSettings()
@@ -99,6 +101,26 @@ def wrong_samples(recording: Recording, joint: Joint) -> tuple[SampleMistake, ..
         if name in (*POSITIONS, *DRIVING):
             found += _still(recording.time, columns, name, N)
     return tuple(found)
+
+
+def still_commands(recordings: Sequence[Recording], joint: Joint) -> tuple[SampleMistake | None, ...]:
+    """Of each recording a position command that stays where it is though the link does not, None where it is none: a drive that
+    follows a torque or a velocity logs 0. One that stands at the same place beside such ones is of the same drive."""
+    N = joint.numbers["N"].value
+    at: list[float | None] = []
+    goes = []
+    for r in recordings:
+        command = r.columns.get("position_command")
+        at.append(float(command[0]) if command is not None and np.ptp(command) == 0.0 else None)
+        spans = [float(np.ptp(r[n])) / (N if n == "motor_position" else 1.0) for n in POSITIONS if n in r]
+        goes.append(min(spans, default=0.0) > SETTINGS.uncommanded)
+    still = {value for value, moves in zip(at, goes, strict=True) if value is not None and moves}
+    return tuple(
+        SampleMistake("stuck", "position_command", tuple(range(len(r.time))))
+        if value is not None and value in still
+        else None
+        for r, value in zip(recordings, at, strict=True)
+    )
 
 
 def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:
