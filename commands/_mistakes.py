@@ -30,7 +30,7 @@ def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str = M
         cells = (m.name, column, m.recording or "all", m.description, m.change, f"{m.confidence:.2f}")
         table.add_row(*map(Text, cells))
     terminal.print(table)
-    if not all(m.sure for m in mistakes):
+    if not all(m.sure or m.lost for m in mistakes):
         terminal.print(
             "no change makes the channels fit this joint; what is half sure at most would mend most, and --fix leaves it"
         )

@@ -143,10 +143,7 @@ def show(
     if found.mistakes:
         page.heading("Mistakes in the data")
         for m in found.mistakes:
-            mends = "mended by" if m.sure else "no change makes the channels fit the joint; most would"
-            page.item(
-                f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {mends}: {m.change}"
-            )
+            page.item(f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {m.remedy}")
     for heading, findings in (("Causes", found.causes), ("There, but no cause of its own", found.minor)):
         if findings:
             page.heading(heading)

@@ -84,6 +84,12 @@ def command(
         if not as_json:
             print_mistakes(terminal, mistakes, "mended")
         measurement = mended(measurement, described, mistakes)
+        if any(m.severe for m in mistakes):  # what mends one column may be another's mistake
+            for m in find_mistakes(measurement, described):
+                if m.severe:
+                    where = ": ".join(part for part in (m.recording, m.column) if part)
+                    text = f"{where}: as mended, {m.description}: look at both columns before you trust either"
+                    warnings.warn(text, InputWarning, stacklevel=2)
     imported: dict[str, dict[str, Any]] = {}
     with output_folder(out, "import", inputs=inputs, writes=written) as folder:
         for recording in measurement.recordings:

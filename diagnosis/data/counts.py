@@ -24,6 +24,7 @@ _OFF = 0.1  # of a step: changes that are so near a whole number of steps
 _SHARE = 0.98  # of the changes that must be whole numbers of steps
 _COARSER = 1.5  # times the described step
 _HELD = 0.9  # share of readings that must be held for the same number of samples
+_MANY = 4.0  # counts by which an encoder that is held goes on at a time
 
 
 @dataclass(frozen=True)
@@ -56,15 +57,25 @@ def step_of(reading: np.ndarray) -> float:
     return step if whole > _SHARE else 0.0
 
 
-def rate_of(time: np.ndarray, reading: np.ndarray) -> float:
-    """Rate [Hz] at which a reading, shape (n,), that is held for a number of samples is read anew; 0 where it is not held so."""
-    held = np.diff(np.flatnonzero(np.diff(reading) != 0.0))
+def rate_of(time: np.ndarray, reading: np.ndarray, resolution: float = 0.0) -> float:
+    """Rate [Hz] at which a reading, shape (n,), that is held for a number of samples is read anew; 0 where it is not held so.
+
+    Args:
+      resolution: of an encoder, in its unit. It stays where it is at rest, and counts at regular times at one speed: what says
+        that it is held are steps of many counts, at times that are multiples of one.
+    """
+    steps = np.diff(reading)
+    at = np.flatnonzero(steps != 0.0)
+    held = np.diff(at)
     if len(held) < _FEWEST:
         return 0.0
-    samples = int(np.median(held))
-    if samples < 2 or float(np.mean(held == samples)) < _HELD:
-        return 0.0
-    return 1.0 / (samples * float(np.median(np.diff(time))))
+    if resolution:
+        samples = int(np.percentile(held, 5))
+        steady = np.mean(held % max(samples, 1) == 0) > _HELD and np.median(np.abs(steps[at])) > _MANY * resolution
+    else:
+        samples = int(np.median(held))
+        steady = np.mean(held == samples) > _HELD
+    return 1.0 / (samples * float(np.median(np.diff(time)))) if samples >= 2 and steady else 0.0
 
 
 def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]:
@@ -81,9 +92,12 @@ def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]
         least = 0.0 if isinstance(spec, EncoderSpec) else spec.noise
         if min(steps) > max(_COARSER * described, least):
             found.append(Coarse(name, "step", min(steps), described))
-        if isinstance(spec, AnalogSpec) and spec.noise:  # without noise a reading may well stay the same
-            rates = [rate_of(r.time, r[name]) for r in there]
-            if 0.0 < min(rates) and max(rates) < SAMPLING.slower * spec.rate:
+        if isinstance(spec, EncoderSpec) or spec.noise:  # without noise a reading may well stay the same
+            resolution = spec.resolution if isinstance(spec, EncoderSpec) else 0.0
+            rates = [
+                rate_of(r.time, r[name], resolution) for r in there if np.count_nonzero(np.diff(r[name])) > _FEWEST
+            ]
+            if rates and 0.0 < min(rates) and max(rates) < SAMPLING.slower * spec.rate:
                 found.append(Coarse(name, "rate", max(rates), spec.rate))
     return tuple(found)
 
@@ -95,7 +109,7 @@ def as_logged(joint: Joint, recordings: Sequence[Recording]) -> Joint:
         channel = CHANNELS[one.column]
         spec = changed.get(channel.sensor, joint.sensors.of(channel))
         new: dict[str, Any] = {one.what: one.found}
-        if isinstance(spec, EncoderSpec):
+        if isinstance(spec, EncoderSpec) and one.what == "step":
             new = {"counts": round(2 * np.pi / one.found), "bits": None}
         changed[channel.sensor] = spec.model_copy(update=new)
     return joint.model_copy(update={"sensors": joint.sensors.model_copy(update=changed)}) if changed else joint

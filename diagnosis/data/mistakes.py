@@ -25,11 +25,19 @@ from .samples import SampleMistake, bridged, still_commands, unwrapped, wrong_sa
 _CLIPPED = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
 _WRONG = -1.2  # misfit of a relation after all changes from which on they are unsure: sound data keep above −0.9
 _TURN = 2 * np.pi
-_BESIDE = ("position_command", "temperature")  # columns that no balance takes
+_BESIDE = ("position_command",)  # columns that no balance takes
 _UNSURE = 0.5  # largest confidence where no change makes the channels fit
 _LISTED = 4  # rows that are told one by one
 _KEPT = 0.5  # of a recording's samples that stuck and clipped ones must leave for its channels to be held against each other
 _UNREAD = ("joint_torque", "external_torque")  # columns that no estimator reads
+_SCALES = (
+    ("kelvin", (200.0, 500.0), 1.0, -273.15),
+    ("degrees Fahrenheit", (120.0, 200.0), 5 / 9, -160 / 9),
+)  # of temperatures that are none of a gear in °C: what they are, between which values, factor and offset
+_NEAR_ZERO, _FEWEST = (
+    2e-3,
+    20,
+)  # share and number of samples within its noise above zero, of a current that is never below
 
 
 NO_CHANGE = "the channels do not fit this joint, whatever unit, sign or place is changed"
@@ -50,6 +58,7 @@ class Mistake:
       rows: of the table that have it, from 0.
       also: further columns that have the same offset, the motor's on its own side of the gear.
       severe: whether it makes physics meaningless.
+      lost: whether what was meant cannot be had from the file.
     """
 
     name: str
@@ -63,20 +72,37 @@ class Mistake:
     rows: tuple[int, ...] | None = None
     also: tuple[str, ...] = ()
     severe: bool = True
+    lost: bool = False
 
     @property
     def sure(self) -> bool:
         """Whether its change makes the channels fit the joint; that which only mends most may be something else."""
-        return self.confidence > _UNSURE
+        return self.confidence > _UNSURE and not self.lost
 
     @property
     def unmended(self) -> str:
         """What is said of it where it is not sure."""
+        if self.lost:
+            return f"{self.description}; {self.remedy}"
         return f"{NO_CHANGE}; what would mend most: {self.description}, {self.change}"
+
+    @property
+    def remedy(self) -> str:
+        """What mends it, or what is said where nothing does."""
+        if self.lost:
+            return "nothing in the file mends that"
+        return (
+            f"{'mended by' if self.sure else 'no change makes the channels fit the joint; most would'}: {self.change}"
+        )
 
     @property
     def change(self) -> str:
         """The change that mends it, in a few words."""
+        if self.lost:
+            return "to be logged anew"
+        if self.name == "unit" and self.offset is not None:
+            scaled = "" if self.factor in (None, 1.0) else f"× {self.factor:.6g}, "
+            return f"{scaled}{self.offset:+.6g}"
         if self.name == "sign":
             return "gravity_angle + π" if self.column == "gravity_angle" else "× −1"
         if self.name == "unit":
@@ -127,6 +153,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         said = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}[second]
         found.append(Mistake("unit", "time", "", f"{said} taken for seconds", 0.99, factor=second))
     recordings = _apply(recordings, joint, found)
+    found += [m for recording in recordings for m in (*_temperature(recording), *_rectified(recording, joint))]
     for recording, still in zip(recordings, still_commands(recordings, joint), strict=True):
         wrong = [*wrong_samples(recording, joint), *([still] if still is not None else [])]
         found += [_of_samples(m, recording) for m in wrong]
@@ -149,6 +176,32 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
         further = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in further]
     told = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
     return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in told)
+
+
+def _temperature(recording: Recording) -> list[Mistake]:
+    """A temperature that no gear has in °C: kelvin, or degrees Fahrenheit."""
+    if "temperature" not in recording:
+        return []
+    usual = float(np.median(recording["temperature"]))
+    for said, (low, high), factor, offset in _SCALES:
+        if low < usual < high:
+            text = f"{said} taken for °C"
+            return [Mistake("unit", "temperature", recording.name, text, 0.99, factor=factor, offset=offset)]
+    return []
+
+
+def _rectified(recording: Recording, joint: Joint) -> list[Mistake]:
+    """A current of which only the magnitude was logged: it comes as near to zero as noise goes, and never below."""
+    found = []
+    for name, spec in (("motor_current", joint.sensors.motor_current), ("motor_torque", joint.sensors.motor_torque)):
+        x = recording.columns.get(name)
+        if x is None or not len(x) or float(x.min()) < 0.0:
+            continue
+        noise = max(spec.noise, float(np.median(np.abs(np.diff(x)))))
+        if np.count_nonzero((x > 0.0) & (x < noise)) > max(_NEAR_ZERO * len(x), _FEWEST):
+            text = "its magnitude without its sign: it comes down to zero as often as it would cross it, and is never below"
+            found.append(Mistake("sign", name, recording.name, text, 0.99, lost=True))
+    return found
 
 
 def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]:
@@ -255,6 +308,10 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
         if m.name == "swapped":
             _swap(columns)
             continue
+        if m.lost:
+            columns.pop(m.column, None)
+            check_channels(f"{recording.source or recording.name}: without {m.column}, whose sign is lost", columns)
+            continue
         if m.column == GRAVITY:
             turned = float(np.remainder(recording.link.gravity_angle + np.pi, _TURN))
             turned -= _TURN if turned > np.pi else 0.0
@@ -309,9 +366,9 @@ def _column(m: Mistake, column: str, time: np.ndarray, x: np.ndarray, columns: d
         return -x
     if m.name == "gear_ratio" and column == "motor_position":
         factor = 1 / factor
-    if m.name in ("unit", "gear_ratio"):
-        return factor * x
     offset = m.offset or 0.0
+    if m.name in ("unit", "gear_ratio"):
+        return factor * x + offset
     if column != m.column:
         offset *= _side(column, m.column, N)
     return x + offset

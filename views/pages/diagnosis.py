@@ -105,6 +105,7 @@ def context(report: Report) -> dict[str, Any]:
         "share": d.share,
         "mistakes": [_mistake(m) for m in d.mistakes],
         "mendable": d.mendable,
+        "lost": any(m.lost for m in d.mistakes),
         "computed": d.problem is not None,
         "recordings": [(r.name, float(r.time[-1] - r.time[0])) for r in report.measurement.recordings],
         "rate": 1 / report.measurement.recordings[0].interval,
@@ -167,12 +168,14 @@ def _mistake(m: Mistake) -> dict[str, Any]:
     if m.seconds is not None:
         mends.append(f"shift {m.column} by {number(1e3 * m.seconds, 3)} ms")
     if m.offset is not None:
-        mends.append(f"add {number(m.offset, 4)} rad to the angle")
+        unit = "K" if m.column == "temperature" else "rad to the angle"
+        mends.append(f"add {number(m.offset, 5)} {unit}")
     if m.rows is not None:
         mends.append(f"{len(m.rows)} row{'s' if len(m.rows) != 1 else ''}, the first {m.rows[0] + 1}" if m.rows else "")
+    told = m.remedy if m.lost else ("" if m.sure else "most: ") + "; ".join(x for x in mends if x)
     return {
-        "name": plain(m.name), "column": m.column, "recording": m.recording, "text": m.description,
-        "mends": ("" if m.sure else "most: ") + "; ".join(x for x in mends if x), "confidence": m.confidence, "severe": m.severe,
+        "name": plain(m.name), "column": m.column, "recording": m.recording, "text": m.description, "mends": told,
+        "confidence": m.confidence, "severe": m.severe,
     }  # fmt: skip
 
 
