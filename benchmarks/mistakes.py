@@ -1,7 +1,8 @@
 """Mistakes hidden in sound measurements, and how many are found; what is claimed of sound ones.
 
 `python -m benchmarks.mistakes`: every kind of mistake, in several sizes, in every example of the shared data (`--folder`); and
-sound measurements: the examples, the same with channels taken away, and joints drawn anew, with the imperfections of real ones.
+sound measurements: the examples, the same with channels taken away or cut short, and joints drawn anew, with the imperfections of
+real ones.
 `python -m benchmarks mistakes` takes every fifth example.
 """
 
@@ -323,6 +324,7 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
     parser.add_argument("--every", type=int, default=1, help="of so many examples one")
     parser.add_argument("--one", action="store_true", help="hide in one recording, the last, not in all")
     parser.add_argument("--draws", type=int, default=40)
+    parser.add_argument("--cuts", type=int, default=240, help="sound measurements cut short")
     parser.add_argument("--seed", type=int, default=1)
     arguments = parser.parse_args(words)
     rng = np.random.default_rng(arguments.seed)
@@ -364,6 +366,12 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
         if found:
             print(f"  claimed of {measurement.name}: {', '.join(map(_short, found))}", flush=True)
     print(f"sound: {claimed} claims in {recordings} recordings")
+    claimed = 0
+    for measurement, joint in cuts(sound, arguments.cuts, arguments.seed):
+        if found := find_mistakes(measurement, joint):
+            claimed += 1
+            print(f"  claimed of {measurement.name}: {', '.join(map(_short, found))}", flush=True)
+    print(f"sound, cut out: {claimed} claims in {arguments.cuts} measurements")
 
 
 def _sound(known: list[tuple[Measurement, Joint]], draws: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:
@@ -372,6 +380,23 @@ def _sound(known: list[tuple[Measurement, Joint]], draws: int, seed: int) -> Ite
         for fewer in without_channels(measurement):
             yield fewer, joint
     yield from drawn(draws, seed)
+
+
+def cuts(known: Sequence[tuple[Measurement, Joint]], count: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:
+    """Sound measurements cut short: 1 to 12 s out of all recordings, each elsewhere, or 4 to 22 s out of one."""
+    rng = np.random.default_rng(seed)
+    for i in range(count):
+        measurement, joint = known[rng.integers(len(known))]
+        length = rng.uniform(*((1, 6), (6, 12), (4, 22))[i % 3])
+        chosen = measurement.recordings
+        if i % 3 == 2:
+            chosen = (chosen[rng.integers(len(chosen))],)
+        parts = []
+        for r in chosen:
+            begin = r.time[0] + rng.uniform(0.0, max(r.time[-1] - r.time[0] - length, 0.0))
+            first, last = np.searchsorted(r.time, (begin, begin + length))
+            parts.append(r.at(slice(int(first), int(last))))
+        yield replace(measurement, name=f"{measurement.name} cut {i}", recordings=tuple(parts)), joint
 
 
 def _short(m: Mistake) -> str:

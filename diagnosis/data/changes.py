@@ -247,7 +247,7 @@ def _not_followed(before: Sequence[dict[str, RelationFit]], after: Sequence[dict
             if name == "command":
                 commanded |= fit.misfit < SETTINGS.suspicious and fit != old.get(name)
             elif name in old:
-                gained += AGREEMENT.effective * (fit.misfit - old[name].misfit)
+                gained += fit.readings - old[name].readings
     return commanded and gained < SETTINGS.sure
 
 
@@ -260,9 +260,12 @@ def _better(before: Sequence[dict[str, RelationFit]], after: Sequence[dict[str, 
     gained = 0.0
     for old, new in zip(before, after, strict=True):
         for name, fit in new.items():
-            was = old[name].misfit if name in old else 0.0
-            gained += AGREEMENT.effective * (fit.misfit - was)
-            if fit.misfit < SETTINGS.suspicious and fit.misfit < was - SETTINGS.at_odds:
+            was = old.get(name)
+            gained += fit.readings - (was.readings if was is not None else 0.0)
+            if (
+                fit.misfit < SETTINGS.suspicious
+                and fit.misfit < (was.misfit if was is not None else 0.0) - SETTINGS.at_odds
+            ):
                 return False
     return gained > SETTINGS.sure
 

@@ -227,7 +227,7 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
             A.append(shapes[use])
             B.append(shifted[use])
             V.append(motion[i, 1][use])
-        if not A:
+        if sum(map(len, A)) < SETTINGS.fewest:
             continue
         whole, y, v = np.concatenate(A), np.concatenate(B), np.concatenate(V)
         again = _both_ways(whole[:, 0], v)

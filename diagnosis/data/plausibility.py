@@ -34,7 +34,7 @@ class AgreementSettings:
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
 
     Attributes:
-      effective: samples that a recording counts as in a relation between its channels.
+      effective: samples that a recording counts as in a relation between its channels at the most; a_second: of it.
       samples: of a recording that are looked at.
       cutoff: of the smoother [Hz].
       bin: over which samples are averaged before [s].
@@ -44,6 +44,7 @@ class AgreementSettings:
     """
 
     effective: float = 90.0
+    a_second: float = 12.0
     samples: int = 320
     cutoff: float = 6.0
     bin: float = 0.01
@@ -218,7 +219,7 @@ class _Shapes:
         beta = np.empty(len(low))
         misfit = float(_fit(A, y, sigma, low, high, centre, spread, effective / self._n, beta))
         known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
-        return RelationFit(misfit + known, misfit / effective)
+        return RelationFit(misfit + known, misfit / effective, misfit)
 
 
 @dataclass(frozen=True)
@@ -229,10 +230,12 @@ class RelationFit:
       agreement: log likelihood.
       misfit: its part that readings and priors make up, per effective sample: 0 where all is as expected, −0.6 where readings
         are off by one `sigma`.
+      readings: that part of the whole.
     """
 
     agreement: float
     misfit: float
+    readings: float
 
 
 def _same(a: SmoothedChannels, b: SmoothedChannels, channels: tuple[str, ...]) -> bool:
@@ -304,6 +307,12 @@ class Plausibility:
         shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
         return float(np.hypot(np.hypot(number.tolerance, shared), number.deviation / max(number.value, 1e-12)))
 
+    @staticmethod
+    def _effective(motion: SmoothedChannels) -> float:
+        """Samples that a recording counts as: no more than its passband has in so many seconds."""
+        seconds = float(motion.time[-1] - motion.time[0])
+        return min(SETTINGS.effective, max(SETTINGS.a_second * seconds, 1.0))
+
     def _encoders(self, motion: SmoothedChannels) -> RelationFit:
         p = self.p
         theta, v = motion.channels["link_position"][:, 0], motion.channels["link_position"][:, 1]
@@ -320,7 +329,7 @@ class Plausibility:
         shapes.add(np.tanh(p["N"] * v / p["vs"]), -4 * friction, 4 * friction)
         y = motion.channels["motor_position"][:, 0] / p["N"] - theta
         sigma = 2e-4 + 0.15 * wound + (self.joint.sensors.motor_encoder.resolution / p["N"])
-        return shapes.fit(y, np.full(len(theta), sigma), sigma, SETTINGS.effective)
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, self._effective(motion))
 
     def _command(self, motion: SmoothedChannels) -> RelationFit:
         x = self.link(motion)
@@ -330,7 +339,7 @@ class Plausibility:
         shapes.add(x[:, 1], -0.02, 0.5, 0.0, 0.2)
         sigma = 0.03 + 0.02 * float(np.ptp(x[:, 0]))
         y = motion.channels["position_command"][:, 0] - x[:, 0]
-        return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * SETTINGS.effective)
+        return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * self._effective(motion))
 
     def _gravity(self, shapes: _Shapes, theta: np.ndarray, scale: tuple[float, float]) -> None:
         """Shapes of what the link's own weight, a payload, a cable and a stop ask for [N·m]; `scale`: of the reading."""
@@ -390,7 +399,7 @@ class Plausibility:
         # At rest friction may be anything up to its level.
         resting = np.exp(-((N * v / (2 * p["vs"])) ** 2))
         sigma = 0.025 * self.joint.numbers["rated_torque"].value * (1.5 if self.pushed else 1.0)
-        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, SETTINGS.effective)
+        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, self._effective(motion))
 
     def _joint_torque(self, motion: SmoothedChannels) -> RelationFit:
         size, rated = self._size, self.joint.numbers["rated_torque"].value
@@ -406,4 +415,4 @@ class Plausibility:
         known = self._known(shapes, motion)
         sigma = 0.02 * rated * (1.5 if self.pushed else 1.0)
         y = motion.channels["joint_torque"][:, 0] - known
-        return shapes.fit(y, np.full(len(theta), sigma), sigma, SETTINGS.effective)
+        return shapes.fit(y, np.full(len(theta), sigma), sigma, self._effective(motion))

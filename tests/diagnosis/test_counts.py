@@ -45,6 +45,21 @@ def test_a_rate_is_found():
     assert rate_of(time, np.round(x)) == 0.0  # of few steps, not held
 
 
+@pytest.mark.parametrize("column", ["link_position", "motor_position"])
+def test_an_encoder_that_is_held_is_read_at_its_rate(column):
+    """On a bus of 125 Hz: one held for eight samples was a delay of 3.5 ms at 0.99, with a link inertia beside it."""
+    swing = recording(rate=1000.0)
+    rest = np.concatenate(
+        [np.full(3000, swing[column][0]), swing[column][:-3000]]
+    )  # it does not change there, held or not
+    r = held(replace(swing, columns={**swing.columns, column: rest}), column, 8)
+    assert [(one.column, one.what, round(one.found)) for one in coarser((r,), JOINT)] == [(column, "rate", 125)]
+    encoder = column.replace("position", "encoder")
+    found, described = (getattr(j.sensors, encoder) for j in (as_logged(JOINT, (r,)), JOINT))
+    assert found.rate == pytest.approx(125.0) and found.resolution == described.resolution
+    assert coarser((swing,), JOINT) == ()
+
+
 def test_a_log_that_is_as_described_leaves_the_joint_as_it_is():
     r = recording()
     assert coarser((r,), JOINT) == () and as_logged(JOINT, (r,)) is JOINT
