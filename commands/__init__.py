@@ -19,9 +19,10 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, NoReturn
+from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -168,10 +169,45 @@ def _home(value: Any) -> Any:
 
 
 def main() -> None:
-    """Run the command line: exit code 2 and one line for input that cannot be used, no traceback.
+    """Run the command line: exit code 2 and one line for input that cannot be used, no traceback; 141 and nothing where whoever
+    read the output had enough.
 
     What is being written when it is asked to end (Ctrl-C, SIGTERM) is not left behind.
     """
+    streams = sys.stdout, sys.stderr  # Typer puts others in their place
+    try:
+        _run()
+    except BrokenPipeError:
+        _drop_unread(streams)
+        sys.exit(_UNREAD)
+    except SystemExit as stop:  # Rich and Typer make 1 of a broken pipe; of what is short, the last flush tells
+        unread = _drop_unread(streams) or isinstance(stop.__context__, BrokenPipeError)
+        if unread and stop.code not in (130, 143):  # Ctrl-C and SIGTERM
+            sys.exit(_UNREAD)
+        raise
+
+
+_UNREAD = 141
+"""Exit code where whoever read the output had enough: as shells have it of SIGPIPE."""
+
+
+def _drop_unread(streams: Iterable[TextIO]) -> bool:
+    """Flush what was printed; whether nobody reads it any more, and then it leads nowhere: Python would complain at its end."""
+    unread = False
+    for stream in streams:
+        try:
+            stream.flush()
+        except BrokenPipeError:
+            unread = True
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, stream.fileno())
+            os.close(nowhere)
+        except (OSError, ValueError):  # a full disk, a stream that is closed: for Python to say
+            pass
+    return unread
+
+
+def _run() -> NoReturn:
     _ending.clear()
     with contextlib.suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, _interrupt)
@@ -193,9 +229,8 @@ def main() -> None:
         if not isinstance(error, FilterDiverged):
             raise
         _refuse(error)
-    except BrokenPipeError:  # whoever read the output has had enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        sys.exit(141)
+    except BrokenPipeError:  # before it is taken for an error of the system
+        raise
     except OSError as error:  # of the system: a disk, rights, a network folder
         where = f"{error.filename}: " if error.filename else ""
         reason = os.strerror(error.errno) if error.errno else str(error)

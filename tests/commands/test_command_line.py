@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 
@@ -217,6 +218,27 @@ def test_streams_that_are_closed_change_nothing_but_what_is_said(tmp_path, close
             ["sh", "-c", f'exec "$@" {closed}', "sh", *PROGRAM, *words], capture_output=True, timeout=60
         )
         assert done.returncode == code and b"Traceback" not in done.stderr, done
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["check DATA", "check DATA --json", "joints", "causes --json", "schema joint", "joint show test-joint", "-h"],
+)
+def test_output_that_nobody_reads_is_141_and_silent(words):
+    words = words.replace("DATA", str(Path(__file__).parents[1] / "frozen" / "measurement"))
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([*PROGRAM, *words.split()], stdout=writing, stderr=subprocess.PIPE, timeout=60)
+    os.close(writing)
+    assert done.returncode == 141 and not done.stderr
+
+
+def test_a_refusal_that_nobody_reads_is_141():
+    reading, writing = os.pipe()
+    os.close(reading)
+    done = subprocess.run([*PROGRAM, "check", "/nowhere"], stdout=writing, stderr=writing, timeout=60)
+    os.close(writing)
+    assert done.returncode == 141
 
 
 COMMANDS = [
