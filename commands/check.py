@@ -34,7 +34,7 @@ def command(
     from rich.text import Text
 
     from ..diagnosis.data.counts import coarser
-    from ..diagnosis.data.coverage import balances, missing_columns, summarise, undetermined
+    from ..diagnosis.data.coverage import balances, missing_columns, summarise, too_little, undetermined
     from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models import causes
     from ..models.files import json_text
@@ -109,6 +109,8 @@ def command(
     if shows:
         swallowed = "unless the joint's tolerances swallow it (flexspline joint show)"
         terminal.print(f"can be found by channels and motion, {swallowed}: {', '.join(shows)}")
+    elif nothing := too_little(data, described):
+        terminal.print(f"no cause can be found: {nothing}")
     if not reasons:
         return
     cannot = Table(title="What this measurement cannot show")

@@ -12,6 +12,7 @@ from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from ...estimator.motion import smooth
 from ...models import causes, dynamics
@@ -20,13 +21,14 @@ from ...models.dynamics import State
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
-from .segments import DECIMATION, STEP, clock_error, undisturbed
+from .segments import DECIMATION, SETTINGS, STEP, clock_error, undisturbed
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
 _CLIPPED = 0.995  # of the current limit
 _BLOCK = 1 << 16  # samples that are made Python's numbers at a time
+_RESTING = 0.04  # s before and after, in which a rotor that is at rest stays where it is
 _FEWEST = 10  # samples of a segment whose motion can be smoothed
 _TURN = 2 * np.pi
 _DRIVE = ("motor_current", "motor_torque")
@@ -161,15 +163,43 @@ def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
             yield name, "joint torque against the link's inertia and gravity"
 
 
+def too_little(measurement: Measurement, joint: Joint) -> str | None:
+    """Why nothing at all can show: no part is long enough for a diagnosis, or nothing moves in any that is; None where it can."""
+    samples, seconds = SETTINGS.shortest
+    parts = [
+        (recording, part)
+        for recording in measurement.recordings
+        for part in recording.segments
+        if part.stop - part.start >= samples and recording.time[part.stop - 1] - recording.time[part.start] >= seconds
+    ]
+    if not parts:
+        return f"no part without gaps has {samples} samples and {seconds:g} s"
+    if any(_moves(recording, part, joint) for recording, part in parts):
+        return None
+    return "nothing moves"
+
+
+def _moves(recording: Recording, part: slice, joint: Joint) -> bool:
+    """Whether the rotor moves in a part: leaves where it was, or is not at rest as diagnosis has it. A link that is bolted to the
+    bench lets it but wind the gear up."""
+    rotor = _positions(recording, joint.numbers["N"].value)[0][part]
+    travel = float(np.ptp(rotor))
+    if recording.link.locked or travel >= SETTINGS.settle_travel or travel < SETTINGS.rest_travel:
+        return travel >= SETTINGS.rest_travel
+    window = 2 * round(_RESTING / recording.interval) + 1
+    return bool((maximum_filter1d(rotor, window) - minimum_filter1d(rotor, window)).max() >= SETTINGS.rest_travel)
+
+
 def undetermined(
     measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary] | None = None
 ) -> dict[str, str]:
     """Causes that this measurement cannot show at ordinary size, each with the first reason found; `summaries` of its recordings,
     where they are there."""
     found = _Extent.of(measurement, joint, summaries or [summarise(r, joint) for r in measurement.recordings])
+    nothing = too_little(measurement, joint)
     reasons: dict[str, str] = {}
     for name in causes.of(joint):
-        reason = next(_lacking(causes.get(name), found), None)
+        reason = next(_lacking(causes.get(name), found, nothing), None)
         if reason is not None:
             reasons[name] = reason
     return reasons
@@ -250,9 +280,11 @@ class _Extent:
         )
 
 
-def _lacking(cause: Cause, found: _Extent) -> Iterator[str]:
-    """Why a cause cannot show, the plainest reason first; nothing where it can."""
+def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]:
+    """Why a cause cannot show, the plainest reason first, `nothing` where none can (`too_little`); nothing where it can."""
     yield from _hidden_from(cause, found.columns, found.both_encoders)
+    if nothing is not None:
+        yield nothing
     if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint, found.both_encoders):
         yield "it shows in what the drive needs alone, and there is no motor current"
     if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in found.columns:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from swing import recording
 
-from flexspline.diagnosis.data.coverage import balances, can_show, missing_columns, summarise, undetermined
+from flexspline.diagnosis.data.coverage import balances, can_show, missing_columns, summarise, too_little, undetermined
 from flexspline.models import causes
-from flexspline.models.joint import load_joint
+from flexspline.models.joint import LOCKED, Mounting, load_joint
 from flexspline.models.recording import Measurement
 
 JOINT = load_joint("test-joint")
@@ -81,6 +81,43 @@ def test_what_happens_within_a_gap_is_no_motion():
     one = summarise(strokes, JOINT)
     assert one.reversals == 0 and one.backward < 0.02 * one.forward
     assert undetermined(Measurement("m", Path(), (strokes,)), JOINT)["hysteresis"] == "the motion never reverses"
+
+
+def still() -> Measurement:
+    """A measurement in which the controller holds the joint: encoders flicker by a count, the rest is noise."""
+    rng = np.random.default_rng(7)
+    r = recording()
+    held = {name: np.full(len(r.time), values[2000]) for name, values in r.columns.items() if name != "time"}
+    held["motor_position"] += 1.5e-3 * rng.integers(0, 2, len(r.time))
+    held["motor_current"] += 0.01 * rng.standard_normal(len(r.time))
+    return Measurement("m", Path(), (replace(r, columns={**r.columns, **held}),))
+
+
+def test_nothing_shows_where_nothing_moves():
+    reasons = undetermined(still(), JOINT)
+    assert set(reasons) == set(causes.of(JOINT))
+    assert reasons["link_inertia"] == reasons["current_offset"] == "nothing moves"
+    both = replace(still(), recordings=(*still().recordings, *measurement().recordings))
+    assert undetermined(both, JOINT).keys() <= undetermined(measurement(), JOINT).keys()  # one that moves is enough
+
+
+def test_a_bolted_joint_that_is_wound_up_slowly_moves():
+    r = recording()
+    wound = 0.3 * np.sin(0.9 * r.time)
+    r = replace(
+        r,
+        link=Mounting(inertia=LOCKED, gravity_moment=0.0),
+        columns={**r.columns, "motor_position": wound, "link_position": 0 * wound},
+    )
+    assert too_little(Measurement("m", Path(), (r,)), JOINT) is None
+
+
+def test_nothing_shows_in_fewer_samples_than_a_diagnosis_takes():
+    r = recording()
+    for samples in (3, 49, 200):  # 200 are 0.4 s
+        reasons = undetermined(Measurement("m", Path(), (r.at(slice(1000, 1000 + samples)),)), JOINT)
+        assert set(reasons) == set(causes.of(JOINT))
+        assert reasons["link_inertia"] == "no part without gaps has 50 samples and 0.5 s"
 
 
 def test_everything_shows_in_a_full_measurement_but_what_has_no_column():
