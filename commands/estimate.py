@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tempfile
 import warnings
 from dataclasses import asdict
@@ -122,6 +123,7 @@ def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Tab
         cells = []
         for found in scores.values():
             s = found.get(estimator)
-            cells += ["–", "–"] if s is None else [f"{s.rms:.3f}", f"{s.rms_moving:.3f}"]
+            figures = (math.nan, math.nan) if s is None else (s.rms, s.rms_moving)
+            cells += ["–" if math.isnan(x) else f"{x:.3f}" for x in figures]
         table.add_row(Text(estimator), *cells)
     return table

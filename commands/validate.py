@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import TYPE_CHECKING
 
 from ._listing import AsJson
@@ -24,6 +25,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Say how well a joint's description predicts a measurement: nothing is fitted."""
+    from ..models.errors import InputWarning
     from ..models.files import json_text
     from ..models.output import check_output, made_from, output_folder
     from ..models.tables import write_table
@@ -44,6 +46,9 @@ def command(
         (folder / "validation.json").write_text(text + "\n", encoding="utf-8")
         for recording in found.recordings:
             write_table(folder / f"{recording.name}.parquet", recording.columns, recording.column_units)
+    if not found.residual:
+        why = "nothing moved: errors are taken in motion, and there are none to tell"
+        warnings.warn(f"{measurement}: {why}", InputWarning, stacklevel=2)
     if as_json:
         print(text)
         return
@@ -60,6 +65,8 @@ def _show(terminal: Console, found: Validation) -> None:
 
     if found.mistakes:
         print_mistakes(terminal, found.mistakes)
+    if not found.residual:
+        return
     table = Table(title=f"{found.joint}: error of the simulation in motion (RMS)")
     for heading in ("", "error", "mean", "noise", "unit", "inside the 95 % band"):
         table.add_column(heading, justify="left" if heading in ("", "unit") else "right")

@@ -153,7 +153,8 @@ class Estimates:
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one estimate against what was measured [N·m]: all samples, samples in motion, mean, largest."""
+    """Error of one estimate against what was measured [N·m]: all samples, samples in motion (NaN where nothing moves), mean,
+    largest."""
 
     rms: float
     rms_moving: float
@@ -368,11 +369,10 @@ def _score(error: np.ndarray, moving: np.ndarray) -> Score:
     good = np.isfinite(error)
     if not good.any():
         return Score(*[float("nan")] * 4)
-    inside = error[good & moving] if np.any(good & moving) else error[good]
-    error = error[good]
+    inside, error = error[good & moving], error[good]
     return Score(
         rms=float(np.sqrt(np.mean(error**2))),
-        rms_moving=float(np.sqrt(np.mean(inside**2))),
+        rms_moving=float(np.sqrt(np.mean(inside**2))) if len(inside) else float("nan"),
         mean=float(np.mean(error)),
         max=float(np.max(np.abs(error))),
     )

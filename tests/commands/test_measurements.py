@@ -72,15 +72,34 @@ def test_check_says_where_it_does_not_look_for_mistakes(flexspline, sweep, tmp_p
     assert "bench: bolted to the bench, where mistakes are not looked for" in out
 
 
-def test_check_says_what_cannot_show(flexspline, tmp_path, rng):
+@pytest.fixture
+def still(tmp_path, rng):
+    """A measurement in which nothing moves."""
     n = 3000
     noise = 0.01 * rng.standard_normal(n)
     columns = {"motor_position": np.full(n, 0.1), "link_position": np.full(n, 0.001), "motor_current": noise}
-    write_recording(Recording("still", np.arange(n) * 1e-3, columns, external="unmeasured"), tmp_path)
-    code, out, _ = flexspline("check", tmp_path)
-    assert code == 0
+    columns["joint_torque"] = 10 * noise
+    write_recording(Recording("still", np.arange(n) * 1e-3, columns, external="unmeasured"), tmp_path / "still")
+    return tmp_path / "still"
+
+
+def test_check_says_what_cannot_show(flexspline, still):
+    code, out, _ = flexspline("check", still)
+    assert code == 0 and "can be found by channels" not in out and "no cause can be found: nothing moves" in out
     for cause in ("cogging", "hysteresis", "stiffness", "gravity_moment", "friction_drift", "mesh_friction"):
         assert cause in out
+    assert json.loads(flexspline("check", still, "--json")[1])["can_show"] == []
+
+
+def test_nothing_is_in_motion_where_nothing_moves(flexspline, still, tmp_path):
+    code, out, _ = flexspline("estimate", still, "--filter", "current", "--out", tmp_path / "e")
+    assert code == 0 and "–" in next(line for line in out.splitlines() if line.startswith("current"))
+    score = json.loads((tmp_path / "e" / "metrics.json").read_text())["still"]["joint_torque"]["current"]
+    assert score["rms"] > 0 and score["rms_moving"] is None
+    code, out, err = flexspline("validate", still, "--out", tmp_path / "v")
+    assert code == 0 and "nothing moved" in one_line(err) and "95 % band" not in out and "validation.json" in out
+    code, out, _ = flexspline("validate", still, "--json", "--out", tmp_path / "v")
+    assert json.loads(out)["residual"] == {}
 
 
 def test_estimate_scores_and_writes(flexspline, sound, tmp_path):
