@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..models.errors import InputError
+from ..models.errors import InputError, InputWarning
 from ._measurement import measurement_at
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
@@ -34,7 +35,14 @@ def command(
     from rich.text import Text
 
     from ..diagnosis.data.counts import coarser
-    from ..diagnosis.data.coverage import balances, missing_columns, summarise, too_little, undetermined
+    from ..diagnosis.data.coverage import (
+        balances,
+        missing_columns,
+        summarise,
+        too_little,
+        torque_over_current,
+        undetermined,
+    )
     from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models import causes
     from ..models.files import json_text
@@ -55,6 +63,15 @@ def command(
     missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]
     coarse = coarser(data.recordings, described)
+    for recording in data.recordings:
+        ratio = torque_over_current(recording, described)
+        if ratio is not None:
+            warnings.warn(
+                f"{recording.name}: motor_torque is {ratio:.3g} times the torque constant that the drive believes in times "
+                "motor_current: one of the three is wrong",
+                InputWarning,
+                stacklevel=2,
+            )
     if as_json:
         report = {
             "measurement": given.name,
@@ -100,6 +117,8 @@ def command(
         terminal.print(f"{one.text}; a diagnosis takes it as it comes")
     if missing:
         terminal.print(f"not there: {', '.join(missing)}")
+    if any("motor_current" in r and "motor_torque" in r for r in data.recordings):
+        terminal.print("motor_current and motor_torque are both there: the current is read, the torque is not")
     for balance in found:
         terminal.print(f"held against each other: {balance.description}")
     if not any("link_position" in r and "motor_position" in r for r in data.recordings):

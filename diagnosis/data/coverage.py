@@ -26,6 +26,8 @@ from .segments import DECIMATION, SETTINGS, STEP, clock_error, undisturbed
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
+_AGREED = 0.05  # by which a drive's torque may differ from its torque constant times the current
+_ABOVE_NOISE = 3.0  # noises of the current above which it is held against the drive's torque
 _CLIPPED = 0.995  # of the current limit
 _BLOCK = 1 << 16  # samples that are made Python's numbers at a time
 _RESTING = 0.04  # s before and after, in which a rotor that is at rest stays where it is
@@ -188,6 +190,22 @@ def _moves(recording: Recording, part: slice, joint: Joint) -> bool:
         return travel >= SETTINGS.rest_travel
     window = 2 * round(_RESTING / recording.interval) + 1
     return bool((maximum_filter1d(rotor, window) - minimum_filter1d(rotor, window)).max() >= SETTINGS.rest_travel)
+
+
+def torque_over_current(recording: Recording, joint: Joint) -> float | None:
+    """The drive's torque over the torque constant it believes in times the current, where they differ by more than a few percent
+    and noise; else None. Where both are there the current is read."""
+    if not all(name in recording for name in _DRIVE):
+        return None
+    believed = float(joint.record(recording.link)[0]["Kt_drive"])
+    torque, expected = recording["motor_torque"], believed * recording["motor_current"]
+    noise = believed * joint.sensors.motor_current.noise
+    power = float(np.mean(expected**2))
+    if power <= (_ABOVE_NOISE * noise) ** 2:
+        return None
+    ratio = float(np.mean(torque * expected)) / (power - noise**2)
+    rest = float(np.sqrt(np.mean((torque - ratio * expected) ** 2) / (len(torque) * power)))
+    return ratio if abs(ratio - 1) > _AGREED + 3 * rest else None
 
 
 def undetermined(
@@ -421,9 +439,9 @@ def _load(recording: Recording, joint: Joint) -> np.ndarray:
     if "joint_torque" in recording:
         return recording["joint_torque"]
     N, Kt = joint.numbers["N"].value, joint.numbers["Kt"].value
-    if "motor_torque" in recording:
-        return N * recording["motor_torque"]
-    return N * Kt * recording["motor_current"]
+    if "motor_current" in recording:  # which is read where both are there
+        return N * Kt * recording["motor_current"]
+    return N * recording["motor_torque"]
 
 
 def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:

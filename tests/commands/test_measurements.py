@@ -13,7 +13,7 @@ import pytest
 
 import flexspline as fs
 from flexspline.estimator import registry
-from flexspline.models.joint import LOCKED, Mounting
+from flexspline.models.joint import LOCKED, Mounting, load_joint
 from flexspline.models.recording import Recording, read_recording, write_recording
 
 
@@ -89,6 +89,21 @@ def test_check_says_what_cannot_show(flexspline, still):
     for cause in ("cogging", "hysteresis", "stiffness", "gravity_moment", "friction_drift", "mesh_friction"):
         assert cause in out
     assert json.loads(flexspline("check", still, "--json")[1])["can_show"] == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"), [(1.0, ""), (1.03, ""), (3.0, "motor_torque is 3 times"), (0.5, "is 0.5 times")]
+)
+def test_check_says_which_of_current_and_torque_is_read_and_whether_they_agree(
+    flexspline, sweep, tmp_path, rng, factor, said
+):
+    torque = factor * load_joint("test-joint").numbers["Kt"].value * sweep["motor_current"]
+    torque = torque + 2e-3 * rng.standard_normal(len(torque))
+    both = replace(sweep, name="both", columns={**sweep.columns, "motor_torque": torque})
+    write_recording(both, tmp_path / "m")
+    code, out, err = flexspline("check", tmp_path / "m")
+    assert code == 0 and "the current is read, the torque is not" in out
+    assert said in one_line(err) if said else not err
 
 
 def test_nothing_is_in_motion_where_nothing_moves(flexspline, still, tmp_path):
