@@ -93,6 +93,10 @@ def command(
         if out.suffix not in (".json", ".parquet"):
             raise InputError(f"--out {out}: expected a file .json or .parquet")
         check_output(out.parent, "challenge", writes=[out.name])
+    if cause and hidden and set(hidden) == {Hidden.none}:
+        raise InputError(
+            "--cause: expected --hidden one, two or outside beside it, got --hidden none, which hides nothing"
+        )
     scanned = _sizes(sizes) if sizes else (size,)
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # inherited by the processes

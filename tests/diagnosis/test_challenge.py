@@ -775,6 +775,11 @@ def test_command_on_two_draws(tmp_path, flexspline):
     assert all(0 <= row["interval"][0] <= row["interval"][1] <= 1 for row in found["rows"] if "interval" in row)
 
 
+def test_causes_where_nothing_is_hidden_are_refused(flexspline):
+    code, out, err = flexspline("challenge", "--cause", "backlash", "--hidden", "none")
+    assert (code, out) == (2, "") and err.count("\n") == 1 and "--cause" in err and "--hidden none" in err
+
+
 def test_output_that_cannot_be_written_is_refused_before_the_work(tmp_path, flexspline):
     (tmp_path / "file").write_text("mine")
     for out in (tmp_path / "draws.txt", tmp_path / "file" / "draws.json"):
