@@ -122,8 +122,11 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
     from ..models.recording import Measurement
 
     here = Path()
-    is_layout = what[0] in known_layouts() or (len(what) > 1 and not Path(what[0]).is_dir() and not _is_table(what[0]))
-    if is_layout:
+    if len(what) > 1:
+        is_layout = not Path(what[0]).is_dir() and not _is_table(what[0])
+    else:
+        is_layout = Path(what[0]).suffix in (".yaml", ".yml") and Path(what[0]).is_file() and _is_mapping(Path(what[0]))
+    if is_layout or what[0] in known_layouts():
         if len(what) == 1:
             raise InputError(f"format {what[0]!r}: expected one log or more after it, got none")
         if name is not None and len(what) > 2:

@@ -191,6 +191,11 @@ def test_several_logs_at_once(tmp_path, mapping):
     assert [r.name for r in read_measurement(tmp_path / "out").recordings] == ["a", "b"]
 
 
+def test_a_mapping_without_a_log_is_told_that_one_is_missing(flexspline, tmp_path, mapping):
+    code, _, err = flexspline("import", mapping, "--out", tmp_path / "m")
+    assert code == 2 and err.count("\n") == 1 and "expected one log or more after it, got none" in err
+
+
 def test_nothing_is_overwritten_or_written_elsewhere(tmp_path, mapping):
     out = tmp_path / "out"
     assert run(mapping, log(tmp_path), "--out", out).exit_code == 0
