@@ -14,6 +14,7 @@ import importlib
 import io
 import os
 import pkgutil
+import re
 import signal
 import sys
 import threading
@@ -358,14 +359,18 @@ def _explain(error: Any) -> NoReturn:
     if type(error).__name__ == "NoArgsIsHelpError":
         error.show()
         sys.exit(error.exit_code)
+    from ..models.files import OWN_ERROR
+
     where = _called()
     message = error.format_message().strip().removesuffix(".")
     given = _given(getattr(error, "param", None))
     if message.startswith("Invalid value for"):
         name, _, expected = message.removeprefix("Invalid value for ").partition(": ")
-        message = (
-            f"{name.strip(chr(39))}: {expected.replace('Input should be', 'expected', 1).split(', unable to parse')[0]}"
+        expected = (
+            expected.removeprefix(OWN_ERROR).replace("Input should be", "expected", 1).split(", unable to parse")[0]
         )
+        expected = re.sub(r"^(\S.*) is not one of (.*)$", r"expected one of \2, got \1", expected)
+        message = f"{name.strip(chr(39))}: {expected}"
         message += "" if given is None or repr(given) in message else f", got {given!r}"
     else:
         message = message[:1].lower() + message[1:]

@@ -278,12 +278,41 @@ def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:
 
 def descriptions(error: ValidationError, model: type[BaseModel]) -> list[str]:
     """A line for each error that pydantic found, in its order: field, expected, came."""
-    return [_described(one, model) for one in error.errors()]
+    errors = error.errors()
+    return [_described(one, model, _alternatives(one, errors)) for one in errors]
 
 
-def _described(one: Any, model: type[BaseModel]) -> str:
-    field = _field(one)
+def _alternatives(one: Any, errors: list[Any]) -> list[Any]:
+    """Errors of the same value, of which pydantic says for each kind it may have that it has it not; empty where it is of one."""
+    same = [e for e in errors if e["loc"][:-1] == one["loc"][:-1] and _is_branch(e["loc"][-1:])]
+    return same if len(same) > 1 and one in same else []
+
+
+_BRANCH = re.compile(r"(?:dict|list|tuple|literal|constrained|function)\b.*\[.*\]", re.DOTALL)
+_SCALARS = ("float", "int", "str", "bool")
+
+
+def _is_branch(loc: tuple) -> bool:
+    """Whether the last part of a place is no key, but pydantic's word for a kind of value."""
+    part = loc[-1] if loc else None
+    return isinstance(part, str) and (part in _SCALARS or _is_kind(part))
+
+
+def _is_kind(part: Any) -> bool:
+    return isinstance(part, str) and (bool(_BRANCH.fullmatch(part)) or part in _models(Strict))
+
+
+def _models(base: type[BaseModel]) -> set[str]:
+    """Names of all models there are."""
+    return {name for sub in base.__subclasses__() for name in (sub.__name__, *_models(sub))}
+
+
+def _described(one: Any, model: type[BaseModel], alternatives: list[Any]) -> str:
     kind, came = one["type"], shown(one["input"])
+    if alternatives:
+        wanted = dict.fromkeys(_expected(each, model) for each in alternatives)
+        return f"{_field({**one, 'loc': one['loc'][:-1]})}: expected {' or '.join(wanted)}, got {came}"
+    field = _field(one)
     if kind == "extra_forbidden":
         known = _siblings(model, one["loc"][:-1])
         name = str(one["loc"][-1])
@@ -299,22 +328,34 @@ def _described(one: Any, model: type[BaseModel]) -> str:
         known = re.findall(r"'([^']*)'", one["ctx"]["expected_tags"])
         tag = one["ctx"]["tag"]
         return f"{field}.{key}: expected one of {', '.join(known)}, got {tag!r}{nearest(tag, known)}"
+    if kind == "value_error":  # of the whole, it names its field itself
+        message = one["msg"].removeprefix(OWN_ERROR)
+        return f"{field}: {message}" if one["loc"] else message
+    return f"{field}: expected {_expected(one, model)}, got {came}"
+
+
+OWN_ERROR = "Value error, "
+"""What pydantic puts before the message of an error that is not its own."""
+
+
+def _expected(one: Any, model: type[BaseModel]) -> str:
+    """What an error says that it expected."""
+    kind = one["type"]
     if kind in ("model_type", "model_attributes_type", "dataclass_type"):
         keys = ", ".join(_siblings(model, one["loc"]))
-        return f"{field}: expected a mapping of keys{keys and f' ({keys})'}, got {came}"
-    message = re.sub(
-        r"^(?:Input|List|String|Dictionary|Tuple) should (?:be|have) ", "", one["msg"].removeprefix("Value error, ")
-    )
+        return f"a mapping of keys{keys and f' ({keys})'}"
+    if kind == "dict_type":
+        return "a mapping of keys"
     if kind == "int_parsing_size":
-        message = "an integer that is not as large"
-    message = message.replace("String should match pattern", "text of the pattern").replace(" after validation", "")
-    if kind == "value_error":  # of the whole, it names its field itself
-        return f"{field}: {message}" if one["loc"] else message
-    return f"{field}: expected {message}, got {came}"
+        return "an integer that is not as large"
+    message = re.sub(
+        r"^(?:Input|List|String|Dictionary|Tuple) should (?:be|have) ", "", one["msg"].removeprefix(OWN_ERROR)
+    )
+    return message.replace("String should match pattern", "text of the pattern").replace(" after validation", "")
 
 
 def _field(one: Any) -> str:
-    parts = [str(part) for part in one["loc"]]
+    parts = [str(part) for part in one["loc"] if not _is_kind(part)]
     if parts and one["type"] == "extra_forbidden" and not _WORD.fullmatch(parts[-1]):
         parts[-1] = "a line that is no key"  # of a file that is none of ours, perhaps
     return ".".join(parts) or "top level"

@@ -15,7 +15,7 @@ from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
 from ..models.errors import InputError, nearest
-from ..models.files import Strict, find, kind_of, parse, read_yaml, yaml_value
+from ..models.files import M, Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
 from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import check_channels
@@ -383,7 +383,29 @@ def load_scenario(
         raise InputError(
             f"{path}: arm: expected the scenario of a joint, got that of an arm: `flexspline run` takes one"
         )
-    return parse(data, Scenario, str(path)), path.parent
+    return parse_changed(data, Scenario, path, changes), path.parent
+
+
+def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: list[str] | None) -> M:
+    """Check the data of a scenario's file with changes; what is wrong with a change is not blamed on the file.
+
+    Raises:
+      InputError: what is wrong, in one line.
+    """
+    try:
+        return parse(data, model, str(path))
+    except InputError as error:
+        if not changes:
+            raise
+        line = str(error).removeprefix(f"{path}: ")
+        field, _, rest = line.partition(": ")
+        keys = [change.partition("=")[0] for change in changes]
+        key = next(
+            (k for k in reversed(keys) if f"{k}.".startswith(f"{field}.") or f"{field}.".startswith(f"{k}.")), None
+        )
+        if key is None:  # it does not fit what the file says
+            raise InputError(f"{path} with --set {', '.join(keys)}: {line}") from error
+        raise InputError(f"--set {key}: {rest if key == field else line}") from error
 
 
 def read_scenario(

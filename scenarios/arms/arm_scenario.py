@@ -19,7 +19,7 @@ from ...models.files import Strict, parse
 from ...models.joint import Joint
 from ...sim.loop import CONTROL_PERIOD
 from ...sim.plant import TIMESTEP
-from ..scenario import Scenario, put_all, read_scenario
+from ..scenario import Scenario, parse_changed, put_all, read_scenario
 
 _SHARED = ("duration", "timestep")
 _BESIDE = (*_SHARED, "seed", "format")
@@ -156,8 +156,8 @@ def load_any(
     """
     data, path = read_scenario(source, changes, seed, shipped_arms())
     if "arm" in data:
-        return parse(data, ArmScenario, str(path)), path
-    return parse(data, Scenario, str(path)), path
+        return parse_changed(data, ArmScenario, path, changes), path
+    return parse_changed(data, Scenario, path, changes), path
 
 
 def load_arm(

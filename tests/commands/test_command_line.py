@@ -269,6 +269,7 @@ def test_an_unknown_option_of_any_command_is_one_line(flexspline, words):
         (["run", "no_load", "--x\x1b[31m\n"], ["run: no such option", "--x"]),
         (["--nope"], ["flexspline: no such option", "--nope"]),
         (["challenge", "--size", "inf"], ["challenge: --size: ", "inf"]),
+        (["challenge", "--hidden", "nope"], ["--hidden: expected one of 'none', 'one', 'two', 'outside', got 'nope';"]),
         (["contact", "--rate", "inf"], ["contact: --rate: ", "inf"]),
         (["contact", "--tolerance", "inf"], ["contact: --tolerance: ", "inf"]),
     ],

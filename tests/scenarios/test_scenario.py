@@ -131,6 +131,19 @@ def test_bad_scenario_is_one_line(changes):
     assert BAD[changes] in message
 
 
+def test_a_bad_change_is_not_blamed_on_the_file():
+    for changes, expected in (
+        (("controller.kp=fast",), "--set controller.kp: expected a valid number, got 'fast'"),
+        (("sensors=ideal",), "--set sensors: expected a mapping of keys or 'realistic', got 'ideal'"),
+        (("seed=2", "controller=5", "jitter=0"), "--set controller: expected a mapping of keys ("),
+        (("temperature=warm",), "--set temperature: temperature.start: expected a valid number"),
+        (("duration=0.5",), "external_push.yaml with --set duration: transient: expected less than the duration 0.5 s"),
+    ):
+        with pytest.raises(InputError) as caught:
+            load_scenario("external_push", list(changes))
+        assert expected in str(caught.value) and ("yaml" in expected or "yaml" not in str(caught.value))
+
+
 def test_bad_joint_numbers_and_sensors_are_one_line():
     for change, expected in (
         ("plant.Jm=-1", "numbers.Jm.value: expected a number > 0, got -1"),
