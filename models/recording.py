@@ -453,9 +453,10 @@ def _unit(name: str) -> str:
 
 
 def _row(source: str, index: int) -> str:
-    """Name a row for people: counted from 1 without the header; with the line where the file has lines."""
+    """Name a row for people: counted from 0 without the header, as the rows of mistakes are; with the line where the file has
+    lines."""
     line = f" (line {index + 2})" if source.endswith(".csv") else ""
-    return f"row {index + 1}{line}"
+    return f"row {index}{line}"
 
 
 def check_channels(where: str, columns: Iterable[str]) -> None:
@@ -611,10 +612,8 @@ def _name_bad_cell(path: Path, names: list[str], wanted: list[str], form: CsvFor
         rows = csv.reader((line.replace("\0", "?") for line in file), delimiter=form.separator)
         next(rows)
         try:
-            for i, row in enumerate(rows):
-                if not row:
-                    continue
-                where = _row(str(path) if str(path).endswith(".csv") else f"{path}.csv", i)
+            for i, row in enumerate(row for row in rows if row):  # an empty line is no row
+                where = f"row {i} (line {rows.line_num})"
                 if len(row) != len(names):
                     raise InputError(f"{path}: {where}: expected {len(names)} columns, got {len(row)}")
                 for name, cell in zip(names, row, strict=True):

@@ -28,7 +28,7 @@ class Log(Protocol):
         """Columns as numbers, shape (n,) each, all of the same length; a cell that is no number is an error or NaN."""
 
     def row(self, index: int) -> str:
-        """A row for people."""
+        """A row for people, counted from 0."""
 
 
 def open_log(path: Path, sources: Iterable[str], separator: str | None = None, decimal: str | None = None) -> Log:
@@ -62,7 +62,7 @@ class _Csv:
         return read_csv_columns(self.path, wanted, self.form)
 
     def row(self, index: int) -> str:
-        return f"row {index + 1} (line {index + 2})"
+        return f"row {index} (line {index + 2})"
 
 
 class _Parquet:
@@ -94,4 +94,4 @@ class _Parquet:
         return column.cast(pa.float64()).to_numpy()
 
     def row(self, index: int) -> str:
-        return f"row {index + 1}"
+        return f"row {index}"

@@ -192,7 +192,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path):
     (tmp_path / "a.yaml").write_text("format: 1\njoint: test-joint\nlink: {inertia: 1, gravity_moment: 0}\n")
     done = subprocess.run([sys.executable, "-m", "flexspline", "check", str(tmp_path)], capture_output=True, text=True)
     assert done.returncode == 2
-    assert done.stderr.count("\n") == 1 and "a.csv" in done.stderr and "row 2" in done.stderr
+    assert done.stderr.count("\n") == 1 and "a.csv" in done.stderr and "row 1" in done.stderr
 
 
 def test_what_is_too_short_for_any_estimate_is_refused(flexspline, tmp_path):
@@ -215,3 +215,16 @@ def test_samples_too_far_apart_are_told_as_that(flexspline, tmp_path):
     code, out, _ = flexspline("check", tmp_path / "m")
     assert code == 0 and "samples are 0.2 s apart" in out
     assert out.count("the recording is split there") == 0
+
+
+def test_rows_count_alike_in_mistakes_and_in_errors(flexspline, sweep, tmp_path):
+    """The same sample is called the same where it is far off and where its cell is empty."""
+    write_recording(replace(sweep, name="log"), tmp_path / "m")
+    table = pq.read_table(tmp_path / "m" / "log.parquet").to_pandas()
+    (tmp_path / "m" / "log.parquet").unlink()
+    for value, said in ((table["motor_position"][3000] + 50.0, "row 3000"), (np.nan, "row 3000 (line 3002)")):
+        table.loc[3000, "motor_position"] = value
+        table.to_csv(tmp_path / "m" / "log.csv", index=False)
+        code, out, err = flexspline("check", tmp_path / "m")
+        assert said in out + err
+    assert code == 2

@@ -114,9 +114,9 @@ def test_a_bad_mapping_is_named(tmp_path, changes, words):
     "text, words",
     [
         (LOG.replace(";angle", ";winkel"), ["'angle'", "missing", "link_position"]),
-        (LOG.replace("5001", "4999"), ["'time'", "row 2"]),
-        (LOG.replace(";200;", ";;"), ["'i'", "row 2"]),
-        (LOG.replace(";200;", ";inf;"), ["'i'", "row 2"]),
+        (LOG.replace("5001", "4999"), ["'time'", "row 1"]),
+        (LOG.replace(";200;", ";;"), ["'i'", "row 1"]),
+        (LOG.replace(";200;", ";inf;"), ["'i'", "row 1"]),
         (LOG.splitlines()[0] + "\n", ["header alone"]),
         ("", ["empty"]),
         (LOG.replace(";junk", ";i"), ["'i'", "stands 2 times"]),
@@ -157,7 +157,7 @@ def test_decimal_commas_semicolons_latin_1_and_speeds(tmp_path):
     np.testing.assert_allclose(r["motor_current"][:4], [0.5, 1.5, 2.5, 0.5])
     assert "joint_torque" not in r
     path.write_bytes(path.read_bytes().replace(b"0,10;6,0", "0,10;6,0°".encode("latin-1")))
-    with pytest.raises(InputError, match=r"'Drehzahl', row 11 .*6,0°"):
+    with pytest.raises(InputError, match=r"'Drehzahl', row 10 .*6,0°"):
         import_recording(load_layout(mapping), path)
 
 
@@ -302,8 +302,8 @@ def test_parquet_with_stamps_integers_and_single_precision(tmp_path):
     "changes, words",
     [
         ({"i": ["a"] * 400}, ["column 'i': expected numbers, got"]),
-        ({"i": [1.0] * 399 + [None]}, ["column 'i', row 400: expected a finite number"]),
-        ({"t": [0.0] * 400}, ["'time', row 2"]),
+        ({"i": [1.0] * 399 + [None]}, ["column 'i', row 399: expected a finite number"]),
+        ({"t": [0.0] * 400}, ["'time', row 1"]),
     ],
 )
 def test_a_bad_parquet_log_is_named(tmp_path, changes, words):
@@ -343,7 +343,7 @@ def test_separator_and_decimal_mark_are_found(tmp_path, separator, decimal):
 
 def test_thousands_are_not_guessed(tmp_path):
     path = log(tmp_path, "t;m;l;i;fx;my;angle\n0;1;2;3;4;5;1.234,5\n1;1;2;3;4;5;1,5\n")
-    with pytest.raises(InputError, match=r"column 'angle', row 1 \(line 2\): expected a number, got '1.234,5'"):
+    with pytest.raises(InputError, match=r"column 'angle', row 0 \(line 2\): expected a number, got '1.234,5'"):
         import_recording(layout(tmp_path), path)
 
 

@@ -225,7 +225,7 @@ def test_a_gap_is_not_a_jump_of_the_arm(folder):
         (SIDECAR + "link: {inertia: 1, gravity_moment: 1}\n", {}, ["expected either link or arm, got both"]),
         ("format: 1\njoint: test-joint\n", {}, ["expected either link or arm, got none"]),
         (SIDECAR, {"arm_elbw_position": np.zeros(400)}, ["column", "did you mean 'elbow'"]),
-        (SIDECAR, {"arm_elbow_position": np.full(400, np.nan)}, ["'arm_elbow_position', row 1", "finite"]),
+        (SIDECAR, {"arm_elbow_position": np.full(400, np.nan)}, ["'arm_elbow_position', row 0", "finite"]),
         ("format: 1\njoint: test-joint\nlink: {inertia: 1, gravity_moment: 1}\n", {"arm_elbow_position": np.zeros(400)},
          ["'arm_elbow_position'", "to have `arm:`"]),
     ],

@@ -114,12 +114,13 @@ def test_a_measurement_is_a_folder_of_tables_with_yaml(tmp_path):
 @pytest.mark.parametrize(
     "rows, words",
     [
-        ("0,1,2,3\n0.002,1,2,3\n0.001,1,2,3\n", ["'time'", "row 3", "line 4", "increase"]),
-        ("0,1,2,3\n0,1,2,3\n", ["'time'", "row 2"]),
-        ("0,1,2,3\n0.001,1,nan,3\n", ["'link_position'", "row 2", "nan"]),
-        ("0,1,2,3\n0.001,1,,3\n", ["'link_position'", "row 2", "line 3"]),
-        ("0,1,2,3\n0.001,1,2,many\n", ["'motor_current'", "row 2", "'many'"]),
-        ("0,1,2,3\n0.001,1,2\n", ["row 2", "expected 4 columns, got 3"]),
+        ("0,1,2,3\n0.002,1,2,3\n0.001,1,2,3\n", ["'time'", "row 2", "line 4", "increase"]),
+        ("0,1,2,3\n0,1,2,3\n", ["'time'", "row 1"]),
+        ("0,1,2,3\n0.001,1,nan,3\n", ["'link_position'", "row 1", "nan"]),
+        ("0,1,2,3\n0.001,1,,3\n", ["'link_position'", "row 1", "line 3"]),
+        ("0,1,2,3\n0.001,1,2,many\n", ["'motor_current'", "row 1", "'many'"]),
+        ("0,1,2,3\n0.001,1,2\n", ["row 1", "expected 4 columns, got 3"]),
+        ("0,1,2,3\n\n0.001,1,2,many\n", ["row 1 (line 4)", "'many'"]),
         ("0,1,2,3\n", ["at least 2 rows"]),
         ("", ["at least 2 rows"]),
     ],
@@ -162,8 +163,8 @@ def test_parquet_of_wrong_type_unit_or_with_nulls(tmp_path):
     path = tmp_path / "a.parquet"
     for column, words in (
         (pa.array(["x", "y", "z"]), ["'motor_current'", "expected numbers", "string"]),
-        (pa.array([1.0, None, 2.0]), ["'motor_current'", "row 2"]),
-        (pa.array([1.0, np.nan, 2.0]), ["'motor_current'", "row 2", "nan"]),
+        (pa.array([1.0, None, 2.0]), ["'motor_current'", "row 1"]),
+        (pa.array([1.0, np.nan, 2.0]), ["'motor_current'", "row 1", "nan"]),
     ):
         pq.write_table(pa.table({**good, "motor_current": column}), path)
         with pytest.raises(InputError) as error:
@@ -236,7 +237,7 @@ def test_the_examples_are_read(shared):
 @pytest.mark.parametrize("value", [1e308, -1e31])
 def test_a_number_that_no_sensor_reads_is_refused(value):
     with pytest.raises(
-        InputError, match=r"column 'motor_current', row 3: expected a number of at most 1e\+30, got -?1e"
+        InputError, match=r"column 'motor_current', row 2: expected a number of at most 1e\+30, got -?1e"
     ):
         recording(motor_current=np.where(np.arange(50) == 2, value, 0.0))
 
