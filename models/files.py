@@ -66,7 +66,7 @@ _DEEPEST, _LARGEST = 40, 1_000_000
 
 class _Loader(_SafeLoader):
     """Safe YAML that refuses duplicate keys and reads numbers as people write them: 1e-6 is one (YAML 1.1 asks for a dot), 1:30
-    (there 90) and 010 (there 8) are none."""
+    (there 90) and 010 (there 8) are none. Truth values are `true` and `false` alone: `no` and `on` are words."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
@@ -84,11 +84,12 @@ class _Loader(_SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_INT, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
+_INT, _FLOAT, _BOOL = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float", "tag:yaml.org,2002:bool"
 _Loader.yaml_implicit_resolvers = {
-    first: [(tag, pattern) for tag, pattern in known if tag not in (_INT, _FLOAT)]
+    first: [(tag, pattern) for tag, pattern in known if tag not in (_INT, _FLOAT, _BOOL)]
     for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
+_Loader.add_implicit_resolver(_BOOL, re.compile("^(?:true|false)$"), list("tf"))
 _Loader.add_implicit_resolver(_INT, re.compile(r"^[-+]?(?:0|[1-9][0-9_]*)$"), list("-+0123456789"))
 _Loader.add_implicit_resolver(
     _FLOAT,
@@ -346,6 +347,8 @@ def _expected(one: Any, model: type[BaseModel]) -> str:
         return f"a mapping of keys{keys and f' ({keys})'}"
     if kind == "dict_type":
         return "a mapping of keys"
+    if kind == "bool_type":
+        return "true or false"
     if kind == "int_parsing_size":
         return "an integer that is not as large"
     message = re.sub(

@@ -73,6 +73,19 @@ def test_a_zero_in_counts(tmp_path):
     assert np.mean(r["link_position"]) == pytest.approx(np.deg2rad(0.1))
 
 
+@pytest.mark.parametrize("word", ["yes", "on", "TRUE", "True", "'true'", "1"])
+def test_only_true_and_false_are_truth_values(tmp_path, word):
+    layout(tmp_path)
+    path = tmp_path / "mine.yaml"
+    text = path.read_text()
+    path.write_text(text.replace("sign: -1", "sign: -1\n    wraps: true"))
+    assert load_layout(path).columns["motor_position"].wraps is True
+    path.write_text(text.replace("sign: -1", f"sign: -1\n    wraps: {word}"))
+    with pytest.raises(InputError, match=r"wraps: expected true or false, got") as caught:
+        load_layout(path)
+    assert "\n" not in str(caught.value)
+
+
 def test_an_encoder_that_wraps_is_unwrapped(tmp_path):
     wraps = {"column": "m", "unit": "counts", "counts": 4096, "wraps": True}
     text = "t;m;l;i;fx;my;angle\n" + "".join(f"{k};{(k * 1000) % 4096};0;0;0;0;0\n" for k in range(20))
