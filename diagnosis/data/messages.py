@@ -141,7 +141,7 @@ class Messages:
 
     def row(self, index: int) -> str:
         """A sample for people."""
-        return f"sample {index + 1}"
+        return f"sample {index}"
 
 
 def open_messages(path: Path, sources: Iterable[str]) -> Messages:
