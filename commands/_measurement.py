@@ -7,7 +7,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from ..models.joint import Joint
     from ..models.recording import Measurement
+
+
+def parted_measurement(path: str | Path, option: str | None) -> tuple[Measurement, Joint]:
+    """A measurement with gaps where samples are missing that its time does not show, which is told; and its description."""
+    from ..diagnosis.data.samples import parted
+
+    data = measurement_at(path)
+    joint = data.load_joint(option)
+    data, said = parted(data, joint)
+    for text in said:
+        print(f"flexspline: {text}", file=sys.stderr)
+    return data, joint
 
 
 def measurement_at(path: str | Path) -> Measurement:

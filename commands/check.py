@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..models.errors import InputError, InputWarning
-from ._measurement import measurement_at
+from ._measurement import parted_measurement
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
 if TYPE_CHECKING:
@@ -52,8 +52,7 @@ def command(
     from ._mistakes import print_mistakes
 
     give_back_large_arrays()
-    given = measurement_at(measurement)
-    described = given.load_joint(joint)
+    given, described = parted_measurement(measurement, joint)
     mistakes = find_mistakes(given, described)
     try:
         data = mended(given, described, mistakes)

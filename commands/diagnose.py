@@ -18,7 +18,7 @@ from ..models import plugins
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._listing import AsJson
-from ._measurement import measurement_at
+from ._measurement import parted_measurement
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -60,8 +60,7 @@ def command(
 
     if seconds is not None and not seconds > 0:
         raise InputError(f"--time {seconds:g}: expected more than 0 s")
-    data = measurement_at(measurement)
-    described = data.load_joint(joint)
+    data, described = parted_measurement(measurement, joint)
     _check_apart(measurement, out)
     check_output(out, "diagnose", inputs=[*data.files, measurement, described.path], whole=True)
     if exact:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..models.errors import InputError
-from ._measurement import measurement_at
+from ._measurement import parted_measurement
 from ._options import OtherJoint, with_plugins
 
 _BY = 1.0
@@ -74,8 +74,7 @@ def _of_measurement(source: Path, option: str | None) -> list[dict[str, Any]]:
     from ..diagnosis.planning import plan
     from ._console import stages
 
-    data = measurement_at(source)
-    described = data.load_joint(option)
+    data, described = parted_measurement(source, option)
     with stages(f"looking at {data.name}") as stage:
         found = diagnose(data, described, progress=lambda name, done: stage(name, 0.6 * done), seconds=_BY)
         if found.problem is None:

@@ -309,7 +309,7 @@ def diagnose(
     """
     from .diagnosis.diagnose import diagnose as diagnose_measurement
 
-    return diagnose_measurement(*_measured(measurement, joint), seconds=seconds)
+    return diagnose_measurement(*_parted(measurement, joint), seconds=seconds)
 
 
 def plan(
@@ -333,7 +333,7 @@ def plan(
     """
     from .diagnosis.planning import plan as plan_measurement
 
-    data, described = _measured(measurement, joint)
+    data, described = _parted(measurement, joint)
     return plan_measurement(data, diagnosis if diagnosis is not None else diagnose(data, described))
 
 
@@ -501,6 +501,20 @@ def _changes(given: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Joint]
         if isinstance(value, Joint) and key.rpartition(".")[2] in ("joint", "known_joint")
     }
     return dotted | {key: one.name for key, one in at_hand.items()}, at_hand
+
+
+def _parted(given: Measured, joint: str | Path | Joint | None) -> tuple[Measurement, Joint]:
+    """The same with gaps where samples are missing that the time does not show."""
+    import warnings
+
+    from .diagnosis.data.samples import parted
+    from .models.errors import InputWarning
+
+    data, described = _measured(given, joint)
+    data, said = parted(data, described)
+    for text in said:
+        warnings.warn(text, InputWarning, stacklevel=3)
+    return data, described
 
 
 def _measured(given: Measured, joint: str | Path | Joint | None) -> tuple[Measurement, Joint]:

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.ndimage import median_filter
 
 from ...models.joint import EncoderSpec, Joint
-from ...models.recording import GAP, Recording
+from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import DRIVING, POSITIONS
 
 
@@ -36,6 +36,7 @@ class SampleSettings:
       flat: samples at a sensor's end at the least.
       peaked: times more often that the value at the end is there than those beside it.
       drive_moved: share of its range by which a position moves while a torque is stuck.
+      together: part of a jump by which both encoders may differ in it.
       uncommanded: way of the link [rad] that nothing but a command makes: no push and no compliance.
     """
 
@@ -50,6 +51,7 @@ class SampleSettings:
     flat: int = 8
     peaked: float = 4.0
     drive_moved: float = 0.01
+    together: float = 0.2
     uncommanded: float = 0.3
 
 
@@ -101,6 +103,42 @@ def wrong_samples(recording: Recording, joint: Joint) -> tuple[SampleMistake, ..
         if name in (*POSITIONS, *DRIVING):
             found += _still(recording.time, columns, name, N)
     return tuple(found)
+
+
+def jumps(recording: Recording, joint: Joint) -> np.ndarray:
+    """Samples before which others are missing, or were logged twice, though the time was numbered through: both encoders go the
+    same way at once, far more than before and after."""
+    if any(name not in recording for name in POSITIONS):
+        return np.empty(0, int)
+    N = joint.numbers["N"].value
+    motor, link = (_Steps(recording.time, recording[n] / (N if n == "motor_position" else 1.0)) for n in POSITIONS)
+    far = [
+        s.size > max(SETTINGS.far * float(np.quantile(s.size, 0.99)), SETTINGS.quanta * s.quantum)
+        for s in (motor, link)
+    ]
+    same = np.abs(motor.off - link.off) < SETTINGS.together * np.abs(link.off)
+    found = np.flatnonzero(far[0] & far[1] & same)
+    # What comes back at once is a sample far off.
+    back = [
+        bool(np.any(far[1][max(k - SETTINGS.longest, 0) : k]) or np.any(far[1][k + 1 : k + 1 + SETTINGS.longest]))
+        for k in found
+    ]
+    return found[~np.array(back, bool)] + 1
+
+
+def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[str, ...]]:
+    """The measurement with gaps in the time of its recordings where samples are missing (`jumps`), and what is said of each."""
+    said, found = [], []
+    for recording in measurement.recordings:
+        rows, time = jumps(recording, joint), recording.time.copy()
+        for row in rows:
+            time[row:] += 2 * GAP
+            said.append(
+                f"{recording.name}: both encoders jump at row {row}: samples are missing, or there twice, which the time does "
+                "not show; taken for a gap"
+            )
+        found.append(replace(recording, time=time) if len(rows) else recording)
+    return replace(measurement, recordings=tuple(found)) if said else measurement, tuple(said)
 
 
 def still_commands(recordings: Sequence[Recording], joint: Joint) -> tuple[SampleMistake | None, ...]:

@@ -16,6 +16,7 @@ import flexspline
 from benchmarks.mistakes import Hidden, cuts, examples, hidden_mistakes, hide
 from flexspline import commands
 from flexspline.diagnosis.data.mistakes import find_mistakes, mended
+from flexspline.diagnosis.data.samples import jumps, parted
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.models.errors import InputError, InputWarning
@@ -98,6 +99,26 @@ def test_one_way_says_nothing_of_lateness():
     (found,) = find_mistakes(measurement(replace(r, columns={**r.columns, "joint_torque": shifted})), JOINT)
     assert (found.name, found.column) == ("late", "joint_torque")
     assert found.seconds == pytest.approx(late * r.interval, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("kept", "row"), [((0, 3000, 3400, 7000), 3000), ((0, 3000, 2800, 7000), 3000), ((0, 7000), None)]
+)
+def test_samples_that_are_missing_under_a_numbered_time_make_a_gap(kept, row):
+    """As after a buffer overrun: a block left out, or there twice, was a current 36 ms late at 0.99."""
+    r = recording()
+    rows = np.concatenate([np.arange(a, b) for a, b in zip(kept[::2], kept[1::2], strict=True)])[: len(r.time)]
+    cut = replace(r, time=r.time[: len(rows)], columns={name: x[rows] for name, x in r.columns.items()})
+    found, said = parted(measurement(cut), JOINT)
+    assert jumps(cut, JOINT).tolist() == ([] if row is None else [row])
+    assert len(found.recordings[0].gaps) == len(said) == (row is not None)
+    assert find_mistakes(found, JOINT) == ()
+    # A sample of both that is far off is a glitch, and comes back.
+    glitch = {
+        n: np.where(np.arange(len(r.time)) == 2000, r[n] + far, r[n])
+        for n, far in (("motor_position", 50.0), ("link_position", 0.5))
+    }
+    assert not len(jumps(replace(r, columns={**r.columns, **glitch}), JOINT))
 
 
 @pytest.mark.parametrize("value", [0.0, 1.3])
