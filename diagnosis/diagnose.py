@@ -65,7 +65,8 @@ def diagnose(
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
     missing = coverage.undetermined(measurement, joint)
     if not any(s.usable.any() for s in problem.segments):
-        return nothing_usable(joint, mistakes, missing, time.monotonic() - begin)
+        why = coverage.too_little(measurement, joint)
+        return nothing_usable(why, joint, mistakes, missing, time.monotonic() - begin)
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     available = [n for n in causes.of(joint) if coverage.can_show(n, measurement, problem.link_measured)]
     present = {effect.name: effect.values for effect in joint.effects}

@@ -180,9 +180,14 @@ def meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake,
     return told if told.mendable or lost else replace(told, reasons=(NO_CHANGE, f"what would mend most: {named}"))
 
 
-def nothing_usable(joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float) -> Diagnosis:
-    shortest = SETTINGS.shortest
-    reasons = (f"no part of the measurement without gaps has {shortest[0]} samples and {shortest[1]:g} s",)
+def nothing_usable(
+    why: str | None, joint: Joint, mistakes: tuple[Mistake, ...], missing: dict[str, str], seconds: float
+) -> Diagnosis:
+    """The answer where no sample counts; `why` (`coverage.too_little`), where that is for want of length or motion."""
+    reasons = (
+        why
+        or "in no part without gaps does the rotor go as far as it takes for its friction's beginning not to matter",
+    )
     return Diagnosis("inconclusive", reasons, (), {}, (), missing, {}, (), joint, mistakes=mistakes, seconds=seconds)
 
 
