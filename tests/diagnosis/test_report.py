@@ -319,7 +319,9 @@ def test_a_measurement_that_made_no_sense_has_a_page_too(report, tmp_path):
     blank = Report(report.measurement, report.joint, nothing)
     checker, text = read(html(blank))
     assert checker.open == [] and "Nothing was computed" in text and "the encoders are swapped" in text.lower()
-    assert "Mend the data first" in text and "none is ruled out" in text and "No experiment that was looked at" not in text
+    assert (
+        "Mend the data first" in text and "none is ruled out" in text and "No experiment that was looked at" not in text
+    )
     lost = replace(wrong, name="sign", description="its magnitude without its sign", lost=True)
     _, text = read(html(replace(blank, diagnosis=replace(nothing, mistakes=(lost,)))))
     assert "Measure anew" in text and "nothing in the file mends that" in text and "Mend the data first" not in text
