@@ -43,6 +43,7 @@ from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
+from .held import moved_on
 from .motion import CUTOFF
 from .payload_model import MEMORY, NOISE, friction_error, slow_friction
 
@@ -404,7 +405,10 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     given = set(signals)
     if not given & set(POSITIONS):
         raise InputError(f"recording: expected one of the columns {', '.join(POSITIONS)}, got {sorted(given)}")
-    signals, joint = smoothed.in_time(smoothed.in_amperes(signals, joint), joint)
+    signals = smoothed.in_amperes(signals, joint)
+    if given >= set(POSITIONS):
+        signals = moved_on(signals, joint)
+    signals, joint = smoothed.in_time(signals, joint)
     measured = set(signals)
     if "link_position" not in measured:
         signals = signals.with_columns(link_position=_link_of_motor(signals, joint))

@@ -12,19 +12,17 @@ from typing import Any
 
 import numpy as np
 
+from ...estimator.held import FEWEST, HELD, held_for
 from ...models.joint import AnalogSpec, EncoderSpec, Joint
 from ...models.recording import Recording
 from ...models.signals import CHANNELS
 from .sampling import SETTINGS as SAMPLING
 
 _CHANNELS = ("motor_position", "link_position", "motor_current", "joint_torque")
-_FEWEST = 200  # changes of a reading
 _NEAR = 20  # steps: changes of so many at most are looked at
 _OFF = 0.1  # of a step: changes that are so near a whole number of steps
 _SHARE = 0.98  # of the changes that must be whole numbers of steps
 _COARSER = 1.5  # times the described step
-_HELD = 0.9  # share of readings that must be held for the same number of samples
-_MANY = 4.0  # counts by which an encoder that is held goes on at a time
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,7 @@ def step_of(reading: np.ndarray) -> float:
     """Step of a reading, shape (n,), of which all its changes are whole numbers, in its unit; 0 where it comes in none."""
     change = np.abs(np.diff(reading))
     change = change[change > 1e-12 * max(float(np.ptp(reading)), 1e-300)]
-    if len(change) < _FEWEST:
+    if len(change) < FEWEST:
         return 0.0
     step = float(np.percentile(change, 1))
     steps = change[change < _NEAR * step] / step
@@ -61,21 +59,15 @@ def rate_of(time: np.ndarray, reading: np.ndarray, resolution: float = 0.0) -> f
     """Rate [Hz] at which a reading, shape (n,), that is held for a number of samples is read anew; 0 where it is not held so.
 
     Args:
-      resolution: of an encoder, in its unit. It stays where it is at rest, and counts at regular times at one speed: what says
-        that it is held are steps of many counts, at times that are multiples of one.
+      resolution: of an encoder, in its unit.
     """
-    steps = np.diff(reading)
-    at = np.flatnonzero(steps != 0.0)
-    held = np.diff(at)
-    if len(held) < _FEWEST:
-        return 0.0
     if resolution:
-        samples = int(np.percentile(held, 5))
-        steady = np.mean(held % max(samples, 1) == 0) > _HELD and np.median(np.abs(steps[at])) > _MANY * resolution
+        samples = held_for(reading, resolution)
     else:
-        samples = int(np.median(held))
-        steady = np.mean(held == samples) > _HELD
-    return 1.0 / (samples * float(np.median(np.diff(time)))) if samples >= 2 and steady else 0.0
+        apart = np.diff(np.flatnonzero(np.diff(reading) != 0.0))
+        samples = int(np.median(apart)) if len(apart) >= FEWEST else 1
+        samples = samples if float(np.mean(apart == samples)) > HELD else 1
+    return 1.0 / (samples * float(np.median(np.diff(time)))) if samples >= 2 else 0.0
 
 
 def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]:
@@ -94,9 +86,7 @@ def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]
             found.append(Coarse(name, "step", min(steps), described))
         if isinstance(spec, EncoderSpec) or spec.noise:  # without noise a reading may well stay the same
             resolution = spec.resolution if isinstance(spec, EncoderSpec) else 0.0
-            rates = [
-                rate_of(r.time, r[name], resolution) for r in there if np.count_nonzero(np.diff(r[name])) > _FEWEST
-            ]
+            rates = [rate_of(r.time, r[name], resolution) for r in there if np.count_nonzero(np.diff(r[name])) > FEWEST]
             if rates and 0.0 < min(rates) and max(rates) < SAMPLING.slower * spec.rate:
                 found.append(Coarse(name, "rate", max(rates), spec.rate))
     return tuple(found)
