@@ -42,7 +42,7 @@ class NoiseSettings:
       bands: correlation times of the model discrepancy [s]: from one residual to a few seconds, a factor of five apart.
       rest_time: correlation time of the slow disturbance at rest [s].
       scales: lengths of the Haar wavelets by which variances are learned, in residuals (half a wavelet): 8 ms to 4 s.
-      floor: least standard deviation of sensor noise, in its own unit per unit of the balance's quantum.
+      floor: least standard deviation of sensor noise, in the balance's unit.
     """
 
     order: int = 3

@@ -232,7 +232,7 @@ def _not_held_out(problem: Problem, base: Fit, f: Fit, gain: float, settings: Ac
     gained = held_out_cost(problem, base, base) - held_out_cost(problem, f, f)
     needed = settings.held_out_share * 2 * gain * share
     if gained <= needed:
-        return f"gains {gained:.0f} in log likelihood on data that the fit did not see, must gain {needed:.0f}"
+        return f"gains {gained / 2:.0f} in log likelihood on data that the fit did not see, must gain {needed / 2:.0f}"
     return ""
 
 
