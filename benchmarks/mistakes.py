@@ -12,7 +12,7 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -358,20 +358,21 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
     print(f"  {(time.process_time() - begin) / max(looks, 1):.2f} s each")
     if arguments.only not in ("", "sound"):
         return
-    recordings, claimed = 0, 0
-    for measurement, joint in _sound(sound, arguments.draws, arguments.seed):
-        found = find_mistakes(measurement, joint)
+    whole, recordings = _claims(_sound(sound, arguments.draws, arguments.seed))
+    print(f"sound: {whole} claims in {recordings} recordings")
+    cut, _ = _claims(cuts(sound, arguments.cuts, arguments.seed))
+    print(f"sound, cut out: {cut} claims in {arguments.cuts} measurements")
+
+
+def _claims(measurements: Iterable[tuple[Measurement, Joint]]) -> tuple[int, int]:
+    """Of how many sound measurements something is claimed, which is printed, and how many recordings they have."""
+    claimed, recordings = 0, 0
+    for measurement, joint in measurements:
         recordings += len(measurement.recordings)
-        claimed += bool(found)
-        if found:
-            print(f"  claimed of {measurement.name}: {', '.join(map(_short, found))}", flush=True)
-    print(f"sound: {claimed} claims in {recordings} recordings")
-    claimed = 0
-    for measurement, joint in cuts(sound, arguments.cuts, arguments.seed):
         if found := find_mistakes(measurement, joint):
             claimed += 1
             print(f"  claimed of {measurement.name}: {', '.join(map(_short, found))}", flush=True)
-    print(f"sound, cut out: {claimed} claims in {arguments.cuts} measurements")
+    return claimed, recordings
 
 
 def _sound(known: list[tuple[Measurement, Joint]], draws: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:

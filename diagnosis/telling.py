@@ -169,15 +169,13 @@ def _rezeroed(conclusion: Conclusion) -> list[str]:
 def meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
     """The answer while mistakes in the data make physics meaningless."""
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
-    reasons: tuple[str, ...] = (
-        f"mistakes in the data ({named}) make physics meaningless",
-        "`flexspline import --fix` writes them mended",
-    )
-    if lost := dict.fromkeys(f"{m.column}: {m.unmended}" for m in mistakes if m.lost):
-        reasons = (reasons[0], *lost)
+    lost = dict.fromkeys(f"{m.column}: {m.unmended}" for m in mistakes if m.lost)
     everything = {n: "mistakes in the data" for n in causes.of(joint)}
-    told = Diagnosis("inconclusive", reasons, (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
-    return told if told.mendable or lost else replace(told, reasons=(NO_CHANGE, f"what would mend most: {named}"))
+    told = Diagnosis("inconclusive", (), (), {}, (), everything, {}, (), joint, mistakes=mistakes, seconds=seconds)
+    if lost or told.mendable:
+        mended = "`flexspline import --fix` writes them mended"
+        return replace(told, reasons=(f"mistakes in the data ({named}) make physics meaningless", *(lost or (mended,))))
+    return replace(told, reasons=(NO_CHANGE, f"what would mend most: {named}"))
 
 
 def nothing_usable(

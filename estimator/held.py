@@ -38,17 +38,17 @@ def moved_on(signals: Signals, joint: KnownJoint) -> Signals:
     """
     N, noise = float(joint.p["N"]), joint.noise
     motor, link = signals["motor_position"], signals["link_position"]
-    since = np.arange(len(signals.time))
     if (k := held_for(link, noise.link_resolution)) > 1:
-        fresh = _last_fresh(link, k, since)
+        fresh = _last_fresh(link, k)
         return signals.with_columns(link_position=link + (motor - motor[fresh]) / N)
     if (k := held_for(motor, noise.motor_resolution)) > 1:
-        fresh = _last_fresh(motor, k, since)
+        fresh = _last_fresh(motor, k)
         return signals.with_columns(motor_position=motor + N * (link - link[fresh]))
     return signals
 
 
-def _last_fresh(reading: np.ndarray, samples: int, since: np.ndarray) -> np.ndarray:
+def _last_fresh(reading: np.ndarray, samples: int) -> np.ndarray:
     """Index of the sample at which each reading was read, shape (n,)."""
     first = int(np.flatnonzero(np.diff(reading) != 0.0)[0] + 1) % samples
-    return np.maximum(since - (since - first) % samples, 0)
+    at = np.arange(len(reading))
+    return np.maximum(at - (at - first) % samples, 0)

@@ -238,36 +238,40 @@ def _worst(fits: Sequence[dict[str, RelationFit]]) -> float:
     return min((fit.misfit for relations in fits for fit in relations.values()), default=0.0)
 
 
-def _not_followed(before: Sequence[dict[str, RelationFit]], after: Sequence[dict[str, RelationFit]]) -> bool:
+_Fits = Sequence[dict[str, RelationFit]]
+"""Relations of every recording; changes leave the same ones."""
+
+
+def _gained(before: _Fits, after: _Fits, but: str = "") -> float:
+    """By how much better the readings of all relations but one fit, in log likelihood."""
+    return sum(
+        fit.readings - old[name].readings
+        for old, new in zip(before, after, strict=True)
+        for name, fit in new.items()
+        if name != but
+    )
+
+
+def _not_followed(before: _Fits, after: _Fits) -> bool:
     """Whether changes mend nothing but what the command says, and the link does not follow it all the same: a stop holds it, or
     the drive's limit does."""
-    gained, commanded = 0.0, False
-    for old, new in zip(before, after, strict=True):
-        for name, fit in new.items():
-            if name == "command":
-                commanded |= fit.misfit < SETTINGS.suspicious and fit != old.get(name)
-            elif name in old:
-                gained += fit.readings - old[name].readings
-    return commanded and gained < SETTINGS.sure
+    commands = [(old["command"], new["command"]) for old, new in zip(before, after, strict=True) if "command" in new]
+    commanded = any(new.misfit < SETTINGS.suspicious and new != old for old, new in commands)
+    return commanded and _gained(before, after, but="command") < SETTINGS.sure
 
 
-def _better(before: Sequence[dict[str, RelationFit]], after: Sequence[dict[str, RelationFit]]) -> bool:
+def _better(before: _Fits, after: _Fits) -> bool:
     """Whether readings fit better than before, beside what is known of more of them, and no relation is at odds that was not.
 
     An angle in turns moves six times as fast: less of it is at rest, where friction may be anything, and of a second in which
     next to nothing moves that alone once spoke for turns.
     """
-    gained = 0.0
-    for old, new in zip(before, after, strict=True):
-        for name, fit in new.items():
-            was = old.get(name)
-            gained += fit.readings - (was.readings if was is not None else 0.0)
-            if (
-                fit.misfit < SETTINGS.suspicious
-                and fit.misfit < (was.misfit if was is not None else 0.0) - SETTINGS.at_odds
-            ):
-                return False
-    return gained > SETTINGS.sure
+    at_odds = any(
+        fit.misfit < min(SETTINGS.suspicious, old[name].misfit - SETTINGS.at_odds)
+        for old, new in zip(before, after, strict=True)
+        for name, fit in new.items()
+    )
+    return not at_odds and _gained(before, after) > SETTINGS.sure
 
 
 def _total(fits: dict[str, RelationFit]) -> float:

@@ -155,8 +155,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     recordings = _apply(recordings, joint, found)
     found += [m for recording in recordings for m in (*_temperature(recording), *_rectified(recording, joint))]
     for recording, still in zip(recordings, still_commands(recordings, joint), strict=True):
-        wrong = [*wrong_samples(recording, joint), *([still] if still is not None else [])]
-        found += [_of_samples(m, recording) for m in wrong]
+        found += [_of_samples(m, recording) for m in (*wrong_samples(recording, joint), *still)]
     found = _merged(found, len(recordings))
     try:
         recordings = _apply(moving, joint, found)

@@ -141,9 +141,9 @@ def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[s
     return replace(measurement, recordings=tuple(found)) if said else measurement, tuple(said)
 
 
-def still_commands(recordings: Sequence[Recording], joint: Joint) -> tuple[SampleMistake | None, ...]:
-    """Of each recording a position command that stays where it is though the link does not, None where it is none: a drive that
-    follows a torque or a velocity logs 0. One that stands at the same place beside such ones is of the same drive."""
+def still_commands(recordings: Sequence[Recording], joint: Joint) -> list[list[SampleMistake]]:
+    """Of each recording a position command that stays where it is though the link does not, if it has one: a drive that follows
+    a torque or a velocity logs 0. One that stands at the same place beside such ones is of the same drive."""
     N = joint.numbers["N"].value
     at: list[float | None] = []
     goes = []
@@ -153,12 +153,10 @@ def still_commands(recordings: Sequence[Recording], joint: Joint) -> tuple[Sampl
         spans = [float(np.ptp(r[n])) / (N if n == "motor_position" else 1.0) for n in POSITIONS if n in r]
         goes.append(min(spans, default=0.0) > SETTINGS.uncommanded)
     still = {value for value, moves in zip(at, goes, strict=True) if value is not None and moves}
-    return tuple(
-        SampleMistake("stuck", "position_command", tuple(range(len(r.time))))
-        if value is not None and value in still
-        else None
+    return [
+        [SampleMistake("stuck", "position_command", tuple(range(len(r.time))))] if value in still else []
         for r, value in zip(recordings, at, strict=True)
-    )
+    ]
 
 
 def bridged(time: np.ndarray, x: np.ndarray, rows: np.ndarray) -> np.ndarray:

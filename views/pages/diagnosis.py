@@ -171,7 +171,7 @@ def _mistake(m: Mistake) -> dict[str, Any]:
         unit = "K" if m.column == "temperature" else "rad to the angle"
         mends.append(f"add {number(m.offset, 5)} {unit}")
     if m.rows is not None:
-        mends.append(f"{len(m.rows)} row{'s' if len(m.rows) != 1 else ''}, the first {m.rows[0] + 1}" if m.rows else "")
+        mends.append(f"{len(m.rows)} row{'s' if len(m.rows) != 1 else ''}, the first {m.rows[0]}" if m.rows else "")
     told = m.remedy if m.lost else ("" if m.sure else "most: ") + "; ".join(x for x in mends if x)
     return {
         "name": plain(m.name), "column": m.column, "recording": m.recording, "text": m.description, "mends": told,
