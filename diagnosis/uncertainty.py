@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..models.joint import Joint, Uncertainty
+from ..models.parameters import short_way
 from .data.segments import BALANCES, LINK, TORQUE
 from .fit.regions import Region, region_masks, valid_range
 from .fit.residual import Problem
@@ -41,8 +42,7 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
 
     def slope_by(step: float) -> np.ndarray:
         changes = np.stack([values(fit.theta + step * e) - base for e in np.eye(len(fit.theta))], axis=1)
-        short = np.round(changes / np.where(period > 0, period, 1.0)[:, None])
-        return (changes - period[:, None] * short) / step  # of an angle, the short way
+        return short_way(changes, period[:, None]) / step
 
     slope = slope_by(_STEP)
     slope = np.where(slope == 0.0, slope_by(-_STEP), slope)  # at the end of what an effect can be, from inside

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .joint import Joint, Mounting, Number, may_be_zero
-from .parameters import PARAMETERS, as_floats
+from .parameters import PARAMETERS, as_floats, short_way
 
 CUT = 2.5
 """Joints are drawn with every variable within this many standard deviations."""
@@ -179,10 +179,7 @@ class Calibration:
                 scale = nominal[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
                 allowed[0][slot.field] = within * deviation * scale
         now, before, described, limit = (as_floats(r) for r in (record, without, nominal, allowed))
-        off = now - described
-        off -= period * np.round(
-            np.divide(off, period, out=np.zeros_like(off), where=period > 0.0)
-        )  # the short way round
+        off = short_way(now - described, period)
         return not np.any((now != before) & (np.abs(off) > limit))
 
 

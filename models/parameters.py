@@ -92,3 +92,8 @@ def neutral() -> np.ndarray:
 def as_floats(record: np.ndarray) -> np.ndarray:
     """View a record, shape (1,), as its float64 values, shape (SIZE,)."""
     return record.view(np.float64).reshape(-1)
+
+
+def short_way(change: np.ndarray | float, period: np.ndarray | float) -> np.ndarray:
+    """Changes of angles the short way round, of what has no period (0) as they are; units of both alike, shapes broadcast."""
+    return change - period * np.round(change / np.where(np.asarray(period) > 0, period, np.inf))

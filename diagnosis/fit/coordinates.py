@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from ...models.causes import Cause, CauseParameter
+from ...models.parameters import short_way
 
 SPREAD = 1.2
 """Prior standard deviation of a magnitude, in ordinary sizes: small effects are as likely as ordinary ones."""
@@ -146,10 +147,7 @@ class Hypothesis:
         for j in range(self.size):
             moved = self._unbounded(u + step * np.eye(self.size)[j])
             for i, q in enumerate(self.free):
-                change = moved[q.name] - at[q.name]
-                if q.period:
-                    change = (change + 0.5 * q.period) % q.period - 0.5 * q.period
-                slope[i, j] = change / step
+                slope[i, j] = short_way(moved[q.name] - at[q.name], q.period) / step
         variance = np.einsum("ij,jk,ik->i", slope, covariance, slope)
         return dict(zip(names, np.sqrt(np.maximum(variance, 0.0)), strict=True))
 

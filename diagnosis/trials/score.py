@@ -27,6 +27,7 @@ from scipy.stats import binomtest
 from ...models import causes, plugins
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
+from ...models.parameters import short_way
 from ...scenarios.scenario import load_scenario
 from ..answer import Diagnosis, Finding
 from ..diagnose import diagnose
@@ -188,7 +189,7 @@ def deviations(drawn: Draw, found: Diagnosis) -> dict[str, tuple[float, float]]:
             error = p.value - true
             scale = abs(true)
             if q.period:
-                error = (error + 0.5 * q.period) % q.period - 0.5 * q.period
+                error = float(short_way(error, q.period))
                 scale = 1.0
             elif not q.magnitude:
                 scale = max(scale, q.ordinary[-1][1] - q.ordinary[0][0])

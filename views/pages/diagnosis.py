@@ -163,7 +163,7 @@ def _head(report: Report, channels: list[Compared], estimators: list[Compared], 
 def _mistake(m: Mistake) -> dict[str, Any]:
     """A mistake in the data with the change that mends it."""
     mends = []
-    if m.factor is not None:
+    if m.factor is not None and (m.factor != 1.0 or m.offset is None):
         mends.append(f"multiply {'N' if m.name == 'gear_ratio' else m.column} by {number(m.factor, 6)}")
     if m.seconds is not None:
         mends.append(f"shift {m.column} by {number(1e3 * m.seconds, 3)} ms")
