@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -206,7 +206,8 @@ def _confidences(
         confidence = _confidence(found, h, unknown)
         if h.cause.resonance and not problem.link_measured:
             confidence = min(confidence, ANSWER.beside)
-        if h.at_bound(u) or _diluted(problem, final, i):  # an inertia of nothing is no answer, whatever it explains
+        beyond = out_of_proportion(problem, h.cause.name, h.values(u))
+        if h.at_bound(u) or beyond or _diluted(problem, final, i):  # no answer, whatever it explains
             confidence = min(confidence, ANSWER.unsure)
         alone.append(min(confidence, most[i]))
         sizes.append(problem.place(final.model, i).start + np.asarray(h.magnitudes))
@@ -245,6 +246,16 @@ def _temper(quiet: float, gain: float) -> float:
     """
     beside = float(np.clip(quiet, 1.0, ANSWER.inflation))
     return beside * (ANSWER.temper + ANSWER.inexact * float(np.clip(gain, 0.0, 500.0 * beside**2)))
+
+
+def out_of_proportion(problem: Problem, name: str, values: Mapping[str, float]) -> float:
+    """By what factor a cause has its number elsewhere than described, where no description is that wrong; else 0."""
+    most = causes.get(name).multiple
+    if not np.isfinite(most):
+        return 0.0
+    q = causes.get(name).parameters[0]
+    factor = values[q.name] / (float(problem.joint.record()[0][q.relative]) if q.relative else 1.0)
+    return factor if not 1 / most < factor < most else 0.0
 
 
 def _superseded(found: Search, name: str) -> bool:

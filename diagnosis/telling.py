@@ -15,7 +15,7 @@ from .conclusion import ANSWER, Conclusion
 from .data.mistakes import NO_CHANGE, Mistake
 from .data.segments import BALANCES, SETTINGS, UNITS
 from .extension import DELAYS, extended, parameter_shifts
-from .findings import close, explains_nothing, findings_of, other_ripples
+from .findings import close, explains_nothing, findings_of, other_ripples, out_of_proportion
 from .fit.regions import valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit
@@ -49,6 +49,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     verdict, reasons = _verdict(conclusion, findings, minor, residual, useless)
     calibration = parameter_shifts(problem, final)
     reasons += [
+        *_out_of_proportion(problem, findings),
         *_at_the_end(calibration),
         *_holds_back(conclusion),
         *_stands_apart(conclusion),
@@ -109,6 +110,20 @@ def _at_the_end(calibration: dict[str, ParameterShift]) -> list[str]:
         if (s := calibration.get(name)) is not None and abs(s.moved) > ANSWER.end
     ]
     return [f"at the end of what the description allows: {', '.join(ends)}", *late] if ends else late
+
+
+def _out_of_proportion(problem: Problem, findings: Sequence[Finding]) -> list[str]:
+    """Where a number is so far from its description that something else is likelier."""
+    far = {
+        f.name: factor
+        for f in findings
+        if f.name in causes.names()
+        and (factor := out_of_proportion(problem, f.name, {k: p.value for k, p in f.parameters.items()}))
+    }
+    if not far:
+        return []
+    each = ", ".join(f"{name.replace('_', ' ')} {factor:.2g} times" for name, factor in far.items())
+    return [f"far from the description ({each}): is it this joint with this load, and every column in its unit?"]
 
 
 def _holds_back(conclusion: Conclusion) -> list[str]:

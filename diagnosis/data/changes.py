@@ -72,6 +72,8 @@ class ChangeSettings:
 SETTINGS = ChangeSettings()
 _APART = 20  # samples
 _DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
+_LAST_OF = {"encoders": "motor_position", "command": "position_command"}
+"""Of each relation between angles the one that is in another unit only where the other is as well."""
 GRAVITY = "gravity_angle"
 """What stands for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
 
@@ -107,17 +109,20 @@ class ColumnChange:
             motion = one.apply(motion)
         return motion
 
-    @property
-    def shrinkage(self) -> float:
-        """What it costs in each recording that smaller torques, or smaller angles all together, look like nothing, whatever they
-        are."""
-        if (
-            self.name != "unit"
-            or self.factor is None
-            or not (self.also or self.column in (*DRIVING, "external_torque"))
-        ):
+    def shrinkage(self, new: dict[str, RelationFit], old: dict[str, RelationFit]) -> float:
+        """What it costs in a recording that smaller torques, or all angles smaller, look like nothing, whatever they are.
+
+        Of angles no more than relations between them alone gain by it: where that is nothing, torques say which motion it was.
+        """
+        smaller = -math.log(abs(self.factor)) if self.name == "unit" and self.factor is not None else 0.0
+        if smaller <= 0.0 or new is old:
             return 0.0
-        return 0.5 * AGREEMENT.effective * max(-math.log(abs(self.factor)), 0.0)
+        cost = 0.5 * AGREEMENT.effective * smaller
+        if self.column in (*DRIVING, "external_torque"):
+            return cost
+        columns = {one.column for one in self.also}
+        alone = [name for name, last in _LAST_OF.items() if name in new and last in columns]
+        return min(cost, sum(max(new[n].agreement - old[n].agreement, 0.0) for n in alone))
 
     def leaves_motion(self, mended: Sequence[SmoothedChannels | None], N: float) -> bool:
         """Whether channels without the mistake still show a motion, where the change makes all angles smaller."""
@@ -369,7 +374,8 @@ class Suspicions:
             ]
             more = [_total(new) - _total(old) for new, old in zip(fits, state.fits, strict=True)]
             same = [new is old for new, old in zip(fits, state.fits, strict=True)]
-            gains = [x - (0.0 if unchanged else change.shrinkage) for x, unchanged in zip(more, same, strict=True)]
+            costs = [change.shrinkage(new, old) for new, old in zip(fits, state.fits, strict=True)]
+            gains = [x - cost for x, cost in zip(more, costs, strict=True)]
             everywhere = all(gain > SETTINGS.worse for gain in gains)
             least = change.price + SETTINGS.sure
             chosen = [i for i, g in enumerate(gains) if everywhere or g > least]
@@ -395,7 +401,7 @@ class Suspicions:
                     ),
                     tuple(f if i in chosen else old for i, (f, old) in enumerate(zip(fits, state.fits, strict=True))),
                     (*state.found, found),
-                    state.price + price + change.shrinkage * len(chosen),
+                    state.price + price + sum(costs[i] for i in chosen),
                 )
             )
         return steps

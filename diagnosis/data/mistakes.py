@@ -38,6 +38,7 @@ _NEAR_ZERO, _FEWEST = (
     2e-3,
     20,
 )  # share and number of samples within its noise above zero, of a current that is never below
+_SMALL = 0.05  # of what the current mostly is: the most that is taken for its noise
 
 
 NO_CHANGE = "the channels do not fit this joint, whatever unit, sign or place is changed"
@@ -196,7 +197,8 @@ def _rectified(recording: Recording, joint: Joint) -> list[Mistake]:
         x = recording.columns.get(name)
         if x is None or not len(x) or float(x.min()) < 0.0:
             continue
-        noise = max(spec.noise, float(np.median(np.abs(np.diff(x)))))
+        # In another unit all of it may be within the noise that is described.
+        noise = min(max(spec.noise, float(np.median(np.abs(np.diff(x))))), _SMALL * float(np.quantile(x, 0.9)))
         if np.count_nonzero((x > 0.0) & (x < noise)) > max(_NEAR_ZERO * len(x), _FEWEST):
             text = "its magnitude without its sign: it comes down to zero as often as it would cross it, and is never below"
             found.append(Mistake("sign", name, recording.name, text, 0.99, lost=True))

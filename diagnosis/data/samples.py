@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter
+from scipy.ndimage import median_filter, percentile_filter
 
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import GAP, Measurement, Recording
@@ -30,6 +30,9 @@ class SampleSettings:
       alone: times the largest ordinary step within `nearby`, from which on it stands alone.
       nearby: samples.
       longest: samples of a glitch at the most.
+      window, around: samples whose median is held against a sample where glitches are many, and within which most are calm on
+        either side; calm: their part.
+      usual: part of the samples that are no glitches even then; cleared: by how much steps must become smaller without them.
       quanta: smallest steps of a column that a glitch is larger than.
       still: seconds and samples that a column does not move at the least to be stuck.
       moved: share of its range and radians on the output side by which others move meanwhile.
@@ -45,6 +48,11 @@ class SampleSettings:
     alone: float = 5.0
     nearby: int = 25
     longest: int = 3
+    window: int = 11
+    around: int = 6
+    calm: float = 0.7
+    usual: float = 0.9
+    cleared: float = 0.25
     quanta: float = 20.0
     still: tuple[float, int] = (0.2, 20)
     moved: tuple[float, float] = (0.03, 0.02)
@@ -87,12 +95,13 @@ def wrong_samples(recording: Recording, joint: Joint) -> tuple[SampleMistake, ..
             if len(jumps):
                 found.append(SampleMistake("wrapped", name, tuple(jumps.tolist()), turn))
                 columns[name] = unwrapped(recording.time, columns[name], jumps, turn)
-        steps = _Steps(recording.time, columns[name])
-        glitches = steps.glitches()
-        if len(glitches):
-            found.append(SampleMistake("glitch", name, tuple(glitches.tolist())))
-            columns[name] = bridged(recording.time, columns[name], glitches)
+        steps, glitches = _Steps(recording.time, columns[name]), set[int]()
+        while more := set(steps.glitches().tolist()) - glitches:  # large ones hide smaller ones
+            glitches |= more
+            columns[name] = bridged(recording.time, columns[name], np.array(sorted(glitches)))
             steps = _Steps(recording.time, columns[name])
+        if glitches:
+            found.append(SampleMistake("glitch", name, tuple(sorted(glitches))))
         if angle:
             jumps, turn = steps.wraps(_turns(name, joint)[: 2 + (name in POSITIONS)])
             if len(jumps):
@@ -222,10 +231,34 @@ class _Steps:
 
     def glitches(self) -> np.ndarray:
         """Samples that are far off their neighbours, which agree with each other."""
-        size, n = self.size, len(self.x)
-        ordinary = size[self.inside]
-        if not len(ordinary) or not ordinary.any() or n < 2 * SETTINGS.neighbours:
+        ordinary = self.size[self.inside]
+        if not len(ordinary) or not ordinary.any() or len(self.x) < 2 * SETTINGS.neighbours:
             return np.empty(0, int)
+        few = self._few(ordinary)
+        return few if len(few) else self._many(ordinary)
+
+    def _many(self, ordinary: np.ndarray) -> np.ndarray:
+        """The same where they are so many that far steps are no exception: what they are far off is a running median, and steps
+        are ordinary without them; none where they are not."""
+        way = np.concatenate([[0.0], np.cumsum(self.off)])
+        off = np.abs(way - median_filter(way, SETTINGS.window, mode="nearest"))
+        limit = max(SETTINGS.far * float(np.quantile(off, SETTINGS.usual)), SETTINGS.quanta * self.quantum, 1e-12)
+        about = percentile_filter(off, 100 * SETTINGS.calm, 2 * SETTINGS.around + 1, mode="nearest")
+        far = (off > limit) & (off > SETTINGS.alone * about)
+        begins, lengths = _runs(far)
+        for begin, length in zip(begins.tolist(), lengths.tolist(), strict=True):
+            if length > SETTINGS.longest:
+                far[begin : begin + length] = False
+        rows = np.flatnonzero(far)
+        if not len(rows):
+            return rows
+        step = np.diff(bridged(np.arange(len(way)), way, rows))[self.inside]
+        less = float(np.quantile(np.abs(step), 0.99)) < SETTINGS.cleared * float(np.quantile(ordinary, 0.99))
+        return rows if less else rows[:0]
+
+    def _few(self, ordinary: np.ndarray) -> np.ndarray:
+        """The same where a far step is an exception."""
+        size, n = self.size, len(self.x)
         usually = SETTINGS.far * float(np.quantile(ordinary, 0.99))
         limit = max(usually, SETTINGS.quanta * self.quantum, 1e-6 * float(np.ptp(self.x)), 1e-12)
         far = size > limit

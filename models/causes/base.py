@@ -178,6 +178,8 @@ class Cause(ABC):
     """Fields of the parameter record that its one parameter multiplies."""
     adds: ClassVar[bool] = False
     """Whether a second one adds to the first (another order, a further factor), instead of replacing it."""
+    multiple: ClassVar[float] = float("inf")
+    """Factor by which no description has its number wrong: beyond it another joint, load or unit is likelier."""
     imperfection: ClassVar[bool] = False
     """Whether every real joint has a little of it."""
     sensor: ClassVar[str | None] = None

@@ -15,4 +15,5 @@ class LinkInertia(Cause):
     resonance = True
     scales = ("Jl",)
     adds = True
+    multiple = 5.0
     requires = Requirements(known_push=True)

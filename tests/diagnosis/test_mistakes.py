@@ -147,6 +147,39 @@ def test_a_temperature_that_is_none_in_celsius(celsius, told, offset):
     assert find_mistakes(measurement(replace(r, columns={**r.columns, "temperature": warm})), JOINT) == ()
 
 
+@pytest.mark.parametrize("share", [0.004, 0.006, 0.01, 0.03])
+@pytest.mark.parametrize(
+    ("column", "size"), [("motor_position", 2 * math.pi), ("link_position", 0.3), ("motor_current", 5.0)]
+)
+def test_glitches_are_found_however_many_they_are(column, size, share):
+    """From one in 200 on no step was exceptional, and none was found."""
+    r, rng = recording(), np.random.default_rng(SEED)
+    rows = rng.choice(np.arange(20, len(r.time) - 20), round(share * len(r.time)), replace=False)
+    x = r[column].copy()
+    x[rows] += size * rng.choice((-1.0, 1.0), len(rows))
+    (found,) = find_mistakes(measurement(replace(r, columns={**r.columns, column: x})), JOINT)
+    assert (found.name, found.column) == ("glitch", column) and found.rows is not None
+    assert len(set(found.rows) & set(rows.tolist())) > 0.95 * len(rows) and len(found.rows) < 1.05 * len(rows)
+
+
+def test_all_angles_in_degrees_where_one_encoder_is_all_there_is():
+    """A motion 57 times as large, to which the drive's current does not belong, was another zero of the angle."""
+    degrees = ("link_position", "position_command")
+    one = recording().without("motor_position").without("joint_torque")
+    spoilt = replace(one, columns={**one.columns, **{n: np.rad2deg(one[n]) for n in degrees}})
+    (found,) = find_mistakes(measurement(spoilt), JOINT)
+    assert (found.name, found.column, found.also) == ("unit", "link_position", ("position_command",)) and found.sure
+    assert found.factor == pytest.approx(math.pi / 180)
+
+
+def test_a_current_of_one_direction_in_a_small_unit_has_not_lost_its_sign():
+    """All of it was within the noise that is described in ampere."""
+    r = recording()
+    t = r.time - r.time[0]
+    driven = replace(r, columns={**r.columns, "motor_current": 1e-3 * (1.5 - np.cos(2 * math.pi * t / t[-1]))})
+    assert all(m.name != "sign" or not m.lost for m in find_mistakes(measurement(driven), JOINT))
+
+
 def test_a_current_without_its_sign_is_lost():
     """An effect on the rotor that depends on load, at 0.95, of a sound joint."""
     r = recording()
