@@ -55,6 +55,7 @@ class AnswerSettings:
         near: so many times the noise, where the fit was taken back that would explain it.
       apart: error of a recording by the description over that of every other, from which on it may be of another joint, where
         more than `explained` of it is left with what was found.
+      stribeck: tolerance of static friction apart from Coulomb friction, where orders that cancel each other have stood for it.
       rezeroed: by how much the link encoder's zero differs between recordings from which on that is told, in torsions under the
         rated torque: a stiffness that is off does less; less: logarithm by which what the description leaves must become less.
     """
@@ -90,6 +91,7 @@ class AnswerSettings:
     worth: float = 0.02
     apart: float = 5.0
     explained: float = 0.5
+    stribeck: float = 0.2
     rezeroed: float = 0.2
     less: float = 0.3
     diluted: float = 0.1

@@ -28,10 +28,19 @@ from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, with_dispersion
 from .improvement import serves
 from .search import discrepancy
-from .search.acceptance import AcceptSettings, Decision, drowned, much_more, quiet_rms, significance, size_of
+from .search.acceptance import (
+    AcceptSettings,
+    Decision,
+    drowned,
+    much_more,
+    plainly_more,
+    quiet_rms,
+    significance,
+    size_of,
+)
 from .search.described import as_described
 from .search.identifiability import limits
-from .search.settle import is_calibration, why_needed, without_effect
+from .search.settle import is_calibration, why_needed, without_cancelling, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, likeliest_first, search
 from .search.worth import left_by, noise_of
@@ -73,7 +82,14 @@ def diagnose(
     offered = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n))]
     tried = problem.with_room((), offered)
     fitter = Fitter(problem)
-    found = search(problem, tried, settings, progress, deadline, fitter)
+    found, cancelled = _that_vary(fitter, search(problem, tried, settings, progress, deadline, fitter), settings.accept)
+    if cancelled and (looser := _stribeck_open(joint)) is not None and time.monotonic() < deadline:
+        progress("searching once more, the Stribeck friction's height left open", 0.86)
+        before, joint = found.decisions, looser
+        problem = Problem(problem.segments, problem.replicates, joint)
+        fitter = Fitter(problem)
+        found, _ = _that_vary(fitter, search(problem, tried, settings, progress, deadline, fitter), settings.accept)
+        found = replace(found, decisions=(*before, *found.decisions))
     progress("looking for unknown effects", 0.88)
     looked, late = discrepancy.UnknownEffects(), time.monotonic() >= deadline
     if not late:
@@ -84,6 +100,7 @@ def diagnose(
         if astray and not late:
             progress("searching once more, the likeliest first", 0.9)
             again = likeliest_first(fitter, found, tried, settings, progress, deadline)
+            again, _ = _that_vary(fitter, again, settings.accept)
             likelier = again.chosen is not found.chosen and again.chosen.log_evidence > best.log_evidence
             found = replace(found, complete=found.complete and again.complete)
             late = likelier and time.monotonic() >= deadline
@@ -189,6 +206,29 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     return replace(f, covariance=scaled * spread[:, None] * spread + np.diag(inexact**2))
 
 
+def _stribeck_open(joint: Joint) -> Joint | None:
+    """The joint with static friction known apart from Coulomb friction no better than `ANSWER.stribeck`: of what Fs stands for
+    datasheets say nothing. None where it is known no better already, or said to be known exactly."""
+    number = joint.numbers["Fs"]
+    exact = not number.tolerance and not (number.shared and joint.shared_tolerances[number.shared])
+    if exact or number.tolerance >= ANSWER.stribeck:
+        return None
+    open_ = number.model_copy(update={"tolerance": ANSWER.stribeck})
+    return joint.model_copy(update={"numbers": {**joint.numbers, "Fs": open_}})
+
+
+def _that_vary(fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Search, bool]:
+    """What was found without orders of a law that cancel each other, and whether there were some; where nothing else was found,
+    calibration if that leaves less."""
+    f, taken, decisions = without_cancelling(fitter, found.chosen, settings)
+    if not taken:
+        return found, False
+    if not f.model and left_by(fitter.problem, found.base) < left_by(fitter.problem, f):
+        f = found.base
+    rivals = tuple(r for i, r in enumerate(found.rivals) if i not in taken)
+    return replace(found, chosen=f, rivals=rivals, decisions=(*found.decisions, *decisions)), True
+
+
 def _polished(fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Problem, Fit, Search]:
     """The chosen model at its end and corrected, without effects that the data do not tell from nothing there; as it was chosen
     where it leaves more than calibration alone at the end, and did not as chosen."""
@@ -214,6 +254,10 @@ def _polished(fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[
         reasons |= lost
         weak = [i for i in reasons if i in lost or id(final.model[i]) not in kept]
         if not weak:
+            most = plainly_more(left_by(problem, found.base), noise_of(problem, found.base), settings)
+            if not found.chosen.model and not found.base.model and left_by(less, corrected) > most:
+                # Slow discrepancy has taken over what gravity and friction held.
+                return problem, with_dispersion(problem, found.base), replace(found, chosen=found.base)
             worse = bool(found.chosen.model) and explains_nothing(less, found.base, corrected)
             if worse and not explains_nothing(problem, found.base, found.chosen):
                 return problem, with_dispersion(problem, found.chosen), found

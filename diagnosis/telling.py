@@ -14,11 +14,15 @@ from .answer import BalanceResidual, Diagnosis, Finding, ParameterShift
 from .conclusion import ANSWER, Conclusion
 from .data.mistakes import NO_CHANGE, Mistake
 from .data.segments import BALANCES, SETTINGS, UNITS
-from .extension import DELAYS, extended, parameter_shifts
+from .extension import DELAYS, calibrated, extended, parameter_shifts
 from .findings import close, explains_nothing, findings_of, other_ripples, out_of_proportion
+from .fit import tare
 from .fit.regions import valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit
+from .search.acceptance import plainly_more
+from .search.stages import SETTINGS as SEARCH
+from .search.worth import left_by, noise_of
 from .uncertainty import stated
 
 _LATE = "time was up before every stage was done: with more, more may be found"
@@ -29,7 +33,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     """What a diagnosis came to, as the answer."""
     problem, found, final, joint = conclusion.problem, conclusion.found, conclusion.drawn.fit, conclusion.problem.joint
     findings, minor, entangled = findings_of(conclusion, measurement)
-    useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
+    useless = bool(findings) and _useless(conclusion, findings)
     surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
     residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
     link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
@@ -55,7 +59,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         *_stands_apart(conclusion),
         *_rezeroed(conclusion),
     ]
-    extended_joint = joint
+    extended_joint = _tared(conclusion)
     if conclusion.drawn.share > 0.0:
         extended_joint = extended(problem, final, joint, conclusion.unknown)
         known = {
@@ -89,6 +93,25 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         held_out=_held_out(problem),
         complete=found.complete,
     )
+
+
+def _useless(conclusion: Conclusion, findings: Sequence[Finding]) -> bool:
+    """Whether calibration alone leaves no more than the causes: of all data, or of what no fit has seen, and hardly of all."""
+    problem, base, judged = conclusion.problem, conclusion.found.base, conclusion.judged
+    if explains_nothing(problem, base, judged):
+        return True
+    more = left_by(problem, base) > plainly_more(left_by(problem, judged), noise_of(problem, judged), SEARCH.accept)
+    return not more and all(f.explains == 0.0 for f in findings)
+
+
+def _tared(conclusion: Conclusion) -> Joint:
+    """The description, where nothing of what was found is in the joint that is written: with the link encoder's zero tared, as
+    nobody works without that, where the data say where it is."""
+    problem, fit = conclusion.problem, conclusion.drawn.fit
+    if not conclusion.drawn.regions or not problem.link_measured:
+        return problem.joint
+    theta = tare.tared(problem, problem.start(None, ()), ())
+    return calibrated(problem.tared(), replace(fit, theta=theta, model=()), problem.joint)
 
 
 def _acts_on_the_link(f: Finding) -> bool:
@@ -141,7 +164,8 @@ def _holds_back(conclusion: Conclusion) -> list[str]:
         if drawn.worst is not None and not drawn.refused:
             why += f" ({drawn.worst.name}: {drawn.worst.ratio:.2g} times)"
         left = f"the numbers in joint.yaml are drawn back to {100 * drawn.share:.0f} % of the way"
-        return [f"{why}: {left if drawn.share else 'joint.yaml is the description'}"]
+        zero = ", its link encoder's zero tared" if conclusion.problem.link_measured else ""
+        return [f"{why}: {left if drawn.share else f'joint.yaml is the description{zero}'}"]
     if not conclusion.problem.held.any():
         return []
     worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in drawn.regions if r.worse)

@@ -17,6 +17,7 @@ from .data.segments import BALANCES, LINK, TORQUE
 from .fit.regions import Region, region_masks, valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, covariances, root_of
+from .search.worth import unexplained
 
 _STEP = 1e-3
 _DIGITS = 4
@@ -52,7 +53,9 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
     n = len(names)
     factor = np.zeros((n, n))
     factor[:, : lower.shape[1]] = lower * np.sign(np.where(np.diag(lower) == 0, 1.0, np.diag(lower)))
+    # What was learned of discrepancy has neither a mean nor what is slower than seconds: it is never less than what is left.
     square = np.sum(fit.noise.discrepancy**2, axis=1)
+    square = np.maximum(square, unexplained(problem, fit.point) / problem.output_scale**2)
     if problem.has_torque:  # a torque reading has it, and nothing of the description
         square[[TORQUE, LINK]] += problem.crosstalk_at(fit.theta, covariance) ** 2
     rms = np.sqrt(square)

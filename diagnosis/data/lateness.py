@@ -49,6 +49,8 @@ class LatenessSettings:
       peaked: in log likelihood.
       ordinary_link: by how much the link encoder is late in sound data, by `encoder_delay`, sensors and filters [s].
       ordinary: the same of all other columns [s].
+      between: gain in log likelihood of the relation between both encoders, from which on one of them may be late: what nobody
+        stated (a push, a base that shakes) enters all others.
       travel: of the link, below which motion says nothing [rad].
       moving: speed over the largest from which on the link goes somewhere.
     """
@@ -74,6 +76,7 @@ class LatenessSettings:
     peaked: float = 4.0
     ordinary_link: tuple[float, float] = (-2e-3, 14e-3)
     ordinary: tuple[float, float] = (-2e-3, 5e-3)
+    between: float = 2.0
     travel: float = 0.05
     moving: float = 0.02
 
@@ -139,8 +142,11 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     """The column whose lateness explains most: its name, by how much [s], and the gain."""
     shifts = _shifts()
     best: tuple[str, float, float] | None = None
+    pairs = [r for r in relations if r.second in POSITIONS]
     for name in sorted({r.first for r in relations} | {r.second for r in relations}):
         for d in shifts[shifts > _ordinary_of(name)[1]].tolist():
+            if pairs and name in POSITIONS and _gain(pairs, name, d) < SETTINGS.between:
+                continue
             gain = _gain(relations, name, d)
             if best is None or gain > best[2]:
                 best = (name, d, gain)

@@ -89,6 +89,12 @@ class Problem:
         other.held[self.zeros] = False
         return other
 
+    def tared(self) -> Problem:
+        """The same problem where nothing but the link encoder's zero may differ from the description."""
+        other = self.as_described()
+        other.held[: self.calibration.size] = [name != "link_encoder_zero" for name in self.calibration.names]
+        return other
+
     def with_segments(self, change: Callable[[Segment], Segment]) -> Problem:
         """The same problem with segments and noise replicates changed alike."""
         other = copy(self)

@@ -61,6 +61,8 @@ class AcceptSettings:
       again: normalised RMS against the sensors' noise, left at the end, from which on the search is done once more: as long as
         `far_again` is left through the replay, and of causes that hold the likeliest first, not the one that is worth most
         (`likeliest`), in so many rounds at most (`rounds_likeliest`). Imperfections of joints leave 1.5 to 3.2.
+      cancelling: part of what orders of one law of the link's angle vary each that they vary together, below which they cancel
+        each other over the angles that were visited: 1 to 15 % where they stood for another friction.
       gross: normalised RMS against the sensors' noise from which on hypotheses are also tried at `coarse` ordinary sizes, without
         the linear model.
     """
@@ -103,6 +105,7 @@ class AcceptSettings:
     far_again: float = 3.0
     likeliest: bool = False
     rounds_likeliest: int = 4
+    cancelling: float = 0.3
     gross: float = 60.0
     coarse: tuple[float, ...] = (-1.5, -0.7, 0.4, 0.7, 1.0, 1.5)
 

@@ -98,6 +98,43 @@ def settle(
     return f, rivals, decisions
 
 
+def without_cancelling(fitter: Fitter, f: Fit, settings: AcceptSettings) -> tuple[Fit, list[int], list[Decision]]:
+    """A fit without orders of one law of the link's angle that cancel each other over the angles which were visited: what is left
+    of them there is a constant, of which an angle says nothing. Which effects were taken back, and what is said of it.
+
+    Each alone holds beside the other, so that only together they can be taken back. A Stribeck friction that is described too low
+    was orders 1 and 2 of the mesh friction, at 0.98.
+    """
+    problem, decisions, taken = fitter.problem, list[Decision](), list[int]()
+    parts = problem.split(f.theta, f.model)
+    angle = np.concatenate([s.link_position[s.usable.any(axis=1) & ~s.at_rest] for s in problem.segments])
+    orders: dict[tuple[str, str], list[int]] = {}
+    for i, h in enumerate(f.model):
+        if h.cause.series is not None and "order" in h.fixed and h.cause.series[1].endswith("link_position"):
+            orders.setdefault(h.cause.series, []).append(i)
+    for own in orders.values():
+        values = [f.model[i].values(parts[i]) for i in own]
+        laws = [v["amplitude"] * np.sin(v["order"] * angle + v["phase"]) for v in values]
+        each = float(np.sqrt(np.sum(np.var(laws, axis=1))))
+        varies = float(np.std(np.sum(laws, axis=0)))
+        if len(own) < 2 or not varies < settings.cancelling * each:
+            continue
+        taken += own
+        reason = (
+            f"its orders vary by {100 * varies / each:.0f} % of each over the angles that were visited: they cancel"
+        )
+        decisions += [
+            Decision(
+                "settle", h.cause.name, h.fixed, float("nan"), float("nan"), size_of(problem, f, i), True, False, reason
+            )
+            for i in own
+            for h in (f.model[i],)
+        ]
+    for i in sorted(taken, reverse=True):
+        f = without_effect(fitter, f, i, settings)
+    return f, taken, decisions
+
+
 def is_calibration(problem: Problem, f: Fit, index: int, within: float = WITHIN) -> bool:
     """Whether tolerances can express what one of a fit's effects makes of the joint that the others make."""
     order = [*(j for j in range(len(f.model)) if j != index), index]
