@@ -85,7 +85,27 @@ def test_what_is_taken_back_is_not_called_consistent(joint, monkeypatch):
     current = d.residual["motor_current"]
     assert current.after > 2 * current.noise
     assert d.verdict == "inconclusive" and "motor current" in d.reason
-    assert "joint.yaml is the description" in d.reason
+    assert "joint.yaml is the description, its link encoder's zero tared" in d.reason
+    zeros = [j.sensors.link_encoder.zero.value for j in (joint, d.extended)]
+    described = joint.model_dump(exclude={"sensors"})
+    assert zeros[1] != zeros[0] and d.extended.model_dump(exclude={"sensors"}) == described
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("torque", [False, True])
+@pytest.mark.parametrize("factor", [0.84, 1.3])
+def test_another_stribeck_friction_is_no_friction_of_the_angle(joint, factor, torque):
+    """Orders 1 to 3 of the link's angle, which together are a constant where the link went, had been told at 0.7 and more."""
+    number = joint.numbers["Fs"]
+    there = {**joint.numbers, "Fs": number.model_copy(update={"value": factor * number.value})}
+    measurement, _ = measure(joint.model_copy(update={"numbers": there}), 3, exact=True)
+    if not torque:
+        measurement = replace(measurement, recordings=tuple(r.without("joint_torque") for r in measurement.recordings))
+    d = diagnose(measurement, joint)
+    assert not [c for c in d.causes if c.confidence >= 0.5], [(c.name, c.confidence) for c in d.causes]
+    if factor > 1 and torque:
+        found = d.calibration["Fs"]
+        assert abs(found.value - factor * number.value) < 3 * found.std < 0.5 * number.value
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from typer.testing import CliRunner
 import flexspline
 from benchmarks.mistakes import Hidden, cuts, examples, hidden_mistakes, hide
 from flexspline import commands
+from flexspline.diagnosis.data import lateness
+from flexspline.diagnosis.data.lateness import SETTINGS, late_columns
 from flexspline.diagnosis.data.mistakes import find_mistakes, mended
 from flexspline.diagnosis.data.samples import jumps, parted
 from flexspline.diagnosis.diagnose import diagnose
@@ -145,6 +148,23 @@ def test_a_temperature_that_is_none_in_celsius(celsius, told, offset):
     assert found.to_json()["offset"] == pytest.approx(offset, rel=1e-5)
     np.testing.assert_allclose(mended(measurement(read), JOINT, (found,)).recordings[0]["temperature"], warm, atol=1e-9)
     assert find_mistakes(measurement(replace(r, columns={**r.columns, "temperature": warm})), JOINT) == ()
+
+
+def test_an_encoder_is_late_only_where_the_other_one_says_so(monkeypatch):
+    """What a base that shakes makes of both torques looked like the motor encoder 50 ms late, though both encoders agree."""
+    shifts = SETTINGS.step * np.arange(-60, 61)
+
+    def least_at(first: str, second: str, best: float) -> SimpleNamespace:
+        return SimpleNamespace(first=first, second=second, left=20.0 * np.minimum(np.abs(shifts - best) / 0.02, 1.0))
+
+    for between, late in ((0.0, False), (-0.05, True)):
+        relations = [
+            least_at("motor_position", "motor_current", -0.05), least_at("motor_position", "joint_torque", -0.05),
+            least_at("motor_position", "link_position", between),
+        ]  # fmt: skip
+        monkeypatch.setattr(lateness, "_relations", lambda recording, joint, found=relations: found)
+        found = [f.column for f in late_columns((recording(),), JOINT)]
+        assert found == (["motor_position"] if late else []), between
 
 
 @pytest.mark.parametrize("share", [0.004, 0.006, 0.01, 0.03])

@@ -62,6 +62,15 @@ def test_what_is_drawn_back_is_known_no_better_than_that():
         assert part.discrepancy[balance] > whole.discrepancy[balance]
 
 
+def test_bands_hold_what_was_learned_to_be_left():
+    """A constant error is nothing that a slow process has: it was in no band, and half of a link's readings lay outside."""
+    drawn, problem, fit = fitted()
+    off = [r + np.array([0.0, 0.5, 0.0]) for r in fit.point.residual]
+    shifted = replace(fit, point=replace(fit.point, residual=off))
+    told = stated(problem, shifted, calibrated(problem, shifted, drawn.nominal), held_out_regions(problem, fit))
+    assert told.discrepancy["joint_torque"] > 0.45
+
+
 @cache
 def known() -> tuple[Draw, Joint]:
     """The same joint, stating how well it is known."""
