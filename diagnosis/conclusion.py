@@ -49,7 +49,8 @@ class AnswerSettings:
       simpler: ratio of errors on regions that a fit has not seen up to which, where nearly nothing could have shown, numbers
         as described are preferred to numbers that calibration moved.
       orders: so many orders of one law of the link's angle any law of it has: none of them is sure then.
-      end: standard deviations of its tolerance from which on a number is at the end of it.
+      end: standard deviations of its tolerance from which on a number is at the end of it: no variable goes beyond 2.6
+        (`fit.residual.REACH`).
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent,
         and with one encoder no cause is sure where so many times the noise is left, nor likely where it is the link's (`behind`);
         near: so many times the noise, where the fit was taken back that would explain it.
@@ -85,7 +86,7 @@ class AnswerSettings:
     inexact_size: float = 0.01
     inexact_bias: float = 0.35
     slight: float = 0.25
-    end: float = 2.9
+    end: float = 2.55
     far: float = 5.0
     near: float = 2.0
     worth: float = 0.02
