@@ -20,9 +20,6 @@ from .fit import tare
 from .fit.regions import valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit
-from .search.acceptance import plainly_more
-from .search.stages import SETTINGS as SEARCH
-from .search.worth import left_by, noise_of
 from .uncertainty import stated
 
 _LATE = "time was up before every stage was done: with more, more may be found"
@@ -33,7 +30,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     """What a diagnosis came to, as the answer."""
     problem, found, final, joint = conclusion.problem, conclusion.found, conclusion.drawn.fit, conclusion.problem.joint
     findings, minor, entangled = findings_of(conclusion, measurement)
-    useless = bool(findings) and _useless(conclusion, findings)
+    useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
     surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
     residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
     link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
@@ -93,15 +90,6 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         held_out=_held_out(problem),
         complete=found.complete,
     )
-
-
-def _useless(conclusion: Conclusion, findings: Sequence[Finding]) -> bool:
-    """Whether calibration alone leaves no more than the causes: of all data, or of what no fit has seen, and hardly of all."""
-    problem, base, judged = conclusion.problem, conclusion.found.base, conclusion.judged
-    if explains_nothing(problem, base, judged):
-        return True
-    more = left_by(problem, base) > plainly_more(left_by(problem, judged), noise_of(problem, judged), SEARCH.accept)
-    return not more and all(f.explains == 0.0 for f in findings)
 
 
 def _tared(conclusion: Conclusion) -> Joint:
