@@ -218,15 +218,16 @@ def _stribeck_open(joint: Joint) -> Joint | None:
 
 
 def _that_vary(fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Search, bool]:
-    """What was found without orders of a law that cancel each other, and whether there were some; where nothing else was found,
-    calibration if that leaves less."""
+    """What was found without orders of a law that cancel each other, and whether some were of the mesh friction; where nothing else
+    was found, calibration if that leaves less."""
     f, taken, decisions = without_cancelling(fitter, found.chosen, settings)
     if not taken:
         return found, False
     if not f.model and left_by(fitter.problem, found.base) < left_by(fitter.problem, f):
         f = found.base
     rivals = tuple(r for i, r in enumerate(found.rivals) if i not in taken)
-    return replace(found, chosen=f, rivals=rivals, decisions=(*found.decisions, *decisions)), True
+    friction = any(causes.get(d.cause).series == causes.get("position_dependent_friction").series for d in decisions)
+    return replace(found, chosen=f, rivals=rivals, decisions=(*found.decisions, *decisions)), friction
 
 
 def _polished(fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Problem, Fit, Search]:

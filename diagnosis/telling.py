@@ -56,8 +56,9 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         *_stands_apart(conclusion),
         *_rezeroed(conclusion),
     ]
-    extended_joint = _tared(conclusion)
-    if conclusion.drawn.share > 0.0:
+    if conclusion.drawn.share == 0.0:
+        extended_joint = _tared(conclusion)
+    else:
         extended_joint = extended(problem, final, joint, conclusion.unknown)
         known = {
             "valid": valid_range(problem, final),
