@@ -218,8 +218,8 @@ def _stribeck_open(joint: Joint) -> Joint | None:
 
 
 def _that_vary(fitter: Fitter, found: Search, settings: AcceptSettings) -> tuple[Search, bool]:
-    """What was found without orders of a law that cancel each other, and whether some were of the mesh friction; where nothing else
-    was found, calibration if that leaves less."""
+    """What was found without orders of a law that cancel each other, and whether some were of the mesh friction; where nothing
+    else was found, calibration if that leaves less."""
     f, taken, decisions = without_cancelling(fitter, found.chosen, settings)
     if not taken:
         return found, False
