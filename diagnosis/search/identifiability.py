@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import eigh
 
 from ..fit.noise import whiten
 from ..fit.residual import Problem
@@ -11,6 +12,8 @@ from ..fit.solver import Fit, gram, leverage_weight
 from .acceptance import AcceptSettings
 from .screen import Library
 
+SHOWS = 2 * AcceptSettings().threshold
+"""χ² that a cause of ordinary size must make to show."""
 ALIKE = 9.0
 """Two causes look alike where telling them apart at ordinary size gains less than this in χ²."""
 
@@ -51,13 +54,22 @@ def limits(
     return weak, alike
 
 
-def distance(information: np.ndarray, first: list[slice], second: list[slice]) -> float:
-    """Least χ² by which the first cause at ordinary size differs from what the second can imitate, or vice versa."""
+def distance(information: np.ndarray, first: list[slice], second: list[slice], least: float = SHOWS) -> float:
+    """Least χ² by which the first cause at ordinary size differs from what the second can imitate, or vice versa.
+
+    Of either those directions count in which it shows at all, `least` in χ²: a stop beyond the motion is like anything. Zero
+    where there is none.
+    """
     best = np.inf
     for p in first:
         for q in second:
             A, B, C = information[p, p], information[q, q], information[p, q]
             for S, T, U in ((A, B, C), (B, A, C.T)):
+                if np.trace(T) < least * len(T):
+                    continue
                 left = S - U @ np.linalg.solve(T + 1e-9 * np.eye(len(T)) * max(np.trace(T), 1e-12), U.T)
-                best = min(best, float(np.linalg.eigvalsh(left)[0]))
-    return best
+                _, directions = eigh(left, S + 1e-9 * np.eye(len(S)) * max(np.trace(S), 1e-12))
+                for v in (directions / np.linalg.norm(directions, axis=0)).T:
+                    if v @ S @ v >= least:
+                        best = min(best, max(float(v @ left @ v), 0.0))
+    return best if np.isfinite(best) else 0.0

@@ -26,7 +26,7 @@ from flexspline.diagnosis.planning import (
     perform,
     plan,
 )
-from flexspline.diagnosis.search.identifiability import limits
+from flexspline.diagnosis.search.identifiability import ALIKE, distance, limits
 from flexspline.diagnosis.search.screen import SETTINGS as SCREEN
 from flexspline.diagnosis.search.screen import Library
 from flexspline.diagnosis.trials.motions import waypoints
@@ -146,6 +146,17 @@ def test_what_a_measurement_says_is_what_its_limits_say(joint, swing):
         assert state.strength(Question(pair, 0.0, SETTINGS.apart), known, known) < SETTINGS.apart, pair
     assert state.strength(Question(("K1",), 20.0, 40.0, "value"), known, known) == pytest.approx(20.0)
     assert 20.0 < state.strength(Question(("K1",), 20.0, 40.0, "value"), 4 * known, known) <= 40.0
+
+
+def test_what_does_not_show_is_not_like_everything():
+    """A stop beyond the motion, one of three that are tried, and a mass straight below the axis were like every other cause."""
+    information = np.diag([400.0, 1e-9, 900.0, 0.5, 100.0])
+    information[0, 4] = information[4, 0] = 199.0
+    stops, mass, spring = [slice(0, 1), slice(1, 2)], [slice(2, 4)], [slice(4, 5)]
+    assert distance(information, stops, mass) == pytest.approx(400.0)
+    assert distance(information, mass, spring) == pytest.approx(100.0)
+    assert distance(information, stops, spring) < ALIKE
+    assert distance(information, [slice(1, 2)], mass) == 0.0
 
 
 def test_how_large_a_cause_is_whose_parameter_is_called_value(joint, swing):
