@@ -454,8 +454,8 @@ class _State:
         if len(q.names) == 1:
             strengths = [float(np.trace(left[p, p]) / max(p.stop - p.start, 1)) for p in places[0]]
             return float(np.sqrt(max(np.median(strengths), 0.0)))
-        first, second = places
-        return float(np.sqrt(max(distance(left, first, second), 0.0)))
+        one, other = places
+        return float(np.sqrt(max(distance(left, one, other), 0.0)))
 
     def _left(
         self, information: np.ndarray, answering: np.ndarray, own: list[list[np.ndarray]]
