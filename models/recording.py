@@ -489,8 +489,8 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
 
     with reading_parquet(path):
         file = pa.parquet.ParquetFile(path, memory_map=False, pre_buffer=False)
-        schema = file.schema_arrow
-    fields = [field for field in schema if not field.name.startswith("__index_level")]
+        # Names are decoded when they are asked for.
+        fields = [field for field in file.schema_arrow if not field.name.startswith("__index_level")]
     _check_header(path, [field.name for field in fields])
     columns = {}
     for field in fields:  # one at a time: of an hour, 30 MB each

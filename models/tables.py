@@ -110,8 +110,9 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
 
     with reading_parquet(path):
         table = pq.read_table(path)
-    columns = {name: table.column(name).to_numpy() for name in table.column_names}
-    notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}
+        # Names are decoded when they are asked for.
+        columns = {name: table.column(name).to_numpy() for name in table.column_names}
+        notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}
     return columns, notes
 
 

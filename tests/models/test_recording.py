@@ -10,6 +10,7 @@ import pytest
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Mounting
 from flexspline.models.recording import Recording, read_measurement, read_recording, write_recording
+from flexspline.models.tables import read_table, write_table
 
 SIDECAR = "format: 1\njoint: test-joint\nlink: {inertia: 0.35, gravity_moment: 9.0}\n"
 
@@ -265,3 +266,15 @@ def test_a_log_with_columns_of_its_own_is_sent_to_import(tmp_path):
     path.with_suffix(".yaml").write_text("format: 1\njoint: test-joint\nlink: {inertia: 0.35, gravity_moment: 9.0}\n")
     with pytest.raises(InputError, match=r"'status': unknown column.*flexspline import"):
         read_measurement(path)
+
+
+def test_a_column_whose_name_is_no_text_is_refused_in_one_line(tmp_path):
+    """A damaged byte in a name was a UnicodeDecodeError: names are decoded when they are asked for."""
+    path, n = tmp_path / "log.parquet", np.arange(100.0)
+    units = {"time": "s", "motor_position": "rad", "motor_current": "A"}
+    write_table(path, {"time": n, "motor_position": n, "motor_current": n}, units)
+    path.write_bytes(path.read_bytes().replace(b"motor_current", b"mot\xb2r_current"))
+    path.with_suffix(".yaml").write_text("format: 1\njoint: test-joint\nlink: {inertia: 0.1, gravity_moment: 0}\n")
+    for read in (read_table, read_recording):
+        with pytest.raises(InputError, match=r"log\.parquet: not a readable Parquet file: .* 0xb2"):
+            read(path)
