@@ -38,10 +38,9 @@ from .fit.noise import Noise, sensor_noise, whiten
 from .fit.residual import Problem
 from .fit.solver import SETTINGS as SOLVER
 from .fit.solver import Columns, Fit, evaluate_point, leverage_weight
-from .search.identifiability import ALIKE, distance
+from .search.identifiability import ALIKE, SHOWS, distance
 from .search.screen import SETTINGS as SCREEN
 from .search.screen import Library
-from .search.stages import SETTINGS as SEARCH
 from .trials.motions import CONTROLLER, record_motion, waypoints
 
 if TYPE_CHECKING:
@@ -60,8 +59,8 @@ class PlanSettings:
     """How experiments are weighed.
 
     Attributes:
-      shows, apart, known: standard deviations from which on a cause would show (half their square is the log evidence of
-        `AcceptSettings.threshold`), two causes are told apart (`identifiability.ALIKE` is their square), a size is known.
+      shows, apart, known: standard deviations from which on a cause would show and two causes are told apart (their squares are
+        `identifiability.SHOWS` and `ALIKE`), a size is known.
       wide, sharp: a number of the joint is in question where it is known no better than this share of its tolerance and no better
         than to so many standard deviations; widest: of these, so many.
       sharper: how many times as well as now it is known after an experiment that is worth it.
@@ -75,7 +74,7 @@ class PlanSettings:
       warming: of the gear, where its temperature is read [K].
     """
 
-    shows: float = float(np.sqrt(2 * SEARCH.accept.threshold))
+    shows: float = float(np.sqrt(SHOWS))
     apart: float = float(np.sqrt(ALIKE))
     known: float = 10.0
     wide: float = 0.5

@@ -18,14 +18,11 @@ ALIKE = 9.0
 """Two causes look alike where telling them apart at ordinary size gains less than this in χ²."""
 
 
-def limits(
-    problem: Problem, at: Fit, library: Library, settings: AcceptSettings | None = None
-) -> tuple[list[str], list[tuple[str, str]]]:
+def limits(problem: Problem, at: Fit, library: Library) -> tuple[list[str], list[tuple[str, str]]]:
     """Causes that would not show at ordinary size, and pairs that could not be told apart, from the Fisher information.
 
     The information is what is left after every calibration variable has answered, in the noise and discrepancy that were learned.
     """
-    threshold = (settings or AcceptSettings()).threshold
     if not library.hypotheses:
         return [], []
     n = at.jacobian[0].shape[-1]
@@ -44,7 +41,7 @@ def limits(
         A = information[block, block]
         return float(np.trace(A) / len(A)) if A.size else 0.0
 
-    weak = [name for name, places in blocks.items() if 0.5 * np.median([strength(b) for b in places]) < threshold]
+    weak = [name for name, places in blocks.items() if np.median([strength(b) for b in places]) < SHOWS]
     strong = [name for name in blocks if name not in weak]
     alike = []
     for i, a in enumerate(strong):

@@ -198,7 +198,9 @@ def test_page_says_one_by_one_what_holds_the_verdict_back(report):
     _, text = read(page)
     assert "Every number stays as described but the link encoder's zero: none" in text
     assert "is the description, its link encoder's zero tared: nothing else of what was found carries over" in text
-    same = replace(found, extended=report.joint)
+    sensors = report.joint.sensors  # one whose encoder was logged coarser than described has the same zero
+    coarser = sensors.model_copy(update={"motor_encoder": sensors.motor_encoder.model_copy(update={"counts": 512})})
+    same = replace(found, extended=report.joint.model_copy(update={"sensors": coarser}))
     _, plain = read(html(replace(report, diagnosis=same, improvement=None)))
     assert "Every number stays as described: none" in plain and "is the description: nothing of what was found" in plain
     assert "it was not computed in the time given" in text and "no torque sensor to compare with" not in text

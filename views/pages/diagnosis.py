@@ -103,7 +103,7 @@ def context(report: Report) -> dict[str, Any]:
         "sentence": verdict_sentence(d),
         "reasons": further_reasons(d),
         "share": d.share,
-        "tared": d.share == 0.0 and d.extended != report.joint,
+        "tared": d.extended.sensors.link_encoder.zero != report.joint.sensors.link_encoder.zero,
         "mistakes": [_mistake(m) for m in d.mistakes],
         "mendable": d.mendable,
         "lost": any(m.lost for m in d.mistakes),
