@@ -233,11 +233,26 @@ def vector_update(
     P = A @ sigma @ A.T + K @ V @ K.T  # (17) in Joseph's form, which needs no inverse of Σ and stays positive
     if not (np.isfinite(x).all() and np.isfinite(P).all()):
         return NOT_FINITE
+    P = 0.5 * (P + P.T)
+    if not _positive(P):
+        P = _without_negative(P)
     return {
-        "x": x, "P": 0.5 * (P + P.T), "innovation": innovation, "innovation_covariance": P_Y,
+        "x": x, "P": P, "innovation": innovation, "innovation_covariance": P_Y,
         "unadjusted_covariance": unadjusted, "memory": memory, "alpha": alpha, "f_alpha": f_alpha,
         "robust": bool(c["rule"] == ROBUST or f_alpha != 1.0), "nis": innovation @ np.linalg.solve(P_Y, innovation),
     }  # fmt: skip
+
+
+def _without_negative(P: np.ndarray) -> np.ndarray:
+    """The nearest covariance to a symmetric P, which is none by rounding where a state is known exactly.
+
+    Left alone, what is negative there and not observed is multiplied by f_α in every step.
+    """
+    values, vectors = np.linalg.eigh(P)
+    if values[0] >= 0.0:
+        return P
+    root = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root @ root.T
 
 
 def _positive(S: np.ndarray) -> bool:

@@ -198,8 +198,11 @@ def _time(message: Any, logged: Any) -> int:
         _inside(stamp, "sec"),
         next((x for n in ("nanosec", "nsec") if (x := _inside(stamp, n)) is not None), None),
     ]
-    if None in parts:
-        parts = [0, logged]
+    stamped = 0 if None in parts else _nanoseconds(parts)
+    return stamped or _nanoseconds([0, logged])  # a stamp of zero is one that nobody set
+
+
+def _nanoseconds(parts: list[Any]) -> int:
     try:
         whole = [int(x) for x in parts]
         at = whole[0] * 10**9 + whole[1]
@@ -207,7 +210,7 @@ def _time(message: Any, logged: Any) -> int:
         whole, at = [], _FARTHEST
     if whole != parts or abs(at) >= _FARTHEST:
         raise ValueError(f"expected a stamp in whole seconds and nanoseconds, got {shown(parts)}")
-    return at or int(logged)
+    return at
 
 
 def _inside(message: Any, name: str) -> Any:

@@ -276,6 +276,15 @@ def test_what_is_odd_in_a_bag_is_one_line_and_nothing_beside_it_is_read(flexspli
         assert "bag_0.db3" in one_line(flexspline(*words))
 
 
+def test_a_message_that_was_neither_stamped_nor_logged_is_one_line(flexspline, tmp_path):
+    good = bag(tmp_path / "log")
+    with sqlite3.connect(good / "bag_0.db3") as file:
+        unset = joint_state(0, {"motor": 1.0, "link": 0.01})
+        file.execute("UPDATE messages SET timestamp = NULL, data = ? WHERE topic_id = 1", (unset,))
+    line = one_line(flexspline("import", mapping(tmp_path), good, "--out", tmp_path / "out"))
+    assert "topic /joint_states, message 1: expected a stamp in whole seconds and nanoseconds, got" in line
+
+
 def test_without_the_packages_it_is_one_line(flexspline, tmp_path, monkeypatch):
     source = bag(tmp_path / "log")
     for name in ("mcap_ros2.decoder", "mcap_ros2.writer"):

@@ -136,9 +136,23 @@ def test_covariances_of_any_model_are_covariances(data, n, m, rule):
     model = FilterModel(F, H, data.draw(squared(n)), data.draw(squared(m)) + 1e-3 * np.eye(m), data.draw(squared(n)))
     y = data.draw(arrays(np.float64, (15, m), elements=st.floats(-10.0, 10.0)))
     try:
-        found = run(PaperFilter(rule=rule), y, model=model, initial_state=np.zeros(n))
+        assert_covariances(run(PaperFilter(rule=rule), y, model=model, initial_state=np.zeros(n)))
     except FilterDiverged:
         return
+
+
+@pytest.mark.parametrize("rule", ["ekf", "arekf", "rarekf"])
+def test_states_that_are_known_exactly_stay_so_under_a_fading_factor(rule):
+    """P of rank one and no process noise: what rounding leaves beside it is multiplied by f_α in every step."""
+    F = np.array([[1.0, 0.0, -1.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    model = FilterModel(
+        F, np.ones((1, 3)), np.zeros((3, 3)), np.full((1, 1), 0.00390625 + 1e-3), np.diag([0.25, 0.0, 0.0])
+    )
+    found = run(PaperFilter(rule=rule), np.full((40, 1), 0.5), model=model, initial_state=np.zeros(3))
+    assert_covariances(found)
+
+
+def assert_covariances(found):
     for P in (found.P, found.innovation_covariance):
         np.testing.assert_array_equal(P, np.swapaxes(P, 1, 2)) if P is found.P else None
         lowest = np.linalg.eigvalsh(P)[:, 0]
