@@ -19,8 +19,8 @@ from .findings import close, explains_nothing, findings_of, other_ripples, out_o
 from .fit import tare
 from .fit.regions import valid_range
 from .fit.residual import Problem
-from .fit.solver import Fit
-from .uncertainty import stated
+from .fit.solver import Fit, evaluate_point
+from .uncertainty import of_description, stated
 
 _LATE = "time was up before every stage was done: with more, more may be found"
 _NOT_SURE = "the causes named do not hold where they were not fitted, and are not sure"
@@ -95,12 +95,15 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
 
 def _tared(conclusion: Conclusion) -> Joint:
     """The description, where nothing of what was found is in the joint that is written: with the link encoder's zero tared, as
-    nobody works without that, where the data say where it is."""
-    problem, fit = conclusion.problem, conclusion.drawn.fit
-    if not conclusion.drawn.regions or not problem.link_measured:
-        return problem.joint
-    theta = tare.tared(problem, problem.start(None, ()), ())
-    return calibrated(problem.tared(), replace(fit, theta=theta, model=()), problem.joint)
+    nobody works without that, where the data say where it is, and with what it leaves of the data."""
+    problem, found, theta = conclusion.problem, conclusion.problem.joint, conclusion.problem.start(None, ())
+    if conclusion.drawn.regions and problem.link_measured:
+        theta = tare.tared(problem, theta, ())
+        found = calibrated(problem.tared(), replace(conclusion.drawn.fit, theta=theta, model=()), found)
+    told = of_description(problem, evaluate_point(problem, theta, ()))
+    found = found.model_copy(update={"uncertainty": told})
+    found._path = problem.joint._path
+    return found
 
 
 def _acts_on_the_link(f: Finding) -> bool:

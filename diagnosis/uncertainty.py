@@ -8,6 +8,7 @@ grows beyond the data, the ends of their ranges say, each kept from a fit of its
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from ..models.parameters import short_way
 from .data.segments import BALANCES, LINK, TORQUE
 from .fit.regions import Region, region_masks, valid_range
 from .fit.residual import Problem
-from .fit.solver import Fit, covariances, root_of
+from .fit.solver import Fit, Point, covariances, root_of
 from .search.worth import unexplained
 
 _STEP = 1e-3
@@ -58,14 +59,31 @@ def stated(problem: Problem, fit: Fit, joint: Joint, regions: Sequence[Region]) 
     square = np.maximum(square, unexplained(problem, fit.point) / problem.output_scale**2)
     if problem.has_torque:  # a torque reading has it, and nothing of the description
         square[[TORQUE, LINK]] += problem.crosstalk_at(fit.theta, covariance) ** 2
-    rms = np.sqrt(square)
-    formed = np.any([segment.balances for segment in problem.segments], axis=0)
     return Uncertainty(
         names=names,
         factor=[[_rounded(x) for x in row[: i + 1]] for i, row in enumerate(factor)],
-        discrepancy={name: _rounded(x) for name, x, there in zip(BALANCES, rms, formed, strict=True) if there},
+        discrepancy=_by_balance(problem, square),
         beyond=_rounded(growth(problem, fit, regions)),
     )
+
+
+def of_description(problem: Problem, described: Point) -> Uncertainty:
+    """How well a description that nothing was added to is known: what it leaves of the data, which its tolerances need not hold.
+
+    Args:
+      described: residuals with its numbers as they are.
+    """
+    before = problem.joint.uncertainty or Uncertainty(names=[], factor=[])
+    left = _by_balance(problem, unexplained(problem, described) / problem.output_scale**2)
+    return before.model_copy(
+        update={"discrepancy": {name: max(rms, before.discrepancy.get(name, 0.0)) for name, rms in left.items()}}
+    )
+
+
+def _by_balance(problem: Problem, square: np.ndarray) -> dict[Any, float]:
+    """Root mean squares of the balances that can be formed, by their names."""
+    formed = np.any([segment.balances for segment in problem.segments], axis=0)
+    return {name: _rounded(x) for name, x, there in zip(BALANCES, np.sqrt(square), formed, strict=True) if there}
 
 
 def growth(problem: Problem, fit: Fit, regions: Sequence[Region]) -> float:

@@ -8,17 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hidden_joint import measure
 
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.regions import Region, drawn_back, held_out_regions, region_masks, valid_range
 from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, with_dispersion
+from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, evaluate_point, with_dispersion
 from flexspline.diagnosis.search.acceptance import by_chance
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
 from flexspline.diagnosis.trials import bands
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
-from flexspline.diagnosis.uncertainty import growth, larger, stated
+from flexspline.diagnosis.uncertainty import growth, larger, of_description, stated
 from flexspline.diagnosis.validate import validate
 from flexspline.estimator.offline import beyond_range, estimate_recording, write_estimates
 from flexspline.models.joint import Joint, ValidRange, beyond_sentence, load_joint
@@ -69,6 +70,28 @@ def test_bands_hold_what_was_learned_to_be_left():
     shifted = replace(fit, point=replace(fit.point, residual=off))
     told = stated(problem, shifted, calibrated(problem, shifted, drawn.nominal), held_out_regions(problem, fit))
     assert told.discrepancy["joint_torque"] > 0.45
+
+
+def test_a_description_that_is_left_says_what_it_leaves():
+    """Its tolerances do not hold a joint that is beyond them: of a current that nothing explained 68 % lay inside the band."""
+    joint = load_joint("test-joint")
+    numbers = {k: x.model_copy(update={"tolerance": min(x.tolerance, 0.02)}) for k, x in joint.numbers.items()}
+    shared = dict.fromkeys(joint.shared_tolerances, 0.02)
+    described = joint.model_copy(update={"numbers": numbers, "shared_tolerances": shared})
+    for name, factor in (("Fc", 2.0), ("Fs", 2.0), ("Kt", 0.8)):
+        numbers = {**numbers, name: numbers[name].model_copy(update={"value": factor * numbers[name].value})}
+    unseen, _, seen = measure(described.model_copy(update={"numbers": numbers}), SEED, exact=True)[0].recordings
+    problem = Problem(*segments([seen], described), described)
+    told = of_description(problem, evaluate_point(problem, problem.start(None, ()), ()))
+    known = described.model_copy(update={"uncertainty": told})
+    inside = [
+        validate(Measurement("m", Path(), (unseen,)), joint).residual["motor_current"].inside
+        for joint in (described, known)
+    ]
+    print(f"seed {SEED}: {inside}")
+    assert inside[0] < 0.8 and inside[1] > 0.95
+    again = Problem(*segments([seen], known), known)
+    assert of_description(again, evaluate_point(again, again.start(None, ()), ())) == told
 
 
 @cache
