@@ -303,8 +303,13 @@ TYPED = [
 ]
 
 
+LONG = ("diagnosis.md", "accuracy.md")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("page", TYPED, ids=ids(TYPED))
+@pytest.mark.parametrize(
+    "page", [pytest.param(p, marks=pytest.mark.long if p.name in LONG else ()) for p in TYPED], ids=ids(TYPED)
+)
 def test_every_command_of_a_page_is_run(page, place, flexspline, tmp_path, monkeypatch):
     """In the order of the page, beside the files that it shows; `README.md` and the first hour have tests of their own."""
     shutil.copytree(place, tmp_path / "place", symlinks=True)

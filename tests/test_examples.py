@@ -58,6 +58,7 @@ def test_own_cause(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_plan_an_experiment(tmp_path):
     text = run("plan_an_experiment", tmp_path)
     assert "could backlash have shown? no" in text

@@ -60,7 +60,13 @@ def test_a_full_disk_at_every_fifth_write_of_import_is_one_line_and_nothing_half
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "step"), [("import", 1), ("estimate", 1), ("run", 2), ("sweep", 1), ("diagnose", 3)])
+@pytest.mark.parametrize(
+    ("name", "step"),
+    [
+        ("import", 1), ("estimate", 1), *(pytest.param(*each, marks=pytest.mark.long) for each in
+        (("run", 2), ("sweep", 1), ("diagnose", 3))),
+    ],
+)  # fmt: skip
 def test_a_full_disk_at_any_write_is_one_line_and_nothing_half_written(name, step):
     refused_until_there_is_room(name, step)
 
@@ -85,7 +91,7 @@ def test_an_hour_at_1_khz_fits_into_a_gigabyte():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["02/free.yaml", "02"])
+@pytest.mark.parametrize("name", ["02/free.yaml", pytest.param("02", marks=pytest.mark.long)])
 def test_a_diagnosis_is_the_same_for_any_number_of_threads(shared, tmp_path, name):
     """To the byte, with one and two threads in every library: one recording, and three with their regions."""
     measurement = shared / "data" / "examples" / "toleranced" / name

@@ -82,7 +82,9 @@ def test_numbers_are_of_a_fit_to_all_of_the_data(log, ur3e):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seconds", [20.0, 22.0, 24.0, 26.0, 27.0, 28.0, 30.0])
+@pytest.mark.parametrize(
+    "seconds", [20.0, 30.0, *(pytest.param(s, marks=pytest.mark.long) for s in (22.0, 24.0, 26.0, 27.0, 28.0))]
+)
 def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, ur3e):
     """And so are its orders against the circular spline: some 1e-5 rad, of which 1e-4 were left open."""
     recording = import_recording(load_layout("ur3e"), log)
@@ -106,7 +108,9 @@ HIDDEN = {
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("label", HIDDEN)
+@pytest.mark.parametrize(
+    "label", [pytest.param(label, marks=pytest.mark.long if i % 4 else ()) for i, label in enumerate(HIDDEN)]
+)
 def test_mistakes_in_a_real_log_are_named(label, log):
     recording = import_recording(load_layout("ur3e"), log)
     joint = load_joint(recording.joint)

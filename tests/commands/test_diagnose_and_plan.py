@@ -236,6 +236,7 @@ def test_what_begins_once_more_does_not_take_the_share_back(capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_an_example_from_end_to_end(flexspline, shared, tmp_path):
     source = shared / "data" / "examples" / "toleranced" / "02"
     code, text, err = flexspline("diagnose", source, "--joint", "test-joint", "--out", tmp_path / "o")

@@ -45,8 +45,13 @@ def fresh(tmp_path_factory) -> Path:
     return folder
 
 
+OFTEN = ("run, all estimators", "estimate")
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize(
+    "name", [name if name in OFTEN else pytest.param(name, marks=pytest.mark.long) for name in COMMANDS]
+)
 def test_the_second_run_compiles_nothing(fresh, name):
     environment = os.environ | {
         "NUMBA_DEBUG_CACHE": "1",

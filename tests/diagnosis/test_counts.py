@@ -78,7 +78,7 @@ def test_a_coarser_log_is_told_and_taken_as_it_is():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("spoilt", ["bits", "held"])
+@pytest.mark.parametrize("spoilt", [pytest.param("bits", marks=pytest.mark.long), "held"])
 def test_coarse_readings_are_no_resonance(spoilt):
     """A link encoder of 16 bits described with 20 was a `link_flexibility` at 0.99, a torque sensor held for 10 ms at 0.70."""
     drawn = draw(Challenge(seed=981, hidden="none"), 0)

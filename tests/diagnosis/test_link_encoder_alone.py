@@ -117,7 +117,14 @@ def test_a_torque_sensor_is_held_against_the_links_own_motion():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("index", "name"), [(14, "gravity_moment"), (18, "hard_stop"), (9, "torque_sensor_gain")])
+@pytest.mark.parametrize(
+    ("index", "name"),
+    [
+        (14, "gravity_moment"),
+        pytest.param(18, "hard_stop", marks=pytest.mark.long),
+        pytest.param(9, "torque_sensor_gain", marks=pytest.mark.long),
+    ],
+)
 def test_what_acts_on_the_link_is_told_with_a_torque_sensor(index, name):
     drawn = draw(Challenge(seed=961, without=("motor_position",)), index)
     assert [e.name for e in drawn.effects] == [name]

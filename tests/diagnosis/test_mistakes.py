@@ -80,6 +80,7 @@ def test_nothing_is_claimed_of_sound_data():
 
 
 @pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [5, 6])
 def test_nothing_is_claimed_of_sound_data_that_are_cut_short(shared, seed):
     """A torque 160 ms late, turns for radians, a zero elsewhere, at up to 1.00: of 6 in 100 cuts out of the examples."""

@@ -35,7 +35,7 @@ def test_a_push_that_no_yaml_file_mentions_is_no_cause():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shift", [0.0, 1.5e-3])
+@pytest.mark.parametrize("shift", [pytest.param(0.0, marks=pytest.mark.long), 1.5e-3])
 def test_an_encoder_that_was_zeroed_between_recordings_is_told(shift):
     drawn = draw(Challenge(hidden="none", seed=SEED, real=True), 0)
     *others, last = drawn.measurement.recordings

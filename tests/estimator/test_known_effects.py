@@ -183,14 +183,17 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
     assert not wrong, f"{case.name}: " + "; ".join(wrong)
 
 
-@pytest.mark.parametrize("push", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["sweep", "push"])
+PUSHED = pytest.param(True, marks=[pytest.mark.slow, pytest.mark.long])
+
+
+@pytest.mark.parametrize("push", [False, PUSHED], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_told_of_an_effect(case, push):
     check(case, push, CHEAP)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("push", [False, True], ids=["sweep", "push"])
+@pytest.mark.parametrize("push", [False, PUSHED], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_told_of_an_effect_with_the_dynamics(case, push):
     check(case, push, tuple(name for name in CAUSAL if name not in CHEAP))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import time
 from contextlib import contextmanager
 from typing import Annotated, Literal
 
@@ -111,11 +110,9 @@ BOMB = "a: &a [1, 1, 1, 1]\n" + "".join(f"{b}: {LEVEL.format(b, a)}\n" for a, b 
 )  # fmt: skip
 def test_text_that_is_no_yaml_is_one_line(tmp_path, text, expected):
     (tmp_path / "a.yaml").write_text(text)
-    began = time.perf_counter()
     with pytest.raises(InputError, match=expected) as caught:
         read_yaml(tmp_path / "a.yaml", "a file")
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
-    assert time.perf_counter() - began < 2
 
 
 def test_text_in_another_encoding_is_named_by_line(tmp_path):
