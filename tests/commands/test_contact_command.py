@@ -25,6 +25,7 @@ def test_tables_curves_and_figure(flexspline, tmp_path):
     assert (out / "contact.md").read_text(encoding="utf-8").count("| RAREKF |") == 1
 
 
+@pytest.mark.slow
 def test_as_json_with_realistic_sensors(flexspline):
     code, out, err = flexspline("contact", *QUICK, "--tolerance", 0.2, "--set", "sensors=realistic", "--json")
     assert code == 0, err
@@ -33,6 +34,7 @@ def test_as_json_with_realistic_sensors(flexspline):
     assert rows["RAREKF"]["tolerance"] == 0.2 and rows["RAREKF"]["threshold"] > 0.0
 
 
+@pytest.mark.slow
 def test_too_little_time_for_a_threshold_is_said(flexspline):
     code, out, err = flexspline("contact", *QUICK[:-1], 10, "--tolerance", 0)
     assert code == 0, err

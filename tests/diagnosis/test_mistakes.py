@@ -289,6 +289,7 @@ def test_a_mistake_in_one_recording_is_named_there():
     assert find_mistakes(mended(spoilt, JOINT, [found]), JOINT) == ()
 
 
+@pytest.mark.slow
 def test_a_unit_is_that_of_every_recording_whose_channels_do_not_go_together():
     """In a slow one smaller torques look like nothing: two of three were mended, and the third was diagnosed at 0.95."""
     label = "unit motor_current N·m output"

@@ -203,6 +203,7 @@ def test_a_stub_of_a_recording_is_no_hindrance(joint, swing):
     assert found.proposals
 
 
+@pytest.mark.slow
 def test_experiments_are_weighed_with_sensors_as_they_were_logged(joint, swing):
     """A log of 16 bits of an encoder that is described with 20: what the finer one would say is not promised."""
     told = joint.sensors.link_encoder.model_copy(update={"bits": 16})

@@ -74,6 +74,7 @@ def compiled_files(folder: Path) -> dict[str, float]:
     return {str(f): f.stat().st_mtime_ns for f in folder.rglob("*") if f.suffix in (".nbi", ".nbc")}
 
 
+@pytest.mark.slow
 def test_a_changed_law_is_compiled_anew_wherever_it_is_used(house):
     values, (user, other), folder, misses = house()
     assert values == "7.0 1.5" and misses == [1, 1]

@@ -131,6 +131,7 @@ def test_pushes_are_apart_and_within():
         assert found[0].start > scenario.transient + 0.5 and ends[-1] < scenario.duration
 
 
+@pytest.mark.slow
 def test_the_whole_of_it():
     """Few short runs: shapes, the sensor beside the estimators, a large push found, same for any number of threads."""
     scenario, folder = load_scenario(

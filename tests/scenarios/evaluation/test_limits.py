@@ -70,6 +70,7 @@ def test_intensity_is_fitted_and_never_silent():
     assert found.fitted == 0.0 and found.intensity == pytest.approx(0.012)
 
 
+@pytest.mark.slow
 def test_seeds_are_independent_runs_unless_one_motion_is_asked_for():
     """Errors of seeds with one motion go together; with drawn ones they do not."""
     chosen, folder = load_scenario("link_sweep", ["duration=8"])
