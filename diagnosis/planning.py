@@ -50,6 +50,8 @@ _TIMESTEP = 5e-4  # s, of the plant: what a motion would tell is known well enou
 _RESOLVED = 0.3  # rad of the resonance in a step: with a lighter link the plant's usual step is taken
 _SOFT = 4.0  # turns of a soft drive's command per turn of the rotor that it makes
 _THIN = 8e-3  # s between samples that tell where a motion has been
+_ABOUT = 0.25  # of half the range that was visited: motions are about zero where its middle is so near
+_FREE = 0.1  # rad beyond what was visited that a motion may go without a question
 _NUMBERS = ("Kt", "K1", "K2", "K3", "Fc", "Fs", "bw", "Jm", "Jl", "Mg")
 """Numbers of a joint that are worth an experiment."""
 
@@ -585,8 +587,9 @@ def experiments(
     N, rated = float(p["N"]), joint.numbers["rated_torque"].value
     angles = [r["link_position"] if "link_position" in r else r["motor_position"] / N for r in recordings]
     low, high = min(float(np.min(a)) for a in angles), max(float(np.max(a)) for a in angles)
-    centre = 0.0 if low < 0.3 * settings.range and high > -0.3 * settings.range else 0.5 * (low + high)
-    reach = float(np.clip(max(high - centre, centre - low), 0.4, settings.range))
+    half = 0.5 * (high - low)
+    centre = 0.0 if abs(low + half) < _ABOUT * half else low + half
+    reach = float(np.clip(half, 0.4, settings.range))
     steepest = float(np.max(np.abs(np.sin(np.linspace(centre - reach, centre + reach, 50) + link.gravity_angle))))
     effort = settings.effort
     found: list[PlannedExperiment] = []
@@ -595,6 +598,8 @@ def experiments(
         options.setdefault("channels", seen)
         if not mounting.locked:
             points = [w.model_copy(update={"position": w.position + centre}) for w in points]
+            if any(not low - _FREE <= w.position <= high + _FREE for w in points):
+                text += f"; nobody has measured beyond {low:.2g} … {high:.2g} rad: is it free there?".replace("-", "−")
         found.append(PlannedExperiment(name, text, mounting, tuple(points), interval=interval, **options))
 
     def span(amplitude: float) -> str:

@@ -114,6 +114,21 @@ def test_experiments_can_be_carried_out(joint, swing):
     assert np.max(np.abs(recording["joint_torque"])) == pytest.approx(SETTINGS.load * rated, rel=0.25)
 
 
+@pytest.mark.parametrize(("low", "high"), [(-3.14, 0.0), (-1.2, 1.3), (0.2, 2.0), (-0.1, 0.15)])
+def test_motions_stay_where_the_joint_has_been_or_ask(joint, swing, low, high):
+    """A shoulder that was measured from −3.1 to 0 rad was to be moved through ±1.3 rad, which may be into the table."""
+    (one,) = swing.recordings
+    angle = low + (high - low) * (one["link_position"] - one["link_position"].min()) / np.ptp(one["link_position"])
+    columns = {**one.columns, "link_position": angle, "motor_position": 100.0 * angle}
+    moved = replace(swing, recordings=(replace(one, columns=columns),))
+    planned = [e for e in proposed(moved, joint).values() if not e.locked]
+    assert planned
+    for e in planned:
+        far = any(not low - 0.1 <= w.position <= high + 0.1 for w in e.motion)
+        assert far == ("is it free there?" in e.description), e.description
+        assert not far or e.name == "larger_range" or high - low < 0.8
+
+
 def test_slow_logs_give_slow_experiments(joint, swing):
     slow = replace(swing, recordings=(swing.recordings[0].at(slice(None, None, 4)),))
     assert perform(proposed(slow, joint)["rest_poses"], joint, joint).interval == pytest.approx(4e-3)
