@@ -34,7 +34,8 @@ class ChangeSettings:
       sure: gain beyond its price from which on a change is believed.
       suspicious: misfit below which a relation is looked into; at_odds: by how much changes may make one of these worse.
       lasting: of recordings whose misfit says that nothing fits [s].
-      worse: loss in a recording from which on a change is not one of the whole measurement.
+      worse: loss in a recording from which on a change is not one of the whole measurement; much_worse: where the recording's
+        channels go together with it, or better than before.
       kept: states that are kept beside each other.
       most: changes on top of each other.
       slope: by how much the encoders' ratio may be off at the least to be another gear ratio, relative.
@@ -56,6 +57,7 @@ class ChangeSettings:
     at_odds: float = 0.1
     lasting: float = 4.0
     worse: float = -3.0
+    much_worse: float = -9.0
     kept: int = 3
     most: int = 3
     slope: float = 0.004
@@ -339,7 +341,10 @@ class Suspicions:
         self.found = end.found
         lasting = [r.time[-1] - r.time[0] > SETTINGS.lasting for r in recordings]
         self.before = _worst([fits for fits, there in zip(start.fits, lasting, strict=True) if there])
-        self.misfit = _worst(end.fits)
+        about = {one.column for f in end.found for one in (f.change, *f.change.also)}
+        # A command that a stop or a push keeps the joint from following says nothing of the other columns.
+        ignored = () if "position_command" in about or not self.mends else ("command",)
+        self.misfit = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
 
     def _state(self) -> _Progress:
         motions = tuple(motion_of(r) for r in self.recordings)
@@ -376,7 +381,11 @@ class Suspicions:
             same = [new is old for new, old in zip(fits, state.fits, strict=True)]
             costs = [change.shrinkage(new, old) for new, old in zip(fits, state.fits, strict=True)]
             gains = [x - cost for x, cost in zip(more, costs, strict=True)]
-            everywhere = all(gain > SETTINGS.worse for gain in gains)
+            bears = [
+                SETTINGS.much_worse if not _suspicious(new) or _worst([new]) > _worst([old]) else SETTINGS.worse
+                for new, old in zip(fits, state.fits, strict=True)
+            ]
+            everywhere = all(gain > least for gain, least in zip(gains, bears, strict=True))
             least = change.price + SETTINGS.sure
             chosen = [i for i, g in enumerate(gains) if everywhere or g > least]
             # Where it is so in one recording, that a torque looks like nothing is no reason against it in another whose channels

@@ -36,6 +36,7 @@ class SampleSettings:
       quanta: smallest steps of a column that a glitch is larger than.
       still: seconds and samples that a column does not move at the least to be stuck.
       moved: share of its range and radians on the output side by which others move meanwhile.
+      pieces: of a part, whose medians say how far another column moves meanwhile.
       flat: samples at a sensor's end at the least.
       peaked: times more often that the value at the end is there than those beside it.
       drive_moved: share of its range by which a position moves while a torque is stuck.
@@ -56,6 +57,7 @@ class SampleSettings:
     quanta: float = 20.0
     still: tuple[float, int] = (0.2, 20)
     moved: tuple[float, float] = (0.03, 0.02)
+    pieces: int = 8
     flat: int = 8
     peaked: float = 4.0
     drive_moved: float = 0.01
@@ -365,7 +367,7 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, begin: int, e
     if name in DRIVING:
         return any(np.ptp(columns[n][part]) > SETTINGS.drive_moved * np.ptp(columns[n]) for n in others)
     for other in others:
-        moved, whole = float(np.ptp(columns[other][part])), float(np.ptp(columns[other]))
+        moved, whole = _travelled(columns[other][part]), float(np.ptp(columns[other]))
         if moved > SETTINGS.moved[0] * whole and moved > SETTINGS.moved[1] * (N if other == "motor_position" else 1.0):
             return True
     if others:
@@ -374,6 +376,13 @@ def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, begin: int, e
     if command is not None and np.ptp(command[part]) > 0.5 * np.ptp(command) and np.ptp(command[part]) > 0.1:
         return True
     return _stops_at_once(columns[name], begin, end)
+
+
+def _travelled(x: np.ndarray) -> float:
+    """By how much an angle moves, its noise left out: a velocity that stands in its place has much of that at rest."""
+    if len(x) < SETTINGS.pieces * 2:
+        return float(np.ptp(x))
+    return float(np.ptp([np.median(piece) for piece in np.array_split(x, SETTINGS.pieces)]))
 
 
 def _stops_at_once(x: np.ndarray, begin: int, end: int) -> bool:

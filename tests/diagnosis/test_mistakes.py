@@ -302,6 +302,38 @@ def test_a_unit_is_that_of_every_recording_whose_channels_do_not_go_together():
     assert [m.recording for m in found] == [one.recordings[2].name]
 
 
+@pytest.mark.parametrize(("group", "number"), [("exact", 5), ("bare", 1)])
+def test_a_unit_of_all_recordings_is_mended_in_all(shared, group, number):
+    """One of three was mended, as friction explains a small current elsewhere, and what was written was called sound."""
+    sound = read_measurement(shared / "data" / "examples" / group / f"{number:02d}")
+    joint, label = sound.load_joint(None), "unit motor_current N·m"
+    spoilt = hide(ALL[label], sound, joint, np.random.default_rng(SEED))
+    found = find_mistakes(spoilt, joint)
+    assert ALL[label].everywhere(found, spoilt) and ALL[label].alone(found), found
+    one = hide(ALL[label], sound, joint, np.random.default_rng(SEED), only=2)
+    assert [m.recording for m in find_mistakes(one, joint)] == [sound.recordings[2].name]
+
+
+@pytest.mark.parametrize(("label", "number"), [("unit motor_current mA", 2), ("sign motor_current", 2)])
+def test_a_command_that_a_stop_keeps_from_being_followed_leaves_no_doubt(shared, label, number):
+    """The link leans on a hard stop: "no change makes the channels fit this joint", at 0.5, though its current's did."""
+    sound = read_measurement(shared / "data" / "examples" / "bare" / f"{number:02d}")
+    joint = sound.load_joint(None)
+    found = find_mistakes(hide(ALL[label], sound, joint, np.random.default_rng(SEED)), joint)
+    assert ALL[label].everywhere(found, sound) and ALL[label].alone(found) and all(m.sure for m in found), found
+
+
+def test_a_velocity_in_an_encoders_place_does_not_make_the_other_one_stuck(shared):
+    """At rest it has noise, by which the other encoder "should have moved": good rows were left out for it."""
+    sound = read_measurement(shared / "data" / "examples" / "exact" / "00")
+    spoilt = tuple(
+        replace(r, columns={**r.columns, "link_position": np.gradient(r["link_position"], r.time)})
+        for r in sound.recordings
+    )
+    found = find_mistakes(replace(sound, recordings=spoilt), sound.load_joint(None))
+    assert [m.name for m in found] == ["velocity"], found
+
+
 @pytest.mark.parametrize(("group", "number"), [("exact", 0), ("toleranced", 3)])
 def test_what_clipped_samples_leave_is_no_reason_for_another_unit(shared, group, number):
     """Next to nothing but rest was left of one recording, where an angle in turns fits as well as one in radians."""
@@ -389,7 +421,8 @@ def test_what_no_change_mends_is_not_mended(tmp_path):
     told = CliRunner().invoke(commands.app, ["diagnose", spoilt, "--out", str(tmp_path / "diagnosis")])
     assert "the channels do not fit this joint" in " ".join(told.stdout.split()) and "--fix" not in told.stdout
     with pytest.warns(InputWarning, match="not mended: the channels do not fit this joint"):
-        CliRunner().invoke(commands.app, ["import", spoilt, "--fix", "--out", str(tmp_path / "mended")])
+        told = CliRunner().invoke(commands.app, ["import", spoilt, "--fix", "--out", str(tmp_path / "mended")])
+    assert "no mistake" not in told.stdout
     (written,) = read_measurement(tmp_path / "mended").recordings
     assert np.array_equal(written["motor_current"], square)
 
