@@ -1,11 +1,16 @@
-"""Run the benchmarks: all, or those named. Those that take minutes, or hours, run only when named."""
+"""Run the benchmarks: all, or those named. Those that take minutes, or hours, run only when named.
+
+Of one that is named all that follows are its own options: `python -m benchmarks sysid --help`, `… sysid --draws 2 --page my.md`.
+"""
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import inspect
 import os
 import platform
+import sys
 from importlib import metadata
 
 NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views", "derivatives", "elementary")
@@ -29,17 +34,29 @@ NAMED_ONLY = (
 
 def main() -> None:
     """Run and print."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    words = sys.argv[1:]
+    at = next((i for i, word in enumerate(words) if word.startswith("-")), len(words))
+    options = words[at:] if at == 1 else []
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument(
         "names",
         nargs="*",
         metavar="name",
         help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first {len(NAMES)} by default",
     )
-    arguments = parser.parse_args()
+    arguments = parser.parse_args(words[:at] if options else words)
     unknown = [name for name in arguments.names if name not in NAMES + NAMED_ONLY]
     if unknown:
         parser.error(f"unknown benchmark {unknown[0]!r}: expected any of {', '.join(NAMES + NAMED_ONLY)}")
+    if options:
+        run = importlib.import_module(f"benchmarks.{words[0]}").main
+        if not inspect.signature(run).parameters:
+            parser.error(f"benchmark {words[0]!r} has no options, got {' '.join(options)}")
+        sys.argv[0] = f"benchmarks {words[0]}"
+        run(options)
+        return
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("mujoco", "numba", "numpy"))
     load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
     print(f"{platform.machine()}, {os.cpu_count()} cores{load}; Python {platform.python_version()}, {versions}")

@@ -78,7 +78,7 @@ def measured(index: int, seed: int) -> dict[str, list[str]]:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Diagnose the draws and print the rates."""
-    parser = argparse.ArgumentParser()
+    parser = argparse.ArgumentParser(prog="python -m benchmarks arms", description=__doc__)
     parser.add_argument("--draws", type=int, default=12)
     parser.add_argument("--seed", type=int, default=1)
     asked = parser.parse_args(arguments)

@@ -514,7 +514,7 @@ def _warm_up() -> None:
 
 def main(arguments: Sequence[str] = ()) -> None:
     """Fit what is not kept yet, keep it, and write the page's tables."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m benchmarks sysid", description=__doc__)
     parser.add_argument(
         "--draws", type=int, default=10, help="joints without anything hidden; 0 writes the tables of what is kept"
     )

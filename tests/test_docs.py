@@ -303,6 +303,17 @@ TYPED = [
 ]
 
 
+@pytest.mark.parametrize(("words", "code", "told"), [
+    (("arms", "--help"), 0, "--seed"), (("updates", "--draws", "3"), 2, "has no options, got --draws 3"),
+    (("arms", "--page", "x"), 2, "unrecognized arguments: --page x"), (("nothing", "--help"), 2, "unknown benchmark 'nothing'"),
+])  # fmt: skip
+def test_a_benchmark_takes_its_own_options(words, code, told):
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks", *words], cwd=ROOT, capture_output=True, text=True, timeout=120
+    )
+    assert done.returncode == code and told in done.stdout + done.stderr
+
+
 LONG = ("diagnosis.md", "accuracy.md")
 
 

@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from copy import copy
 from dataclasses import replace
 from html import unescape
 from html.parser import HTMLParser
@@ -204,6 +205,14 @@ def test_page_says_one_by_one_what_holds_the_verdict_back(report):
     _, plain = read(html(replace(report, diagnosis=same, improvement=None)))
     assert "Every number stays as described: none" in plain and "is the description: nothing of what was found" in plain
     assert "it was not computed in the time given" in text and "no torque sensor to compare with" not in text
+
+
+def test_page_says_which_ends_follow_their_motion(report):
+    assert "Both ends of the simulated joint follow their measured motion" in read(html(report))[1]
+    problem = copy(report.diagnosis.problem)
+    problem.segments = [replace(s, link_measured=False) for s in problem.segments]
+    _, text = read(html(replace(report, diagnosis=replace(report.diagnosis, problem=problem))))
+    assert "The end of the simulated joint that was measured follows its motion" in text and "Both ends" not in text
 
 
 def test_page_ends_with_where_it_comes_from(report):

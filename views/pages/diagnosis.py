@@ -108,6 +108,7 @@ def context(report: Report) -> dict[str, Any]:
         "mendable": d.mendable,
         "lost": any(m.lost for m in d.mistakes),
         "computed": d.problem is not None,
+        "both_ends": d.problem is not None and d.problem.link_measured,
         "recordings": [(r.name, float(r.time[-1] - r.time[0])) for r in report.measurement.recordings],
         "rate": 1 / report.measurement.recordings[0].interval,
         "sensor": any("joint_torque" in r for r in report.measurement.recordings),
