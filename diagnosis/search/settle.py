@@ -249,6 +249,10 @@ def _as_general_as_needed(
                 # It can do all that the special one can: from there.
                 again = _in_place_of(fitter, special, i, h)
                 general, more = max(((x, added(fitter, x, special)) for x in (f, again)), key=lambda x: x[1])
+            elif not simpler and more > settings.general * loose:
+                # What the special one gains by being fitted as long is not the more general one's.
+                again = _in_place_of(fitter, general, i, h)
+                special, more = min(((x, added(fitter, general, x)) for x in (f, again)), key=lambda x: x[1])
             asked = more > loose * settings.general
             sure = _sure(max(more, 0.0) / loose - settings.general, loose, settings)
             name = general.model[i].cause.name.replace("_", " ")
