@@ -90,9 +90,9 @@ def diagnose(
         fitter = Fitter(problem)
         found, _ = _that_vary(fitter, search(problem, tried, settings, progress, deadline, fitter), settings.accept)
         found = replace(found, decisions=(*before, *found.decisions))
-    progress("looking for unknown effects", 0.88)
     looked, late = discrepancy.UnknownEffects(), time.monotonic() >= deadline
     if not late:
+        progress("looking for unknown effects", 0.88)
         looked = discrepancy.find(fitter, found.base, found.chosen)
         best = found.chosen if looked.unknown is None else looked.unknown.fit
         astray = problem.link_measured and quiet_rms(problem, best) > settings.accept.again

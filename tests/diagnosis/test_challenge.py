@@ -536,6 +536,18 @@ def test_examples_of_an_independent_simulator(shared, example):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("missing", ["joint_torque", pytest.param("link_position", marks=pytest.mark.long)])
+def test_a_special_case_is_fitted_as_long_as_what_is_more_general(shared, missing):
+    """A back-driving with two coefficients alike stood for a friction that grows with load, which was fitted less long."""
+    measurement = read_measurement(shared / "data" / "examples" / "toleranced" / "02")
+    less = replace(measurement, recordings=tuple(r.without(missing) for r in measurement.recordings))
+    found = diagnose(less, measurement.load_joint(None))
+    assert [c.name for c in found.causes] == ["load_dependent_friction"]
+    coefficient = found.causes[0].parameters["coefficient"]
+    assert abs(coefficient.value - 0.2817) < 3 * coefficient.std < 0.01
+
+
+@pytest.mark.slow
 def test_draws_are_reproducible_and_paired_over_sizes():
     challenge = Challenge(seed=3, only=("hysteresis",))
     one, again, small = (draw(challenge, 0, size) for size in (1.0, 1.0, 0.1))
