@@ -2,7 +2,7 @@
 
 The described joint is driven with the measured motion (`fit.replay`); what its sensors should then have read stands beside what
 they read, at the samples of the recording. Of two encoders both ends are driven, for current and torques (the rotor alone for the
-current, where the encoders' zeros are not known against each other); the link encoder's
+current, where the encoders' zeros are so little known against each other that its band is narrower then); the link encoder's
 reading is simulated with the rotor alone driven, where no push of unknown size moved the link. Errors are taken in motion: at
 rest friction may be anything up to its level.
 
@@ -47,7 +47,7 @@ BINS = 4
 FEWEST = 20
 """Samples in motion that a region must have."""
 _AROUND = 500  # steps, half a second, over which the noise of the motion is averaged
-_LOOSE = 0.05  # rated torques that the encoders' zeros may be worth before the rotor alone is driven for the current
+_LOOSE = 0.05  # rated torques that the encoders' zeros may be worth before the rotor alone is tried for the current
 _BATCH = 8  # directions that are replayed at once
 _BALANCE_OF = {"motor_current": CURRENT, "motor_torque": CURRENT, "joint_torque": TORQUE, "external_torque": LINK}
 
@@ -245,7 +245,10 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
     if {"motor_position", "link_position"} <= set(recording.columns) and recording.external != "unmeasured":
         alone = ["link_position", *(n for n in ("motor_current", "motor_torque") if n in recording and _loose(joint))]
         one_end = _parts(recording.without("link_position"), joint, alone)
-        of |= {name: [part for part in one_end if name in part.values] for name in alone}
+        for name in alone:
+            having = [part for part in one_end if name in part.values]
+            if _width(having, name) < _width(of.get(name, []), name):
+                of[name] = having
     measured = {name: recording[name] for name in CHANNELS if of.get(name)}
     since = recording.time - recording.time[0]
     angle, velocity, load, moving = (
@@ -273,8 +276,13 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
     )  # fmt: skip
 
 
+def _width(parts: Sequence[_Part], name: str) -> float:
+    """Median standard deviation of a channel as it is simulated."""
+    return float(np.sqrt(np.median(np.concatenate([part.variance[name] for part in parts])))) if parts else np.inf
+
+
 def _loose(joint: Joint) -> bool:
-    """Whether the zeros of the encoders are so little known against each other that torsion says nothing of the torque."""
+    """Whether the zeros of the encoders are so little known against each other that torsion may say nothing of the torque."""
     zero = joint.sensors.link_encoder.zero
     known = 0.0 if zero is None else zero.deviation if zero.std is None else zero.std
     return joint.numbers["K1"].value * known > _LOOSE * joint.numbers["rated_torque"].value
