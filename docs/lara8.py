@@ -6,7 +6,7 @@ python docs/lara8.py ../shared/data/lara8/joint3_outbound.csv --write  # and mod
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -293,7 +293,11 @@ def figures(recording: Recording, path: Path, folder: Path) -> None:
 
 def main() -> None:
     """Print the table, draw the figures, write the extended joint if asked."""
-    path = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description="What docs/lara8.md states, and its figures, from the measured sweep.")
+    parser.add_argument("log", type=Path, help="joint3_outbound.csv")
+    parser.add_argument("--write", action="store_true", help="models/lara8_joint3_extended.yaml, too")
+    asked = parser.parse_args()
+    path = asked.log
     recording = import_recording(load_layout("lara8"), path)
     joint = load_joint(recording.joint)
     found, rest = feed_forward(recording, path)
@@ -331,7 +335,7 @@ def main() -> None:
     made = extend(recording, joint)
     for effect in made.effects:
         print(effect.name, {k: (e.value, e.std, e.unit) for k, e in effect.parameters.items()})
-    if "--write" in sys.argv:
+    if asked.write:
         made.write(shipped("lara8_joint3_extended.yaml"))
 
 

@@ -5,7 +5,7 @@ python docs/ur3e.py ../shared/data/ur3e/shoulder_first_half.csv
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -177,7 +177,9 @@ def velocity_against_angle(path: Path) -> list[tuple[float, float, float, float,
 
 def main() -> None:
     """Print what the velocity is to the angle, then the table, and draw the figure."""
-    path = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description="What docs/ur3e.md states, and its figure, from the measured log.")
+    parser.add_argument("log", type=Path, help="shoulder_first_half.csv")
+    path = parser.parse_args().log
     for f, ratio, lead, with_angle, with_current in velocity_against_angle(path):
         print(f"{f:.1f} Hz: velocity {ratio:.2f} of the angle's, {lead:+.0f}°; ", end="")
         print(f"coherence {with_angle:.2f} with angle, {with_current:.2f} with current")
