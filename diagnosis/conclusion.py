@@ -50,7 +50,7 @@ class AnswerSettings:
         as described are preferred to numbers that calibration moved.
       orders: so many orders of one law of the link's angle any law of it has: none of them is sure then.
       end: standard deviations of its tolerance from which on a number is at the end of it: no variable goes beyond 2.6
-        (`fit.residual.REACH`).
+        (`fit.residual.REACH`); crowded: so many numbers there, with one encoder, beside which no cause is likely.
       far, worth: a residual so many times the sensors' noise, and of so large a share of the rated torque, is never consistent,
         and with one encoder no cause is sure where so many times the noise is left, nor likely where it is the link's (`behind`);
         near: so many times the noise, where the fit was taken back that would explain it.
@@ -87,6 +87,7 @@ class AnswerSettings:
     inexact_bias: float = 0.35
     slight: float = 0.25
     end: float = 2.55
+    crowded: int = 3
     far: float = 5.0
     near: float = 2.0
     worth: float = 0.02

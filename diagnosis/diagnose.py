@@ -186,14 +186,20 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     """The fit, less sure by its residual's normalised RMS of what the data say where more than noise is left (Birge's ratio).
 
     What no description holds is not random: it leans on the parameters the same way all the time. Small imperfections that look
-    like an effect (an encoder's eccentricity like a kinematic error) are part of its size, however well that is known.
+    like an effect (an encoder's eccentricity like a kinematic error) are part of its size, however well that is known, and so is
+    what a real joint's law makes of a number that is another law's (`Cause.inexact`).
     """
     ratio = quiet_rms(problem, f)
     plain = ratio <= ANSWER.quiet
     inexact = np.zeros(len(f.theta))
-    for i, h in enumerate(f.model):
-        if h.free:
-            inexact[problem.place(f.model, i)] = ANSWER.inexact_size if plain else ANSWER.lookalike
+    for i, (h, u) in enumerate(zip(f.model, problem.split(f.theta, f.model), strict=True)):
+        if not h.free:
+            continue
+        inexact[problem.place(f.model, i)] = ANSWER.inexact_size if plain else ANSWER.lookalike
+        if h.cause.inexact and not plain:
+            sizes, unit = h.values(u), h.deviation(u, np.eye(h.size))
+            law = [h.cause.inexact * abs(sizes[q.name]) / unit[q.name] if q.magnitude else 0.0 for q in h.free]
+            inexact[problem.place(f.model, i)] = np.hypot(ANSWER.lookalike, law)
     if plain:
         return replace(f, covariance=f.covariance + np.diag(inexact**2))
     # What is known before the data stays known: a friction of which they tell only the product with its tolerance.

@@ -599,13 +599,13 @@ def experiments(
         if not mounting.locked:
             points = [w.model_copy(update={"position": w.position + centre}) for w in points]
             if any(not low - _FREE <= w.position <= high + _FREE for w in points):
-                text += f"; nobody has measured beyond {low:.2g} … {high:.2g} rad: is it free there?".replace("-", "−")
+                text += f"; nobody has measured beyond {_angle(low)} … {_angle(high)} rad: is it free there?"
         found.append(PlannedExperiment(name, text, mounting, tuple(points), interval=interval, **options))
 
     def span(amplitude: float) -> str:
         if centre == 0.0:
             return f"±{amplitude:.2g} rad"
-        return f"{centre - amplitude:.2g} … {centre + amplitude:.2g} rad".replace("-", "−")
+        return f"{_angle(centre - amplitude)} … {_angle(centre + amplitude)} rad"
 
     def sweeps(amplitude: float, seconds: float) -> list[Waypoint]:
         there_and_back = [amplitude, -amplitude, amplitude, 0.0]
@@ -685,6 +685,10 @@ def experiments(
             usual, effort=effort[2], channels=seen | {"temperature"}, warming=settings.warming,
         )  # fmt: skip
     return found
+
+
+def _angle(x: float) -> str:
+    return f"{round(x, 1 if abs(x) >= 1 else 2) + 0.0:g}".replace("-", "−")
 
 
 def _later(points: Sequence[Waypoint], seconds: float) -> list[Waypoint]:

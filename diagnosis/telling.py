@@ -35,6 +35,11 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
     link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
     weighed = link is not None and link.after <= ANSWER.far * link.noise
+    calibration = parameter_shifts(problem, final)
+    if not problem.link_measured and _ends(problem, calibration) >= ANSWER.crowded:
+        surest = min(
+            surest, ANSWER.behind
+        )  # something is missing, and many numbers stand for it: a cause may be one more
 
     def told(f: Finding) -> Finding:
         """A finding as sure as the motion that was measured lets it be."""
@@ -48,7 +53,6 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
     verdict, reasons = _verdict(conclusion, findings, minor, residual, useless)
-    calibration = parameter_shifts(problem, final)
     reasons += [
         *_out_of_proportion(problem, findings),
         *_at_the_end(calibration),
@@ -109,6 +113,12 @@ def _tared(conclusion: Conclusion) -> Joint:
 def _acts_on_the_link(f: Finding) -> bool:
     """Whether what a finding does shows in the balance of the link's own motion and its torque sensor."""
     return f.component == "link" or (f.name in causes.names() and causes.get(f.name).sensor == "joint_torque")
+
+
+def _ends(problem: Problem, calibration: dict[str, ParameterShift]) -> int:
+    """How many numbers are at the end of their tolerances; of those that share one, one."""
+    numbers = {slot.name: slot.number.shared or slot.name for slot in problem.calibration.slots}
+    return len({numbers[n] for n, s in calibration.items() if n in numbers and abs(s.moved) > ANSWER.end})
 
 
 def _at_the_end(calibration: dict[str, ParameterShift]) -> list[str]:

@@ -180,6 +180,8 @@ class Cause(ABC):
     """Whether a second one adds to the first (another order, a further factor), instead of replacing it."""
     multiple: ClassVar[float] = float("inf")
     """Factor by which no description has its number wrong: beyond it another joint, load or unit is likelier."""
+    inexact: ClassVar[float] = 0.0
+    """Part of its magnitudes' values that is not known (standard deviation) where a real joint's law is another than this."""
     imperfection: ClassVar[bool] = False
     """Whether every real joint has a little of it."""
     sensor: ClassVar[str | None] = None

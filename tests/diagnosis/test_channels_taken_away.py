@@ -1,0 +1,47 @@
+"""Every shipped example with each channel taken away: nothing sure that is not there, and what still shows is found."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from flexspline.diagnosis.diagnose import diagnose
+from flexspline.models.recording import read_measurement
+
+CHANNELS = ("motor_position", "link_position", "motor_current", "joint_torque")
+EXAMPLES = [(kind, number) for kind, count in (("exact", 6), ("toleranced", 7), ("bare", 3)) for number in range(count)]
+ALIKE = {frozenset(("load_dependent_friction", "back_driving")), frozenset(("kinematic_error", "cogging"))}
+"""A special case, and what one encoder does not tell apart: either may stand for the other, and that is said."""
+FEW = [("toleranced", 3, "link_position"), ("toleranced", 4, "link_position")]
+"""A hysteresis that one encoder does not show stood there as a rotor's inertia at 0.97, five numbers at their ends."""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("kind", "number", "channel"),
+    [
+        (kind, number, channel) if (kind, number, channel) in FEW
+        else pytest.param(kind, number, channel, marks=pytest.mark.long)
+        for kind, number in EXAMPLES for channel in CHANNELS
+    ],
+)  # fmt: skip
+def test_without_a_channel(shared, kind, number, channel):
+    folder = shared / "data" / "examples" / kind
+    truth = json.loads((folder / "truth.json").read_text(encoding="utf-8"))[f"{number:02d}"]
+    measurement = read_measurement(folder / f"{number:02d}")
+    if not any(channel in r for r in measurement.recordings):
+        pytest.skip("not measured")
+    less = replace(measurement, recordings=tuple(r.without(channel) for r in measurement.recordings))
+    found = diagnose(less, measurement.load_joint("test-joint"))
+    told = {c.name: c.confidence for c in found.causes}
+
+    def is_there(name: str) -> bool:
+        return name in truth or any(frozenset((name, hidden)) in ALIKE for hidden in truth)
+
+    assert not {n: c for n, c in told.items() if c > 0.5 and not is_there(n)}, (truth, told)
+    shows = [n for n in truth if n != "unknown" and n not in found.undetermined]
+    assert all(n in told or any(frozenset((n, o)) in ALIKE for o in told) for n in shows), (shows, told)
+    if not truth:
+        assert found.verdict in ("consistent", "inconclusive")
