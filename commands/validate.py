@@ -85,4 +85,5 @@ def _show(terminal: Console, found: Validation) -> None:
     terminal.print(table)
     sentence = beyond_sentence(found.beyond)
     if sentence:
-        terminal.print(f"{sentence} (*: most of the region)")
+        starred = any(r.beyond > 0.5 for r in found.regions)
+        terminal.print(sentence + (" (*: most of the region)" if starred else ""))
