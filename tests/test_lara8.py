@@ -190,6 +190,7 @@ def test_a_whole_sweep_tells_friction_from_gravity(recording, lara8):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_diagnosis_alone_is_nowhere_worse_than_the_nominal_joint(recording, lara8):
     """On angles that it has not seen: what a part of the sweep taught makes no estimator worse."""
     described = lara8.described(recording)

@@ -120,7 +120,7 @@ def test_a_torque_sensor_is_held_against_the_links_own_motion():
 @pytest.mark.parametrize(
     ("index", "name"),
     [
-        (14, "gravity_moment"),
+        pytest.param(14, "gravity_moment", marks=pytest.mark.long),
         pytest.param(18, "hard_stop", marks=pytest.mark.long),
         pytest.param(9, "torque_sensor_gain", marks=pytest.mark.long),
     ],

@@ -16,6 +16,7 @@ ENOUGH = 5.0
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_recording_of_another_joint_is_named():
     own, other = (draw(Challenge(hidden="none", seed=SEED, real=True), i) for i in (0, 1))
     recordings = list(own.measurement.recordings)
