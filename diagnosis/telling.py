@@ -23,6 +23,7 @@ from .fit.solver import Fit, evaluate_point
 from .uncertainty import of_description, stated
 
 _LATE = "time was up before every stage was done: with more, more may be found"
+_CROWDED = "the causes named may be one thing more that stands for what is missing, as numbers at the end of their tolerances do"
 _NOT_SURE = "the causes named do not hold where they were not fitted, and are not sure"
 
 
@@ -36,7 +37,8 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
     weighed = link is not None and link.after <= ANSWER.far * link.noise
     calibration = parameter_shifts(problem, final)
-    if not problem.link_measured and _ends(problem, calibration) >= ANSWER.crowded:
+    crowded = not problem.link_measured and _ends(problem, calibration) >= ANSWER.crowded
+    if crowded:
         surest = min(
             surest, ANSWER.behind
         )  # something is missing, and many numbers stand for it: a cause may be one more
@@ -52,7 +54,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         findings = [
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
-    verdict, reasons = _verdict(conclusion, findings, minor, residual, useless)
+    verdict, reasons = _verdict(conclusion, findings, minor, residual, useless, crowded)
     reasons += [
         *_out_of_proportion(problem, findings),
         *_at_the_end(calibration),
@@ -249,12 +251,14 @@ def _verdict(
     minor: list[Finding],
     residual: dict[str, BalanceResidual],
     useless: bool,
+    crowded: bool,
 ) -> tuple[str, list[str]]:
     """Verdict and, where it is not plain, its reasons: a residual far above the noise is never consistent, nor is one beside
     which a minor effect is worth as much as an unknown one that is told.
 
     Args:
-      useless: whether the causes leave no less unexplained than calibration alone.
+      useless: whether the causes leave no less unexplained than calibration alone; crowded: whether many numbers stand at the
+        end of their tolerances beside them.
     """
     problem = conclusion.problem
     # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
@@ -273,6 +277,8 @@ def _verdict(
     unlikely = not problem.link_measured and all(f.confidence <= ANSWER.unsure for f in findings)
     if findings and unlikely and conclusion.drawn.share == 0.0:
         return "inconclusive", [_NOT_SURE, *late, *left]
+    if findings and crowded:
+        return "inconclusive", [_CROWDED, *late, *left]
     if findings:
         return "discrepancy", [*late, *_after("beside the causes named, ", left)]
     if conclusion.nearly_all:
