@@ -54,7 +54,6 @@ def main() -> None:
         run = importlib.import_module(f"benchmarks.{words[0]}").main
         if not inspect.signature(run).parameters:
             parser.error(f"benchmark {words[0]!r} has no options, got {' '.join(options)}")
-        sys.argv[0] = f"benchmarks {words[0]}"
         run(options)
         return
     versions = ", ".join(f"{name} {metadata.version(name)}" for name in ("mujoco", "numba", "numpy"))

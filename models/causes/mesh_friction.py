@@ -14,7 +14,6 @@ class MeshFriction(Cause):
     parameters = (CauseParameter("scale", "1", (0.05, 10.0), ((1.7, 2.5),), neutral=1.0, magnitude=True),)
     scales = ("Fc", "Fs")
     adds = True
-    inexact = (
-        0.05  # friction drifts as the gear warms: by 0.15 % a second it is a few per cent another in every recording
-    )
+    # Friction drifts as the gear warms: by 0.15 % a second it is a few per cent another in every recording.
+    inexact = 0.05
     requires = Requirements(sliding=0.5)

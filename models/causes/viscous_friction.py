@@ -17,7 +17,6 @@ class ViscousFriction(Cause):
         ),
     )
     sets = {"coefficient": "bw"}
-    inexact = (
-        0.1  # real friction grows less than linearly: as speed to the power 0.7 to 0.9 it is 10 to 30 % less at speed
-    )
+    # Real friction grows less than linearly: as speed to the power 0.7 to 0.9 it is 10 to 30 % less at speed.
+    inexact = 0.1
     requires = Requirements(sliding=0.5, speed=10.0)
