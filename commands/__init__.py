@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TextIO
@@ -210,6 +210,7 @@ def _drop_unread(streams: Iterable[TextIO]) -> bool:
 
 def _run() -> NoReturn:
     _ending.clear()
+    _asked.clear()
     with contextlib.suppress(ValueError):  # not in the main thread
         signal.signal(signal.SIGINT, _interrupt)
         signal.signal(signal.SIGTERM, _end)
@@ -256,6 +257,7 @@ def _run() -> NoReturn:
 
 
 _PATIENCE = 0.3  # s, for threads that are about to end
+_AT_LATEST = 10.0  # s from being asked to end, whatever keeps the request
 _asked: list[int] = []
 """Signals that asked to end."""
 _ending: list[bool] = []
@@ -268,9 +270,7 @@ class _Request:
 
     def __del__(self) -> None:
         if not _ending:
-            again = threading.Timer(0.02, _ask_to_end)  # not here, where it would be lost as well
-            again.daemon = True
-            again.start()
+            _later(0.02, _ask_to_end)  # not here, where it would be lost as well
 
 
 class _Interrupt(_Request, KeyboardInterrupt):
@@ -282,7 +282,7 @@ class _Termination(_Request, SystemExit):
 
 
 def _interrupt(number: int, frame: Any) -> NoReturn:
-    _asked.append(number)
+    _note_request(number)
     raise _Interrupt
 
 
@@ -328,8 +328,36 @@ def _notice(
 
 
 def _end(number: int, frame: Any) -> NoReturn:
-    _asked.append(number)
+    _note_request(number)
     raise _Termination(128 + number)
+
+
+def _note_request(number: int) -> None:
+    if not _asked:
+        _later(_AT_LATEST, _end_unasked)
+    _asked.append(number)
+
+
+def _later(seconds: float, what: Callable[[], None]) -> None:
+    """Do something in a while, in a thread begun without the locks of `threading`, which what was interrupted may hold."""
+
+    def wait() -> None:
+        time.sleep(seconds)
+        what()
+
+    with contextlib.suppress(RuntimeError):  # the interpreter ends
+        _thread.start_new_thread(wait, ())
+
+
+def _end_unasked() -> None:
+    """End where the request is lost without a trace: something keeps it and goes on, or waits for what was interrupted."""
+    if _ending or not _asked:
+        return
+    _ending.append(True)
+    output = sys.modules.get(f"{__name__.rpartition('.')[0]}.models.output")  # else nothing is being written
+    if output is not None:
+        output.abandon()
+    os._exit(128 + _asked[-1])
 
 
 def _leave(code: Any) -> NoReturn:

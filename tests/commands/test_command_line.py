@@ -109,6 +109,32 @@ commands.main()
     assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_request_to_end_that_somebody_keeps_ends_what_goes_on(tmp_path, number):
+    """An error that is kept with the request in it, as libraries keep why an import failed: it is raised once."""
+    program = f"""
+import os, time
+from pathlib import Path
+from flexspline import commands
+from flexspline.models.output import output_folder
+commands._AT_LATEST = 1.0
+kept = []
+def app(**options):
+    with output_folder(Path({str(tmp_path / "o")!r}), "run") as staging:
+        (staging / "begun").touch()
+        try:
+            os.kill(os.getpid(), {number:d})
+        except BaseException as error:
+            kept.append(error)
+        time.sleep(60)
+commands.app = app
+commands.main()
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("command", ["run", "compare"])
 def test_asked_to_end_it_ends_and_leaves_nothing(flexspline, tmp_path_factory, tmp_path, number, command):
