@@ -79,11 +79,13 @@ def _show(terminal: Console, found: Validation) -> None:
     columns = [f"{name.replace('_', ' ')} [{e.unit}]" for name, e in found.residual.items()]
     for heading in ("", "from", "to", "unit", *columns):
         table.add_column(Text(heading), justify="left" if heading in ("", "unit") else "right")
+    starred = False
     for r in found.regions:
         cells = [f"{r.rms[name]:.4g}" if name in r.rms else "–" for name in found.residual]
-        table.add_row(r.by + (" *" if r.beyond > 0.5 else ""), f"{r.low:.3g}", f"{r.high:.3g}", r.unit, *cells)
+        star = r.beyond > 0.5
+        starred |= star
+        table.add_row(r.by + (" *" if star else ""), f"{r.low:.3g}", f"{r.high:.3g}", r.unit, *cells)
     terminal.print(table)
     sentence = beyond_sentence(found.beyond)
     if sentence:
-        starred = any(r.beyond > 0.5 for r in found.regions)
         terminal.print(sentence + (" (*: most of the region)" if starred else ""))

@@ -120,21 +120,26 @@ def _acts_on_the_link(f: Finding) -> bool:
 def _ends(problem: Problem, calibration: dict[str, ParameterShift]) -> int:
     """How many numbers are at the end of their tolerances; of those that share one, one."""
     numbers = {slot.name: slot.number.shared or slot.name for slot in problem.calibration.slots}
-    return len({numbers[n] for n, s in calibration.items() if n in numbers and abs(s.moved) > ANSWER.end})
+    return len({numbers[name] for name in _moved_to_the_end(calibration) if name in numbers})
+
+
+def _moved_to_the_end(calibration: dict[str, ParameterShift]) -> dict[str, ParameterShift]:
+    return {name: s for name, s in calibration.items() if abs(s.moved) > ANSWER.end}
 
 
 def _at_the_end(calibration: dict[str, ParameterShift]) -> list[str]:
     """Numbers that calibration moved to the end of their tolerances: they may be what is wrong."""
+    moved = _moved_to_the_end(calibration)
     ends = [
         f"{name} ({s.value:.3g} {s.unit})" if s.nominal == 0.0 else f"{name} ({100 * (s.value / s.nominal - 1):+.0f} %)"
-        for name, s in calibration.items()
-        if abs(s.moved) > ANSWER.end and name not in DELAYS.values()
+        for name, s in moved.items()
+        if name not in DELAYS.values()
     ]
     late = [
         f"{sensor.replace('_', ' ')} is read {1e3 * abs(s.value - s.nominal):.1f} ms {'later' if s.moved > 0 else 'earlier'} "
         "than described"
         for sensor, name in DELAYS.items()
-        if (s := calibration.get(name)) is not None and abs(s.moved) > ANSWER.end
+        if (s := moved.get(name)) is not None
     ]
     return [f"at the end of what the description allows: {', '.join(ends)}", *late] if ends else late
 
