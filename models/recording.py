@@ -295,7 +295,7 @@ def read_recording(path: str | Path) -> Recording:
     """Read a recording from its table (or its YAML file).
 
     Raises:
-      InputError: one line with file, column and row of what is wrong. Rows are counted from 1, without the header.
+      InputError: one line with file, column and row of what is wrong. Rows are counted from 0, without the header.
     """
     path = Path(path)
     if path.suffix in (".yaml", ".yml"):
@@ -367,6 +367,26 @@ def in_arm(
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return replace(recording, link=link, load=load, arm=ArmRecord(spec, arm.mjcf(), positions))
+
+
+def carried_anew(recording: Recording, gear_ratio: float) -> Recording:
+    """A recording whose angle has changed, with mounting and load from its arm at that angle; the same without an arm.
+
+    Args:
+      gear_ratio: of its joint.
+
+    Raises:
+      InputError: as of `in_arm`.
+    """
+    from .arm_dynamics import Arm
+
+    if recording.arm is None:
+        return recording
+    known = "link_position" in recording
+    position = recording["link_position"] if known else recording["motor_position"] / gear_ratio
+    arm = Arm.of_text(recording.arm.spec, recording.arm.mjcf)
+    link, load = arm.of(recording.time, position, recording.arm.positions, recording.segments)
+    return replace(recording, link=link, load=load)
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:

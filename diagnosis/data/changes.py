@@ -8,12 +8,13 @@ again; the last few best are kept, as a first step may only look good.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
+from ...models.errors import InputError
 from ...models.joint import EncoderSpec, Joint
 from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
@@ -38,7 +39,10 @@ class ChangeSettings:
         channels go together with it, or better than before.
       kept: states that are kept beside each other.
       most: changes on top of each other.
-      slope: by how much the encoders' ratio may be off at the least to be another gear ratio, relative.
+      other_counts: of counts of another encoder than the described one's, or of one that is read four times as fine or coarse,
+        more; not_counts: of another unit where every value is a whole number, and of counts where not every one is, more.
+      slope: by how much the encoders' ratio may be off at the least to be another gear ratio, relative; ratio: how many times as
+        large or small another gear ratio may be.
       whole: by how much a gear ratio may be off a whole number to be that, relative: torsion under gravity goes with the angle.
       least_motion: of the link [rad], which angles in another unit must still show.
       offsets: of the angle's zero, that are tried in a turn.
@@ -60,7 +64,10 @@ class ChangeSettings:
     much_worse: float = -9.0
     kept: int = 3
     most: int = 3
+    other_counts: tuple[float, float] = (8.0, 4.0)
+    not_counts: float = 6.0
     slope: float = 0.004
+    ratio: float = 10.0
     whole: float = 1.5e-3
     least_motion: float = 0.1
     offsets: int = 24
@@ -89,6 +96,7 @@ class ColumnChange:
       factor, offset, seconds: as in `mistakes.Mistake`; price: in log likelihood.
       also: changes of other columns that are the same mistake.
       ratio: of the gear.
+      counts: whether it takes an encoder's counts for an angle, and then whether these are the described encoder's.
     """
 
     name: str
@@ -100,6 +108,8 @@ class ColumnChange:
     also: tuple[ColumnChange, ...] = ()
     ratio: float = 1.0
     seconds: float | None = None
+    counts: bool = False
+    described: bool = False
 
     def apply(self, motion: SmoothedChannels) -> SmoothedChannels:
         """The channels without the mistake; the same where the column is not there."""
@@ -281,6 +291,33 @@ def _better(before: _Fits, after: _Fits) -> bool:
     return not at_odds and _gained(before, after) > SETTINGS.sure
 
 
+def _units_told_apart(steps: Sequence[_Progress], column: str, whole: bool) -> list[_Progress]:
+    """Steps of which those that take a column alone for counts, of `whole` numbers for an angle in any unit, are one, as sure as
+    what else it may be lets it be.
+
+    Counts of a coarser encoder are a larger motion, which rests less and of which more is known: that tells a motion from next to
+    none, but not one from another half as large. Of those whose readings fit about as well the described encoder's it is; whole
+    numbers in another unit than counts would be strange.
+    """
+
+    def of_them(change: ColumnChange) -> bool:
+        return change.name == "unit" and change.column == column and not change.also and (change.counts or whole)
+
+    some = [s for s in steps if of_them(s.found[-1].change)]
+    if not some:
+        return list(steps)
+    scores = [sum(fit.readings for fits in s.fits for fit in fits.values()) - s.price for s in some]
+    near = [(x, s) for x, s in zip(scores, some, strict=True) if x > max(scores) - SETTINGS.sure]
+    described = [(x, s) for x, s in near if s.found[-1].change.described]
+    score, best = described[0] if described else max(near, key=lambda found: found[1].score)
+    *before, last = best.found
+    alone = 1.0 / sum(math.exp(min(x - score, 50.0) / 3) for x in scores)
+    if (not described and len(near) > 1) or (whole and not last.change.counts):
+        alone = min(alone, 0.5)
+    last = replace(last, confidence=min(last.confidence, alone))
+    return [*(s for s in steps if not of_them(s.found[-1].change)), replace(best, found=(*before, last))]
+
+
 def _total(fits: dict[str, RelationFit]) -> float:
     return sum(fit.agreement for fit in fits.values())
 
@@ -319,6 +356,32 @@ def _sampled_fast(recording: Recording) -> bool:
     return False
 
 
+def change_in_an_arm(
+    recordings: Sequence[Recording], joint: Joint, mended: Callable[[Found], Sequence[Recording]]
+) -> Found | None:
+    """The unit or sign of a joint's own angle where an arm that moves carries its link: what that puts on the link was taken from
+    the angle as it stands, so that nothing goes together until it is taken from the right one. None where none is asked for.
+
+    Args:
+      mended: the recordings without a change, what the arm puts on the link taken anew.
+    """
+    as_it_is = Suspicions(recordings, joint, depth=0)
+    if not any(map(_suspicious, as_it_is.fits)):
+        return None
+    best: tuple[float, Found] | None = None
+    for change in as_it_is.changes_of_angles():
+        found = Found(change, tuple(range(len(recordings))), 0.99)
+        try:
+            fits = Suspicions(mended(found), joint, depth=0).fits
+        except InputError:
+            continue
+        score = sum(map(_total, fits)) - change.price
+        mends = not any(map(_suspicious, fits)) and _gained(as_it_is.fits, fits) > change.price + SETTINGS.sure
+        if mends and (best is None or score > best[0]):
+            best = score, found
+    return None if best is None else best[1]
+
+
 class Suspicions:
     """What is wrong with the channels of a measurement as a whole.
 
@@ -327,14 +390,24 @@ class Suspicions:
       mends: whether channels fit better when they are made.
       before: misfit of the relation that fits worst in recordings that last, as in `RelationFit`; misfit: of all when they are
         made; 0 where there is none.
+      fits: relations of every recording as it is.
+
+    Args:
+      depth: changes on top of each other that are tried.
     """
 
-    def __init__(self, recordings: Sequence[Recording], joint: Joint):
+    def __init__(self, recordings: Sequence[Recording], joint: Joint, depth: int = SETTINGS.most):
         self.joint = joint
         self.recordings = tuple(recordings)
         self._plausible = [Plausibility(joint, r) for r in recordings]
+        self._whole = {
+            name
+            for name in POSITIONS
+            if all(np.array_equal(r[name], np.round(r[name])) for r in recordings if name in r)
+        }
         start = self._state()
-        end = self._search(start)
+        self.fits = start.fits
+        end = self._search(start, depth)
         if _not_followed(start.fits, end.fits):
             end = start
         self.mends = _better(start.fits, end.fits)
@@ -353,9 +426,16 @@ class Suspicions:
     def _fits(self, index: int, motion: SmoothedChannels | None) -> dict[str, RelationFit]:
         return {} if motion is None else self._plausible[index].agreement(motion)
 
-    def _search(self, start: _Progress) -> _Progress:
+    def changes_of_angles(self) -> Iterator[ColumnChange]:
+        """Units and signs of the joint's own angles, of one alone or of both."""
+        there = {name for r in self.recordings for name in r.columns if name in POSITIONS}
+        yield from self._scales(there)
+        if len(there) > 1:
+            yield replace(_sign("link_position"), also=(_sign("motor_position"),))
+
+    def _search(self, start: _Progress, depth: int) -> _Progress:
         beam, best = [start], start
-        for _ in range(SETTINGS.most):
+        for _ in range(depth):
             further: list[_Progress] = []
             for state in beam:
                 if any(map(_suspicious, state.fits)):
@@ -413,6 +493,8 @@ class Suspicions:
                     state.price + price + sum(costs[i] for i in chosen),
                 )
             )
+        for column in POSITIONS:
+            steps = _units_told_apart(steps, column, column in self._whole)
         return steps
 
     def _changes(self, state: _Progress) -> Iterator[ColumnChange]:
@@ -427,16 +509,24 @@ class Suspicions:
         """Units and signs."""
         N, Kt = self.joint.numbers["N"].value, self.joint.numbers["Kt"].value
         sensors = self.joint.sensors
-        for column, encoder in (("motor_position", sensors.motor_encoder), ("link_position", sensors.link_encoder)):
+        encoders = {"motor_position": sensors.motor_encoder, "link_position": sensors.link_encoder}
+        for column, encoder in encoders.items():
             if column in there:
                 yield _sign(column)
-                yield from _angles(column)
-                yield from map(_turned, _angles(column))
+                for unit in _angles(column):
+                    unit = replace(unit, price=unit.price + (SETTINGS.not_counts if column in self._whole else 0.0))
+                    yield unit
+                    yield _turned(unit)
                 yield from self._counts(column, encoder)
         angles = [name for name in ("link_position", "motor_position", "position_command") if name in there]
         for count in range(2, len(angles) + 1):  # the encoders, or all: nothing between them shows it
             for first, *others in zip(*map(_angles, angles[:count]), strict=True):
                 yield replace(first, also=tuple(others))
+        if self._whole.issuperset(POSITIONS) and there.issuperset(
+            POSITIONS
+        ):  # in either's alone they make no motion of a joint
+            link, motor = (next(self._counts(name, encoders[name])) for name in ("link_position", "motor_position"))
+            yield replace(link, also=(motor,), price=link.price + SETTINGS.free)
         if "position_command" in there:
             yield _sign("position_command")
             yield from _angles("position_command")
@@ -462,12 +552,20 @@ class Suspicions:
     def _counts(self, column: str, encoder: EncoderSpec) -> Iterator[ColumnChange]:
         """Counts of the encoder as it is described, or, where every value is a whole number, of any other."""
         lines = 2 * math.pi / encoder.resolution
-        for times in (1.0, 4.0, 0.25):
-            yield _unit(column, f"counts ({times * lines:g} a turn)", 2 * math.pi / (times * lines))
-        if all(np.array_equal(r[column], np.round(r[column])) for r in self.recordings if column in r):
+        another, read_otherwise = SETTINGS.other_counts
+
+        def counts(turn: float, more: float, described: bool = False) -> ColumnChange:
+            more += 0.0 if column in self._whole else SETTINGS.not_counts
+            unit = _unit(column, f"counts ({turn:.10g} a turn)", 2 * math.pi / turn, SETTINGS.price + more)
+            return replace(unit, counts=True, described=described)
+
+        yield counts(lines, 0.0, described=True)
+        for times in (4.0, 0.25):
+            yield counts(times * lines, read_otherwise)
+        if column in self._whole:
             for bits in range(8, 33):
-                if abs(bits - math.log2(lines)) > 0.1:
-                    yield _unit(column, f"counts ({2**bits} a turn)", 2 * math.pi / 2**bits, SETTINGS.price + 2)
+                if min(abs(bits - math.log2(times * lines)) for times in (0.25, 1.0, 4.0)) > 0.1:
+                    yield counts(float(2**bits), another)
 
     def _exchanges(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
         """Positions that are something else: the other side's, a velocity."""
@@ -490,7 +588,7 @@ class Suspicions:
         """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
         if all(name in there for name in POSITIONS):
             slope = self._slope(state)
-            if slope is not None and abs(slope - 1) > SETTINGS.slope and slope > 0:
+            if slope is not None and abs(slope - 1) > SETTINGS.slope and 1 / SETTINGS.ratio < slope < SETTINGS.ratio:
                 yield self._gear_ratio("motor_position", slope)
                 yield self._gear_ratio("link_position", slope)
             yield from self._late(state)

@@ -16,9 +16,9 @@ from threadpoolctl import threadpool_limits
 
 from ...models.errors import InputError
 from ...models.joint import Joint
-from ...models.recording import GAP, Measurement, Recording, check_channels
+from ...models.recording import GAP, Measurement, Recording, carried_anew, check_channels
 from ...models.signals import POSITIONS
-from .changes import GRAVITY, Found, Suspicions, time_unit
+from .changes import GRAVITY, Found, Suspicions, change_in_an_arm, time_unit
 from .lateness import LateColumn, late_columns
 from .samples import SampleMistake, bridged, still_commands, unwrapped, wrong_samples
 
@@ -165,6 +165,11 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     # Of one in which next to nothing but rest is left, what is beside it in the others says more.
     whole = [r for r, before in zip(recordings, moving, strict=True) if len(r.time) > _KEPT * len(before.time)]
     recordings = tuple(whole) or recordings
+    carried = []
+    if any(r.arm is not None and r.arm.positions for r in recordings):
+        arm = change_in_an_arm(recordings, joint, lambda one: _apply(recordings, joint, _of_change(one, recordings)))
+        carried = [] if arm is None else _of_change(arm, recordings)
+        recordings = _apply(recordings, joint, carried)
     suspicions = Suspicions(recordings, joint)
     changes = suspicions.found if suspicions.mends or suspicions.before < _WRONG else ()
     further = [m for f in changes if f.change.name != "late" for m in _of_change(f, recordings)]
@@ -174,6 +179,7 @@ def find_mistakes(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     if not late and (suspicions.misfit < _WRONG or not suspicions.mends):
         # What mends most leaves channels that cannot be of this joint: it may be something else.
         further = [replace(m, confidence=min(m.confidence, _UNSURE)) for m in further]
+    further = [*carried, *further]
     told = (*_by_name(found, moving, measurement.recordings), *_by_name(further, recordings, measurement.recordings))
     return tuple(replace(m, severe=m.severe and m.column not in _BESIDE) for m in told)
 
@@ -280,6 +286,10 @@ def _where(mistake: Mistake, having: Sequence[int], recordings: Sequence[Recordi
 
 def _of_change(found: Found, recordings: Sequence[Recording]) -> list[Mistake]:
     change = found.change
+    apart = [one for one in change.also if change.column != GRAVITY and one.factor != change.factor]
+    if apart:  # each with a factor of its own
+        same = replace(change, also=tuple(one for one in change.also if one not in apart))
+        return [m for one in (same, *apart) for m in _of_change(replace(found, change=one), recordings)]
     one = Mistake(
         change.name, change.column, "", change.description, found.confidence, factor=change.factor, seconds=change.seconds,
         offset=np.pi if change.column == GRAVITY else change.offset,
@@ -341,6 +351,10 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
     found = replace(recording, time=time, columns=columns)
     if lost.any():
         found = found.at(~lost)
+    if recording.arm is not None and any(
+        c in POSITIONS for m in mistakes for c in (m.column or "link_position", *m.also)
+    ):
+        found = carried_anew(found, N)  # what the arm's motion puts on a link depends on where that is
     return found
 
 

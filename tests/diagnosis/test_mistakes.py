@@ -22,9 +22,11 @@ from flexspline.diagnosis.data.mistakes import find_mistakes, mended
 from flexspline.diagnosis.data.samples import jumps, parted
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.trials.draw import Challenge, draw
+from flexspline.models.arm import ArmSpec
+from flexspline.models.arm_dynamics import Arm
 from flexspline.models.errors import InputError, InputWarning
-from flexspline.models.joint import LOCKED, Mounting, load_joint
-from flexspline.models.recording import Measurement, Recording, read_measurement, write_recording
+from flexspline.models.joint import LOCKED, Mounting, load_joint, shipped
+from flexspline.models.recording import Measurement, Recording, in_arm, read_measurement, write_recording
 
 ALL = {h.label: h for h in hidden_mistakes()}
 """Mistakes by their labels."""
@@ -77,6 +79,54 @@ def test_nothing_is_claimed_of_sound_data():
             ("position_command",),
         ):
             assert find_mistakes(measurement(r.without(*fewer)), JOINT) == (), (seed, fewer)
+
+
+@pytest.mark.parametrize("columns", [("motor_position",), ("link_position",), ("motor_position", "link_position")])
+@pytest.mark.parametrize("name", ["exact/00", "bare/00"])
+@pytest.mark.parametrize("alone", [0, 1, None], ids=["free", "push", "all"])
+def test_counts_beside_a_current_are_those_of_the_described_encoder(shared, name, columns, alone):
+    """Of half as many a turn the motion is twice as large and rests less: of that alone it was told, and sure; of both encoders a
+    gear ratio of 256 to 1."""
+    sound = read_measurement(shared / "data" / "examples" / name)
+    joint = sound.load_joint(None)
+    sensors = joint.sensors
+    resolution = {"motor_position": sensors.motor_encoder.resolution, "link_position": sensors.link_encoder.resolution}
+    recordings = []
+    for r in sound.recordings if alone is None else [sound.recordings[alone]]:
+        counted = {c: np.round(r[c] / resolution[c]) for c in columns}
+        recordings.append(replace(r, columns={**counted, "motor_current": r["motor_current"]}))
+    found = find_mistakes(replace(sound, recordings=tuple(recordings)), joint)
+    assert {m.column for m in found} == set(columns) and all(m.name == "unit" for m in found), found
+    for m in found:
+        assert m.factor == pytest.approx(resolution[m.column]) and m.confidence > 0.5, found
+
+
+@pytest.mark.parametrize(("name", "factor"), [("unit", np.pi / 180), ("sign", None)])
+def test_an_angle_in_an_arm_that_moves(name, factor):
+    """What the arm puts on the link was taken from the angle as it stood: a velocity at 1.00, by a sign."""
+    joint = load_joint("ur3e-shoulder")
+    t = 8e-3 * np.arange(4000)
+    q, elbow = -1.2 + 0.9 * np.sin(0.7 * t), 0.9 * np.sin(1.1 * t)
+    v, a = 0.63 * np.cos(0.7 * t), -0.441 * np.sin(0.7 * t)
+    spec = ArmSpec(model="ur3e.xml", joint="shoulder_lift")
+
+    def logged(position):
+        r = Recording("r", t, {"link_position": position, "motor_current": current}, joint="ur3e-shoulder")
+        return in_arm(r, spec, {"arm_elbow_position": elbow}, Path("r.yaml"), shipped(), None)
+
+    link, load = Arm(spec, shipped()).of(t, q, {"elbow": elbow}, (slice(0, len(t)),))
+    p = joint.record(link)[0]
+    torque = link.gravity_moment * np.sin(q + link.gravity_angle) - load.torque + load.inertia * a
+    rate = p["N"] * v
+    friction = p["Fc"] * np.tanh(rate / p["vs"]) + (p["bw"] + p["bm"]) * rate
+    current = (torque / p["N"] + (p["Jm"] + p["Jw"]) * p["N"] * a + friction) / p["Kt"]
+    assert find_mistakes(measurement(logged(q)), joint) == ()
+    spoilt = measurement(logged(-q if factor is None else q / factor))
+    (found,) = find_mistakes(spoilt, joint)
+    assert (found.name, found.column, found.factor) == (name, "link_position", factor) and found.confidence > 0.9
+    (again,) = mended(spoilt, joint, (found,)).recordings
+    np.testing.assert_allclose(again["link_position"], q, atol=1e-12)
+    np.testing.assert_allclose(again.load.torque, load.torque, atol=1e-9)
 
 
 @pytest.mark.slow
