@@ -240,6 +240,8 @@ def _smooth(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray
     """Angle, velocity and acceleration [rad, rad/s, rad/s²] of samples: cubics fitted over `_WINDOW`, on an even grid."""
     from scipy.signal import savgol_filter
 
+    if len(time) < 2:  # of a sample between gaps nothing but its angle is known
+        return angle, np.zeros_like(angle), np.zeros_like(angle)
     step = float(np.median(np.diff(time)))
     grid = time[0] + step * np.arange(max(round((time[-1] - time[0]) / step), 1) + 1)
     width = min(2 * round(0.5 * _WINDOW / step) + 1, len(grid) - (len(grid) + 1) % 2)

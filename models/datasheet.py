@@ -38,6 +38,7 @@ _SCALES: dict[str, dict[str, float]] = {
 }
 """What datasheets write, by the unit that a description has: how much of it one of each is."""
 _QUANTITY = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(.*)")
+_THOUSANDS = re.compile(r"(?<![\d.,])[1-9]\d{0,2}(?:,\d{3})+(?!\d)")
 _GEAR = re.compile(r"\s*([A-Za-z]+)[-\s]*(\d+)[-\s]+(\d+)(?![\d.])")
 _ENCODER = re.compile(r"\s*(\d+)\s*-?\s*(bits?|counts?)?\s*")
 
@@ -56,6 +57,9 @@ def quantity(text: str, symbol: str, where: str) -> float:
     unit = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][0]
     scales = _SCALES.get(plain(unit), {plain(unit): 1.0})
     known = {_bare(name): scale for name, scale in scales.items()}
+    if (either := _THOUSANDS.search(text)) is not None:
+        one, other = either[0].replace(",", "."), either[0].replace(",", "")
+        raise InputError(f"{where}: expected {one} or {other}, got {text!r}, which may be either")
     found = _QUANTITY.fullmatch(text.replace(",", "."))  # a decimal comma
     if found is None:
         raise InputError(f"{where}: expected a number, with or without unit ({', '.join(scales)}), got {text!r}")

@@ -189,6 +189,8 @@ def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: list[str]) 
             continue
         values = one.values.setdefault(name, [np.nan] * (len(one.times) - 1))
         values.append(_number(message, name.split("/")))
+        if np.isfinite(values[-1]):  # whoever else publishes on the topic may have been the first
+            one.names[name] = None
 
 
 def _time(message: Any, logged: Any) -> int:

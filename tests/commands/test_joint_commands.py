@@ -93,6 +93,10 @@ def test_numbers_are_read_as_datasheets_write_them(flexspline, option, same):
         ({"gear": "CSG-200-100"}, "--gear: size: expected 8 to 65, got 200"),
         ({"rotor_inertia": "181 kg"}, "--rotor-inertia: expected one of the units kg·m^2, kg·cm^2, g·cm^2"),
         ({"rotor_inertia": "heavy"}, "--rotor-inertia: expected a number"),
+        (
+            {"rotor_inertia": "1,240 gcm²"},
+            "--rotor-inertia: expected 1.240 or 1240, got '1,240 gcm²', which may be either",
+        ),
         ({"rotor_inertia": "3.33"}, "numbers.Jm.value: expected 1e-09 to 0.3 kg·m²"),
         (
             {"motor_encoder": "some"},

@@ -311,6 +311,13 @@ def test_parquet_with_stamps_integers_and_single_precision(tmp_path):
     assert again.name == "other" and again["link_position"].tobytes() == r["link_position"].tobytes()
 
 
+def test_nanoseconds_of_today_are_whole_numbers_that_no_float_holds(tmp_path):
+    parquet(tmp_path, t=1_700_000_000_123_456_789 + 2_000_000 * np.arange(400))
+    nanoseconds = columns(time={"column": "t", "unit": "ns"})
+    r = import_recording(layout(tmp_path, **nanoseconds), tmp_path / "log.parquet")
+    np.testing.assert_allclose(r.time - r.time[0], 2e-3 * np.arange(400), rtol=0, atol=3e-7)
+
+
 @pytest.mark.parametrize(
     "changes, words",
     [

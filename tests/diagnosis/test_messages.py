@@ -174,6 +174,18 @@ def test_topics_are_columns(flexspline, tmp_path, kind):
     assert again["joint_torque"].tobytes() == recording["joint_torque"].tobytes()
 
 
+def test_who_else_publishes_may_be_the_first(flexspline, tmp_path, monkeypatch):
+    """Sixty messages of a gripper before the first of the arm: its joints were "missing"."""
+    stamps = [BEGIN - (61 - k) * STEP for k in range(60)]
+    first = [("/joint_states", stamp, joint_state(stamp, {"gripper": 0.02})) for stamp in stamps]
+    logged = list(messages())
+    monkeypatch.setattr(sys.modules[__name__], "messages", lambda: [*first, *logged])
+    code, _, error = flexspline("import", mapping(tmp_path), bag(tmp_path / "log"), "--out", tmp_path / "out")
+    assert code == 0, error
+    (recording,) = read_measurement(tmp_path / "out").recordings
+    np.testing.assert_allclose(recording["motor_position"], motor(np.arange(1, N)), rtol=0, atol=1e-12)
+
+
 def test_samples_in_a_gap_of_another_topic_are_left_out(tmp_path):
     whole = bag(tmp_path / "log")
     with sqlite3.connect(whole / "bag_0.db3") as file:

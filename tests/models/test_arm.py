@@ -213,6 +213,13 @@ def test_a_gap_is_not_a_jump_of_the_arm(folder):
     assert np.abs(np.diff(r.load.torque[:199])).max() < 0.3 and np.abs(np.diff(r.load.torque[201:])).max() < 0.3
 
 
+def test_a_sample_between_gaps_has_no_velocity(folder):
+    """`round` of no number, in every command."""
+    t = np.concatenate([np.arange(200) * 5e-3, [5.0], 10 + np.arange(199) * 5e-3])
+    r = read_recording(write(folder, columns(time=t, arm_elbow_position=0.5 * np.sin(t))))
+    assert len(r.segments) == 3 and np.isfinite(r.load.torque).all()
+
+
 @pytest.mark.parametrize(
     ("sidecar", "change", "words"),
     [
