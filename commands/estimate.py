@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..models.errors import InputError, InputWarning
 from ._listing import AsJson
-from ._measurement import measurement_at
+from ._measurement import parted_measurement
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -50,8 +50,7 @@ def command(
     from ._console import console
 
     give_back_large_arrays()
-    data = measurement_at(measurement)
-    described = data.load_joint(joint)
+    data, described = parted_measurement(measurement, joint)
     for name in filter_ or ():
         registry.get(name)
     if out.resolve() == data.folder.resolve():

@@ -6,7 +6,7 @@ import warnings
 from typing import TYPE_CHECKING
 
 from ._listing import AsJson
-from ._measurement import measurement_at
+from ._measurement import parted_measurement
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -31,8 +31,7 @@ def command(
     from ..models.tables import write_table
     from ._console import console
 
-    data = measurement_at(measurement)
-    described = data.load_joint(joint)
+    data, described = parted_measurement(measurement, joint)
     maker = made_from("validate", measurement)
     names = ["validation.json", *(f"{r.name}.parquet" for r in data.recordings)]
     check_output(out, maker, inputs=data.files, writes=names)

@@ -108,7 +108,8 @@ class Diagnosis:
       undetermined: causes that it could not have shown at ordinary size, with the reason.
       residual: by balance.
       regions: what the extended joint is worth where a fit has not been, the worst first.
-      extended: the joint with calibration and effects in it.
+      extended: the joint with calibration and effects in it; unseen: the same of a fit that has not seen the held-out blocks,
+        None where `extended` is of such a fit.
       mistakes: in the data.
       decisions: about every hypothesis that was looked at.
       problem, search: what was computed; None where mistakes in the data made physics meaningless.
@@ -138,6 +139,7 @@ class Diagnosis:
     final: Fit | None = field(default=None, repr=False)
     whole: Fit | None = field(default=None, repr=False)
     share: float = 1.0
+    unseen: Joint | None = field(default=None, repr=False)
     before: list[np.ndarray] = field(default_factory=list, repr=False)
     after: list[np.ndarray] = field(default_factory=list, repr=False)
     estimation: dict[str, Any] | None = None

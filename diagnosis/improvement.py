@@ -104,7 +104,7 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
         tasks = [
             pool.submit(estimate_recording, recording, known, ESTIMATORS)
             for _, recording in sensed
-            for known in (before, diagnosis.extended)
+            for known in (before, diagnosis.unseen or diagnosis.extended)
         ]
         done = iter([task.result() for task in tasks])
     pairs = [(index, recording, next(done), next(done)) for index, recording in sensed]

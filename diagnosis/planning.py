@@ -654,7 +654,8 @@ def experiments(
             f"Add a known payload, {mass:g} kg at {arm:g} m ({where}), and {motion}",
             usual, loaded, effort=effort[0],
         )  # fmt: skip
-    name, lightest = min(joint.mountings.items(), key=lambda pair: pair[1].gravity_moment)
+    unlocked = {name: m for name, m in joint.mountings.items() if not m.locked} or joint.mountings
+    name, lightest = min(unlocked.items(), key=lambda pair: pair[1].gravity_moment)
     if lightest.gravity_moment < 0.5 * min(m.gravity_moment for m in movable):
         add(
             "light_link",

@@ -33,7 +33,8 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     findings, minor, entangled = findings_of(conclusion, measurement)
     useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
     surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
-    residual = _balances(problem, found.base, conclusion.judged if conclusion.drawn.share == 1.0 else final)
+    unseen = _without_held_out(conclusion)
+    residual = _balances(problem, found.base, unseen)
     link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
     weighed = link is not None and link.after <= ANSWER.far * link.noise
     calibration = parameter_shifts(problem, final)
@@ -63,9 +64,11 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         *_rezeroed(conclusion),
     ]
     if conclusion.drawn.share == 0.0:
-        extended_joint = _tared(conclusion)
+        extended_joint, unseen_joint = _tared(conclusion), None
     else:
         extended_joint = extended(problem, final, joint, conclusion.unknown)
+        same = np.array_equal(unseen.theta, final.theta)
+        unseen_joint = None if same else extended(problem, unseen, joint, conclusion.unknown)
         known = {
             "valid": valid_range(problem, final),
             "uncertainty": stated(problem, final, extended_joint, conclusion.drawn.regions),
@@ -85,6 +88,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         residual=residual,
         regions=conclusion.drawn.regions,
         extended=extended_joint,
+        unseen=unseen_joint,
         minor=tuple(minor),
         decisions=found.decisions,
         problem=problem,
@@ -97,6 +101,17 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         held_out=_held_out(problem),
         complete=found.complete,
     )
+
+
+def _without_held_out(conclusion: Conclusion) -> Fit:
+    """What is written, as a fit has it that has not seen the held-out blocks: with one encoder the one that is written has."""
+    drawn, judged, final = conclusion.drawn, conclusion.judged, conclusion.final
+    if drawn.share == 1.0:
+        return judged
+    if drawn.share == 0.0 or judged is final:
+        return drawn.fit
+    theta = drawn.fit.theta + drawn.share * (judged.theta - final.theta)
+    return replace(drawn.fit, theta=theta, point=evaluate_point(conclusion.problem, theta, judged.model))
 
 
 def _tared(conclusion: Conclusion) -> Joint:

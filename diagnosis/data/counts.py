@@ -92,6 +92,10 @@ def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]
     return tuple(found)
 
 
+_FEWEST_COUNTS = 2
+"""Of an encoder in a turn, as a description has them."""
+
+
 def as_logged(joint: Joint, recordings: Sequence[Recording]) -> Joint:
     """The joint with sensors as coarse as a log's readings are; the same where the description has it right."""
     changed: dict[str, Any] = {}
@@ -100,6 +104,6 @@ def as_logged(joint: Joint, recordings: Sequence[Recording]) -> Joint:
         spec = changed.get(channel.sensor, joint.sensors.of(channel))
         new: dict[str, Any] = {one.what: one.found}
         if isinstance(spec, EncoderSpec) and one.what == "step":
-            new = {"counts": round(2 * np.pi / one.found), "bits": None}
+            new = {"counts": max(round(2 * np.pi / one.found), _FEWEST_COUNTS), "bits": None}
         changed[channel.sensor] = spec.model_copy(update=new)
     return joint.model_copy(update={"sensors": joint.sensors.model_copy(update=changed)}) if changed else joint

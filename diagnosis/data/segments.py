@@ -47,7 +47,7 @@ class SegmentSettings:
     """How recordings become segments.
 
     Attributes:
-      held_out_block, held_out_every: every so-manieth block of so many seconds is kept from the fit.
+      held_out_block, held_out_every: every n-th block of so many seconds is kept from the fit.
       settle_time: at both ends of a segment, in which the smoother and the transmission are still settling [s].
       settle_travel: of the rotor, after which the unknown initial state of the friction is forgotten [rad].
       rest_travel: of the rotor within ±40 ms, below which neither its encoder's counts nor presliding friction average out

@@ -26,7 +26,7 @@ TIMING = np.array([0.5e-3, 1.0e-3])
 """Prior standard deviation [s] of the time by which current and joint torque samples are off what the description states: drives
 filter currents at 150 Hz and more, amplifiers and buses of torque sensors take up to 2 ms."""
 LATEST = 6e-3
-"""Time [s] by which they may be off at most: what is later by more than 5 ms is a mistake in the data (`data.changes`)."""
+"""Time [s] by which they may be off at most: what is later by more than 5 ms is a mistake in the data (`data.lateness`)."""
 CROSSTALK = 0.01
 """Prior standard deviation of the amplitude, over the cosine of the link's angle, of what the link's weight makes a torque sensor
 read across its axis: a share of the gravity moment (data sheets of six-axis sensors: 1 to 2 % of the load)."""

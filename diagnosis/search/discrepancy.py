@@ -76,7 +76,7 @@ class DiscrepancySettings:
       absorbed: part of what a cause was worth below which it is dropped beside the effect, which makes what it made, if no more
         than `same` of the mean square is then left beyond what was: a fit that leaves more has gone elsewhere.
       likely: part of these shares that it must have in the linear model to be fitted through the replay.
-      thin: every so-manieth residual is looked at first.
+      thin: every n-th residual is looked at first.
       refined: candidates that are fitted through the replay; one more where these depend on the same variable.
       alike: difference of their shares below which two places of a variable are the same residual.
       knots: coefficients of a spline by variable.
@@ -398,7 +398,7 @@ class FirstLook:
 
 
 class _Plain:
-    """The linear model about a fit under white noise as loud as its residual, on every so-manieth sample."""
+    """The linear model about a fit under white noise as loud as its residual, on every n-th sample."""
 
     def __init__(self, problem: Problem, at: Fit, thin: int):
         self.problem, self.at, self.thin = problem, at, thin

@@ -265,6 +265,6 @@ def drawn_scenarios(challenge: Challenge, index: int, nominal: Joint) -> list[Sc
     rng = np.random.default_rng([challenge.seed, index, 2])
     if challenge.scenarios:
         return [load_scenario(name)[0] for name in challenge.scenarios]
-    mountings = list(nominal.mountings)
+    mountings = [name for name, mounting in nominal.mountings.items() if not mounting.locked] or [nominal.mounting]
     lightest = min(mountings, key=lambda name: nominal.mountings[name].gravity_moment)
     return motions(rng, lightest, nominal.mounting, nominal.numbers["rated_torque"].value / 16.0)

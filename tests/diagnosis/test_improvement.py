@@ -62,6 +62,15 @@ def test_calibration_gains_where_no_fit_has_been():
     assert shares == sorted(shares, reverse=True)
 
 
+def test_errors_on_what_was_kept_are_of_a_fit_that_has_not_seen_it():
+    """With one encoder the joint that is written is fitted to these blocks, too."""
+    drawn, found = diagnosed()
+    gained = improvement(drawn.measurement, replace(found, unseen=drawn.nominal))
+    assert gained is not None
+    before, after = gained.errors["RAREKF"]
+    assert before == measured().errors["RAREKF"][0] and after == pytest.approx(before, rel=1e-9)
+
+
 def test_what_was_not_written_gains_nothing_anywhere():
     """Of a fit that is taken back altogether the description is left; regions had the whole fit's shift without them."""
     drawn, found = diagnosed()

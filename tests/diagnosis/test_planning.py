@@ -29,6 +29,7 @@ from flexspline.diagnosis.planning import (
 from flexspline.diagnosis.search.identifiability import ALIKE, distance, limits
 from flexspline.diagnosis.search.screen import SETTINGS as SCREEN
 from flexspline.diagnosis.search.screen import Library
+from flexspline.diagnosis.trials.draw import Challenge, drawn_scenarios
 from flexspline.diagnosis.trials.motions import waypoints
 from flexspline.models import causes
 from flexspline.models.joint import LOCKED, Effect, Estimate, Joint, Mounting, load_joint
@@ -93,6 +94,18 @@ def test_a_bolted_link_is_not_asked_to_move(joint, swing):
         found = proposed(replace(swing, recordings=recordings), joint)
         assert all(e.duration < 60 for e in found.values())
         assert all(e.locked or e.mounting.inertia < 10 for e in found.values())
+
+
+def test_a_bench_in_the_description_is_no_load_to_take_off(joint, swing):
+    """Its output is bolted: without weight, and it does not move."""
+    bench = Mounting(inertia=LOCKED, gravity_moment=0.0)
+    loaded = {name: m for name, m in joint.mountings.items() if m.gravity_moment > 0.0}
+    other = joint.model_copy(update={"mountings": {"bench": bench, **loaded}})
+    found = proposed(swing, other)
+    assert "light_link" not in found and all(e.locked or e.mounting.inertia < 10 for e in found.values())
+    for challenge_seed in range(3):
+        motions = drawn_scenarios(Challenge(seed=challenge_seed), 0, other)
+        assert all(not s.mount(other).locked for s in motions)
 
 
 def test_experiments_can_be_carried_out(joint, swing):

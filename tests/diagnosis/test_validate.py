@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import swing
 
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.validate import validate
@@ -174,6 +175,33 @@ def test_command_writes_what_the_specification_says(tmp_path, flexspline):
         assert good.mean() > 0.95
         assert np.all(columns[f"{channel}_low"][good] <= columns[f"{channel}_high"][good])
         np.testing.assert_array_equal(columns[channel], measurement.recordings[0][channel])
+
+
+def test_a_column_in_other_units_is_no_coarser_sensor():
+    """Counts that come in steps of 16 made an encoder of none, and of the mistakes three others."""
+    sound = swing.recording()
+    count = 2 * np.pi / 4096
+    spoilt = replace(
+        sound, columns={**sound.columns, "motor_position": 16 * np.round(sound["motor_position"] / count / 16)}
+    )
+    joint = load_joint("test-joint")
+    (mistake,) = validate(Measurement("m", Path(), (spoilt,)), joint).mistakes
+    assert (mistake.name, mistake.column) == ("unit", "motor_position") and mistake.factor == pytest.approx(count)
+
+
+def test_samples_that_are_missing_under_a_numbered_time_are_a_gap(tmp_path, flexspline):
+    """What `check` and `diagnose` tell, `validate` and `estimate` did not."""
+    sound = swing.recording(rate=1000.0)
+    kept = np.r_[0:6000, 6300 : len(sound.time)]
+    write_recording(replace(sound.at(kept), time=sound.time[: len(kept)]), tmp_path / "data")
+    error = {}
+    for name, where in (("validate", "out"), ("estimate", "torque")):
+        code, _, err = flexspline(name, tmp_path / "data", "--joint", "test-joint", "--out", tmp_path / where)
+        assert code == 0 and "samples are missing" in err, err
+    found = json.loads((tmp_path / "out" / "validation.json").read_text())
+    whole = validate(Measurement("m", Path(), (sound,)), load_joint("test-joint")).residual
+    error = {name: (e["rms"], whole[name].rms) for name, e in found["residual"].items()}
+    assert all(a < 1.2 * b for a, b in error.values()), error
 
 
 def test_output_over_the_measurement_is_refused(tmp_path, flexspline):
