@@ -69,7 +69,7 @@ def diagnose(
     progress("looking for mistakes in the data", 0.0)
     mistakes = find_mistakes(measurement, joint)
     if any(m.severe for m in mistakes):
-        return meaningless(measurement, joint, mistakes, time.monotonic() - begin)
+        return meaningless(joint, mistakes, time.monotonic() - begin)
     joint = as_logged(joint, measurement.recordings)
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
     missing = coverage.undetermined(measurement, joint)

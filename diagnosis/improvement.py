@@ -20,7 +20,7 @@ from ..estimator.offline import Estimates, estimate_recording
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
 from .answer import Diagnosis
-from .data.segments import SETTINGS, Segment
+from .data.segments import Segment, in_held_out_block
 from .extension import calibrated
 from .fit.regions import NormalEquations, region_masks
 
@@ -246,8 +246,7 @@ def _samples(segments: Sequence[Segment], masks: Sequence[np.ndarray], index: in
 
 def held_out(recording: Recording, index: int) -> np.ndarray:
     """Samples in the blocks of time that no fit saw, shape (n,), bool; `index` of the recording in its measurement."""
-    block = np.floor((recording.time - recording.time[0]) / SETTINGS.held_out_block).astype(int)
-    return (block + index) % SETTINGS.held_out_every == SETTINGS.held_out_every - 1
+    return in_held_out_block(recording.time - recording.time[0], index)
 
 
 def with_improvement(diagnosis: Diagnosis, gained: Improvement | None) -> Diagnosis:

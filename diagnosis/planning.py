@@ -250,7 +250,7 @@ def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings 
     thin = tuple(_thin(r) for r in measurement.recordings)
     missing = coverage.undetermined(replace(measurement, recordings=thin), joint)
     state = _State(problem, at, tried)
-    known = state.information(problem, at.noise, at.jacobian, _shown(measurement, joint, tried))
+    known = state.information(problem, at.noise, at.jacobian, _shown(measurement, tried))
     questions = tuple(q for q in (state.question(one, known, missing) for one in asked) if q.now < q.needed)
     if not questions:
         return Plan()
@@ -265,7 +265,7 @@ def plan(measurement: Measurement, diagnosis: Diagnosis, settings: PlanSettings 
             return None
         noise = _expected_noise(new, at, problem)
         together = replace(measurement, recordings=(*thin, _thin(recording)))
-        more = state.information(new, noise, new.jacobian(at.theta, at.model), _shown(together, joint, tried))
+        more = state.information(new, noise, new.jacobian(at.theta, at.model), _shown(together, tried))
         lacking = set(missing) & set(coverage.undetermined(together, joint))
         expected = tuple(
             q.now if lacking.intersection(q.names) else max(q.now, state.strength(q, known + more, known))
@@ -381,7 +381,7 @@ def _representatives(
     return found
 
 
-def _shown(measurement: Measurement, joint: Joint, tried: Sequence[Hypothesis]) -> set[str]:
+def _shown(measurement: Measurement, tried: Sequence[Hypothesis]) -> set[str]:
     """Causes that the channels of a measurement can show."""
     both = any(all(name in r for name in POSITIONS) for r in measurement.recordings)
     return {h.cause.name for h in tried if coverage.can_show(h.cause.name, measurement, both)}

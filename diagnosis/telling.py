@@ -70,7 +70,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         same = np.array_equal(unseen.theta, final.theta)
         unseen_joint = None if same else extended(problem, unseen, joint, conclusion.unknown)
         known = {
-            "valid": valid_range(problem, final),
+            "valid": valid_range(problem),
             "uncertainty": stated(problem, final, extended_joint, conclusion.drawn.regions),
         }
         extended_joint = extended_joint.model_copy(update=known)
@@ -229,7 +229,7 @@ def _rezeroed(conclusion: Conclusion) -> list[str]:
     ]
 
 
-def meaningless(measurement: Measurement, joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
+def meaningless(joint: Joint, mistakes: tuple[Mistake, ...], seconds: float) -> Diagnosis:
     """The answer while mistakes in the data make physics meaningless."""
     named = ", ".join(sorted({m.name for m in mistakes if m.severe}))
     lost = dict.fromkeys(f"{m.column}: {m.unmended}" for m in mistakes if m.lost)

@@ -95,7 +95,7 @@ def growth(problem: Problem, fit: Fit, regions: Sequence[Region]) -> float:
     masks = region_masks(problem)
     slopes = []
     for region in regions:
-        rest = valid_range(problem, fit, [~mask for mask in masks[region.name]])
+        rest = valid_range(problem, [~mask for mask in masks[region.name]])
         if rest is None:
             continue
         far = [

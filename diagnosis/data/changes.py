@@ -501,7 +501,7 @@ class Suspicions:
         """Changes that may mend what is left in a state, each column's once."""
         there = {name for m in state.motions if m is not None for name in m.channels}
         done = {(f.change.name, f.change.column) for f in state.found}
-        for change in (*self._scales(there), *self._exchanges(there, state), *self._fitted(there, state)):
+        for change in (*self._scales(there), *self._exchanges(there), *self._fitted(there, state)):
             if (change.name, change.column) not in done:
                 yield change
 
@@ -567,7 +567,7 @@ class Suspicions:
                 if min(abs(bits - math.log2(times * lines)) for times in (0.25, 1.0, 4.0)) > 0.1:
                     yield counts(float(2**bits), another)
 
-    def _exchanges(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
+    def _exchanges(self, there: set[str]) -> Iterator[ColumnChange]:
         """Positions that are something else: the other side's, a velocity."""
         N = self.joint.numbers["N"].value
         positions = [name for name in POSITIONS if name in there]

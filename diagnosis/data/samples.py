@@ -351,7 +351,7 @@ def _still(time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: fl
             continue
         if not _moves_meanwhile(columns, name, begin, end, N):
             continue
-        at_end = name in POSITIONS and float(x[begin]) in ends and _leaves_softly(x, begin, end)
+        at_end = name in POSITIONS and float(x[begin]) in ends and _leaves_softly(x, end)
         (flat if at_end else stuck).extend(range(begin, end))
     if stuck:
         found.append(SampleMistake("stuck", name, tuple(stuck)))
@@ -399,7 +399,7 @@ def _stops_at_once(x: np.ndarray, begin: int, end: int) -> bool:
     return bool(enters or leaves)
 
 
-def _leaves_softly(x: np.ndarray, begin: int, end: int) -> bool:
+def _leaves_softly(x: np.ndarray, end: int) -> bool:
     """Whether a column moves on from a run of equal values without a jump; not where it never does."""
     steps = np.abs(np.diff(x))
     after = steps[end : end + 5]
@@ -415,7 +415,7 @@ def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarr
     for end, beside in ((-1, slice(-9, -1)), (0, slice(1, 9))):
         mine = x[begins] == values[end]
         longest = int(lengths[mine].max())
-        if mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]), int(begins[mine][0]) + longest):
+        if mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]) + longest):
             continue
         if counts[end] >= SETTINGS.flat and longest >= 3 and counts[end] > SETTINGS.peaked * counts[beside].max():
             found.append(np.flatnonzero(x == values[end]))

@@ -414,13 +414,19 @@ def _other_end(known, is_link, v, a, since, p, out):
         out[i] = laws.motor_reading(motor, p) if is_link else laws.link_reading(link, p)
 
 
+def in_held_out_block(time: np.ndarray, index: int, settings: SegmentSettings = SETTINGS) -> np.ndarray:
+    """Whether times since a recording's start [s], shape (n,), lie in blocks that are kept from the fits; `index`: of the
+    recording in its measurement."""
+    block = np.floor(time / settings.held_out_block).astype(int) + index
+    return block % settings.held_out_every == settings.held_out_every - 1
+
+
 def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, settle: float, settings: SegmentSettings):
     """Which residuals count in a fit, and which are held out, shape (k, len(BALANCES)) each."""
     travel = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(theta_m)))])
     settled = (at > at[0] + settle) & (at < at[-1] - settle)
     begun = settled & (travel > settings.settle_travel)
-    block = np.floor(at / settings.held_out_block).astype(int) + index
-    held_out = block % settings.held_out_every == settings.held_out_every - 1
+    held_out = in_held_out_block(at, index, settings)
     usable = np.empty((len(at), len(BALANCES)), bool)
     usable[:, CURRENT] = begun
     usable[:, TORQUE] = begun

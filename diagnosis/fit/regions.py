@@ -254,8 +254,8 @@ class NormalEquations:
         return self._solve(kept) - self.reference
 
 
-def valid_range(problem: Problem, f: Fit, kept: Sequence[np.ndarray] | None = None) -> ValidRange | None:
-    """Where the data of a fit have been (of `kept`, residuals by segment, shape (k,), alone); None where nothing moved."""
+def valid_range(problem: Problem, kept: Sequence[np.ndarray] | None = None) -> ValidRange | None:
+    """Where the data that count have been (of `kept`, residuals by segment, shape (k,), alone); None where nothing moved."""
     angle, speed, load, drives = [], [], [], []
     for i, s in enumerate(problem.segments):
         use = s.usable.any(axis=1) & (True if kept is None else kept[i])

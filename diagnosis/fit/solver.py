@@ -142,8 +142,6 @@ def corrected_loss(
     whole = weight * huber_loss(r, settings.huber)
     if share is None:
         return float(np.sum(whole))
-    from ..data.segments import BALANCES
-
     lengths = np.repeat([-(-len(s.at) // s.block) for s in problem.segments], len(BALANCES))
     starts = np.concatenate([[0], np.cumsum(lengths)[:-1]])
     total, part = (np.add.reduceat(x, starts) for x in (whole, weight * huber_loss(share, settings.huber)))

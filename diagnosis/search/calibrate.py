@@ -119,7 +119,7 @@ def hand_over(problem: Problem, theta: np.ndarray, model: Model) -> np.ndarray:
     theta = theta.copy()
     c, at = problem.calibration, problem.size
     for h in model:
-        slots = _scaled(problem, h, theta[: c.size])
+        slots = _scaled(problem, h)
         if slots:
             name = h.free[0].name
             x, u = theta[: c.size], theta[at : at + 1]
@@ -142,7 +142,7 @@ def hand_over(problem: Problem, theta: np.ndarray, model: Model) -> np.ndarray:
     return theta
 
 
-def _scaled(problem: Problem, h: Hypothesis, x: np.ndarray) -> list[Slot]:
+def _scaled(problem: Problem, h: Hypothesis) -> list[Slot]:
     """The numbers with tolerances that a cause of one parameter multiplies; none where it does something else."""
     if not h.cause.scales or len(h.free) != 1 or h.free[0].relative:
         return []

@@ -22,7 +22,7 @@ from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Columns, Fit, Fitter, Point, huber_weight, leverage_weight, tamed
+from ..fit.solver import Columns, Fit, Fitter, huber_weight, leverage_weight, tamed
 from .acceptance import alone, made_by, quiet_rms, without_it, worth_of
 from .screen import plain_noise
 from .worth import left_by, mean_squares, noise_of
@@ -658,4 +658,4 @@ def depends_on(variable: str) -> tuple[str, ...]:
     }.get(variable, (variable,))
 
 
-__all__ = ["DiscrepancySettings", "Point", "Spline", "Unknown", "depends_on", "describe", "extend", "find"]
+__all__ = ["DiscrepancySettings", "Spline", "Unknown", "depends_on", "describe", "extend", "find"]

@@ -19,11 +19,10 @@ from ...models.recording import Measurement, Recording
 from ...scenarios.scenario import Scenario
 from ..answer import Diagnosis
 from ..diagnose import diagnose
+from ..improvement import MAIN as ESTIMATORS
 from ..validate import SIGMAS, Channels, validate
 from .draw import Challenge, Draw, draw, drawn_scenarios
 from .motions import jittered, record_motion
-
-ESTIMATORS = ("RAREKF", "current", "payload_smoothed")
 
 
 @dataclass(frozen=True)

@@ -375,8 +375,10 @@ def summary(outcomes: Sequence[Outcome]) -> dict[str, Rate | float]:
         found["both named"] = rate(hidden, lambda o: o.all_named)
     errors = [v for o in hidden for v in (o.deviations or {}).values()]
     if errors:
-        found["parameters within 3 std"] = Rate(sum(s <= 3 for s, _ in errors), len(errors))
-        found["parameters within 3 std and 15 %"] = Rate(sum(s <= 3 and r <= 0.15 for s, r in errors), len(errors))
+        found["parameters within 3 std"] = Rate(sum(s <= PARAMETER_LIMIT for s, _ in errors), len(errors))
+        found["parameters within 3 std and 15 %"] = Rate(
+            sum(s <= PARAMETER_LIMIT and r <= 0.15 for s, r in errors), len(errors)
+        )
         found["median parameter error [std]"] = float(np.median([s for s, _ in errors]))
         found["median parameter error [%]"] = float(100 * np.median([r for _, r in errors]))
     sure = [o.is_there(c) for o in outcomes for c in o.causes if c["confidence"] >= SURE]

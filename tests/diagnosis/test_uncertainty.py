@@ -100,7 +100,7 @@ def known() -> tuple[Draw, Joint]:
     drawn, problem, fit = fitted()
     found = calibrated(problem, fit, drawn.nominal)
     regions = held_out_regions(problem, fit)
-    update = {"valid": valid_range(problem, fit), "uncertainty": stated(problem, fit, found, regions)}
+    update = {"valid": valid_range(problem), "uncertainty": stated(problem, fit, found, regions)}
     return drawn, found.model_copy(update=update)
 
 
