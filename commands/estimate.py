@@ -41,7 +41,7 @@ def command(
     """
     from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
-    from ..estimator.offline import SHORTEST, beyond_range, estimate_recording, score, write_estimates
+    from ..estimator.offline import SHORTEST, beyond_range, estimate_recording, score, useless, write_estimates
     from ..models.files import json_text
     from ..models.joint import beyond_sentence
     from ..models.memory import give_back_free_pages, give_back_large_arrays
@@ -95,6 +95,14 @@ def command(
             terminal.print(f"{path}")
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
+            for what, worse in useless(recording, scores).items():
+                own = worse.pop("")
+                listed = ", ".join(f"{name} {error:.3g}" for name, error in worse.items())
+                terminal.print(
+                    f"{recording.name}: {what.replace('_', ' ')} is {own:.3g} N·m (RMS); errors of more than half of that are "
+                    f"no estimates: the joint, its load or the sampling is not what these estimators take it for: {listed}",
+                    style="yellow",
+                )
             if beyond:
                 terminal.print(f"{recording.name}: {beyond_sentence(beyond)}")
             for name, why in found.left_out.items():

@@ -9,11 +9,12 @@ import typer
 
 from ._listing import AsJson
 from ._measurement import measurement_at
-from ._options import MeasurementPath
+from ._options import MeasurementPath, with_plugins
 
 EXAMPLES = ("flexspline export measurement --out mcap",)
 
 
+@with_plugins
 def command(
     measurement: MeasurementPath,
     out: Annotated[Path, typer.Option(help="folder that the files are written to")],

@@ -366,6 +366,28 @@ def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str,
     }
 
 
+_USELESS = 0.5
+"""Share of a torque's own RMS from which on an estimate's error is not worth having."""
+
+
+def useless(recording: Recording, scores: Mapping[str, Mapping[str, Score]]) -> dict[str, dict[str, float]]:
+    """Of each quantity that was measured its RMS [N·m] and, by name, the estimators whose error is more than half of that.
+
+    Returns:
+      quantity → estimator → RMS error [N·m], with the quantity's own RMS under "".
+    """
+    found = {}
+    for what, by_name in scores.items():
+        truth = recording.columns.get(what)
+        if truth is None:  # known to be zero
+            continue
+        own = float(np.sqrt(np.mean(truth**2)))
+        worse = {name: s.rms for name, s in by_name.items() if s.rms > _USELESS * own}
+        if worse:
+            found[what] = {"": own} | worse
+    return found
+
+
 def _score(error: np.ndarray, moving: np.ndarray) -> Score:
     good = np.isfinite(error)
     if not good.any():

@@ -49,6 +49,8 @@ def unlike_mjcf(joint: Joint) -> Iterator[Fault]:
     """That a joint's MJCF has numbers otherwise than its description, which counts: beyond tolerance of any it had."""
     other = []
     for symbol, got in joint.stated_by_mjcf().items():
+        if symbol not in joint.numbers:  # missing: told of the file itself
+            continue
         n = joint.numbers[symbol]
         shared = joint.shared_tolerances.get(n.shared or "", 0.0)
         left_open = math.hypot(n.tolerance * n.value, n.deviation, shared * n.value)

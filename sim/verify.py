@@ -167,6 +167,8 @@ def loop_width(link: np.ndarray, torque: np.ndarray) -> float:
 def _read(path: Path, columns: tuple[str, ...]) -> dict[str, np.ndarray]:
     if path.exists() and not path.is_file():  # a pipe, which may never end
         raise InputError(f"{path}: cannot read a reference solution: not a file")
+    if not path.exists():
+        raise InputError(f"{path}: expected a reference solution, found no such file")
     try:
         table = pq.read_table(path)
     except (OSError, pa.ArrowException) as error:

@@ -238,6 +238,17 @@ NONSENSE = {
 }
 
 
+@pytest.mark.parametrize("symbol", ["Kt", "Fc", "K1", "bl"])
+def test_a_number_that_alone_is_missing_is_a_line(flexspline, tmp_path, symbol):
+    """A traceback, where the joint's MJCF said it, too."""
+    lines = [line for line in TEXT.splitlines(keepends=True) if not line.startswith(f"  {symbol}: ")]
+    assert len(lines) == len(TEXT.splitlines()) - 1
+    path = tmp_path / "mine.yaml"
+    path.write_text("".join(lines), encoding="utf-8")
+    code, out, err = flexspline("joint", "check", path)
+    assert code == 2 and f"numbers.{symbol}" in out + err and "missing" in out + err
+
+
 def broken(*names: str) -> str:
     text = TEXT
     for name in names or NONSENSE:
