@@ -82,8 +82,8 @@ def test_nothing_is_claimed_of_sound_data():
 
 
 @pytest.mark.parametrize("columns", [("motor_position",), ("link_position",), ("motor_position", "link_position")])
-@pytest.mark.parametrize("name", ["exact/00", "bare/00"])
-@pytest.mark.parametrize("alone", [0, 1, None], ids=["free", "push", "all"])
+@pytest.mark.parametrize("name", ["exact/00", pytest.param("bare/00", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("alone", [0, 1, pytest.param(None, marks=pytest.mark.slow)], ids=["free", "push", "all"])
 def test_counts_beside_a_current_are_those_of_the_described_encoder(shared, name, columns, alone):
     """Of half as many a turn the motion is twice as large and rests less: of that alone it was told, and sure; of both encoders a
     gear ratio of 256 to 1."""
