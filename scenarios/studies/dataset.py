@@ -191,7 +191,8 @@ def read_note(note: Path) -> dict[str, Any]:
     """
     before = read_json(note, "the note of a sweep", _LARGEST_NOTE)
     kinds = {"digest": str, "versions": dict, "seeds": list, "study": dict}
-    if not isinstance(before, dict) or not all(isinstance(before.get(key), kind) for key, kind in kinds.items()):
+    of_its_kind = isinstance(before, dict) and all(isinstance(before.get(key), kind) for key, kind in kinds.items())
+    if not of_its_kind or not isinstance(before["study"].get("name"), str):
         raise InputError(f"{note}: expected the note of a sweep, got something else")
     check_format(before, note)
     return before

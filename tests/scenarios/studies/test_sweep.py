@@ -124,6 +124,7 @@ def test_a_file_that_cannot_be_read_now_is_not_taken_away(tmp_path, monkeypatch,
         "", "[]", "[" * 100_000, '{"a":' * 100_000, "1" * 5000,
         *(json.dumps({"digest": "", "versions": {}, "seeds": [], "study": {}} | odd) for odd in (
             {"versions": None}, {"versions": ["numpy"]}, {"seeds": 3}, {"seeds": None}, {"study": "x"}, {"digest": 1},
+            {"study": {"description": "x"}}, {"study": {"name": 3}},
         )),
     ],
 )  # fmt: skip
