@@ -95,8 +95,7 @@ def command(
             terminal.print(f"{path}")
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
-            for what, worse in useless(recording, scores).items():
-                own = worse.pop("")
+            for what, (own, worse) in useless(recording, scores).items():
                 listed = ", ".join(f"{name} {error:.3g}" for name, error in worse.items())
                 terminal.print(
                     f"{recording.name}: {what.replace('_', ' ')} is {own:.3g} N·m (RMS); errors of more than half of that are "

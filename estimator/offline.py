@@ -370,11 +370,13 @@ _USELESS = 0.5
 """Share of a torque's own RMS from which on an estimate's error is not worth having."""
 
 
-def useless(recording: Recording, scores: Mapping[str, Mapping[str, Score]]) -> dict[str, dict[str, float]]:
-    """Of each quantity that was measured its RMS [N·m] and, by name, the estimators whose error is more than half of that.
+def useless(
+    recording: Recording, scores: Mapping[str, Mapping[str, Score]]
+) -> dict[str, tuple[float, dict[str, float]]]:
+    """Of each quantity that was measured, where there are any, the estimators whose error is more than half of it.
 
     Returns:
-      quantity → estimator → RMS error [N·m], with the quantity's own RMS under "".
+      quantity → its own RMS, and RMS error by estimator [N·m].
     """
     found = {}
     for what, by_name in scores.items():
@@ -384,7 +386,7 @@ def useless(recording: Recording, scores: Mapping[str, Mapping[str, Score]]) -> 
         own = float(np.sqrt(np.mean(truth**2)))
         worse = {name: s.rms for name, s in by_name.items() if s.rms > _USELESS * own}
         if worse:
-            found[what] = {"": own} | worse
+            found[what] = own, worse
     return found
 
 
