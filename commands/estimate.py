@@ -83,11 +83,13 @@ def command(
                     f"{recording.name}: {column}: {what}: nothing is scored against it", InputWarning, stacklevel=2
                 )
             scores = {k: v for k, v in score(recording, found, described).items() if k not in wrong}
+            poor = useless(recording, scores)
             report[recording.name] = {
                 "joint": described.name,
                 "notes": found.notes,
                 "left_out": found.left_out,
                 "beyond": beyond,
+                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()},
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
             if as_json:
@@ -95,7 +97,7 @@ def command(
             terminal.print(f"{path}")
             if scores:
                 terminal.print(_table(recording.name, recording.external, scores))
-            for what, (own, worse) in useless(recording, scores).items():
+            for what, (own, worse) in poor.items():
                 listed = ", ".join(f"{name} {error:.3g}" for name, error in worse.items())
                 terminal.print(
                     f"{recording.name}: {what.replace('_', ' ')} is {own:.3g} N·m (RMS); errors of more than half of that are "
@@ -104,8 +106,9 @@ def command(
                 )
             if beyond:
                 terminal.print(f"{recording.name}: {beyond_sentence(beyond)}")
-            for name, why in found.left_out.items():
-                terminal.print(f"{recording.name}: {name}: {why}")
+            for why in dict.fromkeys(found.left_out.values()):
+                names = ", ".join(name for name, other in found.left_out.items() if other == why)
+                terminal.print(f"{recording.name}: {names}: {why}")
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
     if as_json:

@@ -83,8 +83,16 @@ def _show(terminal: Console, found: Validation) -> None:
         cells = [f"{r.rms[name]:.4g}" if name in r.rms else "–" for name in found.residual]
         star = r.beyond > 0.5
         starred |= star
-        table.add_row(r.by + (" *" if star else ""), f"{r.low:.3g}", f"{r.high:.3g}", r.unit, *cells)
+        by, ends = r.by, (f"{r.low:.3g}", f"{r.high:.3g}")
+        if by == "direction":
+            by, ends = "backward" if r.high <= 0 else "forward", ("", "")
+        table.add_row(by + (" *" if star else ""), *ends, r.unit, *cells)
     terminal.print(table)
+    if found.untared:
+        terminal.print(
+            "link encoder: the description leaves its zero open, and most of the error of link position may be that: "
+            "torsion, and with it joint torque and current, is off by it. `flexspline diagnose` tares it in the joint it writes."
+        )
     sentence = beyond_sentence(found.beyond)
     if sentence:
         terminal.print(sentence + (" (*: most of the region)" if starred else ""))

@@ -163,6 +163,8 @@ class Validation:
       beyond: shares of the samples in motion beyond the joint's range of validity, by variable; empty where there are none.
       mistakes: in the data.
       recordings: measured and simulated channels.
+      untared: whether most of the link position's error is a mean that a link encoder's zero may be, which the description leaves
+        open. The joint torque's mean is then of it, too, as torsion is read from both encoders.
     """
 
     joint: str
@@ -171,6 +173,7 @@ class Validation:
     beyond: dict[str, float]
     mistakes: tuple[Mistake, ...] = ()
     recordings: tuple[Channels, ...] = field(default=(), repr=False)
+    untared: bool = False
 
     def _repr_html_(self) -> str:
         rows = [(name, e.rms, e.noise, e.unit, f"{100 * e.inside:.1f} %") for name, e in self.residual.items()]
@@ -190,6 +193,7 @@ class Validation:
             "regions": [region.to_json() for region in self.regions],
             "beyond": self.beyond,
             "mistakes": [m.to_json() for m in self.mistakes],
+            "untared": self.untared,
             "recordings": [r.name for r in self.recordings],
         }
 
@@ -216,13 +220,15 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
         raise InputError(
             f"{measurement.path}: expected half a second without gaps, with a channel to simulate, got none"
         )
+    residual = _residual(recordings)
     return Validation(
         joint=joint.name,
-        residual=_residual(recordings),
+        residual=residual,
         regions=tuple(_regions(recordings, joint.valid)),
         beyond=_beyond(recordings, joint.valid),
         mistakes=mistakes,
         recordings=recordings,
+        untared=_untared(residual.get("link_position"), joint),
     )
 
 
@@ -292,6 +298,15 @@ def _loose(joint: Joint) -> bool:
     zero = joint.sensors.link_encoder.zero
     known = 0.0 if zero is None else zero.deviation if zero.std is None else zero.std
     return joint.numbers["K1"].value * known > _LOOSE * joint.numbers["rated_torque"].value
+
+
+def _untared(error: ChannelError | None, joint: Joint) -> bool:
+    """Whether most of the link position's error is a mean within what is not known of the link encoder's zero."""
+    if error is None or not _loose(joint):
+        return False
+    zero = joint.sensors.link_encoder.zero
+    open_ = 0.0 if zero is None else SIGMAS * (zero.deviation if zero.std is None else zero.std)
+    return error.noise < abs(error.mean) <= open_ and error.mean**2 > error.rms**2 / 2
 
 
 def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint, noise: float) -> np.ndarray | float:

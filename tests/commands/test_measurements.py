@@ -164,6 +164,28 @@ def test_nothing_is_scored_against_a_sensor_that_is_known_to_be_wrong(flexspline
     assert code == 0 and "stuck" in out and "left out" in out
 
 
+def test_estimates_that_are_none_are_said_to_be(flexspline, sweep, tmp_path):
+    """A sensor that reads a fifth: every estimate is four fifths of the torque off."""
+    torque = fs.estimate(sweep)["model"].to_numpy()
+    measured = np.nan_to_num(torque)
+    for name, factor, expected in (("fifth", 0.2, ["model"]), ("right", 1.0, None)):
+        columns = sweep.columns | {"joint_torque": factor * measured}
+        path = write_recording(replace(sweep, columns=columns), tmp_path / name)
+        code, out, _ = flexspline("estimate", path, "--filter", "model", "--out", tmp_path / f"{name}_e")
+        assert code == 0 and ("errors of more than half of that are no estimates" in out) == (expected is not None)
+        report = json.loads((tmp_path / f"{name}_e" / "metrics.json").read_text())[sweep.name]
+        assert report["no_estimates"].get("joint_torque") == expected
+
+
+def test_a_reason_is_told_once_for_all_that_it_leaves_out(flexspline, sweep, tmp_path):
+    path = write_recording(sweep.without("link_position"), tmp_path / "m")
+    code, out, _ = flexspline("estimate", path, "--out", tmp_path / "e")
+    left_out = json.loads((tmp_path / "e" / "metrics.json").read_text())[sweep.name]["left_out"]
+    assert code == 0 and len(left_out) > len(set(left_out.values()))
+    for why in set(left_out.values()):
+        assert " ".join(out.split()).count(" ".join(why.split())) == 1, why
+
+
 def test_time_in_milliseconds_is_not_called_too_short(flexspline, sweep, tmp_path):
     write_recording(replace(sweep, time=1000 * sweep.time), tmp_path / "ms")
     code, _, err = flexspline("estimate", tmp_path / "ms", "--out", tmp_path / "out")

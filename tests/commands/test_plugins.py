@@ -212,6 +212,15 @@ def test_trials_hide_an_own_cause(flexspline, files, tmp_path):
     assert "soft_bearing" in text
 
 
+def test_export_takes_a_plugin_as_all_that_read_measurements_do(flexspline, tmp_path):
+    pytest.importorskip("mcap_ros2")
+    recording = fs.simulate("no_load", filters=["model"], duration=2).as_recording()
+    path = write_recording(recording, tmp_path / "m")
+    code, out, err = flexspline("export", path, "--out", tmp_path / "e", "--plugin", FILTER)
+    assert code == 0 and f"{recording.name}.mcap" in out, err
+    assert plugins.files() == ()
+
+
 def test_a_dataset_knows_the_plugins_it_was_made_with(flexspline, tmp_path):
     own = tmp_path / "own.py"
     own.write_text(FILTER.read_text(encoding="utf-8"), encoding="utf-8")

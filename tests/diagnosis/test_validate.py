@@ -177,6 +177,23 @@ def test_command_writes_what_the_specification_says(tmp_path, flexspline):
         np.testing.assert_array_equal(columns[channel], measurement.recordings[0][channel])
 
 
+def test_an_untared_zero_is_said_where_it_is_most_of_the_error(tmp_path, flexspline):
+    """0.6 mrad of a link encoder whose zero is known to 1 mrad; one that is known to 1 µrad is wrong instead."""
+    _, measurement = sweep()
+    (r,) = measurement.recordings
+    shifted = replace(r, columns=dict(r.columns) | {"link_position": r["link_position"] + 6e-4})
+    data = load_joint("test-joint").model_dump()
+    for size, std, expected in ((shifted, 1e-3, True), (r, 1e-3, False), (shifted, 1e-6, False)):
+        data["sensors"]["link_encoder"]["zero"] = {"value": 0.0, "std": std, "unit": "rad", "source": "a test"}
+        described = type(load_joint("test-joint")).model_validate(data)
+        found = validate(replace(measurement, recordings=(size,)), described)
+        assert found.untared == found.to_json()["untared"] == expected
+    write_recording(shifted, tmp_path / "data")
+    code, out, _ = flexspline("validate", tmp_path / "data", "--joint", "test-joint", "--out", tmp_path / "out")
+    said = " ".join(out.split())
+    assert code == 0 and "the description leaves its zero open" in said, said
+
+
 def test_a_column_in_other_units_is_no_coarser_sensor():
     """Counts that come in steps of 16 made an encoder of none, and of the mistakes three others."""
     sound = swing.recording()
