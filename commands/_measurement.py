@@ -24,11 +24,16 @@ def parted_measurement(path: str | Path, option: str | None) -> tuple[Measuremen
 
 
 def measurement_at(path: str | Path) -> Measurement:
-    """Read a measurement (`models.recording.read_measurement`); tables in its folder that are no part of it are told."""
+    """Read a measurement (`models.recording.read_measurement`); tables in its folder that are no part of it are told,
+    but not those that a command wrote beside it: a run folder holds signals and estimates."""
+    from ..models.output import manifest
     from ..models.recording import read_measurement
 
     found = read_measurement(path)
+    ours = manifest(found.folder) if found.passed_over else {}
     for table in found.passed_over:
+        if table.name in ours:
+            continue
         beside = table.with_suffix(".yaml").name
         print(f"flexspline: {table}: not read, as no {beside} lies beside it", file=sys.stderr)
     return found

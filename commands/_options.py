@@ -14,9 +14,7 @@ from ..models.errors import InputError
 
 _SET_HELP = (
     "Override `KEY=VALUE` in the scenario, SI units; dotted keys reach inside. Examples: `duration=20` [s], "
-    "`controller.kp=6` [A/rad], `filters.2.k=0.1` [1/(N·m)²], `plant.K1=9000` [N·m/rad], "
-    "`sensors.joint_torque.noise=0.05` [N·m], `trajectory.1.position=1.0` [rad], `disturbances.0.torque=4` [N·m], "
-    "`filters.3=dynamics_ekf`, `temperature=40` [°C], `feedback=none`. Repeatable."
+    "`controller.kp=6` [A/rad], `filters.2.k=0.1`, `plant.K1=9000`, `temperature=40` [°C]. Repeatable."
 )
 
 

@@ -13,6 +13,7 @@ from ._options import Changes, Out, Scenarios, Seed, with_plugins
 EXAMPLES = (
     "flexspline run external_push",
     "flexspline run link_sweep --set joint=my_joint.yaml --set controller.kp=6 --seed 3 --out runs",
+    "flexspline run external_push --set disturbances.0.torque=4 --set sensors.joint_torque.noise=0.05 --set feedback=none",
     "flexspline run my_scenario.yaml --no-figures --json",
     "flexspline run two_joints --set arm.1.joint=my_joint.yaml",
 )

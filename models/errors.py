@@ -9,6 +9,9 @@ from pathlib import Path
 LARGEST_TEXT = 10_000_000
 """Bytes of a text file that a person wrote; the largest that we write is a tenth of that."""
 
+_FEW = 40
+"""So many keys fit into a message."""
+
 
 class InputError(ValueError):
     """Input that cannot be used: a file, a field, a command-line value.
@@ -40,6 +43,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
     """Return `; did you mean 'x'?` for the closest of `known`, or an empty string."""
     close = difflib.get_close_matches(name, list(known), n=1, cutoff=0.6)
     return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def unknown_key(name: str, known: Iterable[str]) -> str:
+    """Return `unknown key` with the closest of `known`; where none is close and they are few, with all of them."""
+    names = list(dict.fromkeys(known))
+    few = f"; expected one of {names}" if 0 < len(names) <= _FEW else ""
+    return f"unknown key{nearest(name, names) or few}"
 
 
 def is_there(path: Path) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 import math
 import re
@@ -15,7 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, ValidationError
 from pydantic_core import PydanticCustomError, core_schema
 
-from .errors import LARGEST_TEXT, InputError, first_line, is_there, nearest, read_text
+from .errors import LARGEST_TEXT, InputError, first_line, is_there, nearest, read_text, unknown_key
 from .output import described, write_whole
 from .schema import documented
 
@@ -234,12 +233,8 @@ def check_format(data: Any, path: Path, known: int = 1) -> None:
         raise InputError(f"{path}: format: expected {known}, got {shown(found)}: written by another version")
 
 
-_FEW = 12
-"""So many keys fit into a message."""
 _WORD = re.compile(r"[\w .·²/+-]{1,60}")
 """What a key may look like; what does not is not shown."""
-_CLOSE = 0.55
-"""How like two keys are of which one was meant: `from` is not `zero`."""
 
 
 def parse(data: Any, model: type[M], where: str) -> M:
@@ -315,11 +310,7 @@ def _described(one: Any, model: type[BaseModel], alternatives: list[Any]) -> str
         return f"{_field({**one, 'loc': one['loc'][:-1]})}: expected {' or '.join(wanted)}, got {came}"
     field = _field(one)
     if kind == "extra_forbidden":
-        known = _siblings(model, one["loc"][:-1])
-        name = str(one["loc"][-1])
-        close = nearest(name, known) if difflib.get_close_matches(name, known, n=1, cutoff=_CLOSE) else ""
-        few = f"; expected one of {known}" if 0 < len(known) <= _FEW else ""
-        return f"{field}: unknown key{close or few}"
+        return f"{field}: {unknown_key(str(one['loc'][-1]), _siblings(model, one['loc'][:-1]))}"
     if kind == "missing":
         return f"{field}: missing"
     if kind.startswith("union_tag"):  # which of several kinds of mapping it is

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
 
 from . import causes, units
-from .errors import InputError, InputWarning, is_there, nearest
+from .errors import InputError, InputWarning, is_there, nearest, unknown_key
 from .faults import contradictions, unlike_mjcf
 from .files import Line, Strict, load, write_into_place, yaml_text
 from .mjcf import mjcf_files, stated_numbers
@@ -257,7 +257,7 @@ class Sensors(Strict):
         known = [*type(self).model_fields, *(c.sensor for c in CHANNELS.values() if c.sensor)]
         for name in self.__pydantic_extra__:
             if name not in known:
-                raise ValueError(f"{name}: unknown key{nearest(name, known)}")
+                raise ValueError(f"{name}: {unknown_key(name, known)}")
         return self
 
     def of(self, channel: Channel) -> EncoderSpec | AnalogSpec | WrenchSpec:
@@ -299,7 +299,7 @@ class Effect(Strict):
         expected = {p.name: p for p in causes.get(self.name).parameters}
         for name in self.parameters:
             if name not in expected:
-                raise ValueError(f"parameters.{name}: unknown key{nearest(name, expected)}")
+                raise ValueError(f"parameters.{name}: {unknown_key(name, expected)}")
         for name, parameter in expected.items():
             if name not in self.parameters:
                 raise ValueError(f"parameters.{name}: missing")
@@ -691,7 +691,7 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
     """What is wrong with a description's numbers, a line each: field, expected, got."""
     for symbol in numbers:
         if symbol not in SYMBOLS and symbol not in OPTIONAL_SYMBOLS:
-            yield f"numbers.{symbol}: unknown key{nearest(symbol, SYMBOLS)}"
+            yield f"numbers.{symbol}: {unknown_key(symbol, SYMBOLS)}"
     for symbol, (unit, _) in (SYMBOLS | OPTIONAL_SYMBOLS).items():
         number = numbers.get(symbol)
         if number is None:

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_serializer, model_valid
 from ..estimator import registry
 from ..estimator.estimator import Estimator
 from ..estimator.tuning_parameters import value_of, with_values
-from ..models.errors import InputError, nearest
+from ..models.errors import InputError, nearest, unknown_key
 from ..models.schema import documented
 
 PAPER = ("EKF", "AREKF", "RAREKF", "REKF")
@@ -167,7 +167,7 @@ def _checked(default: Estimator, key: str, value: Any) -> Parameter:
     """A value for a field, as its type; `ValueError` where there is no such field or it is of another kind."""
     known = parameters_of(default)
     if key not in known:
-        raise ValueError(f"{key}: unknown key{nearest(key, known)}")
+        raise ValueError(f"{key}: {unknown_key(key, known)}")
     if isinstance(value_of(default, key), str):
         if not isinstance(value, str):
             raise ValueError(f"{key}: expected text, got {value!r}")

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_serializer, model_validator
 
 from ..estimator.estimator import Estimator
-from ..models.errors import InputError, nearest
+from ..models.errors import InputError, nearest, unknown_key
 from ..models.files import M, Strict, find, kind_of, parse, read_yaml, yaml_value
 from ..models.joint import SYMBOLS, Joint, Mounting, Sensors, load_joint
 from ..models.parameters import REFERENCE_TEMPERATURE
@@ -225,7 +225,7 @@ class Scenario(Strict):
             check_channels("record", self.record)
         for symbol in self.plant:
             if symbol not in SYMBOLS:
-                raise ValueError(f"plant.{symbol}: unknown key{nearest(symbol, SYMBOLS)}")
+                raise ValueError(f"plant.{symbol}: {unknown_key(symbol, SYMBOLS)}")
         if self.transient > self.duration - 1.999 * CONTROL_PERIOD:
             raise ValueError(
                 f"transient: expected less than the duration {self.duration:g} s by two control periods of {CONTROL_PERIOD:g} s, "

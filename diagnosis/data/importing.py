@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, model_validator
 
 from ...models.arm import ArmSpec, joint_of
-from ...models.errors import InputError, nearest
+from ...models.errors import InputError, nearest, unknown_key
 from ...models.files import Strict, load
 from ...models.joint import Mounting, load_joint
 from ...models.parameters import GRAVITY
@@ -247,7 +247,7 @@ class Layout(Strict):
             raise ValueError(f"expected one of link, mounting and arm, got {' and '.join(loads) or 'none'}")
         for name in self.columns:
             if name not in CHANNELS and (joint_of(name) is None or self.arm is None):
-                raise ValueError(f"columns.{name}: unknown key{nearest(name, CHANNELS)}")
+                raise ValueError(f"columns.{name}: {unknown_key(name, CHANNELS)}")
         if "time" not in self.columns:
             raise ValueError("columns.time: missing")
         if self.columns["time"].integrate:

@@ -63,6 +63,15 @@ def test_tables_that_no_yaml_file_describes_are_told(flexspline, measurement):
     assert "swept.csv" in one_line(err) and "swept.yaml" in err
 
 
+def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(flexspline, tmp_path):
+    words = ("--set", "duration=2", "--set", "filters=[model]", "--no-figures", "--no-recording")
+    assert flexspline("run", "no_load", *words, "--out", tmp_path)[0] == 0
+    folder = tmp_path / "no_load"
+    assert len(list(folder.glob("*.parquet"))) > 1
+    code, _, err = flexspline("check", folder)
+    assert (code, err) == (0, "")
+
+
 def test_check_says_where_it_does_not_look_for_mistakes(flexspline, sweep, tmp_path):
     columns = sweep.columns | {"link_position": np.zeros(len(sweep.time))}
     bench = Mounting(inertia=LOCKED, gravity_moment=0.0)
