@@ -14,7 +14,7 @@ from ..models.errors import InputError
 
 _SET_HELP = (
     "Override `KEY=VALUE` in the scenario, SI units; dotted keys reach inside. Examples: `duration=20` [s], "
-    "`controller.kp=6` [A/rad], `filters.2.k=0.1`, `plant.K1=9000`, `temperature=40` [°C]. Repeatable."
+    "`controller.kp=6` [A/rad], `filters.2.k=0.1`, `plant.K1=9000` [N·m/rad], `temperature=40` [°C]. Repeatable."
 )
 
 

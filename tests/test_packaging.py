@@ -42,6 +42,7 @@ def test_a_wheel_holds_every_file_once(installed):
 
 
 @pytest.mark.slow
+@pytest.mark.long  # as does `make wheel`
 def test_a_wheel_runs(installed, tmp_path):
     environment = os.environ | {"PYTHONPATH": str(installed)}
     program = "import flexspline as fs; print(fs.__file__); print(*fs.joints().index, len(fs.estimators()))"

@@ -45,7 +45,7 @@ def fresh(tmp_path_factory) -> Path:
     return folder
 
 
-OFTEN = ("run, all estimators", "estimate")
+OFTEN = ("estimate",)
 
 
 @pytest.mark.slow

@@ -184,7 +184,8 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
 
 
 PUSHED = pytest.param(True, marks=[pytest.mark.slow, pytest.mark.long])
-SOME = [case if i % 2 else pytest.param(case, marks=pytest.mark.slow) for i, case in enumerate(CASES)]
+LATER = ([pytest.mark.slow, pytest.mark.long], [], [pytest.mark.slow, pytest.mark.long], [pytest.mark.slow])
+SOME = [pytest.param(case, marks=LATER[i % len(LATER)]) for i, case in enumerate(CASES)]
 
 
 @pytest.mark.parametrize("push", [False, PUSHED], ids=["sweep", "push"])
@@ -193,7 +194,7 @@ def test_told_of_an_effect(case, push):
     check(case, push, CHEAP)
 
 
-FEW = [pytest.param(case, marks=pytest.mark.long) if i % 3 else case for i, case in enumerate(CASES)]
+FEW = [pytest.param(case, marks=pytest.mark.long) if i % 6 else case for i, case in enumerate(CASES)]
 
 
 @pytest.mark.slow

@@ -167,6 +167,7 @@ print(s.truth.tobytes()[:64].hex())
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_two_threads_make_the_first_plant_and_a_second_process_compiles_nothing(tmp_path):
     """In a fresh copy of the package: both threads get a plant; the second process reads what the first compiled."""
     package = tmp_path / "package" / "flexspline"
