@@ -205,6 +205,7 @@ def test_figures_are_drawn_in_processes_that_know_it(flexspline, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_trials_hide_an_own_cause(flexspline, files, tmp_path):
     words = ["--draws", 1, "--cause", "soft_bearing", "--jobs", 2, "--exact", "--plugin", files[1]]
     code, text, error = flexspline("challenge", *words, "--out", tmp_path / "draws.json")

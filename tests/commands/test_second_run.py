@@ -45,7 +45,7 @@ def fresh(tmp_path_factory) -> Path:
     return folder
 
 
-OFTEN = ("estimate",)
+OFTEN = ("run",)
 
 
 @pytest.mark.slow
