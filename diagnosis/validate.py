@@ -295,18 +295,20 @@ def _width(parts: Sequence[_Part], name: str) -> float:
 
 def _loose(joint: Joint) -> bool:
     """Whether the zeros of the encoders are so little known against each other that torsion may say nothing of the torque."""
+    return joint.numbers["K1"].value * _zero_std(joint) > _LOOSE * joint.numbers["rated_torque"].value
+
+
+def _zero_std(joint: Joint) -> float:
+    """Standard deviation of the link encoder's zero [rad]; 0 where the description has none."""
     zero = joint.sensors.link_encoder.zero
-    known = 0.0 if zero is None else zero.deviation if zero.std is None else zero.std
-    return joint.numbers["K1"].value * known > _LOOSE * joint.numbers["rated_torque"].value
+    return 0.0 if zero is None else zero.deviation if zero.std is None else zero.std
 
 
 def _untared(error: ChannelError | None, joint: Joint) -> bool:
     """Whether most of the link position's error is a mean within what is not known of the link encoder's zero."""
     if error is None or not _loose(joint):
         return False
-    zero = joint.sensors.link_encoder.zero
-    open_ = 0.0 if zero is None else SIGMAS * (zero.deviation if zero.std is None else zero.std)
-    return error.noise < abs(error.mean) <= open_ and error.mean**2 > error.rms**2 / 2
+    return error.noise < abs(error.mean) <= SIGMAS * _zero_std(joint) and error.mean**2 > error.rms**2 / 2
 
 
 def _fast(recording: Recording, name: str, parts: Sequence[_Part], joint: Joint, noise: float) -> np.ndarray | float:
