@@ -359,10 +359,7 @@ def in_arm(
     try:
         arm = Arm(spec, folder)
         positions = {str(joint_of(name)): values for name, values in angles.items()}
-        if "link_position" in recording:
-            position = recording["link_position"]
-        else:
-            position = recording["motor_position"] / load_joint(recording.joint, home).numbers["N"].value
+        position = _own_angle(recording, lambda: load_joint(recording.joint, home).numbers["N"].value)
         link, load = arm.of(recording.time, position, positions, recording.segments)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
@@ -382,11 +379,17 @@ def carried_anew(recording: Recording, gear_ratio: float) -> Recording:
 
     if recording.arm is None:
         return recording
-    known = "link_position" in recording
-    position = recording["link_position"] if known else recording["motor_position"] / gear_ratio
+    position = _own_angle(recording, lambda: gear_ratio)
     arm = Arm.of_text(recording.arm.spec, recording.arm.mjcf)
     link, load = arm.of(recording.time, position, recording.arm.positions, recording.segments)
     return replace(recording, link=link, load=load)
+
+
+def _own_angle(recording: Recording, gear_ratio: Callable[[], float]) -> np.ndarray:
+    """Where the joint stands in its arm, shape (n,) [rad]: the angle of the link's encoder, else the motor's over the ratio."""
+    if "link_position" in recording:
+        return recording["link_position"]
+    return recording["motor_position"] / gear_ratio()
 
 
 def write_recording(recording: Recording, folder: str | Path) -> Path:

@@ -100,9 +100,9 @@ def flexspline(capfd, monkeypatch):
     """Return a function: arguments → exit code, stdout, stderr; in this process, which has the compiled code already."""
     from flexspline import commands
 
-    def call(*arguments: object) -> tuple[int, str, str]:
+    def call(*arguments: object, columns: int = 200) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["flexspline", *map(str, arguments)])
-        monkeypatch.setenv("COLUMNS", "200")
+        monkeypatch.setenv("COLUMNS", str(columns))
         code = 0
         capfd.readouterr()
         try:

@@ -29,6 +29,17 @@ def test_every_command_has_examples_in_its_help(flexspline, folder, name):
         assert example in text
 
 
+@pytest.mark.parametrize(("folder", "name"), ALL, ids=[" ".join(one).strip() for one in ALL])
+def test_no_help_is_cut_in_a_narrow_terminal(flexspline, folder, name):
+    """Every word of what is said of every option, 80 columns wide."""
+    words = [word for word in (folder, name) if word]
+    code, out, _ = flexspline(*words, "-h", columns=80)
+    assert code == 0 and max(map(len, out.splitlines())) <= 80
+    shown = set(out.split())
+    for option in commands._load(name, folder).params:
+        assert not [word for word in (option.help or "").replace("`", "").split() if word not in shown], option.name
+
+
 WITHOUT_JSON = {"schema": "prints JSON Schema, which is JSON already"}
 
 
