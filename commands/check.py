@@ -119,7 +119,8 @@ def command(
     if any("motor_current" in r and "motor_torque" in r for r in data.recordings):
         terminal.print("motor_current and motor_torque are both there: the current is read, the torque is not")
     for balance in found:
-        terminal.print(f"held against each other: {balance.description}")
+        some = "" if len(balance.recordings) == len(data.recordings) else f" ({', '.join(balance.recordings)})"
+        terminal.print(Text(f"held against each other: {balance.description}{some}"))
     if not any("link_position" in r and "motor_position" in r for r in data.recordings):
         terminal.print(
             "one encoder: torsion cannot be seen, the other side's motion follows from the joint's description"

@@ -145,22 +145,24 @@ def balances(measurement: Measurement) -> tuple[Balance, ...]:
 
 
 def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
-    """Name and description of the balances of one recording."""
+    """Name and description of the balances of one recording; as of `segments`, none of the link where something acts on it that
+    is not known."""
     drive = next((name for name in _DRIVE if name in recording), None)
     said = None if drive is None else drive.replace("_", " ")
     sensor = "joint_torque" in recording
+    alone = recording.external != "unmeasured" and recording.load is None
     if all(name in recording for name in POSITIONS):
         if said is not None:
             yield "motor_current", f"{said} against rotor, friction and what the torsion transmits"
         if sensor:
             yield "joint_torque", "joint torque against the torsion between both encoders"
-            yield "link_balance", "joint torque against the link's inertia and gravity"
-        else:
-            yield "link_balance", "torsion between both encoders against the link's inertia and gravity"
+        if alone:
+            held = "joint torque" if sensor else "torsion between both encoders"
+            yield "link_balance", f"{held} against the link's inertia and gravity"
     else:
         if said is not None:
             yield "motor_current", f"{said} against rotor, friction and link together"
-        if sensor:
+        if sensor and (alone or "link_position" not in recording):
             name = "link_balance" if "link_position" in recording else "joint_torque"
             yield name, "joint torque against the link's inertia and gravity"
 

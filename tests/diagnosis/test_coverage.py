@@ -11,6 +11,7 @@ from swing import recording
 
 from flexspline.diagnosis.data.coverage import balances, can_show, missing_columns, summarise, too_little, undetermined
 from flexspline.models import causes
+from flexspline.models.arm import Load
 from flexspline.models.joint import LOCKED, Mounting, load_joint
 from flexspline.models.recording import Measurement
 
@@ -133,6 +134,19 @@ def test_balances_are_those_of_the_channels():
     assert [b.name for b in balances(measurement("joint_torque", "motor_position"))] == ["motor_current"]
     assert "motor torque" in balances(measurement("motor_current", motor_torque=np.ones(7000)))[0].description
     assert "joint_torque" in missing_columns(measurement("joint_torque"))
+
+
+def test_the_links_balance_is_not_formed_where_something_unmeasured_acts_on_the_link():
+    """A push, or what the arm's other joints do; it is of the other recordings then, or of none."""
+    quiet, still = measurement(), np.zeros(7000)
+    (r,) = quiet.recordings
+    for r2 in (
+        replace(r, name="other", external="unmeasured"),
+        replace(r, name="other", load=Load(still, still, still)),
+    ):
+        (link,) = (b for b in balances(replace(quiet, recordings=(r, r2))) if b.name == "link_balance")
+        assert link.recordings == (r.name,)
+        assert [b.name for b in balances(replace(quiet, recordings=(r2,)))] == ["motor_current", "joint_torque"]
 
 
 def test_a_summary_is_in_numbers():
