@@ -32,7 +32,7 @@ test-slow: $(DONE)
 test-most: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not long"
 
-# The lowest versions that pyproject.toml allows, all at once: every test, of its parameters every fifth.
+# The lowest versions that pyproject.toml allows, all at once: every fast test, of its parameters every fifth.
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/python -m pip install --quiet uv

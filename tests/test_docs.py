@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import re
 import shlex
 import shutil
@@ -139,6 +140,17 @@ def test_mappings_are_read():
 def test_programs_are_python(page):
     for text in snippets(page, "python"):
         compile(text, page.name, "exec")
+
+
+def test_what_a_diagnosis_holds_is_said():
+    """Every key of the whole answer, and of a cause, a region and a shift in it."""
+    answer = json.loads((ROOT / "tests/frozen/diagnosis/diagnosis.json").read_text(encoding="utf-8"))
+    parts = [answer, answer["causes"][0], answer["regions"][0], answer["estimation"], answer["decisions"][0]]
+    parts += [next(iter(answer[table].values())) for table in ("calibration", "residual")]
+    told = set(
+        re.findall(r"`(\w+)`", (ROOT / "docs/diagnosis.md").read_text(encoding="utf-8").split("## What `diag")[1])
+    )
+    assert not {key for part in parts for key in part} - told
 
 
 def test_the_readme_is_short():
