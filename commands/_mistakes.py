@@ -11,18 +11,19 @@ if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
 
 
-MENDING = "and what mends them (flexspline import MEASUREMENT --fix --out DIR)"
+def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], mending: str = "", mended: bool = False) -> None:
+    """Print mistakes with the change that mends each; one line where there is none.
 
-
-def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str = MENDING) -> None:
-    """Print mistakes with the change that mends each; one line where there is none."""
+    Args:
+      mending: command line that mends them, empty where there is none. mended: whether they are mended now.
+    """
     from rich.table import Table
     from rich.text import Text
 
     if not mistakes:
         terminal.print("no mistake in the data was found")
         return
-    table = Table(title=f"Mistakes in the data, {what}")
+    table = Table(title="Mistakes in the data, " + ("mended" if mended else "and what mends them"))
     for heading in ("mistake", "column", "recording", "what", "mended by", "confidence"):
         table.add_column(heading)
     for m in mistakes:
@@ -30,6 +31,8 @@ def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], what: str = M
         cells = (m.name, column, m.recording or "all", m.description, m.change, f"{m.confidence:.2f}")
         table.add_row(*map(Text, cells))
     terminal.print(table)
+    if mending and any(m.sure for m in mistakes):
+        terminal.print(Text(f"mended by: {mending}"), soft_wrap=True)
     if not all(m.sure or m.lost for m in mistakes):
         terminal.print(
             "no change makes the channels fit this joint; what is half sure at most would mend most, and --fix leaves it"

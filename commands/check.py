@@ -45,6 +45,7 @@ def command(
     )
     from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models import causes
+    from ..models.command_lines import mending
     from ..models.files import json_text
     from ..models.memory import give_back_large_arrays
     from ..models.recording import GAP
@@ -55,9 +56,9 @@ def command(
     given, described = parted_measurement(measurement, joint)
     mistakes = find_mistakes(given, described)
     try:
-        data = mended(given, described, mistakes)
+        data, mend = mended(given, described, mistakes), mending(given, described)
     except InputError:  # nothing would be left of it
-        data = given
+        data, mend = given, ""
     summaries = [summarise(recording, described) for recording in data.recordings]
     missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]
@@ -86,7 +87,7 @@ def command(
         print(json_text(report))
         return
     terminal = console()
-    print_mistakes(terminal, mistakes)
+    print_mistakes(terminal, mistakes, mend)
     bolted = ", ".join(r.name for r in given.recordings if r.link.locked)
     if bolted:
         terminal.print(Text(f"{bolted}: bolted to the bench, where mistakes are not looked for"))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..models import plugins
+from ..models.command_lines import checking, mending
 from ..models.errors import InputError
 from ..models.output import check_output, output_folder
 from ._listing import AsJson
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
     from ..diagnosis.answer import Diagnosis, Finding
     from ..diagnosis.data.mistakes import Mistake
     from ..diagnosis.improvement import Improvement
+    from ..models.joint import Joint
+    from ..models.recording import Measurement
 
 _SEARCHING = 0.7
 """Share of the time that is left for the search; estimating, planning and writing take the rest."""
@@ -111,7 +114,7 @@ def command(
     if as_json:
         print(answer)
         return
-    show(console(), found, gained, measurement, out, report)
+    show(console(), found, gained, data, described, out, report)
 
 
 def _check_apart(measurement: Path, out: Path) -> None:
@@ -130,7 +133,13 @@ def finite(value: Any) -> Any:
 
 
 def show(
-    terminal: Console, found: Diagnosis, gained: Improvement | None, measurement: Path, out: Path, report: bool
+    terminal: Console,
+    found: Diagnosis,
+    gained: Improvement | None,
+    measurement: Measurement,
+    joint: Joint,
+    out: Path,
+    report: bool,
 ) -> None:
     """Print the answer: what was found, how sure that is, what it is worth, what to do now; legible in 80 columns."""
     from ..views.report import further_reasons, look_alikes, plain, verdict_sentence
@@ -181,7 +190,7 @@ def show(
         for number, sentence in enumerate(found.plan.sentences()[:_PLANNED], 1):
             page.item(sentence, f"{number}. ")
     page.heading("What to do now")
-    for line in _commands(found, measurement, out, report):
+    for line in _commands(found, measurement, joint, out, report):
         terminal.print(f"  {line}", markup=False, highlight=False, soft_wrap=True)
 
 
@@ -204,13 +213,11 @@ def _where(m: Mistake) -> str:
     return f"{', '.join(places)}: " if places else ""
 
 
-def _commands(found: Diagnosis, measurement: Path, out: Path, report: bool) -> list[str]:
+def _commands(found: Diagnosis, measurement: Measurement, joint: Joint, out: Path, report: bool) -> list[str]:
     """Command lines to go on with, to copy."""
-    measured, folder = shlex.quote(str(measurement)), shlex.quote(str(out))
+    measured, folder = shlex.quote(str(measurement.path)), shlex.quote(str(out))
     if any(m.severe for m in found.mistakes):
-        return [
-            f"flexspline import {measured} --fix --out MENDED" if found.mendable else f"flexspline check {measured}"
-        ]
+        return [(mending if found.mendable else checking)(measurement, joint)]
     lines = [f"flexspline view {folder}"] if report else []
     if not found.complete:
         lines.append("# time was up: the same command with more --time, or without, looks for what is left")

@@ -81,9 +81,9 @@ def command(
             if not m.sure:
                 where = ": ".join(part for part in (m.recording, m.column) if part)
                 warnings.warn(f"{where}: not mended: {m.unmended}", InputWarning, stacklevel=2)
-        if not as_json and (mistakes or not found):
-            print_mistakes(terminal, mistakes, "mended")
         measurement = mended(measurement, described, mistakes)
+        if not as_json and (mistakes or not found):
+            print_mistakes(terminal, mistakes, mended=True)
         if any(m.severe for m in mistakes):  # what mends one column may be another's mistake
             for m in find_mistakes(measurement, described):
                 if m.severe:

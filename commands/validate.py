@@ -25,6 +25,7 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Say how well a joint's description predicts a measurement: nothing is fitted."""
+    from ..models.command_lines import mending
     from ..models.errors import InputWarning
     from ..models.files import json_text
     from ..models.output import check_output, made_from, output_folder
@@ -51,11 +52,11 @@ def command(
     if as_json:
         print(text)
         return
-    _show(console(), found)
+    _show(console(), found, mending(data, described))
     console().print(f"{out}: {', '.join(names)}")
 
 
-def _show(terminal: Console, found: Validation) -> None:
+def _show(terminal: Console, found: Validation, mend: str) -> None:
     from rich.table import Table
     from rich.text import Text
 
@@ -63,7 +64,7 @@ def _show(terminal: Console, found: Validation) -> None:
     from ._mistakes import print_mistakes
 
     if found.mistakes:
-        print_mistakes(terminal, found.mistakes)
+        print_mistakes(terminal, found.mistakes, mend)
     if not found.residual:
         return
     table = Table(title=f"{found.joint}: error of the simulation in motion (RMS)")

@@ -210,11 +210,7 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
     """
     mistakes = find_mistakes(measurement, joint)
     wrong = {column for m in mistakes if m.severe for column in (m.column, *m.also)}
-    # How coarse a column is says its sensor's resolution, unless it is in another unit.
-    joint = as_logged(
-        joint,
-        [r.without(*(wrong & set(r.columns))) for r in measurement.recordings] if wrong else measurement.recordings,
-    )
+    joint = as_logged(joint, measurement.recordings, wrong)
     recordings = tuple(_simulated(recording, joint) for recording in measurement.recordings)
     if not any(np.isfinite(x).any() for r in recordings for x in r.simulated.values()):
         raise InputError(

@@ -6,7 +6,7 @@ resonance; so does a torque sensor whose readings are held for ten samples.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -70,11 +70,11 @@ def rate_of(time: np.ndarray, reading: np.ndarray, resolution: float = 0.0) -> f
     return 1.0 / (samples * float(np.median(np.diff(time)))) if samples >= 2 else 0.0
 
 
-def coarser(recordings: Sequence[Recording], joint: Joint) -> tuple[Coarse, ...]:
-    """Columns that are coarser in all recordings than the joint's description says."""
+def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str] = ()) -> tuple[Coarse, ...]:
+    """Columns that are coarser in all recordings than the joint's description says, without those that are `wrong`."""
     found = []
     for name in _CHANNELS:
-        there = [r for r in recordings if name in r]
+        there = [r for r in recordings if name in r and name not in wrong]
         spec = joint.sensors.of(CHANNELS[name])
         steps = [step_of(r[name]) for r in there]
         if not steps or not isinstance(spec, EncoderSpec | AnalogSpec):
@@ -96,10 +96,13 @@ _FEWEST_COUNTS = 2
 """Of an encoder in a turn, as a description has them."""
 
 
-def as_logged(joint: Joint, recordings: Sequence[Recording]) -> Joint:
-    """The joint with sensors as coarse as a log's readings are; the same where the description has it right."""
+def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[str] = ()) -> Joint:
+    """The joint with sensors as coarse as a log's readings are; the same where the description has it right.
+
+    Columns that are `wrong`, in another unit say, tell nothing of their sensor.
+    """
     changed: dict[str, Any] = {}
-    for one in coarser(recordings, joint):
+    for one in coarser(recordings, joint, wrong):
         channel = CHANNELS[one.column]
         spec = changed.get(channel.sensor, joint.sensors.of(channel))
         new: dict[str, Any] = {one.what: one.found}

@@ -6,7 +6,6 @@ unit, direction, place (`changes`), columns that are late (`lateness`).
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ...models.command_lines import mending
 from ...models.errors import InputError
 from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording, carried_anew, check_channels
@@ -57,7 +57,7 @@ class Mistake:
       factor: that mends the column (of `gear_ratio`: that mends N); of `wrapped` a whole turn in the column's unit.
       seconds: by which the column is late. offset: that mends it, added.
       rows: of the table that have it, from 0.
-      also: further columns that have the same offset, the motor's on its own side of the gear.
+      also: further columns that the same change mends; an offset of the motor's on its own side of the gear.
       severe: whether it makes physics meaningless.
       lost: whether what was meant cannot be had from the file.
     """
@@ -103,7 +103,7 @@ class Mistake:
             return "to be logged anew"
         if self.name == "unit" and self.offset is not None:
             scaled = "" if self.factor in (None, 1.0) else f"× {self.factor:.6g}, "
-            return f"{scaled}{self.offset:+.6g}"
+            return f"{scaled}{self.offset:+.6g} K"
         if self.name == "sign":
             return "gravity_angle + π" if self.column == "gravity_angle" else "× −1"
         if self.name == "unit":
@@ -134,7 +134,10 @@ class Mistake:
             data["also"] = list(self.also)
         if self.rows is not None:
             data["rows"] = list(self.rows)
-        return data | {"description": self.description, "confidence": round(self.confidence, 3)}
+        return data | {
+            "description": self.description, "confidence": round(self.confidence, 3), "severe": self.severe,
+            "sure": self.sure, "lost": self.lost, "change": self.change,
+        }  # fmt: skip
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # small matrices, for which threads are but a burden
@@ -220,15 +223,19 @@ def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     Raises:
       InputError: the first severe mistake in a column that estimators read, and the change that mends it.
     """
-    severe = [m for m in find_mistakes(measurement, joint) if m.severe]
+    found = find_mistakes(measurement, joint)
+    severe = [m for m in found if m.severe]
     for m in severe:
         if m.column not in _UNREAD:
             where = ": ".join(name for name in (m.recording or measurement.name, m.column) if name)
             if not m.sure:
                 raise InputError(f"{where}: {m.unmended}")
+            try:
+                mended(measurement, joint, found)
+            except InputError:  # of what is left out too little remains
+                raise InputError(f"{where}: {m.description}; without it nothing can be estimated") from None
             raise InputError(
-                f"{where}: {m.description}, mended by: {m.change}; "
-                f"`flexspline import {shlex.quote(str(measurement.path))} --fix --out DIR` writes it mended"
+                f"{where}: {m.description}, mended by: {m.change}; `{mending(measurement, joint, 'DIR')}` writes it mended"
             )
     return tuple(m for m in severe if m.column in _UNREAD)
 

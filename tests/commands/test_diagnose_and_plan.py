@@ -20,7 +20,7 @@ from flexspline.diagnosis.fit.regions import Region
 from flexspline.diagnosis.improvement import Improvement
 from flexspline.diagnosis.planning import Plan, Proposal, Question
 from flexspline.models.joint import load_joint
-from flexspline.models.recording import Recording, write_recording
+from flexspline.models.recording import Measurement, Recording, write_recording
 
 PLAN = Plan(
     (Question(("friction_temperature",), 0.0, 3.74), Question(("torque_constant", "torque_sensor_gain"), 1.1, 3.0)),
@@ -78,7 +78,12 @@ def quick(monkeypatch):
 
 def printed(found: Diagnosis, gained: Improvement | None = None, width: int = 80) -> str:
     file = io.StringIO()
-    show(Console(file=file, width=width), found, gained, Path("bench"), Path("out"), True)
+    measured = Measurement(
+        "bench",
+        Path("bench"),
+        (Recording("swing", np.arange(2.0), {n: np.zeros(2) for n in ("link_position", "motor_current")}),),
+    )
+    show(Console(file=file, width=width), found, gained, measured, load_joint("test-joint"), Path("out"), True)
     return file.getvalue()
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import subprocess
 import sys
@@ -160,6 +161,44 @@ def test_estimate_refuses_what_is_wrong_with_the_data(flexspline, sweep, tmp_pat
     assert flexspline("import", path, "--fix", "--out", tmp_path / "mended")[0] == 0
     code, out, _ = flexspline("estimate", tmp_path / "mended", "--filter", "model", "--out", tmp_path / "e")
     assert code == 0
+
+
+def test_what_mends_a_mistake_is_for_the_joint_that_was_asked_for(flexspline, sweep, tmp_path):
+    """Held against the joint of its YAML file a measurement of another one would be mended for that."""
+    load_joint("test-joint").write(tmp_path / "mine.yaml")
+    columns = sweep.columns | {"motor_position": np.rad2deg(sweep["motor_position"])}
+    path = write_recording(replace(sweep, columns=columns), tmp_path / "degrees")
+    mine = ("--joint", tmp_path / "mine.yaml")
+    for option, told in ((mine, f" --joint {tmp_path / 'mine.yaml'}"), ((), "")):
+        command = f"flexspline import {path} --fix{told} --out"
+        assert f"{command} DIR" in one_line(flexspline("estimate", path, *option, "--out", tmp_path / "e")[2])
+        assert f"mended by: {command} MENDED\n" in flexspline("check", path, *option)[1]
+        assert f"mended by: {command} MENDED\n" in flexspline("validate", path, *option, "--out", tmp_path / "v")[1]
+        assert f"{command} MENDED\n" in flexspline("diagnose", path, *option, "--out", tmp_path / "d")[1]
+        page = (tmp_path / "d" / "report.html").read_text()
+        assert f"{html.escape(command)} MENDED" in page and f"flexspline check {path}{told}\n" in page
+
+
+def test_both_encoders_in_degrees_are_no_missing_position(flexspline, sweep, tmp_path):
+    angles = ("motor_position", "link_position")
+    path = write_recording(
+        replace(sweep, columns=sweep.columns | {n: np.rad2deg(sweep[n]) for n in angles}), tmp_path / "degrees"
+    )
+    code, out, err = flexspline("validate", path, "--json", "--out", tmp_path / "v")
+    assert code == 0 and not err
+    (told,) = json.loads(out)["mistakes"]
+    assert {told["column"], *told["also"]} == set(angles)
+    assert told["severe"] and told["sure"] and not told["lost"] and told["change"] == "× 0.0174533"
+
+
+def test_what_cannot_be_mended_is_not_said_to_be(flexspline, sweep, tmp_path):
+    columns = {name: np.full_like(column, column[0]) for name, column in sweep.columns.items()}
+    path = write_recording(replace(sweep, columns=columns), tmp_path / "stuck")
+    assert "--fix" not in flexspline("check", path)[1]
+    code, _, err = flexspline("estimate", path, "--out", tmp_path / "e")
+    assert code == 2 and "does not move at all; without it nothing can be estimated" in one_line(err)
+    code, out, err = flexspline("import", path, "--fix", "--out", tmp_path / "mended")
+    assert code == 2 and not out and one_line(err) and not (tmp_path / "mended").exists()
 
 
 def test_nothing_is_scored_against_a_sensor_that_is_known_to_be_wrong(flexspline, sound, sweep, tmp_path):

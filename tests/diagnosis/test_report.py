@@ -309,11 +309,11 @@ def test_mistakes_in_the_data_come_first_and_say_what_mends_them(report):
     wrong = Mistake("unit", "motor_current", "sweep", "it is in milliampere", 0.98, factor=1e-3)
     text = read(html(replace(report, diagnosis=replace(report.diagnosis, mistakes=(wrong,)))))[1]
     head = text.split("What was found")[0]
-    assert "Mistakes in the data" in head and "multiply motor_current by 0.001" in head
+    assert "Mistakes in the data" in head and "× 0.001" in head
     assert "flexspline check '" in head and "--fix --out MENDED" in head
     kelvin = Mistake("unit", "temperature", "sweep", "it is in kelvin", 0.99, factor=1.0, offset=-273.15)
     text = read(html(replace(report, diagnosis=replace(report.diagnosis, mistakes=(kelvin,)))))[1]
-    assert "add -273.15 K" in text.replace("−", "-") and "multiply temperature" not in text
+    assert "-273.15 K" in text.replace("−", "-") and "× 1 " not in text
 
 
 def test_what_makes_physics_meaningless_is_a_mistake_and_no_effect(measured):

@@ -367,7 +367,11 @@ def test_the_page_of_an_arm_goes_from_its_base_to_its_tip(flexspline, tmp_path):
 TIME = np.arange(0.0, 8.0, 0.004)
 
 
-def validated(folder: Path, off: float = 0.0, mistakes: tuple[str, ...] = (), gap: bool = False) -> Path:
+UNSURE = {"column": "motor_current", "description": "mA taken for A", "severe": True, "sure": False}
+MINOR = {"column": "position_command", "description": "does not move at all", "severe": False, "sure": True}
+
+
+def validated(folder: Path, off: float = 0.0, mistakes: tuple[str | dict, ...] = (), gap: bool = False) -> Path:
     """A folder as `flexspline validate` leaves it: a current that is `off` by so many amperes while it moves forward."""
     folder.mkdir()
     simulated = np.sin(TIME)
@@ -395,7 +399,8 @@ def validated(folder: Path, off: float = 0.0, mistakes: tuple[str, ...] = (), ga
     ]
     answer = {
         "joint": "test-joint", "residual": {"motor_current": error}, "regions": regions,
-        "beyond": {"link_position": 0.25}, "mistakes": [{"description": m} for m in mistakes], "recordings": ["sweep <1>"],
+        "beyond": {"link_position": 0.25}, "mistakes": [m if isinstance(m, dict) else {"description": m} for m in mistakes],
+        "recordings": ["sweep <1>"],
         "measurement": "bench log", "description": "test-joint",
     }  # fmt: skip
     (folder / "validation.json").write_text(json.dumps(answer), encoding="utf-8")
@@ -409,12 +414,15 @@ def validated(folder: Path, off: float = 0.0, mistakes: tuple[str, ...] = (), ga
         (0.08, (), "all the same motor current is off by more than noise", ["estimate", "diagnose"]),
         (0.5, (), "does not predict motor current: motor current is off by 0.36 A RMS", ["diagnose", "plan"]),
         (0.5, ("mA taken for A",), "The data hold a mistake, so that they say nothing of test-joint: mA", ["check"]),
+        (0.5, (UNSURE,), "No change makes the channels fit test-joint, so that it may be another joint", ["check"]),
+        (0.0, (MINOR,), "The description of test-joint holds", ["estimate"]),
     ],
 )
 def test_a_validation_says_whether_the_description_holds(off, mistakes, sentence, commands, tmp_path):
     text = text_of(validation_html(read_validation(validated(tmp_path / "v", off, mistakes))))
     assert sentence in text and all(f"{head} " in text for head in HEAD)
     assert re.findall(r"flexspline (\w+) 'bench log' --joint test-joint", text) == commands
+    assert all(f"{m['column']}: {m['description']}" in text for m in mistakes if isinstance(m, dict))
     assert "25 %" in text and "link angle" in text, "what is beyond the range is told"
     assert ("Largest at moving forward" in text) == (off > 0)
     assert "moving forward *" in text and "moving backward *" not in text

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...models import causes, plugins
+from ...models.command_lines import checking, mending
 from ...models.files import write_into_place
 from ..glossary import meaning, pieces
 from ..report import Report, further_reasons, listed, look_alikes, plain, title, verdict_sentence
@@ -164,20 +165,10 @@ def _head(report: Report, channels: list[Compared], estimators: list[Compared], 
 
 def _mistake(m: Mistake) -> dict[str, Any]:
     """A mistake in the data with the change that mends it."""
-    mends = []
-    if m.factor is not None and (m.factor != 1.0 or m.offset is None):
-        mends.append(f"multiply {'N' if m.name == 'gear_ratio' else m.column} by {number(m.factor, 6)}")
-    if m.seconds is not None:
-        mends.append(f"shift {m.column} by {number(1e3 * m.seconds, 3)} ms")
-    if m.offset is not None:
-        unit = "K" if m.column == "temperature" else "rad to the angle"
-        mends.append(f"add {number(m.offset, 5)} {unit}")
-    if m.rows is not None:
-        mends.append(f"{len(m.rows)} row{'s' if len(m.rows) != 1 else ''}, the first {m.rows[0]}" if m.rows else "")
-    told = m.remedy if m.lost else ("" if m.sure else "most: ") + "; ".join(x for x in mends if x)
+    mends = m.remedy if m.lost else m.change if m.sure else f"most: {m.change}"
     return {
-        "name": plain(m.name), "column": m.column, "recording": m.recording, "text": m.description, "mends": told,
-        "confidence": m.confidence, "severe": m.severe,
+        "name": plain(m.name), "column": ", ".join(x for x in (m.column, *m.also) if x), "recording": m.recording,
+        "text": m.description, "mends": mends, "confidence": m.confidence, "severe": m.severe,
     }  # fmt: skip
 
 
@@ -206,7 +197,8 @@ def _commands(report: Report) -> dict[str, str]:
         "run": f"flexspline run link_sweep --set joint={joint}{mounting}{plugins.options()}",
         "estimate": f"flexspline estimate {measured} --joint {joint} --out estimates{plugins.options()}",
         "validate": f"flexspline validate NEW_MEASUREMENT --joint {joint} --out check{plugins.options()}",
-        "mend": f"flexspline import {measured} --fix --out MENDED",
+        "check": checking(report.measurement, report.joint),
+        "mend": mending(report.measurement, report.joint),
     }
 
 

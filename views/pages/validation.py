@@ -106,7 +106,7 @@ def validation_html(found: Validated) -> str:
         "sentence": _verdict(answer),
         "channels": [(plain(name), e, _worst(answer, name)) for name, e in answer["residual"].items()],
         "names": [(plain(name), e["unit"]) for name, e in answer["residual"].items()],
-        "mistakes": [m["description"] for m in answer["mistakes"]],
+        "mistakes": [_mistake(m) for m in answer["mistakes"]],
         "beyond": beyond,
         "regions": _regions(answer),
         "commands": _commands(found),
@@ -123,14 +123,31 @@ def validation_html(found: Validated) -> str:
 
 def _holds(answer: dict[str, Any]) -> bool:
     errors = answer["residual"].values()
-    return bool(errors) and not answer["mistakes"] and all(e["inside"] >= HELD for e in errors)
+    return bool(errors) and not _severe(answer) and all(e["inside"] >= HELD for e in errors)
+
+
+def _severe(answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """Mistakes that make physics meaningless; all, where the file is of a version that does not tell them apart."""
+    return [m for m in answer["mistakes"] if m.get("severe", True)]
+
+
+def _mistake(m: dict[str, Any]) -> str:
+    where = ", ".join(x for x in (m.get("recording"), m.get("column"), *m.get("also", ())) if x)
+    return f"{where}: {m['description']}" if where else str(m["description"])
 
 
 def _verdict(answer: dict[str, Any]) -> str:
     """Whether the description predicts what was measured, in a sentence."""
     joint, errors = answer["joint"], answer["residual"]
-    if answer["mistakes"]:
-        return f"The data hold a mistake, so that they say nothing of {joint}: {answer['mistakes'][0]['description']}."
+    severe = _severe(answer)
+    if severe:
+        m = next((m for m in severe if m.get("sure", True)), None)
+        if m is not None:
+            return f"The data hold a mistake, so that they say nothing of {joint}: {_mistake(m)}."
+        return (
+            f"No change makes the channels fit {joint}, so that it may be another joint, or something else is wrong with the "
+            f"data; most would mend what looks like a mistake in {_mistake(severe[0])}."
+        )
     if not errors:
         return f"Nothing moves in this measurement that {joint} could be held against."
     out = {name: e for name, e in errors.items() if e["inside"] < HELD}
@@ -182,7 +199,7 @@ def _commands(found: Validated) -> list[tuple[str, str]]:
     """Command lines to go on with, and what they do."""
     data = shlex.quote(str(found.answer.get("measurement") or "MEASUREMENT"))
     joint = shlex.quote(str(found.answer.get("description") or "JOINT"))
-    if found.answer["mistakes"]:
+    if _severe(found.answer):
         return [(f"flexspline check {data} --joint {joint}", "names the mistake and what mends it")]
     estimate = (
         f"flexspline estimate {data} --joint {joint} --out estimates",
