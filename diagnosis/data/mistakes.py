@@ -359,9 +359,9 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
     if lost.any():
         found = found.at(~lost)
     if recording.arm is not None and any(
-        c in POSITIONS for m in mistakes for c in (m.column or "link_position", *m.also)
+        c in (*POSITIONS, "time") for m in mistakes for c in (m.column or "link_position", *m.also)
     ):
-        found = carried_anew(found, N)  # what the arm's motion puts on a link depends on where that is
+        found = carried_anew(found, N)  # what the arm's motion puts on a link depends on where that is, and how fast
     return found
 
 

@@ -110,8 +110,8 @@ def test_an_angle_in_an_arm_that_moves(name, factor):
     v, a = 0.63 * np.cos(0.7 * t), -0.441 * np.sin(0.7 * t)
     spec = ArmSpec(model="ur3e.xml", joint="shoulder_lift")
 
-    def logged(position):
-        r = Recording("r", t, {"link_position": position, "motor_current": current}, joint="ur3e-shoulder")
+    def logged(position, time=t):
+        r = Recording("r", time, {"link_position": position, "motor_current": current}, joint="ur3e-shoulder")
         return in_arm(r, spec, {"arm_elbow_position": elbow}, Path("r.yaml"), shipped(), None)
 
     link, load = Arm(spec, shipped()).of(t, q, {"elbow": elbow}, (slice(0, len(t)),))
@@ -126,6 +126,10 @@ def test_an_angle_in_an_arm_that_moves(name, factor):
     assert (found.name, found.column, found.factor) == (name, "link_position", factor) and found.confidence > 0.9
     (again,) = mended(spoilt, joint, (found,)).recordings
     np.testing.assert_allclose(again["link_position"], q, atol=1e-12)
+    np.testing.assert_allclose(again.load.torque, load.torque, atol=1e-9)
+    spoilt = measurement(logged(q, 1000 * t))  # in milliseconds accelerations are next to nothing
+    (again,) = mended(spoilt, joint, find_mistakes(spoilt, joint)).recordings
+    np.testing.assert_allclose(again.time, t, atol=1e-12)
     np.testing.assert_allclose(again.load.torque, load.torque, atol=1e-9)
 
 
