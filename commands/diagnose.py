@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 import sys
@@ -17,6 +16,7 @@ import typer
 from ..models import plugins
 from ..models.command_lines import checking, mending
 from ..models.errors import InputError
+from ..models.files import json_text
 from ..models.output import check_output, output_folder
 from ._listing import AsJson
 from ._measurement import parted_measurement
@@ -95,9 +95,7 @@ def command(
                 found = replace(found, plan=plan(data, found))
             stage("writing", 0.95)
             with output_folder(out, "diagnose", whole=True) as folder:
-                answer = json.dumps(
-                    finite({"format": 1, **found.to_json()}), indent=1, ensure_ascii=False, allow_nan=False
-                )
+                answer = json_text({"format": 1, **found.to_json()})
                 (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
                 found.extended.write(folder / "joint.yaml")
                 if report:
@@ -121,15 +119,6 @@ def _check_apart(measurement: Path, out: Path) -> None:
     """Refuse output among what is measured: inside a folder of recordings."""
     if measurement.is_dir() and out.resolve().is_relative_to(measurement.resolve()):
         raise InputError(f"--out {out}: expected a folder that is not in the measurement's, {measurement}")
-
-
-def finite(value: Any) -> Any:
-    """The same data with null for numbers that are not finite, which JSON does not have."""
-    if isinstance(value, dict):
-        return {k: finite(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [finite(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def show(
