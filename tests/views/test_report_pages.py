@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import re
+from dataclasses import replace
 from html import unescape
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import write_recording
 from flexspline.models.tables import read_table, write_table
+from flexspline.scenarios.run import Run
 from flexspline.scenarios.run_folder import save_run
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
@@ -191,6 +193,50 @@ def test_a_comparison_names_the_closest_and_what_to_type(run_page, pushed, bare)
             assert f"{measures['rms']:.3f}" in text
     assert "flexspline view 'runs/external push'" in text
     assert "exactly as it is simulated" in text
+
+
+def otherwise(tmp_path: Path, **changes) -> Path:
+    """The test joint's description with changes."""
+    path = tmp_path / "known.yaml"
+    load_joint("test-joint").model_copy(update=changes).write(path)
+    return path
+
+
+def told_of(run: Run) -> str:
+    return re.search(r"The estimators are told [^.]*\.", text_of(runs_html([(run, Path("runs/a"))]))).group()
+
+
+def test_estimators_that_are_told_another_joint_are_not_said_to_know_it(bare, tmp_path):
+    """Where only a number differs that is none of `numbers`: kinematic error, a zero, a link's scale, a sensor's noise."""
+    joint = load_joint("test-joint")
+    encoder = joint.sensors.link_encoder
+    moved = encoder.model_copy(update={"zero": encoder.zero.model_copy(update={"value": 2e-3})})
+    noisy = encoder.model_copy(update={"noise": 2 * encoder.noise})
+    heavier = joint.link_tolerances["inertia"].model_copy(update={"value": 1.1})
+    for changes in (
+        {"kinematic_error": []}, {"sensors": joint.sensors.model_copy(update={"link_encoder": moved})},
+        {"sensors": joint.sensors.model_copy(update={"link_encoder": noisy})},
+        {"link_tolerances": {**joint.link_tolerances, "inertia": heavier}},
+    ):  # fmt: skip
+        known = load_joint(otherwise(tmp_path, **changes))
+        assert told_of(replace(bare, known_joint=known)) == (
+            "The estimators are told another joint than the one that is simulated."
+        ), changes
+    renamed = load_joint(otherwise(tmp_path, description="the same by another name"))
+    assert "exactly as it is simulated" in told_of(replace(bare, known_joint=renamed))
+
+
+def test_a_page_names_the_runs_whose_estimators_know_the_joint(flexspline, tmp_path):
+    short = ("--set", "duration=2", "--set", "filters=[model]", "--no-figures", "--out", tmp_path / "runs")
+    known = otherwise(tmp_path, kinematic_error=[])
+    assert flexspline("run", "no_load", *short)[0] == 0
+    assert flexspline("run", "link_sweep", "--set", f"known_joint={known}", *short)[0] == 0
+    code, _, err = flexspline("report", tmp_path / "runs", "--out", tmp_path / "page.html")
+    assert code == 0, err
+    assert (
+        "The estimators are told the joint exactly as it is simulated in no_load (on a real joint, expect more error), and "
+        "another joint than the one that is simulated in link_sweep."
+    ) in text_of((tmp_path / "page.html").read_text(encoding="utf-8"))
 
 
 def test_a_filter_has_one_colour_on_all_pages():

@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...estimator.estimator import KnownJoint
+from ...models.parameters import as_floats
+from ..report import listed
 from ..style import FILTERS
 from ..tables import COLUMNS, RAW_MODEL
 from .chart import Chart, limits
@@ -56,7 +59,7 @@ def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, An
         "scenarios": scenarios,
         "means": _means(runs, names) if len(runs) > 1 else [],
         "seeds": sorted({run.scenario.seed for run, _ in runs}),
-        "told": _told(runs),
+        "told": _told(scenarios, runs, arm is not None),
         "honest": _honest(scenarios, runs),
         "notes": [(s["name"], note) for s, (run, _) in zip(scenarios, runs, strict=True) for note in run.notes],
         "commands": _commands(runs, names) if arm is None else _arm_commands(runs, arm),
@@ -102,14 +105,30 @@ def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) ->
     return f"{text}."
 
 
-def _told(runs: Sequence[tuple[Run, Path]]) -> str:
-    """What the estimators know of the joint."""
-    exact = [
-        run.known_joint.numbers == run.joint.numbers and run.known_joint.effects == run.joint.effects for run, _ in runs
-    ]
-    if all(exact):
+def _told(scenarios: Sequence[dict[str, Any]], runs: Sequence[tuple[Run, Path]], arm: bool) -> str:
+    """What the estimators know of the joint, and in which of several runs, where they do not know as much in all."""
+    exact: list[str] = []
+    other: list[str] = []
+    for s, (run, _) in zip(scenarios, runs, strict=True):
+        (exact if _known_exactly(run, arm) else other).append(s["name"])
+    if not other:
         return "The estimators are told the joint exactly as it is simulated: on a real joint, expect more error."
-    return "The estimators are told another joint than the one that is simulated."
+    if not exact:
+        return "The estimators are told another joint than the one that is simulated."
+    return (
+        f"The estimators are told the joint exactly as it is simulated in {listed(exact)} (on a real joint, expect more error), "
+        f"and another joint than the one that is simulated in {listed(other)}."
+    )
+
+
+def _known_exactly(run: Run, arm: bool) -> bool:
+    """Whether the estimators are told every number of the joint, its load and its sensors as they are simulated; how sure of them
+    they are told to be is none of these."""
+    own, told = (KnownJoint.of(joint, run.scenario.mount(joint)) for joint in (run.joint, run.known_joint))
+    same = np.array_equal(as_floats(own.record), as_floats(told.record)) and own.rated_torque == told.rated_torque
+    # A run in an arm has the link that the others make of it, of which the joint's own mounting is a part.
+    bolted = not arm or run.joint.mountings == run.known_joint.mountings
+    return same and own.noise == told.noise and bolted
 
 
 def _honest(
