@@ -39,6 +39,11 @@ class Slot:
         return 1.0, mounting.gravity_angle if self.field == "gravity_angle" else 0.0
 
     @property
+    def period(self) -> float:
+        """Of an angle that returns after a turn [rad], 0 for others."""
+        return 2 * np.pi if self.field in _ANGLES else 0.0
+
+    @property
     def place(self) -> int:
         """Of the record's floats the one that it is."""
         fields = PARAMETERS.fields
@@ -171,8 +176,7 @@ class Calibration:
         allowed, period = np.zeros(1, record.dtype), np.zeros(record.nbytes // 8)
         for slot in self.slots:
             deviation = self.deviation(slot)
-            if slot.field in _ANGLES:
-                period[slot.place] = 2 * np.pi
+            period[slot.place] = slot.period
             if slot.index >= 0:
                 allowed[0][slot.field][slot.index] = within * deviation
             else:

@@ -87,7 +87,7 @@ def diagnosed(folder: Path, verdict: str, causes: list, calibrated: dict[str, tu
         else number
         for name, number in joint.numbers.items()
     }
-    folder.mkdir()
+    folder.mkdir(parents=True)
     joint.model_copy(update={"numbers": numbers}).write(folder / "joint.yaml")
     error = {"before": 0.2, "after": 0.02, "noise": 0.019, "unit": "N·m"}
     answer = {
@@ -291,6 +291,100 @@ def test_a_repair_says_what_is_gone_what_stays_and_what_moved(repair_page):
     assert "the later measurement could not have shown it" in text
     assert "K1 moved from" in text and "Jm moved from" not in text
     assert "1.400 ± 0.010, then 1.100 ± 0.010" in text
+
+
+def ripple(order: int, amplitude: float, phase: float) -> dict:
+    """Cogging as a diagnosis names it."""
+    return named(
+        "cogging", "motor", order=(order, 0.0, ""), amplitude=(amplitude, 1e-4, "N·m"), phase=(phase, 0.02, "rad")
+    )
+
+
+def compared(tmp_path: Path, before: list, after: list) -> str:
+    """The text of the page of two diagnoses with these causes."""
+    folders = [diagnosed(tmp_path / n, "discrepancy", c, {}) for n, c in (("before", before), ("after", after))]
+    return text_of(two_html(*(read_diagnosis(folder) for folder in folders)))
+
+
+def test_causes_of_one_name_are_told_apart_by_their_orders(tmp_path):
+    text = compared(tmp_path, [ripple(2, 5e-3, 0.1), ripple(6, 2e-3, 0.4)], [ripple(2, 5e-3, 0.1)])
+    assert "Cogging of order 6 is gone, cogging of order 2 is still there and no number of the joint moved." in text, (
+        text
+    )
+    assert "cogging of order 6 (motor) was there before" in text and "order 6, then 2" not in text
+    assert "cogging of order 2 98 %, cogging of order 6 98 %." in text
+
+
+def test_unknown_effects_are_told_apart_by_what_they_depend_on(tmp_path):
+    def unknown(*variables: str) -> dict:
+        return {**named("unknown", "transmission"), "depends_on": list(variables)}
+
+    text = compared(tmp_path, [unknown("motor_position")], [unknown("link_position", "direction")])
+    assert (
+        "Unknown effect of motor position is gone, unknown effect of link position and direction is new and no number"
+        in text
+    ), text
+
+
+def test_a_phase_goes_the_short_way_round(tmp_path):
+    text = compared(tmp_path, [ripple(2, 5e-3, 3.13)], [ripple(2, 5e-3, -3.14)])
+    assert "Cogging of order 2 is still there and no number of the joint moved." in text, text
+    text = compared(tmp_path / "more", [ripple(2, 5e-3, 3.13)], [ripple(2, 5e-3, -3.0)])
+    assert "cogging of order 2 has changed" in text
+
+
+def test_an_estimator_without_an_error_has_none_on_the_page(repair, tmp_path):
+    """One that diverged with the extended joint, say: JSON has null for what is not finite."""
+    other = diagnosed(tmp_path / "other", "consistent", [], {})
+    path = other / "diagnosis.json"
+    path.write_text(path.read_text(encoding="utf-8").replace('"after": 0.1', '"after": null'), encoding="utf-8")
+    assert "RAREKF 0.3 0.1 0.3 –" in text_of(two_html(read_diagnosis(repair[0]), read_diagnosis(other)))
+
+
+def test_numbers_that_stand_beside_the_others_move_too(tmp_path):
+    """The link encoder's zero, kinematic error, how the link hangs, a sensor's delay."""
+    folders = []
+    for name, zero, amplitude, phase, delay in (("before", 1e-3, 2e-5, 3.13, 0.0), ("after", 2e-3, 3e-5, -3.14, 3e-3)):
+        folder = diagnosed(tmp_path / name, "consistent", [], {})
+        joint = load_joint("test-joint")
+        encoder, first, *others = joint.sensors.link_encoder, *joint.kinematic_error
+        order = {
+            "amplitude": first.amplitude.model_copy(update={"value": amplitude, "std": 1e-7}),
+            "phase": first.phase.model_copy(update={"value": phase, "std": 0.02}),
+        }
+        moved = encoder.model_copy(update={"zero": encoder.zero.model_copy(update={"value": zero, "std": 1e-6})})
+        sensors = joint.sensors.model_copy(update={"link_encoder": moved})
+        orders = [first.model_copy(update=order), *others]
+        joint.model_copy(update={"sensors": sensors, "kinematic_error": orders}).write(folder / "joint.yaml")
+        answer = json.loads((folder / "diagnosis.json").read_text(encoding="utf-8"))
+        shift = {"nominal": 0.0, "value": delay, "std": 1e-5, "tolerance": 5e-4, "unit": "s"}
+        answer["calibration"] = {"torque_sensor_delay": shift} if delay else {}
+        (folder / "diagnosis.json").write_text(json.dumps(answer), encoding="utf-8")
+        folders.append(folder)
+    text = text_of(two_html(*(read_diagnosis(folder) for folder in folders)))
+    assert "3 numbers of the joint moved." in text, text
+    first = load_joint("test-joint").kinematic_error[0].order
+    for name in ("link encoder zero", f"A{first:g}", "torque sensor delay"):
+        assert f"{name} moved from" in text
+    assert f"φ{first:g} moved from" not in text
+
+
+def test_a_damaged_diagnosis_is_refused_in_one_line(flexspline, repair, tmp_path):
+    folder = diagnosed(tmp_path / "d", "discrepancy", [ripple(2, 5e-3, 0.1)], {})
+    path = folder / "diagnosis.json"
+    good = path.read_text(encoding="utf-8")
+    for there, instead in (
+        ('"value"', '"x"'), ('"std"', '"x"'), ("0.005", '"a"'), ('"unit": "rad"', '"unit": 3'), ('"component"', '"x"'),
+        ('"confidence": 0.98', '"confidence": "a"'), ('"verdict": "discrepancy"', '"verdict": 1'),
+        ('"undetermined": []', '"undetermined": 1'), ('"joint_torque": {', '"joint_torque": {}, "x": {'),
+        ('"causes": [', '"causes": [1, '), ('"name": "cogging"', '"name": ["cogging"]'),
+        ('"component"', '"depends_on": 1, "component"'),
+    ):  # fmt: skip
+        bad = good.replace(there, instead)
+        assert bad != good
+        path.write_text(bad, encoding="utf-8")
+        code, _, err = flexspline("report", folder, repair[0], "--out", tmp_path / "page.html")
+        assert code == 2 and err.count("\n") == 1, (bad, err)
 
 
 def test_two_joints_are_no_repair(repair, tmp_path):
