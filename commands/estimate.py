@@ -15,9 +15,11 @@ from ._measurement import parted_measurement
 from ._options import Estimators, MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.table import Table
 
     from ..estimator.offline import Score
+    from ..models.recording import Recording
 
 EXAMPLES = (
     "flexspline estimate measurement --out estimates",
@@ -41,9 +43,8 @@ def command(
     """
     from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
-    from ..estimator.offline import SHORTEST, beyond_range, estimate_recording, score, useless, write_estimates
+    from ..estimator.offline import SHORTEST, beyond_range, estimate_recording, lacking, score, useless, write_estimates
     from ..models.files import json_text
-    from ..models.joint import beyond_sentence
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
     from ..models.recording import GAP
@@ -66,8 +67,12 @@ def command(
         if all(recording.sparse for recording in data.recordings):
             got = f"samples that are {data.recordings[0].interval:.3g} s apart, and more than {GAP:.2g} s is a gap"
         raise InputError(f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
-    terminal = console()
+    for recording in data.recordings:
+        for name, why in lacking(recording, filter_ or ()).items():
+            raise _left_out(recording, name, why)
     report: dict[str, dict[str, Any]] = {}
+    tables: dict[str, tuple[Path, Table | None]] = {}
+    poor: dict[str, dict[str, tuple[float, dict[str, float]]]] = {}
     bands = described.uncertainty is not None
     with output_folder(out, maker) as folder, tempfile.TemporaryDirectory(dir=folder, prefix=".estimates") as spool:
         for recording in data.recordings:
@@ -75,7 +80,7 @@ def command(
             beyond = beyond_range(recording, described)
             for name in filter_ or ():
                 if name in found.left_out:
-                    raise InputError(f"{recording.source or recording.name}: filter {name!r}: {found.left_out[name]}")
+                    raise _left_out(recording, name, found.left_out[name])
             path = out / write_estimates(found, folder).name
             wrong = {m.column: m.description for m in unread if m.recording in ("", recording.name)}
             for column, what in wrong.items():
@@ -83,38 +88,54 @@ def command(
                     f"{recording.name}: {column}: {what}: nothing is scored against it", InputWarning, stacklevel=2
                 )
             scores = {k: v for k, v in score(recording, found, described).items() if k not in wrong}
-            poor = useless(recording, scores)
+            poor[recording.name] = useless(recording, scores)
             report[recording.name] = {
                 "joint": described.name,
                 "notes": found.notes,
                 "left_out": found.left_out,
                 "beyond": beyond,
-                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor.items()},
+                "no_estimates": {what: sorted(worse) for what, (_, worse) in poor[recording.name].items()},
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
-            if as_json:
-                continue
-            terminal.print(f"{path}")
-            if scores:
-                terminal.print(_table(recording.name, recording.external, scores))
-            for what, (own, worse) in poor.items():
-                listed = ", ".join(f"{name} {error:.3g}" for name, error in worse.items())
-                terminal.print(
-                    f"{recording.name}: {what.replace('_', ' ')} is {own:.3g} N·m (RMS); errors of more than half of that are "
-                    f"no estimates: the joint, its load or the sampling is not what these estimators take it for: {listed}",
-                    style="yellow",
-                )
-            if beyond:
-                terminal.print(f"{recording.name}: {beyond_sentence(beyond)}")
-            for why in dict.fromkeys(found.left_out.values()):
-                names = ", ".join(name for name, other in found.left_out.items() if other == why)
-                terminal.print(f"{recording.name}: {names}: {why}")
+            shown = scores and not as_json
+            tables[recording.name] = path, _table(recording.name, recording.external, scores) if shown else None
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    if as_json:
+    if as_json:  # nothing is told before the folder is complete
         print(text)
-    else:
-        terminal.print(f"{out / 'metrics.json'}")
+        return
+    terminal = console()
+    for name, (path, table) in tables.items():
+        terminal.print(f"{path}")
+        if table is not None:
+            terminal.print(table)
+        _remarks(terminal, name, poor[name], report[name])
+    terminal.print(f"{out / 'metrics.json'}")
+
+
+def _left_out(recording: Recording, name: str, why: str) -> InputError:
+    """The error of a named estimator that there is none of for a recording."""
+    return InputError(f"{recording.source or recording.name}: filter {name!r}: {why}")
+
+
+def _remarks(
+    terminal: Console, name: str, poor: dict[str, tuple[float, dict[str, float]]], report: dict[str, Any]
+) -> None:
+    """Print what is to be said of a recording's estimates: which are none, what is extrapolated, what is left out."""
+    from ..models.joint import beyond_sentence
+
+    for what, (own, worse) in poor.items():
+        listed = ", ".join(f"{estimator} {error:.3g}" for estimator, error in worse.items())
+        terminal.print(
+            f"{name}: {what.replace('_', ' ')} is {own:.3g} N·m (RMS); errors of more than half of that are "
+            f"no estimates: the joint, its load or the sampling is not what these estimators take it for: {listed}",
+            style="yellow",
+        )
+    if report["beyond"]:
+        terminal.print(f"{name}: {beyond_sentence(report['beyond'])}")
+    for why in dict.fromkeys(report["left_out"].values()):
+        names = ", ".join(estimator for estimator, other in report["left_out"].items() if other == why)
+        terminal.print(f"{name}: {names}: {why}")
 
 
 def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:

@@ -20,7 +20,7 @@ No estimator reads the columns `joint_torque` and `external_torque`.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -85,14 +85,7 @@ class Prepared:
 
     def lacks(self, estimator: Estimator) -> str | None:
         """Why there is nothing for an estimator here; None where there is."""
-        for channel in estimator.needs:
-            if channel not in self.signals:
-                return f"expected the column {channel!r}, the recording has none"
-            if channel not in self.measured and set(estimator.needs) >= set(POSITIONS):
-                return (
-                    f"expected the column {channel!r}, the recording has none: torsion cannot be read with one encoder"
-                )
-        return None
+        return _lacking(estimator, set(self.signals), self.measured)
 
     def ready(self, estimator: Estimator) -> Estimator:
         """An estimator as this segment wants it: scaled to joint and sampling, W and bandwidth by what its readings show."""
@@ -249,6 +242,33 @@ def estimate_recording(
     return Estimates(
         recording.name, recording.time, torque, external, left_out, notes, *(deviation[what] for what in _QUANTITIES)
     )
+
+
+def lacking(recording: Recording, names: Sequence[str]) -> dict[str, str]:
+    """Why `estimate_recording` would leave estimators out for a channel that they need, by name; it is not run.
+
+    Empty where nothing is estimated, in a recording without a part of `SHORTEST` samples.
+
+    Raises:
+      InputError: a name that is none.
+    """
+    if all(segment.stop - segment.start < SHORTEST for segment in recording.segments):
+        return {}
+    measured = set(recording.columns) - {"joint_torque", "external_torque"}
+    if "motor_torque" in measured:  # of which the current is told (`smoothed.in_amperes`)
+        measured.add("motor_current")
+    reasons = {name: _lacking(registry.get(name), measured | set(POSITIONS), measured) for name in names}
+    return {name: reason for name, reason in reasons.items() if reason is not None}
+
+
+def _lacking(estimator: Estimator, there: Collection[str], measured: Collection[str]) -> str | None:
+    """Why an estimator finds nothing among the channels that are there, of which some were measured; None where it does."""
+    for channel in estimator.needs:
+        if channel not in there:
+            return f"expected the column {channel!r}, the recording has none"
+        if channel not in measured and set(estimator.needs) >= set(POSITIONS):
+            return f"expected the column {channel!r}, the recording has none: torsion cannot be read with one encoder"
+    return None
 
 
 class _Held(dict[str, np.ndarray]):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import html
 import json
 import subprocess
@@ -13,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import flexspline as fs
-from flexspline.estimator import registry
+from flexspline.estimator import offline, registry
 from flexspline.models.joint import LOCKED, Mounting, load_joint
 from flexspline.models.recording import Recording, read_recording, write_recording
 
@@ -255,6 +256,38 @@ def test_an_estimator_that_is_named_must_be_there_and_find_its_channels(flexspli
     code, _, err = flexspline("estimate", path, "--out", tmp_path / "e", "--filter", "EKF")
     assert code == 2 and "EKF" in one_line(err) and "link_position" in err
     assert not (tmp_path / "e").exists()
+
+
+def test_nothing_is_told_of_a_folder_that_does_not_come(flexspline, sweep, tmp_path, monkeypatch):
+    """Of two recordings the second lacks a channel that a named estimator needs; then, the second cannot be written."""
+    write_recording(replace(sweep, name="a_whole"), tmp_path / "m")
+    write_recording(replace(sweep, name="b_motor").without("link_position"), tmp_path / "m")
+    asked = []
+
+    def estimated(recording, *given, **named):
+        asked.append(recording.name)
+        return offline_estimate(recording, *given, **named)
+
+    offline_estimate = offline.estimate_recording
+    monkeypatch.setattr(offline, "estimate_recording", estimated)
+    code, out, err = flexspline(
+        "estimate", tmp_path / "m", "--out", tmp_path / "e", "--filter", "current", "--filter", "EKF"
+    )
+    assert code == 2 and not out and not asked and not (tmp_path / "e").exists()
+    assert "b_motor" in one_line(err) and "'EKF': expected the column 'link_position'" in err
+    code, out, _ = flexspline("estimate", tmp_path / "m", "--out", tmp_path / "e", "--filter", "current")
+    assert code == 0 and asked == ["a_whole", "b_motor"]
+    assert [out.index(f"{name}.parquet") for name in asked] == sorted(out.index(f"{name}.parquet") for name in asked)
+
+    def written(estimates, folder):
+        if estimates.name == "b_motor":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return offline_write(estimates, folder)
+
+    offline_write = offline.write_estimates
+    monkeypatch.setattr(offline, "write_estimates", written)
+    code, out, err = flexspline("estimate", tmp_path / "m", "--out", tmp_path / "f", "--filter", "current")
+    assert code == 2 and not out and "cannot be written" in one_line(err) and not (tmp_path / "f").exists()
 
 
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path):

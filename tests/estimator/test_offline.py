@@ -19,6 +19,7 @@ from flexspline.estimator.offline import (
     WALKS,
     Estimates,
     estimate_recording,
+    lacking,
     prepare,
     score,
     track_zero,
@@ -256,6 +257,19 @@ def test_neither_current_nor_torque(free, joint):
     found = estimate_recording(free.without("motor_current"), joint)
     assert not found.torque and set(found.left_out) == set(names())
     assert "'motor_current'" in found.left_out["EKF"]
+
+
+@pytest.mark.parametrize("gone", [(), ("link_position",), ("motor_position",), ("motor_current",), ("motor_torque",)])
+def test_what_a_recording_lacks_is_known_before_it_is_estimated(sweep, joint, gone):
+    recording = part(sweep, slice(0, 4000)).without(*gone)
+    if gone == ("motor_torque",):  # in its place
+        columns = {**recording.columns, "motor_torque": joint.numbers["Kt"].value * recording["motor_current"]}
+        recording = replace(recording, columns=columns).without("motor_current")
+    blind = recording.signals.without("joint_torque", "external_torque")
+    ready = prepare(blind, KnownJoint.of(joint, recording.link))
+    reasons = {name: ready.lacks(get(name)) for name in names()}
+    assert lacking(recording, names()) == {name: reason for name, reason in reasons.items() if reason is not None}
+    assert not lacking(part(recording, slice(0, SHORTEST - 1)), names())
 
 
 def test_an_estimator_that_cannot_is_left_out(free, joint):
