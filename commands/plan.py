@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,6 +29,7 @@ def command(
     as_json: Annotated[bool, typer.Option("--json", help="print it as JSON")] = False,
 ) -> None:
     """Say what to measure next, and what each experiment is expected to tell: simulated, nothing is moved."""
+    from ..models.files import json_text
     from ._console import console
 
     diagnosed = (source / "diagnosis.json").is_file()
@@ -39,7 +39,7 @@ def command(
         )
     proposals = _of_diagnosis(source) if diagnosed else _of_measurement(source, joint)
     if as_json:
-        print(json.dumps(proposals, indent=1, ensure_ascii=False))
+        print(json_text(proposals))
         return
     terminal = console()
     if not proposals:

@@ -144,6 +144,16 @@ def test_diagnose_writes_its_files_and_shows_stages(flexspline, measurement, qui
     assert json.loads(text) == PLAN.to_json()
 
 
+def test_what_is_not_finite_is_null_in_json(flexspline, measurement, monkeypatch):
+    (proposal,) = PLAN.proposals
+    endless = replace(PLAN, proposals=(replace(proposal, expected=(float("inf"), 1.2)),))
+    monkeypatch.setattr("flexspline.diagnosis.diagnose.diagnose", lambda *given, **named: answered())
+    monkeypatch.setattr("flexspline.diagnosis.planning.plan", lambda *given: endless)
+    code, text, err = flexspline("plan", measurement, "--json")
+    assert code == 0, err
+    assert "Infinity" not in text and json.loads(text)[0]["expected"][0]["expected"] is None
+
+
 def test_without_time_left_the_answer_comes_without_the_rest(flexspline, measurement, quick, monkeypatch, tmp_path):
     def fail(*given):
         raise AssertionError
