@@ -1,6 +1,6 @@
 """Other programs' logs as recordings: a mapping file says which of their columns is what, in which unit.
 
-    value = sign · scale · unit · column  (or the sum of several such, or the integral of a speed)  + offset − zero
+    value = sign · scale · unit · column  (or the sum of several such, or the integral of a speed)  − zero + offset
 
 `docs/importing.md` describes the mapping file. The mappings in `layouts/` are shipped and go by name.
 """
@@ -41,7 +41,7 @@ UNITS: dict[str, tuple[str, float]] = {
 class Zero(Strict):
     """Where a channel's zero is: its mean (or first) difference from `scale` times another column is taken off.
 
-    `beyond`: only where that difference is larger (SI): a zero that is known already is kept.
+    `beyond`: only where that difference is larger (SI): a zero that is known already, by `offset`, is kept.
     """
 
     column: str
@@ -60,6 +60,11 @@ class Zero(Strict):
     def read(self, table: dict[str, np.ndarray]) -> np.ndarray:
         """What the channel is compared with, SI, shape (n,)."""
         return self.scale * _factor(self.unit, self.counts) * table[self.column]
+
+    def away(self, values: np.ndarray, table: dict[str, np.ndarray]) -> float:
+        """By how much a channel, shape (n,), differs from what it is compared with, SI."""
+        off = values - self.read(table)
+        return float(off[0] if self.at == "first" else np.mean(off))
 
 
 class SourceColumn(Strict):
@@ -92,6 +97,11 @@ class SourceColumn(Strict):
             values = np.unwrap(values)
         return self.sign * self.scale * values
 
+    def makes(self, unit: str) -> bool:
+        """Whether it is in that unit, SI, or has a factor that may make it so: one that is not 1, or a lever that is stated."""
+        lever = (UNITS[self.unit][0], unit) == ("N", "N·m") and "scale" in self.model_fields_set
+        return UNITS[self.unit][0] == unit or self.scale != 1.0 or lever
+
 
 class ChannelSource(Strict):
     """A column of a recording: one foreign column with its unit, or the `sum` of several; then offset and zero.
@@ -118,7 +128,7 @@ class ChannelSource(Strict):
     optional: bool = False
     """Left out where the log does not have it."""
     offset: float = 0.0
-    """Added at the end, SI."""
+    """Added at the end, SI; of a zero with `beyond`, the zero that is known already."""
     zero: Literal["first"] | Zero | None = None
     """Where the zero is: `first` sample, or another column."""
 
@@ -143,7 +153,8 @@ class ChannelSource(Strict):
         """The columns that are summed."""
         if self.sum is not None:
             return self.sum
-        return [SourceColumn.model_validate({name: getattr(self, name) for name in SourceColumn.model_fields})]
+        own = self.model_fields_set & set(SourceColumn.model_fields)
+        return [SourceColumn.model_validate({name: getattr(self, name) for name in own})]
 
     @property
     def sources(self) -> list[str]:
@@ -158,14 +169,15 @@ class ChannelSource(Strict):
 
             assert time is not None
             values = cumulative_trapezoid(values, time, initial=0.0)
-        values = values + self.offset
+        if self.zero is None:
+            return values + self.offset
         if self.zero == "first":
-            return values - values[0]
-        if self.zero is not None:
-            off = values - self.zero.read(table)
-            away = float(off[0] if self.zero.at == "first" else np.mean(off))
-            return values - away if abs(away) > self.zero.beyond else values
-        return values
+            return values - values[0] + self.offset
+        if self.zero.beyond == 0:
+            return values - self.zero.away(values, table) + self.offset
+        known = values + self.offset
+        away = self.zero.away(known, table)
+        return known - away if abs(away) > self.zero.beyond else known
 
 
 class PayloadSpec(Strict):
@@ -282,10 +294,12 @@ class Layout(Strict):
                 raise ValueError(
                     f"columns.{name}.zero.unit: expected one of {expected!r}, or a scale that makes it so, got {zero.unit!r}"
                 )
-            if len(channel.parts) == 1 and channel.scale == 1.0 and channel.sum is None:
-                if UNITS[channel.parts[0].unit][0] != (f"{expected}/s" if channel.integrate else expected):
+            wanted = f"{expected}/s" if channel.integrate else expected
+            for i, part in enumerate(channel.parts):
+                if not part.makes(wanted):
+                    where = f"columns.{name}.unit" if channel.sum is None else f"columns.{name}.sum.{i}.unit"
                     raise ValueError(
-                        f"columns.{name}.unit: expected one of {expected!r}, or a scale that makes it so, got {channel.unit!r}"
+                        f"{where}: expected one of {wanted!r}, or a scale that makes it so, got {part.unit!r}"
                     )
         return self
 

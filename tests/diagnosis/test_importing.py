@@ -112,6 +112,22 @@ def test_an_encoder_that_wraps_is_unwrapped(tmp_path):
         (columns(time={"column": "t", "unit": "s", "integrate": True, "scale": 2.0}), ["columns.time.integrate"]),
         (zero(unit="counts"), ["link_position: zero.counts: expected with unit 'counts'"]),
         (zero(unit="A"), ["columns.link_position.zero.unit", "'rad'"]),
+        (
+            columns(motor_position={"sum": [{"column": "m", "unit": "A"}]}),
+            ["columns.motor_position.sum.0.unit", "'rad'", "got 'A'"],
+        ),
+        (
+            columns(joint_torque={"sum": [{"column": "my", "unit": "N·m"}, {"column": "fx", "unit": "N"}]}),
+            ["columns.joint_torque.sum.1.unit", "'N·m'", "got 'N'"],
+        ),
+        (
+            columns(link_position={"sum": [{"column": "l", "unit": "deg"}], "integrate": True}),
+            ["columns.link_position.sum.0.unit", "'rad/s'", "got 'deg'"],
+        ),
+        (
+            columns(link_position={"column": "l", "unit": "deg", "integrate": True}),
+            ["columns.link_position.unit", "'rad/s'", "got 'deg'"],
+        ),
     ],
 )
 def test_a_bad_mapping_is_named(tmp_path, changes, words):
@@ -121,6 +137,19 @@ def test_a_bad_mapping_is_named(tmp_path, changes, words):
     assert "mine.yaml" in message and "\n" not in message
     for word in words:
         assert word in message
+
+
+def test_parts_of_a_sum_may_have_a_factor_with_a_unit(tmp_path):
+    """A lever, also one of 1 m, and a torque constant; a speed that is the sum of two."""
+    lever = [{"column": "fx", "unit": "N", "scale": 1.0}, {"column": "my", "unit": "mN·m"}]
+    r = import_recording(layout(tmp_path, **columns(joint_torque={"sum": lever})), log(tmp_path))
+    np.testing.assert_allclose(r["joint_torque"], [2.001, 4.001])
+    constant = [{"column": "i", "unit": "mA", "scale": 0.1}, {"column": "my", "unit": "N·m"}]
+    r = import_recording(layout(tmp_path, **columns(joint_torque={"sum": constant})), log(tmp_path))
+    np.testing.assert_allclose(r["joint_torque"], [1.01, 1.02])
+    speeds = {"sum": [{"column": "l", "unit": "rad/s"}, {"column": "my", "unit": "rpm"}], "integrate": True}
+    r = import_recording(layout(tmp_path, **columns(link_position=speeds)), log(tmp_path))
+    np.testing.assert_allclose(r["link_position"], [0.0, 1e-3 * (10.5 + 2 * np.pi / 60)])
 
 
 @pytest.mark.parametrize(
@@ -184,6 +213,17 @@ def test_a_zero_that_is_known_is_kept(tmp_path):
     assert off["link_position"][0] == pytest.approx(0.54)
     away = import_recording(layout(tmp_path, **columns(link_position={**known, "offset": -7.0})), log(tmp_path, text))
     assert away["link_position"][0] == pytest.approx(0.5)
+
+
+def test_an_offset_is_added_beside_a_zero(tmp_path):
+    """It was taken off again with the zero."""
+    plain = import_recording(layout(tmp_path), log(tmp_path))
+    for name, source in LAYOUT["columns"].items():
+        if "zero" in source:
+            mine = layout(tmp_path, **columns(**{name: {**source, "offset": 0.25}}))
+            found = import_recording(mine, log(tmp_path)).signals
+            before, after = (x.time if name == "time" else x[name] for x in (plain.signals, found))
+            np.testing.assert_allclose(after, before + 0.25, atol=1e-12, err_msg=name)
 
 
 def run(*arguments):
