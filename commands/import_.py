@@ -117,11 +117,18 @@ def command(
 
 def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:
     """The recordings, the folder to which a path to their joint is relative, and the files that were read."""
-    from ..diagnosis.data.importing import import_recording, known_layouts, load_layout
+    from ..diagnosis.data.importing import import_recording, known_layouts, load_layout, unfitting
     from ..models.files import check_name
     from ..models.recording import Measurement
 
     here = Path()
+    if what[0] not in known_layouts() and _is_log(Path(what[0])):
+        table = Path(what[0]).suffix in (".csv", ".parquet")
+        beside = f"; or, of a recording, {Path(what[0]).stem}.yaml beside it" if table else ""
+        known = ", ".join(known_layouts())
+        raise InputError(
+            f"{what[0]}: expected FORMAT before it, one of {known} or a mapping file (YAML){beside}; got a log"
+        )
     if len(what) > 1:
         is_layout = not Path(what[0]).is_dir() and not _is_table(what[0])
     else:
@@ -134,6 +141,10 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
         layout = load_layout(what[0])
         stems = [check_name(name or Path(log).stem, "--name" if name else log) for log in what[1:]]
         found = [import_recording(layout, log, stem, joint) for log, stem in zip(what[1:], stems, strict=True)]
+        if nowhere := unfitting(layout, what[1:]):
+            logs = ", ".join(Path(log).name for log in what[1:]) if len(what) <= 4 else f"of {len(what) - 1} logs"
+            text = f"{what[0]}: logs: {', '.join(map(repr, nowhere))}: expected to fit a log's name, got {logs}"
+            warnings.warn(text, InputWarning, stacklevel=2)
         home = here if joint is not None or what[0] in known_layouts() else Path(what[0]).parent
         inputs = [Path(w) for w in what[1:]]
     else:
@@ -180,6 +191,22 @@ def _is_table(path: str) -> bool:
         found.suffix == ".parquet"
         or (found.suffix in (".csv", ".yaml", ".yml") and _has_other_half(found) and not _is_mapping(found))
     )
+
+
+def _is_log(path: Path) -> bool:
+    """Whether a path is that of another program's log: no recording, no folder of them, and no mapping by whatever name."""
+    if path.is_dir():  # a bag
+        return (path / "metadata.yaml").is_file() and not _has_other_half(path / "metadata.yaml")
+    if not path.is_file() or path.suffix in (".yaml", ".yml"):
+        return False
+    if path.suffix in (".csv", ".parquet"):
+        return not path.with_suffix(".yaml").is_file()
+    if path.suffix in (".pq", ".mcap", ".db3"):
+        return True
+    try:
+        return not _is_mapping(path)
+    except InputError:  # no YAML
+        return True
 
 
 def _is_mapping(path: Path) -> bool:

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from importlib import resources
 from pathlib import Path
@@ -328,6 +329,12 @@ class Layout(Strict):
         external = other.external_torque or self.external_torque
         update = {"link": link, "mounting": None, "arm": other.arm or self.arm, "external_torque": external}
         return self.model_copy(update=update)
+
+
+def unfitting(layout: Layout, logs: Sequence[str | Path]) -> list[str]:
+    """Patterns of a mapping's `logs` that fit none of these logs' names."""
+    names = [Path(log).name for log in logs]
+    return [pattern for pattern in layout.logs if not any(fnmatchcase(name, pattern) for name in names)]
 
 
 def _factor(unit: str, counts: int | None) -> float:

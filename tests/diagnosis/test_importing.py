@@ -249,6 +249,29 @@ def test_a_mapping_without_a_log_is_told_that_one_is_missing(flexspline, tmp_pat
     assert code == 2 and err.count("\n") == 1 and "expected one log or more after it, got none" in err
 
 
+def test_logs_without_a_format_are_told_that_it_is_missing(flexspline, tmp_path, mapping):
+    table = pd.DataFrame({"t": [0.0, 1.0]})
+    table.to_csv(tmp_path / "a.csv")
+    table.to_csv(tmp_path / "b.csv")
+    table.to_parquet(tmp_path / "c.parquet")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    for logs in (
+        ["a.csv", "b.csv"],
+        ["c.parquet", "a.csv"],
+        ["a.csv"],
+        ["c.parquet"],
+        ["bag", "a.csv"],
+        ["a.csv", mapping],
+    ):
+        code, _, err = flexspline("import", *(tmp_path / name for name in logs), "--out", tmp_path / "m")
+        assert code == 2 and err.count("\n") == 1, err
+        assert str(tmp_path / logs[0]) in err and "FORMAT" in err and all(name in err for name in known_layouts()), err
+    plain = tmp_path / "mapping"  # a mapping by any name is one
+    plain.write_text(mapping.read_text())
+    assert flexspline("import", plain, log(tmp_path), "--out", tmp_path / "m")[0] == 0
+
+
 def test_nothing_is_overwritten_or_written_elsewhere(tmp_path, mapping):
     out = tmp_path / "out"
     assert run(mapping, log(tmp_path), "--out", out).exit_code == 0
@@ -447,6 +470,17 @@ def test_every_log_with_its_own_payload(tmp_path, mapping):
     layout(tmp_path, logs={**PAYLOADS, "*_1.csv": {}})
     result = run(mapping, logs[0], "--out", tmp_path / "again")
     assert "got '*_1.csv', 'empty*'" in str(result.exception)
+
+
+def test_a_pattern_that_fits_no_log_is_told(flexspline, tmp_path, mapping):
+    layout(tmp_path, logs={"tool*": {"payload": {"mass": 1.0, "distance": 0.3}}, "lo?.csv": {}, "b*.csv": {}})
+    code, _, err = flexspline("import", mapping, log(tmp_path), "--out", tmp_path / "m")
+    assert code == 0 and err.count("\n") == 1 and "mine.yaml: logs: " in err
+    assert "'b*.csv', 'tool*'" in err and "lo?" not in err and "log.csv" in err
+    (tmp_path / "tool.csv").write_text(LOG)
+    (tmp_path / "b1.csv").write_text(LOG)
+    logs = [tmp_path / name for name in ("log.csv", "tool.csv", "b1.csv")]
+    assert flexspline("import", mapping, *logs, "--out", tmp_path / "n")[2] == ""
 
 
 def test_what_hung_there_by_its_name_in_the_description(tmp_path):
