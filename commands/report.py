@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -137,4 +138,18 @@ def _sweep(folder: Path) -> str:
 
     note = read_note(folder / "study.json")
     study = parse(note["study"], Study, str(folder / "study.json"))
-    return sweep_html(study, read_csv(folder / "summary.csv", study), note["versions"], note["digest"], folder)
+    found = read_csv(folder / "summary.csv", study)
+    return sweep_html(study, found, note["versions"], note["digest"], folder, _study_of(note, folder))
+
+
+def _study_of(note: dict[str, Any], folder: Path) -> str:
+    """The study of a sweep as the command line has it from here: a shipped one's name, or a path; empty where nobody knows."""
+    from ..scenarios.studies.study import shipped_studies
+
+    source = note.get("source") or note["study"]["name"]
+    if source in shipped_studies():
+        return source
+    if "source" not in note:
+        return ""
+    path = (folder.resolve() / source).resolve()
+    return path.as_posix() if folder.is_absolute() else Path(os.path.relpath(path)).as_posix()

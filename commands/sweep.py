@@ -46,7 +46,7 @@ def command(
     from ..scenarios.studies.dataset import Dataset
     from ..scenarios.studies.design import Design
     from ..scenarios.studies.statistics import aggregate, summary_rows, write_csv
-    from ..scenarios.studies.study import load_study
+    from ..scenarios.studies.study import load_study, shipped_studies
     from ..scenarios.studies.sweep import sweep, versions
     from ..views.sweep_tables import sweep_markdown, sweep_table
     from ._console import console, progress
@@ -56,7 +56,10 @@ def command(
         asked = asked.with_seeds(seeds)
     terminal = console()
     design = Design.of(asked, folder)
-    dataset = Dataset.open(out, design, versions())
+    source = (
+        study if study in shipped_studies() else Path(os.path.relpath(Path(study).resolve(), out.resolve())).as_posix()
+    )
+    dataset = Dataset.open(out, design, versions(), source)
     check_output(out, "sweep", writes=("summary.csv", "summary.md"))
     with progress(counting=True, remaining=True) as bar:
         task = bar.add_task(f"{asked.name}: runs", total=design.runs, completed=dataset.done())

@@ -1,6 +1,6 @@
 """The dataset of a study: Parquet files that appear as chunks of runs finish, and a note on what study it is.
 
-    OUT/study.json                                      the study, its digest, its seeds, versions
+    OUT/study.json                                      the study, where it came from, its digest, its seeds, versions
     OUT/rows/scenario=NAME/cell=0007/runs-000032-000047.parquet
 
 A file is written under another name and moved into place, so what is there is complete. Any Parquet reader takes
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from ...models.errors import InputError
@@ -51,8 +52,14 @@ class Dataset:
         self._whole: set[Path] = set()
 
     @classmethod
-    def open(cls, folder: Path, design: Design, versions: dict[str, str]) -> Dataset:
+    def open(cls, folder: Path, design: Design, versions: dict[str, str], source: str = "") -> Dataset:
         """Make the folder, or go on with one of the same study; more seeds than before are welcome.
+
+        Args:
+          folder: of the dataset.
+          design: of the study.
+          versions: of the packages that compute it.
+          source: name of the shipped study, or its file's path, relative to the folder; empty where it has none.
 
         Raises:
           InputError: a folder with something else in it, of another study, or begun with other versions.
@@ -81,10 +88,14 @@ class Dataset:
                 raise InputError(
                     f"{folder}: expected the seeds of the sweep there, or more, got others; choose another --out"
                 )
+            source = source or before.get("source", "")
             if len(seeds) <= len(before["seeds"]):
-                return cls(folder, design)
+                if source == before.get("source", ""):
+                    return cls(folder, design)
+                seeds, study = before["seeds"], before["study"]
         with write_into_place(note) as temporary:
             text = {"format": 1, "digest": design.digest, "versions": versions, "seeds": seeds, "study": study}
+            text |= {"source": source} if source else {}
             temporary.write_text(json.dumps(text, indent=1, ensure_ascii=False), encoding="utf-8")
         return cls(folder, design)
 
@@ -159,11 +170,16 @@ class Dataset:
         return self.design.runs - sum(b - a for cell in self.design.cells for a, b in self.gaps(cell.index))
 
     def read(self, cell: int, columns: list[str] | None = None) -> pa.Table:
-        """Rows of a cell so far, by run and then as the study lists its filters."""
-        tables = []
-        for _, _, path in self.parts(cell):
+        """Rows of a cell so far, of the design's seeds, by run and then as the study lists its filters."""
+        tables, total = [], len(self.design.study.seed_list)
+        for begin, end, path in self.parts(cell):
+            if begin >= total:  # the folder may have more seeds
+                continue
             with pq.ParquetFile(path) as file:  # the path's own folders are no columns here
-                tables.append(file.read(columns=columns))
+                table = file.read(columns=columns)
+                if end > total:
+                    table = table.filter(pc.less(file.read(columns=["run"])["run"], total))
+                tables.append(table)
         return pa.concat_tables(tables) if tables else pa.table({})
 
 
@@ -184,7 +200,7 @@ def _is_whole(path: Path) -> bool:
 
 
 def read_note(note: Path) -> dict[str, Any]:
-    """What a dataset says of itself: `study`, `digest`, `versions`, `seeds`.
+    """What a dataset says of itself: `study`, `digest`, `versions`, `seeds`, and `source` where it is known (`Dataset.open`).
 
     Raises:
       InputError: a file that is no such note.
@@ -192,7 +208,7 @@ def read_note(note: Path) -> dict[str, Any]:
     before = read_json(note, "the note of a sweep", _LARGEST_NOTE)
     kinds = {"digest": str, "versions": dict, "seeds": list, "study": dict}
     of_its_kind = isinstance(before, dict) and all(isinstance(before.get(key), kind) for key, kind in kinds.items())
-    if not of_its_kind or not isinstance(before["study"].get("name"), str):
+    if not of_its_kind or not all(isinstance(x, str) for x in (before["study"].get("name"), before.get("source", ""))):
         raise InputError(f"{note}: expected the note of a sweep, got something else")
     check_format(before, note)
     return before

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
+import shlex
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import matplotlib.image
 import pytest
@@ -32,8 +37,8 @@ def write(folder, seeds=2):
     return path
 
 
-def call(monkeypatch, capsys, *arguments) -> tuple[int, str, str]:
-    monkeypatch.setattr(sys, "argv", ["flexspline", "sweep", *map(str, arguments)])
+def call(monkeypatch, capsys, *arguments, command="sweep") -> tuple[int, str, str]:
+    monkeypatch.setattr(sys, "argv", ["flexspline", command, *map(str, arguments)])
     try:
         commands.main()
         code = 0
@@ -63,6 +68,62 @@ def test_a_study_into_a_folder(tmp_path, monkeypatch, capsys):
     code, _, err = call(monkeypatch, capsys, "noise_and_lod", "--out", tmp_path / "other")
     assert code == 2 and err.count("\n") == 1 and "noise_and_load" in err
     assert not (tmp_path / "other").exists()
+
+
+def test_fewer_seeds_than_there_are_and_a_page_whose_command_runs(tmp_path, monkeypatch, capsys):
+    """Three seeds were counted where two were asked for; the page's command named the study, which no one ships."""
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "mine" / "my study.yaml"
+    quick = STUDY[: STUDY.index("axes")] + "metrics: [rms]\nfilters: [EKF]\n"
+    path.write_text(quick.replace("SEEDS", "3"), encoding="utf-8")
+    base = ("mine/my study.yaml", "--out", "out", "--no-figures", "--json")
+    three = json.loads(call(monkeypatch, capsys, *base)[1])
+    assert [row["runs"] for row in three] == [3]
+    fewer = json.loads(call(monkeypatch, capsys, *base, "--seeds", 2)[1])
+    fresh = json.loads(call(monkeypatch, capsys, base[0], "--out", "two", *base[3:], "--seeds", 2)[1])
+    assert fewer == fresh and [row["runs"] for row in fewer] == [2]
+    assert (tmp_path / "out" / "summary.csv").read_bytes() == (tmp_path / "two" / "summary.csv").read_bytes()
+    assert json.loads(call(monkeypatch, capsys, *base)[1]) == three
+
+    def shown(folder) -> list[str]:
+        assert call(monkeypatch, capsys, folder, "--out", tmp_path / "page.html", command="report")[0] == 0
+        code = re.search(r"<pre><code>flexspline sweep (.*?)</code>", (tmp_path / "page.html").read_text())
+        return shlex.split(html.unescape(code[1]))
+
+    assert shown("out") == ["mine/my study.yaml", "--seeds", "6", "--out", "out"]
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    words = shown("../out")
+    assert words == ["../mine/my study.yaml", "--seeds", "6", "--out", "../out"]
+    code, out, _ = call(monkeypatch, capsys, *words, "--no-figures", "--json")
+    assert code == 0 and [row["runs"] for row in json.loads(out)] == [6]
+    shutil.move(tmp_path / "mine", tmp_path / "other")  # its study goes on from elsewhere
+    call(monkeypatch, capsys, "../other/my study.yaml", *words[3:], "--no-figures", "--seeds", 2)
+    assert shown("../out")[0] == "../other/my study.yaml"
+
+
+@pytest.mark.parametrize(("name", "said"), [("tolerance", "tolerance"), ("small", "small.yaml")])
+def test_a_page_of_an_older_dataset(tmp_path, monkeypatch, capsys, name, said):
+    """It does not say where its study came from."""
+    folder = shutil.copytree(Path(__file__).parents[1] / "frozen" / "sweep", tmp_path / "sweep")
+    note = folder / "study.json"
+    note.write_text(note.read_text().replace('"name": "small"', f'"name": "{name}"'))
+    assert call(monkeypatch, capsys, folder, "--out", tmp_path / "page.html", command="report")[0] == 0
+    page = (tmp_path / "page.html").read_text()
+    assert f"flexspline sweep {said} --seeds 4 --out" in page
+    assert ("named by its path" in page) == (name == "small")
+
+
+def test_seeds_that_are_listed_are_not_twice_as_many(tmp_path, monkeypatch, capsys):
+    path = write(tmp_path)
+    path.write_text(
+        path.read_text().replace("{count: 2}", "[3, 5]").replace("sizes: [0, 1]", "sizes: [0]"), encoding="utf-8"
+    )
+    assert call(monkeypatch, capsys, path, "--out", tmp_path / "out", "--no-figures")[0] == 0
+    assert call(monkeypatch, capsys, tmp_path / "out", "--out", tmp_path / "page.html", command="report")[0] == 0
+    page = (tmp_path / "page.html").read_text()
+    assert f"flexspline sweep {path} --out" in page and "more seeds" in page and "--seeds" not in page
 
 
 def test_ctrl_c_says_that_the_same_command_goes_on(tmp_path):

@@ -45,7 +45,7 @@ def run_page(pushed, bare, tmp_path_factory) -> str:
 
 @pytest.fixture(scope="module")
 def sweep_page() -> str:
-    return sweep_html(STUDY, found(), {"flexspline": "0.1.0"}, "abcdef0123456789", Path("sweeps/s"))
+    return sweep_html(STUDY, found(), {"flexspline": "0.1.0"}, "abcdef0123456789", Path("sweeps/s"), "levels")
 
 
 STUDY = Study.model_validate(

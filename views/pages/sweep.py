@@ -26,7 +26,9 @@ _SPREAD = 0.3  # of the distance between two points, over which filters stand si
 _SHOWN = 12  # charts at most
 
 
-def sweep_html(study: Study, found: Sequence[Aggregate], versions: dict[str, str], digest: str, folder: Path) -> str:
+def sweep_html(
+    study: Study, found: Sequence[Aggregate], versions: dict[str, str], digest: str, folder: Path, source: str = ""
+) -> str:
     """The page as text: one file that refers to nothing outside itself.
 
     Args:
@@ -34,11 +36,14 @@ def sweep_html(study: Study, found: Sequence[Aggregate], versions: dict[str, str
       found: its aggregates.
       versions, digest: of the packages that computed it, and of the study.
       folder: of the dataset.
+      source: the study's name or path, as `flexspline sweep` takes it; empty where it is not known.
     """
     kinds = line_kinds(study.names)
     metric = study.metrics[0]
     place = shlex.quote(folder.as_posix())
     titles = {axis.name: axis.title for axis in study.axes}
+    listed = isinstance(study.seeds, list)
+    more = "" if listed else f" --seeds {2 * max(s.runs for s in found)}"
     context = {
         "name": study.name,
         "description": study.description,
@@ -55,9 +60,9 @@ def sweep_html(study: Study, found: Sequence[Aggregate], versions: dict[str, str
         "tables": [_table(study, found, m) for m in study.metrics],
         "axes": [titles.get(name, name) for name in found[0].columns],
         "filters": study.names,
-        "commands": [
-            f"flexspline sweep {shlex.quote(study.name)} --seeds {2 * max(s.runs for s in found)} --out {place}"
-        ],
+        "commands": [f"flexspline sweep {shlex.quote(source or f'{study.name}.yaml')}{more} --out {place}"],
+        "listed": listed,
+        "unknown": not source,
         "folder": str(folder),
         "versions": versions,
         "digest": digest,
