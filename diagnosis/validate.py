@@ -110,7 +110,7 @@ class Channels:
 
     Attributes:
       name: of the recording.
-      time: shape (n,) [s].
+      time: as its table has it, shape (n,) [s].
       measured, simulated, deviation: by channel, shape (n,); the last is half a band over `SIGMAS`.
       noise: what the sensors' noise leaves of `measured` − `simulated`, rms by channel, shape (n,).
       sensor: the part of it that is the channel's own sensor's, rms by channel.
@@ -278,7 +278,7 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
         deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint, sensor[name]))
         noise[name] = np.sqrt(motion + sensor[name] ** 2)
     return Channels(
-        name=recording.name, time=recording.time, measured=measured, simulated=simulated, deviation=deviation,
+        name=recording.name, time=recording.stamps, measured=measured, simulated=simulated, deviation=deviation,
         noise=noise, sensor=sensor, moving=moving > 0.99, angle=angle, velocity=velocity, load=load,
         units={name: CHANNELS[name].unit for name in measured},
     )  # fmt: skip

@@ -106,7 +106,7 @@ class Estimates:
 
     Attributes:
       name: of the recording.
-      time: shape (n,) [s].
+      time: as its table has it, shape (n,) [s].
       torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments of fewer
         than `SHORTEST` samples. It may lie in files (`models.spool`).
       external_torque: torque on the link that its own gravity and inertia, and the motion of other joints of an arm, do not
@@ -193,7 +193,7 @@ def estimate_recording(
             continue
         signals = blind.part(segment)
         ready = prepare(signals, known)
-        notes.append(ready.note)
+        notes.append(ready.note | {"start": float(recording.stamps[segment.start])})
         chosen = {name: e for name, e in estimators.items() if name not in left_out}
         beliefs: dict[str, np.ndarray] = {}
         estimates: dict[_Key, np.ndarray] = {}
@@ -240,7 +240,7 @@ def estimate_recording(
         columns.keep(kept)
     torque, external = (found[what] for what in _QUANTITIES)
     return Estimates(
-        recording.name, recording.time, torque, external, left_out, notes, *(deviation[what] for what in _QUANTITIES)
+        recording.name, recording.stamps, torque, external, left_out, notes, *(deviation[what] for what in _QUANTITIES)
     )
 
 

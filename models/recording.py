@@ -89,6 +89,7 @@ class Recording:
       link: what was bolted to the output; of an arm, what hung on the joint while the others were in the middle of their ways.
       arm: the arm that the joint is part of, None where `link` is stated; load: what its motion put on the link beside
         `link`, None where the other joints held still (`models.arm_dynamics`).
+      logged: time as its table has it [s], shape (n,), where `time` has gaps that it does not show; else None.
       external: whether there was external torque: none, measured (the column) or unmeasured.
       source: where it came from, for messages.
 
@@ -107,6 +108,7 @@ class Recording:
     source: str = ""
     arm: ArmRecord | None = None
     load: Load | None = None
+    logged: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         where = self.source or f"recording {self.name!r}"
@@ -175,7 +177,14 @@ class Recording:
         columns = {name: values[samples] for name, values in self.columns.items()}
         arm = None if self.arm is None else self.arm.at(samples)
         load = None if self.load is None else self.load.at(samples)
-        return replace(self, time=self.time[samples] if time is None else time, columns=columns, arm=arm, load=load)
+        logged = None if self.logged is None or time is not None else self.logged[samples]
+        time = self.time[samples] if time is None else time
+        return replace(self, time=time, columns=columns, arm=arm, load=load, logged=logged)
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """Time of the samples in its table, shape (n,) [s]: what a result is written with, so that both can be joined."""
+        return self.time if self.logged is None else self.logged
 
     @cached_property
     def known_torque(self) -> np.ndarray:

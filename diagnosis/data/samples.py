@@ -138,7 +138,10 @@ def jumps(recording: Recording, joint: Joint) -> np.ndarray:
 
 
 def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[str, ...]]:
-    """The measurement with gaps in the time of its recordings where samples are missing (`jumps`), and what is said of each."""
+    """The measurement with gaps in the time of its recordings where samples are missing (`jumps`), and what is said of each.
+
+    What they had for time stays beside it (`Recording.stamps`).
+    """
     said, found = [], []
     for recording in measurement.recordings:
         rows, time = jumps(recording, joint), recording.time.copy()
@@ -148,7 +151,7 @@ def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[s
                 f"{recording.name}: both encoders jump at row {row}: samples are missing, or there twice, which the time does "
                 "not show; taken for a gap"
             )
-        found.append(replace(recording, time=time) if len(rows) else recording)
+        found.append(replace(recording, time=time, logged=recording.stamps) if len(rows) else recording)
     return replace(measurement, recordings=tuple(found)) if said else measurement, tuple(said)
 
 

@@ -210,11 +210,15 @@ def test_samples_that_are_missing_under_a_numbered_time_are_a_gap(tmp_path, flex
     """What `check` and `diagnose` tell, `validate` and `estimate` did not."""
     sound = swing.recording(rate=1000.0)
     kept = np.r_[0:6000, 6300 : len(sound.time)]
-    write_recording(replace(sound.at(kept), time=sound.time[: len(kept)]), tmp_path / "data")
+    table = write_recording(replace(sound.at(kept), time=sound.time[: len(kept)] + 0.25), tmp_path / "data")
     error = {}
     for name, where in (("validate", "out"), ("estimate", "torque")):
         code, _, err = flexspline(name, tmp_path / "data", "--joint", "test-joint", "--out", tmp_path / where)
         assert code == 0 and "samples are missing" in err, err
+        written = read_table(tmp_path / where / table.name)[0]
+        np.testing.assert_array_equal(written["time"], read_table(table)[0]["time"], err_msg=name)  # to be joined on it
+    notes = json.loads((tmp_path / "torque" / "metrics.json").read_text())[table.stem]["notes"]
+    assert [note["start"] for note in notes] == [0.25, pytest.approx(6.25, abs=1e-9)]
     found = json.loads((tmp_path / "out" / "validation.json").read_text())
     whole = validate(Measurement("m", Path(), (sound,)), load_joint("test-joint")).residual
     error = {name: (e["rms"], whole[name].rms) for name, e in found["residual"].items()}
