@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
+import shlex
 import sys
 from collections import Counter
+from html import unescape
 from pathlib import Path
 from types import ModuleType
 
@@ -93,6 +96,23 @@ def rng() -> np.random.Generator:
     seed = int(os.environ.get("FLEXSPLINE_SEED", SEED))
     print(f"seed {seed}: repeat with FLEXSPLINE_SEED={seed}")
     return np.random.default_rng(seed)
+
+
+@pytest.fixture(scope="session")
+def typed():
+    """Return a function: an HTML page → the command lines to copy from it, each of which the command line's own parser takes."""
+    from flexspline import commands
+
+    def read(page: str) -> list[str]:
+        code = re.findall(r"<code>(flexspline .*?)</code>", page, flags=re.DOTALL)
+        lines = [line for text in code for line in unescape(re.sub(r"<[^>]*>", "", text)).splitlines() if line.strip()]
+        for line in lines:
+            program, name, *rest = shlex.split(line)
+            assert program == "flexspline", line
+            commands._load(name).make_context(name, rest)  # parses, and calls nothing
+        return lines
+
+    return read
 
 
 @pytest.fixture

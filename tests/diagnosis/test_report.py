@@ -187,6 +187,13 @@ def test_page_begins_with_what_was_found_how_sure_and_what_to_do(report):
     assert "DIR stands for the folder" in read(html(report))[1]
 
 
+def test_commands_to_copy_are_what_the_command_line_takes(report, typed):
+    mistake = Mistake("unit", "motor_current", "sweep", "milliamperes taken for amperes", 0.99, factor=1e-3)
+    mended = replace(report, diagnosis=replace(report.diagnosis, mistakes=(mistake,)))
+    assert report.diagnosis.problem is not None and not report.diagnosis.mistakes
+    assert len(typed(html(report))) == 4 and len(typed(html(mended))) == 6
+
+
 def test_page_says_one_by_one_what_holds_the_verdict_back(report):
     parts = ("time was up", "link balance: 0.2 N·m RMS is left; that is much", "one recording stands apart")
     found = replace(report.diagnosis, verdict="inconclusive", causes=(), reasons=parts, share=0.0, calibration={})

@@ -184,6 +184,11 @@ def test_pages_are_self_contained_and_begin_with_the_answer(
         assert len(page.encode()) < 3e6
 
 
+@pytest.mark.parametrize("which", ["run_page", "sweep_page", "repair_page", "contact_page", "validation_page"])
+def test_commands_to_copy_are_what_the_command_line_takes(which, typed, request):
+    assert typed(request.getfixturevalue(which))
+
+
 def test_a_comparison_names_the_closest_and_what_to_type(run_page, pushed, bare):
     text = text_of(run_page)
     assert "closest to the true joint torque" in text and "Geometric mean over the scenarios" in text
@@ -487,13 +492,14 @@ def test_the_command_writes_a_page_and_only_over_pages(flexspline, pushed, repai
         assert code == 2 and err.count("\n") == 1, (words, err)
 
 
-def test_the_page_of_an_arm_goes_from_its_base_to_its_tip(flexspline, tmp_path):
+def test_the_page_of_an_arm_goes_from_its_base_to_its_tip(flexspline, typed, tmp_path):
     short = ("--set", "duration=2", "--set", "arm.0.filters=[model]", "--set", "arm.1.filters=[model]")
     assert flexspline("run", "two_joints", *short, "--no-figures", "--no-recording", "--out", tmp_path)[0] == 0
     code, _, err = flexspline("report", tmp_path / "two_joints", "--out", tmp_path / "page.html")
     assert code == 0, err
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.index("<h2>shoulder") < page.index("<h2>elbow")
+    assert len(typed(page)) == 3
     text = text_of(page)
     assert "Run of the arm two_joints , from its base to its tip: shoulder (test-joint), elbow (test-joint)" in text
     assert "geometric mean over 2 joints" in text and "alone" not in text
@@ -558,8 +564,10 @@ def validated(folder: Path, off: float = 0.0, mistakes: tuple[str | dict, ...] =
         (0.0, (MINOR,), "The description of test-joint holds", ["estimate"]),
     ],
 )
-def test_a_validation_says_whether_the_description_holds(off, mistakes, sentence, commands, tmp_path):
-    text = text_of(validation_html(read_validation(validated(tmp_path / "v", off, mistakes))))
+def test_a_validation_says_whether_the_description_holds(off, mistakes, sentence, commands, typed, tmp_path):
+    page = validation_html(read_validation(validated(tmp_path / "v", off, mistakes)))
+    text = text_of(page)
+    assert len(typed(page)) == len(commands)
     assert sentence in text and all(f"{head} " in text for head in HEAD)
     assert re.findall(r"flexspline (\w+) 'bench log' --joint test-joint", text) == commands
     assert all(f"{m['column']}: {m['description']}" in text for m in mistakes if isinstance(m, dict))
