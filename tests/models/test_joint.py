@@ -318,7 +318,7 @@ def test_a_pipe_is_no_description(tmp_path):
         load_joint(tmp_path / "joint.yaml")
 
 
-@pytest.mark.parametrize("text", ["kg*m^2", "kg.m²", "kgm²", "kg m²".replace(" ", "·")])
+@pytest.mark.parametrize("text", ["kg*m^2", "kg.m²", "kgm²", "kgm2", "kg m²".replace(" ", "·")])
 def test_units_may_be_spelt_differently(tmp_path, text):
     assert (
         load_joint(changed(tmp_path, "1.38e-5, unit: kg·m²", f"1.38e-5, unit: {text}")).numbers["Jm"].value == 1.38e-5
