@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .joint import Joint, Mounting, Number, may_be_zero
+from .joint import OPTIONAL_SYMBOLS, SYMBOLS, Joint, Mounting, Number, may_be_zero
 from .parameters import PARAMETERS, as_floats, short_way
 
 CUT = 2.5
@@ -113,11 +113,7 @@ class Calibration:
             own=np.array([self._position.get(s.name, none) for s in self.slots], int),
             shared_tolerance=np.array([joint.shared_tolerances[n.shared] if n.shared else 0.0 for n in numbers]),
             shared=np.array([self._position.get(f"shared {n.shared}", none) for n in numbers], int),
-            # None of the joint's own numbers is negative, however wide its deviation.
-            least=np.array([
-                -np.inf if s.name not in joint.numbers else 0.0 if may_be_zero(s.name) else _LEAST_SHARE * s.number.value
-                for s in self.slots
-            ]),
+            least=np.array([_least(s) for s in self.slots]),
             place=np.array([s.place for s in self.slots], int),
         )  # fmt: skip
 
@@ -198,6 +194,14 @@ def _factor(change: np.ndarray) -> np.ndarray:
     return np.where(
         change > _LEAST - 1, 1 + change, _LEAST * np.exp((np.minimum(change, _LEAST - 1) + 1 - _LEAST) / _LEAST)
     )
+
+
+def _least(slot: Slot) -> float:
+    """The least that a number may be: no symbol's and no scale of the link is negative, however wide its deviation."""
+    scale = slot.field in ("Jl", "Mg")
+    if slot.field not in SYMBOLS | OPTIONAL_SYMBOLS and not scale:
+        return -np.inf
+    return 0.0 if not scale and may_be_zero(slot.name) else _LEAST_SHARE * slot.number.value
 
 
 def slots(joint: Joint) -> list[Slot]:

@@ -506,9 +506,19 @@ class Joint(Strict):
         for fault in number_faults(self.numbers, self.shared_tolerances):
             plain = False
             yield fault
-        for number, (field, unit) in self._placed_units():
-            if number is not None and not units.same(number.unit, unit):
+        for number, (field, unit) in self._placed():
+            if number is None:
+                continue
+            if not units.same(number.unit, unit):
                 yield f"{field}.unit: expected {unit!r}, got {number.unit!r}"
+            if (unknown := shared_fault(field, number, self.shared_tolerances)) is not None:
+                yield unknown
+        for key, number in self.link_tolerances.items():
+            if number.value <= 0:
+                yield f"link_tolerances.{key}.value: expected a scale > 0, got {number.value:g}"
+        gain = self.sensors.joint_torque.gain
+        if gain is not None and gain.value == 0:  # one below zero is a sensor that reads the other way round
+            yield "sensors.joint_torque.gain.value: expected a factor other than 0, got 0"
         for i, effect in enumerate(self.effects):
             if not causes.get(effect.name).adds and effect.name in [e.name for e in self.effects[:i]]:
                 yield f"effects.{i}: {effect.name} stands twice, and a second one would replace the first"
@@ -539,7 +549,8 @@ class Joint(Strict):
                 f"readings once the later one is there, got {motor:g}"
             )
 
-    def _placed_units(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
+    def _placed(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
+        """What calibration moves beside `numbers` (`calibration.slots`), with field and unit."""
         for i, order in enumerate(self.kinematic_error):
             yield order.amplitude, (f"kinematic_error.{i}.amplitude", "rad")
             yield order.phase, (f"kinematic_error.{i}.phase", "rad")
@@ -702,11 +713,19 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
             yield f"numbers.{symbol}.unit: expected {unit!r}, got {number.unit!r}"
         if (fault := value_fault(symbol, number.value)) is not None:
             yield fault
-        if number.shared is not None and number.shared not in shared:
-            yield f"numbers.{symbol}.shared: expected one of {sorted(shared)}, got {number.shared!r}"
+        if (fault := shared_fault(f"numbers.{symbol}", number, shared)) is not None:
+            yield fault
     T1, T2 = numbers.get("T1"), numbers.get("T2")
     if T1 is not None and T2 is not None and T2.value < T1.value:
         yield f"numbers.T2.value: expected T2 ≥ T1 = {T1.value:g} N·m, got {T2.value:g}"
+
+
+def shared_fault(field: str, number: Number, shared: Mapping[str, float]) -> str | None:
+    """What is wrong with the shared tolerance that the number of a field names, in a line; None where nothing is."""
+    if number.shared is None or number.shared in shared:
+        return None
+    known = f"one of {sorted(shared)}" if shared else "none, as there are no shared_tolerances"
+    return f"{field}.shared: expected {known}, got {number.shared!r}"
 
 
 def value_fault(symbol: str, value: float) -> str | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -98,6 +100,16 @@ def test_no_number_becomes_negative_however_wide_its_deviation():
     for side in (-2.6, 2.6):
         record = calibration.record(np.full(calibration.size, side))[0]
         assert all(record[name] >= 0 for name in joint.numbers if name in record.dtype.names)
+
+
+def test_no_scale_of_the_link_becomes_negative_however_wide_its_deviation():
+    data = load_joint("test-joint").model_dump()
+    for number in data["link_tolerances"].values():
+        number["deviation"] = 0.6
+    calibration = Calibration(as_joint(data, Path("wide.yaml")))
+    low, nominal = (calibration.record(np.full(calibration.size, x))[0] for x in (-2.0, 0.0))
+    for name in ("Jl", "Mg"):
+        assert 0 < low[name] < 0.1 * nominal[name]
 
 
 def test_an_order_of_unknown_phase_stands_there_in_two_quadratures():

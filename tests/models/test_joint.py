@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import re
 import warnings
+from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 
 import mujoco
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 from flexspline.models import causes
+from flexspline.models.calibration import slots
 from flexspline.models.errors import InputError, InputWarning
 from flexspline.models.joint import (
     OPTIONAL_SYMBOLS,
@@ -119,6 +122,26 @@ BAD = {
         "shared: fricton",
         "numbers.Fc.shared: expected one of ['friction', 'stiffness'], got 'fricton'",
     ),
+    "no inertia of any link": (
+        "inertia: {value: 1,",
+        "inertia: {value: 0,",
+        "link_tolerances.inertia.value: expected a scale > 0, got 0",
+    ),
+    "negative scale of inertia": (
+        "inertia: {value: 1,",
+        "inertia: {value: -1,",
+        "link_tolerances.inertia.value: expected a scale > 0, got -1",
+    ),
+    "negative scale of gravity": (
+        "gravity_moment: {value: 1,",
+        "gravity_moment: {value: -1,",
+        "link_tolerances.gravity_moment.value: expected a scale > 0, got -1",
+    ),
+    "a torque sensor that reads nothing": (
+        "gain: {value: 1,",
+        "gain: {value: 0,",
+        "sensors.joint_torque.gain.value: expected a factor other than 0, got 0",
+    ),
 }
 
 
@@ -135,6 +158,35 @@ def test_bad_description_is_one_line(tmp_path, case):
     assert "\n" not in message
     assert message.startswith(str(path))
     assert expected in message
+
+
+def numbers_of(data: object, field: str = "") -> Iterator[tuple[str, dict]]:
+    """Every number of a description as plain data, with its field."""
+    if isinstance(data, dict) and {"value", "unit", "source"} <= set(data):
+        yield field, data
+    elif isinstance(data, dict | list):
+        for key, one in data.items() if isinstance(data, dict) else enumerate(data):
+            yield from numbers_of(one, f"{field}.{key}".lstrip("."))
+
+
+def test_an_unknown_shared_tolerance_is_told_of_every_number():
+    """Of all that calibration moves, wherever it stands; of two at once `check` tells both."""
+    data = load_joint("test-joint").model_dump(mode="json")
+    data["gravity_angle"] = {"value": 0.0, "unit": "rad", "deviation": 0.01, "source": "mounting"}
+    fields = [field for field, _ in numbers_of(data)]
+    assert len(fields) == len(slots(as_joint(data, Path("a.yaml"))))
+    for field in fields:
+        changed = deepcopy(data)
+        dict(numbers_of(changed))[field]["shared"] = "nope"
+        with pytest.raises(InputError) as caught:
+            as_joint(changed, Path("a.yaml"))
+        told = f"a.yaml: {field}.shared: expected one of ['friction', 'stiffness'], got 'nope'"
+        assert str(caught.value) == told
+
+
+def test_a_sensor_may_read_the_other_way_round(tmp_path):
+    path = changed(tmp_path, "gain: {value: 1,", "gain: {value: -1,")
+    assert load_joint(path).record()[0]["torque_gain"] == -1.0
 
 
 def test_unknown_joint_names_the_nearest():
