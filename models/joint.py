@@ -354,6 +354,14 @@ class ValidRange(Strict):
     loads: list[Literal["driving", "driven"]] = []
     """Combinations of motion and load that were seen."""
 
+    @field_validator("link_position", "link_velocity", "joint_torque")
+    @classmethod
+    def _upward(cls, ends: list[float]) -> list[float]:
+        low, high = ends
+        if low > high:
+            raise ValueError(f"expected low ≤ high, got {ends}")
+        return ends
+
     def beyond(
         self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray
     ) -> dict[str, float]:
@@ -442,6 +450,11 @@ class Uncertainty(Strict):
 
     @model_validator(mode="after")
     def _triangular(self) -> Uncertainty:
+        for name, times in Counter(self.names).items():
+            if times > 1:
+                raise ValueError(
+                    f"names: expected each once, got {name!r} {'twice' if times == 2 else f'{times} times'}"
+                )
         if [len(row) for row in self.factor] != list(range(1, len(self.names) + 1)):
             raise ValueError(f"factor: expected the {len(self.names)} rows of a lower triangle, a row a name")
         return self
@@ -523,6 +536,7 @@ class Joint(Strict):
             if not causes.get(effect.name).adds and effect.name in [e.name for e in self.effects[:i]]:
                 yield f"effects.{i}: {effect.name} stands twice, and a second one would replace the first"
         yield from self._unread()
+        yield from self._unknown()
         if self.mounting not in self.mountings:
             yield (
                 f"mounting: expected one of {sorted(self.mountings)}, got {self.mounting!r}"
@@ -548,6 +562,25 @@ class Joint(Strict):
                 f"sensors.motor_encoder.delay: expected at most the link encoder's, {link:g} s, as a torsion is made of both "
                 f"readings once the later one is there, got {motor:g}"
             )
+
+    def _unknown(self) -> Iterator[str]:
+        """What is said to be known together and is nothing of the joint: an effect may have been taken out by hand."""
+        if self.uncertainty is None:
+            return
+        from .calibration import slots  # which imports this module
+
+        known = [slot.name for slot in slots(self)]
+        known += [f"effects.{i}.{name}" for i, effect in enumerate(self.effects) for name in effect.parameters]
+        known += [
+            f"discrepancies.{i}.{k}" for i, one in enumerate(self.discrepancies) for k in range(len(one.coefficients))
+        ]
+        for i, name in enumerate(self.uncertainty.names):
+            if name not in known:
+                expected = (
+                    "a number of the joint (Kt, A2, link_encoder_zero), a parameter of an effect (effects.0.ratio) or a "
+                    "coefficient of a discrepancy (discrepancies.0.3)"
+                )
+                yield f"uncertainty.names.{i}: expected {expected}, got {name!r}{nearest(name, known)}"
 
     def _placed(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
         """What calibration moves beside `numbers` (`calibration.slots`), with field and unit."""

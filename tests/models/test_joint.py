@@ -189,6 +189,55 @@ def test_a_sensor_may_read_the_other_way_round(tmp_path):
     assert load_joint(path).record()[0]["torque_gain"] == -1.0
 
 
+KNOWN = {
+    "effects": [{"name": "friction_asymmetry", "parameters": {"ratio": {"value": 0.3}}}],
+    "discrepancies": [
+        {
+            "place": "mesh",
+            "variable": "motor_velocity",
+            "low": -100,
+            "high": 100,
+            "unit": "N·m",
+            "coefficients": [0.1] * 4,
+        }
+    ],
+}
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["Kt", "A2", "φ4", "Mg", "link_encoder_zero", "effects.0.ratio", "discrepancies.0.3"], None),
+        (["Kt", "Fc", "Kt"], "uncertainty: names: expected each once, got 'Kt' twice"),
+        (["Kt", "nope"], "uncertainty.names.1: expected a number of the joint (Kt, A2, link_encoder_zero), a parameter of an "
+                         "effect (effects.0.ratio) or a coefficient of a discrepancy (discrepancies.0.3), got 'nope'"),
+        (["gravity_angle"], "uncertainty.names.0: expected a number of the joint"),
+        (["effects.1.ratio"], "got 'effects.1.ratio'; did you mean 'effects.0.ratio'?"),
+        (["effects.0.ratoi"], "got 'effects.0.ratoi'; did you mean 'effects.0.ratio'?"),
+        (["discrepancies.0.4"], "uncertainty.names.0: expected a number of the joint"),
+    ],
+)  # fmt: skip
+def test_what_is_known_together_is_of_the_joint(names, expected):
+    data = load_joint("test-joint").model_dump() | KNOWN
+    data["uncertainty"] = {"names": names, "factor": [[0.0] * i + [1e-3] for i in range(len(names))]}
+    if expected is None:
+        assert as_joint(data, Path("a.yaml")).uncertainty.names == names
+        return
+    with pytest.raises(InputError) as caught:
+        as_joint(data, Path("a.yaml"))
+    assert expected in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("field", ["link_position", "link_velocity", "joint_torque"])
+def test_a_range_of_validity_goes_upward(field):
+    data = load_joint("test-joint").model_dump()
+    valid = {"link_position": [-1, 1], "link_velocity": [-1, 1], "joint_torque": [-9, 9]}
+    as_joint(data | {"valid": valid | {field: [2, 2]}}, Path("a.yaml"))
+    with pytest.raises(InputError) as caught:
+        as_joint(data | {"valid": valid | {field: [1, -1]}}, Path("a.yaml"))
+    assert str(caught.value) == f"a.yaml: valid.{field}: expected low ≤ high, got [1.0, -1.0]"
+
+
 def test_unknown_joint_names_the_nearest():
     with pytest.raises(InputError, match=r"joint 'test-jont': .*; did you mean 'test-joint'\?"):
         load_joint("test-jont")
