@@ -31,9 +31,7 @@ def measurement_at(path: str | Path) -> Measurement:
 
     found = read_measurement(path)
     ours = manifest(found.folder) if found.passed_over else {}
-    for table in found.passed_over:
-        if table.name in ours:
-            continue
-        beside = table.with_suffix(".yaml").name
-        print(f"flexspline: {table}: not read, as no {beside} lies beside it", file=sys.stderr)
+    for table, why in found.passed_over.items():
+        if table.name not in ours:
+            print(f"flexspline: {table}: not read, as {why}", file=sys.stderr)
     return found

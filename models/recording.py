@@ -12,7 +12,7 @@ import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -233,13 +233,14 @@ class Measurement:
       name: of the file or folder.
       path: that file or folder.
       recordings: at least one, by name.
-      passed_over: tables in that folder that are no recording of it, as no YAML file of their stem lies beside them.
+      passed_over: tables that were not read, with the reason: no YAML file of their stem lies beside them, or another table of it
+        that was read does.
     """
 
     name: str
     path: Path
     recordings: tuple[Recording, ...]
-    passed_over: tuple[Path, ...] = ()
+    passed_over: Mapping[Path, str] = field(default_factory=dict)
 
     @property
     def folder(self) -> Path:
@@ -266,6 +267,8 @@ class Measurement:
 def read_measurement(path: str | Path) -> Measurement:
     """Read a measurement: one recording's file, or a folder in which every table with a YAML file of its stem is one.
 
+    Of two tables of a stem the Parquet file is read, unless the other is named itself; what is not read is in `passed_over`.
+
     Raises:
       InputError: nothing there, something wrong with a recording, or recordings that name different joints.
     """
@@ -275,17 +278,21 @@ def read_measurement(path: str | Path) -> Measurement:
     recover(path if path.is_dir() else path.parent)
     if not path.is_dir():
         recording = read_recording(path)
-        return Measurement(recording.name, path, (recording,))
+        table = Path(recording.source)
+        named = table == path
+        others = [t for suffix in SUFFIXES if (t := path.with_suffix(suffix)) != table and not named and t.is_file()]
+        return Measurement(recording.name, path, (recording,), {other: _beside(table) for other in others})
     tables: dict[str, Path] = {}
-    passed_over: list[Path] = []
+    passed_over: dict[Path, str] = {}
     for suffix in SUFFIXES:
         for table in sorted(path.glob(f"*{suffix}")):
             if table.name.startswith("."):
                 continue
-            if table.with_suffix(".yaml").is_file():
-                tables.setdefault(table.stem, table)
-            else:
-                passed_over.append(table)
+            sidecar = table.with_suffix(".yaml")
+            if not sidecar.is_file():
+                passed_over[table] = f"no {sidecar.name} lies beside it"
+            elif tables.setdefault(table.stem, table) != table:
+                passed_over[table] = _beside(tables[table.stem])
     if not tables:
         raise InputError(
             f"{path}: expected tables ({' or '.join(SUFFIXES)}), each with a YAML file of its stem, got none"
@@ -297,7 +304,12 @@ def read_measurement(path: str | Path) -> Measurement:
                 f"{tables[other.name].with_suffix('.yaml')}: joint: expected {recordings[0].joint!r}, as in "
                 f"{recordings[0].name}.yaml, got {other.joint!r}"
             )
-    return Measurement(path.resolve().name, path, recordings, tuple(passed_over))
+    return Measurement(path.resolve().name, path, recordings, passed_over)
+
+
+def _beside(table: Path) -> str:
+    """Why another table of its stem is not read."""
+    return f"{table.name} lies beside it"
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -522,18 +534,18 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
     with reading_parquet(path):
         file = pa.parquet.ParquetFile(path, memory_map=False, pre_buffer=False)
         # Names are decoded when they are asked for.
-        fields = [field for field in file.schema_arrow if not field.name.startswith("__index_level")]
-    _check_header(path, [field.name for field in fields])
+        fields = [one for one in file.schema_arrow if not one.name.startswith("__index_level")]
+    _check_header(path, [one.name for one in fields])
     columns = {}
-    for field in fields:  # one at a time: of an hour, 30 MB each
-        kind = field.type
+    for one in fields:  # one at a time: of an hour, 30 MB each
+        kind = one.type
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
-            raise InputError(f"{path}: column {field.name!r}: expected numbers, got {kind}")
-        expected = _unit(field.name)
-        unit = (field.metadata or {}).get(b"unit", expected.encode()).decode()
+            raise InputError(f"{path}: column {one.name!r}: expected numbers, got {kind}")
+        expected = _unit(one.name)
+        unit = (one.metadata or {}).get(b"unit", expected.encode()).decode()
         if not units.same(unit, expected):
-            raise InputError(f"{path}: column {field.name!r}: expected unit {expected!r}, got {unit!r}")
-        columns[field.name] = _parquet_column(path, file, field.name)
+            raise InputError(f"{path}: column {one.name!r}: expected unit {expected!r}, got {unit!r}")
+        columns[one.name] = _parquet_column(path, file, one.name)
     pa.default_memory_pool().release_unused()  # of an hour, 40 MB
     return columns
 

@@ -65,6 +65,13 @@ def test_tables_that_no_yaml_file_describes_are_told(flexspline, measurement):
     assert "swept.csv" in one_line(err) and "swept.yaml" in err
 
 
+def test_a_table_beside_another_of_its_name_is_told(flexspline, measurement):
+    (measurement / "slow.csv").write_text("time,motor_position\n0,1\n")
+    code, out, err = flexspline("check", measurement, "--json")
+    assert code == 0 and [r["name"] for r in json.loads(out)["recordings"]] == ["slow"]
+    assert one_line(err).endswith("slow.csv: not read, as slow.parquet lies beside it")
+
+
 def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(flexspline, tmp_path):
     words = ("--set", "duration=2", "--set", "filters=[model]", "--no-figures", "--no-recording")
     assert flexspline("run", "no_load", *words, "--out", tmp_path)[0] == 0

@@ -110,6 +110,20 @@ def test_a_measurement_is_a_folder_of_tables_with_yaml(tmp_path):
     assert [r.name for r in m.recordings] == ["a", "b"]
     assert m.load_joint().name == "test-joint"
     assert read_measurement(tmp_path / "b.parquet").recordings[0].name == "b"
+    assert m.passed_over == {tmp_path / "notes.csv": "no notes.yaml lies beside it"}
+
+
+def test_of_two_tables_of_a_name_one_is_read_and_the_other_is_told(tmp_path):
+    """Also where the YAML file that both share is what was named; a table that was named itself is the one that is meant."""
+    write_recording(recording("a"), tmp_path)
+    write_csv(tmp_path, HEADER + "0,1,2,3\n0.001,1,2,3\n")
+    other = {tmp_path / "a.csv": "a.parquet lies beside it"}
+    for path in (tmp_path, tmp_path / "a.yaml"):
+        m = read_measurement(path)
+        assert [r.source for r in m.recordings] == [str(tmp_path / "a.parquet")]
+        assert m.passed_over == other
+    m = read_measurement(tmp_path / "a.csv")
+    assert [r.source for r in m.recordings] == [str(tmp_path / "a.csv")] and not m.passed_over
 
 
 @pytest.mark.parametrize(
