@@ -27,8 +27,7 @@ def print_mistakes(terminal: Console, mistakes: Sequence[Mistake], mending: str 
     for heading in ("mistake", "column", "recording", "what", "mended by", "confidence"):
         table.add_column(heading)
     for m in mistakes:
-        column = ", ".join((m.column or "–", *m.also))
-        cells = (m.name, column, m.recording or "all", m.description, m.change, f"{m.confidence:.2f}")
+        cells = (m.name, m.columns or "–", m.recording or "all", m.description, m.change, f"{m.confidence:.2f}")
         table.add_row(*map(Text, cells))
     terminal.print(table)
     if mending and any(m.sure for m in mistakes):

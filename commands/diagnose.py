@@ -198,7 +198,7 @@ def _cause(page: _Page, c: Finding) -> None:
 
 
 def _where(m: Mistake) -> str:
-    places = [x for x in (m.recording, m.column) if x]
+    places = [x for x in (m.recording, m.columns) if x]
     return f"{', '.join(places)}: " if places else ""
 
 

@@ -79,16 +79,14 @@ def command(
         mistakes = [m for m in found if m.sure]
         for m in found:
             if not m.sure:
-                where = ": ".join(part for part in (m.recording, m.column) if part)
-                warnings.warn(f"{where}: not mended: {m.unmended}", InputWarning, stacklevel=2)
+                warnings.warn(f"{m.where}: not mended: {m.unmended}", InputWarning, stacklevel=2)
         measurement = mended(measurement, described, mistakes)
         if not as_json and (mistakes or not found):
             print_mistakes(terminal, mistakes, mended=True)
         if any(m.severe for m in mistakes):  # what mends one column may be another's mistake
             for m in find_mistakes(measurement, described):
                 if m.severe:
-                    where = ": ".join(part for part in (m.recording, m.column) if part)
-                    text = f"{where}: as mended, {m.description}: look at both columns before you trust either"
+                    text = f"{m.where}: as mended, {m.description}: look at both columns before you trust either"
                     warnings.warn(text, InputWarning, stacklevel=2)
     imported: dict[str, dict[str, Any]] = {}
     with output_folder(out, "import", inputs=inputs, writes=written) as folder:

@@ -76,6 +76,16 @@ class Mistake:
     lost: bool = False
 
     @property
+    def columns(self) -> str:
+        """All columns that have it, for people; empty where it is no single one's."""
+        return ", ".join(x for x in (self.column, *self.also) if x)
+
+    @property
+    def where(self) -> str:
+        """Recording and columns that have it, for people; empty where it is all and everywhere."""
+        return ": ".join(x for x in (self.recording, self.columns) if x)
+
+    @property
     def sure(self) -> bool:
         """Whether its change makes the channels fit the joint; that which only mends most may be something else."""
         return self.confidence > _UNSURE and not self.lost
@@ -227,7 +237,7 @@ def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
     severe = [m for m in found if m.severe]
     for m in severe:
         if m.column not in _UNREAD:
-            where = ": ".join(name for name in (m.recording or measurement.name, m.column) if name)
+            where = ": ".join(name for name in (m.recording or measurement.name, m.columns) if name)
             if not m.sure:
                 raise InputError(f"{where}: {m.unmended}")
             try:

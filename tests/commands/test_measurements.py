@@ -197,6 +197,9 @@ def test_both_encoders_in_degrees_are_no_missing_position(flexspline, sweep, tmp
     (told,) = json.loads(out)["mistakes"]
     assert {told["column"], *told["also"]} == set(angles)
     assert told["severe"] and told["sure"] and not told["lost"] and told["change"] == "× 0.0174533"
+    both = "link_position, motor_position: degrees taken for rad"
+    assert f"slow: {both}" in one_line(flexspline("estimate", path, "--out", tmp_path / "e")[2])
+    assert both in " ".join(flexspline("diagnose", path, "--out", tmp_path / "d", "--no-report")[1].split())
 
 
 def test_what_cannot_be_mended_is_not_said_to_be(flexspline, sweep, tmp_path):

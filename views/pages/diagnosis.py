@@ -167,7 +167,7 @@ def _mistake(m: Mistake) -> dict[str, Any]:
     """A mistake in the data with the change that mends it."""
     mends = m.remedy if m.lost else m.change if m.sure else f"most: {m.change}"
     return {
-        "name": plain(m.name), "column": ", ".join(x for x in (m.column, *m.also) if x), "recording": m.recording,
+        "name": plain(m.name), "column": m.columns, "recording": m.recording,
         "text": m.description, "mends": mends, "confidence": m.confidence, "severe": m.severe,
     }  # fmt: skip
 
