@@ -91,7 +91,8 @@ def test_an_hour_at_1_khz_fits_into_a_gigabyte():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["02/free.yaml", pytest.param("02", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["02/free.yaml", "02"])
 def test_a_diagnosis_is_the_same_for_any_number_of_threads(shared, tmp_path, name):
     """To the byte, with one and two threads in every library: one recording, and three with their regions."""
     measurement = shared / "data" / "examples" / "toleranced" / name
