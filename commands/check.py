@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..models.errors import InputError, InputWarning
+from ..models.errors import InputWarning
 from ._measurement import parted_measurement
 from ._options import MeasurementPath, OtherJoint, with_plugins
 
@@ -43,7 +43,7 @@ def command(
         torque_over_current,
         undetermined,
     )
-    from ..diagnosis.data.mistakes import find_mistakes, mended
+    from ..diagnosis.data.mistakes import find_mistakes, mended_if_possible
     from ..models import causes
     from ..models.command_lines import mending
     from ..models.files import json_text
@@ -55,10 +55,8 @@ def command(
     give_back_large_arrays()
     given, described = parted_measurement(measurement, joint)
     mistakes = find_mistakes(given, described)
-    try:
-        data, mend = mended(given, described, mistakes), mending(given, described)
-    except InputError:  # nothing would be left of it
-        data, mend = given, ""
+    possible = mended_if_possible(given, described, mistakes)
+    data, mend = (given, "") if possible is None else (possible, mending(given, described))
     summaries = [summarise(recording, described) for recording in data.recordings]
     missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]

@@ -37,6 +37,7 @@ def command(
     names = ["validation.json", *(f"{r.name}.parquet" for r in data.recordings)]
     check_output(out, maker, inputs=data.files, writes=names)
 
+    from ..diagnosis.data.mistakes import mended_if_possible
     from ..diagnosis.validate import validate
 
     found = validate(data, described)
@@ -52,7 +53,8 @@ def command(
     if as_json:
         print(text)
         return
-    _show(console(), found, mending(data, described))
+    possible = mended_if_possible(data, described, found.mistakes) is not None
+    _show(console(), found, mending(data, described) if possible else "")
     console().print(f"{out}: {', '.join(names)}")
 
 

@@ -240,14 +240,20 @@ def require_sound(measurement: Measurement, joint: Joint) -> tuple[Mistake, ...]
             where = ": ".join(name for name in (m.recording or measurement.name, m.columns) if name)
             if not m.sure:
                 raise InputError(f"{where}: {m.unmended}")
-            try:
-                mended(measurement, joint, found)
-            except InputError:  # of what is left out too little remains
-                raise InputError(f"{where}: {m.description}; without it nothing can be estimated") from None
+            if mended_if_possible(measurement, joint, found) is None:
+                raise InputError(f"{where}: {m.description}; without it nothing can be estimated")
             raise InputError(
                 f"{where}: {m.description}, mended by: {m.change}; `{mending(measurement, joint, 'DIR')}` writes it mended"
             )
     return tuple(m for m in severe if m.column in _UNREAD)
+
+
+def mended_if_possible(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement | None:
+    """`mended`, or None where of what is left out too little remains."""
+    try:
+        return mended(measurement, joint, mistakes)
+    except InputError:
+        return None
 
 
 def mended(measurement: Measurement, joint: Joint, mistakes: Sequence[Mistake]) -> Measurement:

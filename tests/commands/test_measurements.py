@@ -206,6 +206,8 @@ def test_what_cannot_be_mended_is_not_said_to_be(flexspline, sweep, tmp_path):
     columns = {name: np.full_like(column, column[0]) for name, column in sweep.columns.items()}
     path = write_recording(replace(sweep, columns=columns), tmp_path / "stuck")
     assert "--fix" not in flexspline("check", path)[1]
+    code, out, _ = flexspline("validate", path, "--out", tmp_path / "v")
+    assert code == 0 and "does not move at all" in out and "--fix" not in out
     code, _, err = flexspline("estimate", path, "--out", tmp_path / "e")
     assert code == 2 and "does not move at all; without it nothing can be estimated" in one_line(err)
     code, out, err = flexspline("import", path, "--fix", "--out", tmp_path / "mended")
