@@ -43,7 +43,16 @@ def command(
     """
     from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
-    from ..estimator.offline import SHORTEST, beyond_range, estimate_recording, lacking, score, useless, write_estimates
+    from ..estimator.offline import (
+        SHORTEST,
+        beyond_range,
+        estimate_recording,
+        lacking,
+        score,
+        too_short,
+        useless,
+        write_estimates,
+    )
     from ..models.files import json_text
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
@@ -62,7 +71,7 @@ def command(
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
     unread = require_sound(data, described)
     give_back_free_pages()
-    if all(s.stop - s.start < SHORTEST for recording in data.recordings for s in recording.segments):
+    if all(map(too_short, data.recordings)):
         got = "none: too short to estimate"
         if all(recording.sparse for recording in data.recordings):
             got = f"samples that are {data.recordings[0].interval:.3g} s apart, and more than {GAP:.2g} s is a gap"

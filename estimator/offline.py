@@ -244,15 +244,20 @@ def estimate_recording(
     )
 
 
+def too_short(recording: Recording) -> bool:
+    """Whether nothing is estimated: no part without gaps has `SHORTEST` samples."""
+    return all(segment.stop - segment.start < SHORTEST for segment in recording.segments)
+
+
 def lacking(recording: Recording, names: Sequence[str]) -> dict[str, str]:
     """Why `estimate_recording` would leave estimators out for a channel that they need, by name; it is not run.
 
-    Empty where nothing is estimated, in a recording without a part of `SHORTEST` samples.
+    Empty where nothing is estimated (`too_short`).
 
     Raises:
       InputError: a name that is none.
     """
-    if all(segment.stop - segment.start < SHORTEST for segment in recording.segments):
+    if too_short(recording):
         return {}
     measured = set(recording.columns) - {"joint_torque", "external_torque"}
     if "motor_torque" in measured:  # of which the current is told (`smoothed.in_amperes`)
