@@ -132,7 +132,8 @@ def _severe(answer: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _mistake(m: dict[str, Any]) -> str:
-    where = ", ".join(x for x in (m.get("recording"), m.get("column"), *m.get("also", ())) if x)
+    columns = ", ".join(x for x in (m.get("column"), *m.get("also", ())) if x)
+    where = ": ".join(x for x in (m.get("recording"), columns) if x)
     return f"{where}: {m['description']}" if where else str(m["description"])
 
 
