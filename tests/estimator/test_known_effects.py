@@ -183,8 +183,9 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
     assert not wrong, f"{case.name}: " + "; ".join(wrong)
 
 
-PUSHED = pytest.param(True, marks=[pytest.mark.slow, pytest.mark.long])
-LATER = ([pytest.mark.slow, pytest.mark.long], [], [pytest.mark.slow, pytest.mark.long], [pytest.mark.slow])
+LONG = [pytest.mark.slow, pytest.mark.long]
+PUSHED = pytest.param(True, marks=LONG)
+LATER = (LONG, [], LONG, LONG)
 SOME = [pytest.param(case, marks=LATER[i % len(LATER)]) for i, case in enumerate(CASES)]
 
 
