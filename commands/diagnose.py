@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ..diagnosis.answer import Diagnosis, Finding
+    from ..diagnosis.data.mistakes import Mistake
     from ..diagnosis.improvement import Improvement
     from ..models.joint import Joint
     from ..models.recording import Measurement
@@ -139,8 +140,7 @@ def show(
     if found.mistakes:
         page.heading("Mistakes in the data")
         for m in found.mistakes:
-            where = f"{m.where}: " if m.where else ""
-            page.item(f"{plain(m.name)}: {where}{m.description} ({100 * m.confidence:.0f} % sure); {m.remedy}")
+            page.item(f"{plain(m.name)}: {_where(m)}{m.description} ({100 * m.confidence:.0f} % sure); {m.remedy}")
     for heading, findings in (("Causes", found.causes), ("There, but no cause of its own", found.minor)):
         if findings:
             page.heading(heading)
@@ -195,6 +195,11 @@ def _cause(page: _Page, c: Finding) -> None:
     for name, p in c.parameters.items():
         spread = f" ± {p.std:.2g}" if p.std > 0 else ""
         page.item(f"{name} = {p.value:.4g}{spread} {p.unit}".rstrip(), "    ")
+
+
+def _where(m: Mistake) -> str:
+    places = [x for x in (m.recording, m.columns) if x]
+    return f"{', '.join(places)}: " if places else ""
 
 
 def _commands(found: Diagnosis, measurement: Measurement, joint: Joint, out: Path, report: bool) -> list[str]:

@@ -132,8 +132,7 @@ def _severe(answer: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def _mistake(m: dict[str, Any]) -> str:
-    columns = ", ".join(x for x in (m.get("column"), *m.get("also", ())) if x)
-    where = ": ".join(x for x in (m.get("recording"), columns) if x)
+    where = ", ".join(x for x in (m.get("recording"), m.get("column"), *m.get("also", ())) if x)
     return f"{where}: {m['description']}" if where else str(m["description"])
 
 
