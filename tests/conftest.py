@@ -8,6 +8,7 @@ import re
 import shlex
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from html import unescape
 from pathlib import Path
 from types import ModuleType
@@ -24,17 +25,29 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--every", type=int, default=1, metavar="N", help=help_)
 
 
-@pytest.hookimpl(trylast=True)  # of those that are run
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    every, seen = config.getoption("--every"), Counter[str]()
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> Iterator[None]:
+    for item, index in numbered(items):
+        fast = item.get_closest_marker("fast_every")
+        if fast is not None and index % fast.args[0]:
+            item.add_marker(pytest.mark.slow)
+    yield
+    every = config.getoption("--every")  # of those that are run
     kept, left_out = [], []
-    for item in items:
-        function = item.nodeid.partition("[")[0]
-        (left_out if seen[function] % every else kept).append(item)
-        seen[function] += 1
+    for item, index in numbered(items):
+        (left_out if index % every else kept).append(item)
     if left_out:
         config.hook.pytest_deselected(items=left_out)
         items[:] = kept
+
+
+def numbered(items: list[pytest.Item]) -> Iterator[tuple[pytest.Item, int]]:
+    """Tests with the number of each among those of its function."""
+    seen = Counter[str]()
+    for item in items:
+        function = item.nodeid.partition("[")[0]
+        yield item, seen[function]
+        seen[function] += 1
 
 
 @pytest.fixture(scope="session")

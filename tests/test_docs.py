@@ -315,6 +315,7 @@ TYPED = [
 ]
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize(("words", "code", "told"), [
     (("arms", "--help"), 0, "--seed"), (("updates", "--draws", "3"), 2, "has no options, got --draws 3"),
     (("arms", "--page", "x"), 2, "unrecognized arguments: --page x"), (("nothing", "--help"), 2, "unknown benchmark 'nothing'"),

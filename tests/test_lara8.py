@@ -127,6 +127,7 @@ def test_commands(flexspline, log, tmp_path):
     assert metrics["joint3_outbound"]["external_torque"]["payload_smoothed"]["rms"] < 1.5
 
 
+@pytest.mark.slow
 def test_diagnosis_extends_a_joint_with_a_gravity_angle(recording, tmp_path):
     """The joint states numbers that others do not; the extended one has them too, and can be read back."""
     joint = load_joint(recording.joint)

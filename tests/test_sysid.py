@@ -82,6 +82,7 @@ def test_a_fit_by_rollouts_brings_the_torque_constant_closer(one: Draw, exact: b
     assert abs(numbers["K1"].value / numbers["K1"].true - 1) < abs(numbers["K1"].nominal / numbers["K1"].true - 1)
 
 
+@pytest.mark.slow
 def test_what_is_hidden_can_be_drawn():
     """Names that the library does not have were once asked for: the table stayed empty."""
     for hidden in sysid.HIDDEN:

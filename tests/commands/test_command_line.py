@@ -135,6 +135,7 @@ commands.main()
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 @pytest.mark.parametrize("command", ["run", "compare"])
 def test_asked_to_end_it_ends_and_leaves_nothing(flexspline, tmp_path_factory, tmp_path, number, command):
@@ -235,6 +236,7 @@ def test_words_between_colons_are_no_pictures(flexspline, tmp_path):
     assert code == 2 and "a:x:b: expected a recording" in err
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("closed", [">&-", "2>&-", "<&- >&- 2>&-"])
 def test_streams_that_are_closed_change_nothing_but_what_is_said(tmp_path, closed):
     for words, code in ((["causes"], 0), (["check", "nowhere"], 2)):
@@ -244,6 +246,7 @@ def test_streams_that_are_closed_change_nothing_but_what_is_said(tmp_path, close
         assert done.returncode == code and b"Traceback" not in done.stderr, done
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize(
     "words",
     ["check DATA", "check DATA --json", "joints", "causes --json", "schema joint", "joint show test-joint", "-h"],

@@ -337,6 +337,7 @@ def test_numbers_that_contradict_each_other_are_said_where_the_joint_is_used(fle
 # --- show --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("name", ["test-joint", "csg-40-120-ilm115", "lara8-joint3-extended"])
 def test_a_joint_is_shown_in_80_columns(flexspline, tmp_path, name):
     code, out, error = flexspline("joint", "show", name, "--out", "a.png")

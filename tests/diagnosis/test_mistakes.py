@@ -279,6 +279,7 @@ def test_a_link_encoder_late_by_an_ordinary_delay_is_a_cause_and_no_mistake():
         assert find_mistakes(one, JOINT) == ()
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("joint", ["test-joint", "csg-17-80-ec60"])
 @pytest.mark.parametrize("scenario", ["no_load", "link_sweep", "external_push"])
 def test_nothing_is_claimed_of_a_shipped_experiment(scenario, joint):
@@ -356,6 +357,7 @@ def test_a_unit_is_that_of_every_recording_whose_channels_do_not_go_together():
     assert [m.recording for m in found] == [one.recordings[2].name]
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize(("group", "number"), [("exact", 5), ("bare", 1)])
 def test_a_unit_of_all_recordings_is_mended_in_all(shared, group, number):
     """One of three was mended, as friction explains a small current elsewhere, and what was written was called sound."""
@@ -432,6 +434,7 @@ def test_a_late_column_is_not_made_up_where_nothing_was_measured():
     assert len(again.segments) == 2 and len(kept) - len(again.time) < 70
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize(
     "label", ["late motor_position 20 ms", "late motor_position 50 ms", "late link_position 100 ms"]
 )

@@ -35,6 +35,7 @@ def one(shared, group, number, name):
     return diagnose(measurement, joint), json.loads((folder / "truth.json").read_text())[f"{number:02d}"]
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize(
     ("group", "number", "name", "named"),
     [
@@ -111,6 +112,7 @@ def test_a_recording_too_short_to_keep_a_part_from_the_fit_shows_what_is_left_of
     assert "too short" in found.held_out and "was kept from every fit" not in found.held_out
 
 
+@pytest.mark.slow
 def test_a_stage_for_which_there_was_no_time_is_told(monkeypatch):
     """Where time ran out after the first causes, nobody was told that others were not looked for."""
     one, now = recording(seconds=8.0), [0.0]

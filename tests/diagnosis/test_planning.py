@@ -223,6 +223,7 @@ def test_proposals_in_plain_words():
     }  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_stub_of_a_recording_is_no_hindrance(joint, swing):
     """Thinned to one sample it was none, at the end of a diagnosis."""
     stub = replace(swing.recordings[0].at(slice(0, 8)), name="stub")

@@ -98,6 +98,7 @@ def test_any_channels(missing):
         assert found.residual["motor_current"].rms < 0.03, "rotor and link together, 10 mA of it noise"
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("missing", [(), ("motor_position",), ("link_position",)])
 def test_a_recording_that_begins_in_motion_is_simulated_as_in_the_midst_of_it(missing):
     """Friction slides from the first sample on: not so, the current was off by all of it, 0.1 to 0.2 A, for 0.1 s."""
@@ -177,6 +178,7 @@ def test_command_writes_what_the_specification_says(tmp_path, flexspline):
         np.testing.assert_array_equal(columns[channel], measurement.recordings[0][channel])
 
 
+@pytest.mark.slow
 def test_an_untared_zero_is_said_where_it_is_most_of_the_error(tmp_path, flexspline):
     """0.6 mrad of a link encoder whose zero is known to 1 mrad; one that is known to 1 µrad is wrong instead."""
     _, measurement = sweep()

@@ -90,6 +90,7 @@ def test_errors_of_current_pass_as_far_as_the_estimator_lets_them():
     assert not band["none"].any()
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("stated, hysteresis, expected", [
     ({"joint_torque": 3.0, "link_balance": 4.0}, 3.0, 5.0), ({"joint_torque": 0.4, "link_balance": 0.3}, 0.0, 0.4),
     ({"joint_torque": 0.4}, 0.0, 0.4), ({"link_balance": 0.4}, 0.0, 0.4), ({}, 0.4, 0.4), ({}, 0.0, 0.0),
@@ -103,6 +104,7 @@ def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis(stated, hy
     assert rms(found(run, signals(RAMP), joint, known)["torsion"]) == pytest.approx(expected, rel=0.2)
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("read", [
     ("motor_position", "link_position", "motor_current"), ("motor_position", "motor_current"), ("motor_position", "motor_torque"),
     ("motor_position", "link_position"), ("link_position", "motor_current"), ("link_position",),

@@ -185,7 +185,7 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
 
 LONG = [pytest.mark.slow, pytest.mark.long]
 PUSHED = pytest.param(True, marks=LONG)
-LATER = (LONG, [], LONG, LONG)
+LATER = (LONG, [], LONG, LONG, LONG, [pytest.mark.slow], LONG, LONG)
 SOME = [pytest.param(case, marks=LATER[i % len(LATER)]) for i, case in enumerate(CASES)]
 
 
@@ -205,6 +205,7 @@ def test_told_of_an_effect_with_the_dynamics(case, push):
     check(case, push, tuple(name for name in CAUSAL if name not in CHEAP))
 
 
+@pytest.mark.fast_every(5)
 @pytest.mark.parametrize("name", READ)
 def test_told_of_an_effect_with_the_reading_alone(name):
     """Where no command is known the reading stands for the current, with what is known of its error taken off."""

@@ -382,6 +382,7 @@ def test_a_band_holds_what_two_sensors_do_not_agree_on(free, joint):
     assert np.all(found.deviation["kalman"] ** 2 >= believed * (1 - 1e-9))
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize("column", ["link_position", "motor_position"])
 @pytest.mark.parametrize("first", [0, 3])
 def test_of_an_encoder_that_is_held_the_torsion_is_held(column, first):

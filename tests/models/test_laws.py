@@ -38,6 +38,7 @@ def test_flexspline_spring_as_printed(p):
     assert laws.flexspline_torsion(12.0, p) == pytest.approx(3.9 / 8400 + 8.1 / 9400)
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize("backlash", [0.0, 4e-4])
 @pytest.mark.parametrize("width", [5e-5, 2e-4, 1e-3])
 def test_smooth_knees(p, width, backlash):

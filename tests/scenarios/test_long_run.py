@@ -42,6 +42,7 @@ CASES = {
 }
 
 
+@pytest.mark.fast_every(2)
 @pytest.mark.parametrize("case", CASES)
 def test_in_stretches_the_same_bits(case, tmp_path):
     name, changes = CASES[case]

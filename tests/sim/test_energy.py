@@ -39,6 +39,7 @@ def drift(found, windows=10):
     return float(np.ptp(means) / means[0])
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize(
     ("mounting", "start", "timestep", "changes"),
     [
@@ -62,6 +63,7 @@ def test_no_drift_in_ten_seconds(mounting, start, timestep, changes):
     assert found.mean() == pytest.approx(begin, rel=0.03)
 
 
+@pytest.mark.fast_every(5)
 @pytest.mark.parametrize("mounting", ["no_load", "link"])
 @pytest.mark.parametrize("effect", ["none", "own bristle", "hysteresis", "backlash", "flexible"])
 def test_friction_only_takes(mounting, effect):

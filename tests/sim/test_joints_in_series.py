@@ -186,6 +186,7 @@ def turned_pendulum(joints, q, v):
     return matrix(q), bias
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize("turn", [0.0, 1.1, -0.5 * np.pi])
 def test_axes_that_are_not_parallel(turn):
     """In the closed loop the joint torques are those of two rods whose axes are at an angle; parallel ones are the textbook's."""

@@ -91,6 +91,7 @@ def test_what_is_streamed_is_what_a_run_writes(tmp_path, rng):
     assert scene <= set(RrdReader(tmp_path / "live.rrd").store().schema().entity_paths())
 
 
+@pytest.mark.slow
 def test_a_slow_view_of_a_long_scenario_has_short_stretches():
     """At half the speed a stretch is 20 ms, of which a panel has room for less than a point."""
     live = LiveRun(*load_scenario("external_push", ["transient=0.2", "filters=[RAREKF]", "duration=300"]))

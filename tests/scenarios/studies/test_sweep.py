@@ -29,6 +29,7 @@ def done(tmp_path_factory) -> Dataset:
     return run(tmp_path_factory.mktemp("sweep") / "one", jobs=1)
 
 
+@pytest.mark.fast_every(3)
 @pytest.mark.parametrize(("jobs", "chunk"), [(3, 1), (2, 2), (1, 100)])
 def test_threads_and_chunks_change_no_bit(done, tmp_path, jobs, chunk):
     assert same(run(tmp_path / "other", jobs=jobs, chunk=chunk), done)
