@@ -1,6 +1,6 @@
 """Run the benchmarks: all, or those named. Those that take minutes, or hours, run only when named.
 
-Of one that is named all that follows are its own options: `python -m benchmarks sysid --help`, `… sysid --draws 2 --page my.md`.
+Of one that is named all that follows is its own: `python -m benchmarks sysid --help`, `… studies model_error --jobs 1`.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ NAMED_ONLY = (
 def main() -> None:
     """Run and print."""
     words = sys.argv[1:]
-    at = next((i for i, word in enumerate(words) if word.startswith("-")), len(words))
-    options = words[at:] if at == 1 else []
+    one = bool(words) and not words[0].startswith("-") and not {*words[1:]} <= {*NAMES, *NAMED_ONLY}
+    options = words[1:] if one else []
     parser = argparse.ArgumentParser(
         prog="python -m benchmarks", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -46,7 +46,7 @@ def main() -> None:
         metavar="name",
         help=f"any of {', '.join(NAMES + NAMED_ONLY)}; the first {len(NAMES)} by default",
     )
-    arguments = parser.parse_args(words[:at] if options else words)
+    arguments = parser.parse_args(words[:1] if one else words)
     unknown = [name for name in arguments.names if name not in NAMES + NAMED_ONLY]
     if unknown:
         parser.error(f"unknown benchmark {unknown[0]!r}: expected any of {', '.join(NAMES + NAMED_ONLY)}")

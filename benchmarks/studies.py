@@ -139,6 +139,8 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/studies"), help="folder of the datasets")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "studies.md")
     asked = parser.parse_args(arguments)
+    if unknown := [name for name in asked.names if name not in STUDIES]:
+        parser.error(f"unknown study {unknown[0]!r}: expected any of {', '.join(STUDIES)}")
     for name in asked.names:
         whole = Design.of(*load_study(name))
         study, folder = chosen(name, asked.whole)

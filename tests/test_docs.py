@@ -315,10 +315,12 @@ TYPED = [
 ]
 
 
-@pytest.mark.fast_every(2)
+@pytest.mark.fast_every(4)
 @pytest.mark.parametrize(("words", "code", "told"), [
     (("arms", "--help"), 0, "--seed"), (("updates", "--draws", "3"), 2, "has no options, got --draws 3"),
     (("arms", "--page", "x"), 2, "unrecognized arguments: --page x"), (("nothing", "--help"), 2, "unknown benchmark 'nothing'"),
+    (("studies", "model_error", "--jobs", "x"), 2, "argument --jobs: invalid int value: 'x'"),
+    (("studies", "nothing"), 2, "unknown study 'nothing'"), (("updates", "nothing"), 2, "has no options, got nothing"),
 ])  # fmt: skip
 def test_a_benchmark_takes_its_own_options(words, code, told):
     done = subprocess.run(
