@@ -31,6 +31,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         fast = item.get_closest_marker("fast_every")
         if fast is not None and index % fast.args[0]:
             item.add_marker(pytest.mark.slow)
+            item.add_marker(pytest.mark.long)
     yield
     every = config.getoption("--every")  # of those that are run
     kept, left_out = [], []
