@@ -185,11 +185,11 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
 
 LONG = [pytest.mark.slow, pytest.mark.long]
 PUSHED = pytest.param(True, marks=LONG)
-SOME = [case if i % 8 == 1 else pytest.param(case, marks=LONG) for i, case in enumerate(CASES)]
 
 
-@pytest.mark.parametrize("push", [False, PUSHED], ids=["sweep", "push"])
-@pytest.mark.parametrize("case", SOME, ids=[case.name for case in CASES])
+@pytest.mark.fast_every(16)  # of every eighth case the sweep
+@pytest.mark.parametrize("push", [False, True], ids=["sweep", "push"])
+@pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
 def test_told_of_an_effect(case, push):
     check(case, push, CHEAP)
 
