@@ -329,7 +329,7 @@ def test_a_benchmark_takes_its_own_options(words, code, told):
     assert done.returncode == code and told in done.stdout + done.stderr
 
 
-LONG = ("diagnosis.md", "accuracy.md", "arms.md", "planning.md", "cluster.md")
+LONG = ("diagnosis.md", "accuracy.md", "arms.md", "planning.md", "cluster.md", "estimators.md")
 
 
 @pytest.mark.slow

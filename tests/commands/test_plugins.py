@@ -319,6 +319,7 @@ def test_a_step_that_cannot_be_compiled_is_one_line(flexspline, files, tmp_path)
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_in_a_new_process_it_is_simply_there(files, tmp_path):
     """Installed into a folder of its own: it runs, sweeps, and is named by a diagnosis."""
     target = tmp_path / "target"

@@ -14,8 +14,8 @@ CHANNELS = ("motor_position", "link_position", "motor_current", "joint_torque")
 EXAMPLES = [(kind, number) for kind, count in (("exact", 6), ("toleranced", 7), ("bare", 3)) for number in range(count)]
 ALIKE = {frozenset(("load_dependent_friction", "back_driving")), frozenset(("kinematic_error", "cogging"))}
 """A special case, and what one encoder does not tell apart: either may stand for the other, and that is said."""
-FEW = [("toleranced", 3, "link_position"), ("toleranced", 4, "link_position")]
-"""A hysteresis that one encoder does not show stood there as a rotor's inertia at 0.97, five numbers at their ends."""
+FEW = [("toleranced", 3, "link_position")]
+"""Not long. A hysteresis that one encoder does not show stood there as a rotor's inertia at 0.97, five numbers at their ends."""
 
 
 @pytest.mark.slow

@@ -180,7 +180,7 @@ def test_commands_of_one_joint_say_so(flexspline):
     [
         ("shoulder", "mesh_friction", {"scale": 2.0}),
         ("elbow", "kinematic_error", {"order": 2.0, "amplitude": 2.6e-4, "phase": 0.9}),
-        ("shoulder", "friction_asymmetry", {"ratio": 0.3}),
+        pytest.param("shoulder", "friction_asymmetry", {"ratio": 0.3}, marks=pytest.mark.long),
     ],
 )
 def test_a_diagnosis_survives_in_an_arm(place, cause, values):
