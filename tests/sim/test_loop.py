@@ -269,6 +269,7 @@ print("done")
 
 
 @pytest.mark.slow
+@pytest.mark.long
 def test_a_new_sensor_is_one_channel_and_its_law(tmp_path):
     """One entry in `signals.CHANNELS` and one line in `dynamics.readings`: simulated, noisy, recorded, given to estimators."""
     root, package = Path(__file__).resolve().parents[2], tmp_path / "package" / "flexspline"
