@@ -28,7 +28,7 @@ test: $(DONE)
 test-slow: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
 
-# Of the slow tests what fits into minutes: all but whole diagnoses, one for every cause, draw and question, an hour's recording, and further
+# Of the slow tests what fits into minutes: all but most whole diagnoses, one for every cause, draw and question, an hour's recording, and further
 # cases of what `make test` runs a part of.
 test-most: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not long"

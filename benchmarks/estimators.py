@@ -45,7 +45,7 @@ NAMES = (
     "augmented", "dynamics_ekf", "momentum_torsion", "momentum", "current", "EKF", "AREKF", REFERENCE, "REKF", "inverse",
     "lowpass", "kalman", "strong_tracking", "h_infinity", "huber",
 )  # fmt: skip
-"""In the tables; `inverse` is RAREKF with the third reading of Eq. (23)."""
+"""In the tables; `inverse` is RAREKF with the reading `inverse` of Eq. (23)."""
 COSTLY_AT = (1.0, 0.0)
 """Tolerances at which the estimators that simulate the joint run; a second each, where the others take a hundredth."""
 APART = 0.25
