@@ -144,6 +144,7 @@ def test_diagnosis_extends_a_joint_with_a_gravity_angle(recording, tmp_path):
     assert found.gravity_angle.nominal == joint.gravity_angle.value
 
 
+@pytest.mark.slow
 def test_diagnosis_alone_finds_what_the_torsion_hides(recording, lara8):
     """Of the three effects the eccentricity, worth 50 N·m in torsion, is the one that one-way motion leaves no doubt of."""
     name, answer, errors = next(lara8.diagnosed(recording))

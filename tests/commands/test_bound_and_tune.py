@@ -11,6 +11,7 @@ import yaml
 SHORT = ("--set", "duration=9")
 
 
+@pytest.mark.slow
 def test_bound(flexspline, tmp_path):
     code, out, _ = flexspline(
         "bound",

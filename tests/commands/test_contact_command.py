@@ -10,6 +10,7 @@ import pytest
 QUICK = ("--hours", 0.05, "--filter", "RAREKF", "--set", "duration=20", "--rate", 400)
 
 
+@pytest.mark.slow
 def test_tables_curves_and_figure(flexspline, tmp_path):
     out = tmp_path / "contact"
     code, text, err = flexspline("contact", *QUICK, "--tolerance", 0, "--out", out)

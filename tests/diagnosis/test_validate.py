@@ -98,6 +98,7 @@ def test_any_channels(missing):
         assert found.residual["motor_current"].rms < 0.03, "rotor and link together, 10 mA of it noise"
 
 
+@pytest.mark.slow
 @pytest.mark.fast_every(3)
 @pytest.mark.parametrize("missing", [(), ("motor_position",), ("link_position",)])
 def test_a_recording_that_begins_in_motion_is_simulated_as_in_the_midst_of_it(missing):

@@ -106,6 +106,7 @@ def test_still_at_rest():
         assert np.ptp(found.columns[f"{name}_error"][10000:]) < 0.1 * prior, "rest teaches little"
 
 
+@pytest.mark.slow
 def test_no_surer_at_rest_than_the_link_encoder_s_count():
     """24 joints come to rest under 12 N·m and hold: the link encoder keeps its count, whose error does not average out. Had each
     sample an error of its own, the mean NEES would be 2.2."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from driving import JOINT, record_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -109,6 +110,7 @@ def test_how_noisy_a_sensor_is_leaves_the_noise_of_all_others(name, size, seed):
             np.testing.assert_array_equal(one[channel], other[channel], err_msg=channel)
 
 
+@pytest.mark.slow
 @FEW
 @given(
     symmetric, st.floats(-0.05, 0.05), st.floats(-2e-3, 2e-3), st.sampled_from(["no_load", "link"]), st.floats(0.3, 3.0)

@@ -27,6 +27,7 @@ def drawn():
     return limits.assess(limits.matched(chosen, 1.0), folder, range(1, 5), estimators(NAMES), 1.0)
 
 
+@pytest.mark.slow
 def test_no_filter_is_below_the_bound_on_its_own_model(drawn):
     for one in drawn.estimators:
         print(f"{one.name}: {drawn.ratio(one.name):.2f} of the bound")
