@@ -112,7 +112,7 @@ def extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -
         if not h.free:
             continue
         block = problem.place(at.model, i)
-        values, std = h.values(u), h.deviation(u, at.covariance[block, block])
+        values, std = h.values(u), problem.deviation(h, u, at.covariance[block, block])
         parameters = {
             q.name: Estimate(value=values[q.name], unit=q.unit, std=std.get(q.name)) for q in h.cause.parameters
         }

@@ -84,7 +84,7 @@ def findings_of(
             )  # fmt: skip
             continue
         block = problem.place(final.model, i)
-        values, std = h.values(u), h.deviation(u, final.covariance[block, block])
+        values, std = h.values(u), problem.deviation(h, u, final.covariance[block, block])
         parameters = {
             q.name: ParameterEstimate(values[q.name], float(std.get(q.name, 0.0)), "" if q.unit == "1" else q.unit)
             for q in h.cause.parameters

@@ -91,6 +91,7 @@ class Segment:
       time: of each replay step since the recording's start [s], shape (n,).
       rotor: motor encoder's reading and its two derivatives [rad], shape (n, 3).
       link: link encoder's reading and its two derivatives [rad], shape (n, 3); where it is not measured, as described.
+      rotor_measured: whether the motor's encoder was read; else the rotor's angle follows from the link's.
       link_measured: whether the motion of both ends was measured; else the link's is simulated.
       weighed: whether the link balance is of the link's measured motion: so with both encoders, and with the link's alone where
         a torque sensor tells what moves it.
@@ -118,6 +119,7 @@ class Segment:
     time: np.ndarray
     rotor: np.ndarray
     link: np.ndarray
+    rotor_measured: bool
     link_measured: bool
     weighed: bool
     torque: np.ndarray
@@ -308,7 +310,8 @@ def _segment(
     load = measured[:, TORQUE] if has["joint_torque"] else _own_torque(p, state) - decimate(external)
     one = Segment(
         recording=index, name=recording.name, time=since, rotor=np.ascontiguousarray(rotor),
-        link=np.ascontiguousarray(link), link_measured=link_measured, weighed=weighed,
+        link=np.ascontiguousarray(link),
+        rotor_measured="motor_position" in recording, link_measured=link_measured, weighed=weighed,
         torque=np.ascontiguousarray(read[:, TORQUE]) if has["joint_torque"] else np.empty(0),
         external=external, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),

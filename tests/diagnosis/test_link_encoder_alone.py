@@ -13,10 +13,13 @@ import flexspline as fs
 from flexspline.diagnosis.data.coverage import can_show, undetermined
 from flexspline.diagnosis.data.segments import CURRENT, LINK, decimate, segments
 from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.replay import residual
+from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.score import deviations
 from flexspline.diagnosis.validate import validate
+from flexspline.models import causes
 from flexspline.models.joint import Mounting, load_joint
 from flexspline.models.recording import Measurement, Recording, read_measurement
 
@@ -131,6 +134,34 @@ def test_what_acts_on_the_link_is_told_with_a_torque_sensor(index, name):
     found = diagnose(drawn.measurement, drawn.nominal)
     assert found.causes[0].name == name and found.causes[0].confidence > 0.5
     assert all(error < 3 for error, _ in deviations(drawn, found).values())
+
+
+def test_a_phase_that_counts_from_the_rotor_is_known_up_to_the_link_encoders_zero():
+    """1 mrad of it is 0.1 rad of a rotor behind a gear of 100, and turns an order of 12 by 1.2 rad."""
+    joint = load_joint("test-joint")
+    zero, ratio = joint.sensors.link_encoder.zero.deviation, joint.numbers["N"].value
+    orders = {h.fixed["order"]: h for h in hypotheses(causes.get("cogging"), joint.record())}
+    u = np.array([0.8, 0.6])
+    for channel, scale, exact in (("link_position", 1.0, False), ("motor_position", 100.0, True)):
+        problem = Problem(*segments([log(channel, scale)], joint), joint)
+        for order in (min(orders), 12.0, max(orders)):
+            alone = orders[order].deviation(u, 1e-4 * np.eye(2))
+            told = problem.deviation(orders[order], u, 1e-4 * np.eye(2))
+            wide = min(np.hypot(alone["phase"], order * ratio * zero), 2 * np.pi / np.sqrt(12))
+            assert told == pytest.approx(alone if exact else alone | {"phase": wide})
+
+
+@pytest.mark.slow
+@pytest.mark.long
+def test_an_order_that_the_link_encoder_alone_shows_is_as_unsure_as_its_zero():
+    """A cogging of order 12: its phase was told as 0.41 ± 0.30 rad, and was 4.76."""
+    drawn = draw(Challenge(seed=1421, without=("motor_position",)), 10)
+    (effect,) = drawn.effects
+    found = diagnose(drawn.measurement, drawn.nominal)
+    assert effect.name == found.causes[0].name == "cogging"
+    assert all(error < 3 for error, _ in deviations(drawn, found).values())
+    (written,) = (e for e in found.extended.effects if e.name == "cogging")
+    assert written.parameters["phase"].std == pytest.approx(found.causes[0].parameters["phase"].std)
 
 
 @pytest.mark.slow
