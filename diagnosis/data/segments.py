@@ -409,11 +409,15 @@ def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None
 def _other_end(known, is_link, v, a, since, p, out):
     """Rotor angle of a link's, or link angle of a rotor's [rad], springs in equilibrium under the link's own load."""
     for i in range(len(known)):
-        link = known[i] if is_link else known[i] / p.N
-        for _ in range(1 if is_link else 3):
+        if is_link:
+            link = dynamics.actual_link_position(known[i], p.N * known[i], p.N * v[i], since[i], p)
             motor, _, _ = dynamics.steady_motion(link, v[i], a[i], 0.0, since[i], p.reference_temperature, p)
-            if not is_link:
-                link += (known[i] - motor) / p.N
+        else:
+            rotor = dynamics.actual_motor_position(known[i], p)
+            link = rotor / p.N
+            for _ in range(3):
+                motor, _, _ = dynamics.steady_motion(link, v[i], a[i], 0.0, since[i], p.reference_temperature, p)
+                link += (rotor - motor) / p.N
         out[i] = laws.motor_reading(motor, p) if is_link else laws.link_reading(link, p)
 
 
