@@ -310,8 +310,8 @@ def _segment(
     load = measured[:, TORQUE] if has["joint_torque"] else _own_torque(p, state) - decimate(external)
     one = Segment(
         recording=index, name=recording.name, time=since, rotor=np.ascontiguousarray(rotor),
-        link=np.ascontiguousarray(link),
-        rotor_measured="motor_position" in recording, link_measured=link_measured, weighed=weighed,
+        link=np.ascontiguousarray(link), rotor_measured="motor_position" in recording, link_measured=link_measured,
+        weighed=weighed,
         torque=np.ascontiguousarray(read[:, TORQUE]) if has["joint_torque"] else np.empty(0),
         external=external, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
@@ -412,13 +412,14 @@ def _other_end(known, is_link, v, a, since, p, out):
         if is_link:
             link = dynamics.actual_link_position(known[i], p.N * known[i], p.N * v[i], since[i], p)
             motor, _, _ = dynamics.steady_motion(link, v[i], a[i], 0.0, since[i], p.reference_temperature, p)
+            out[i] = laws.motor_reading(motor, p)
         else:
             rotor = dynamics.actual_motor_position(known[i], p)
             link = rotor / p.N
             for _ in range(3):
                 motor, _, _ = dynamics.steady_motion(link, v[i], a[i], 0.0, since[i], p.reference_temperature, p)
                 link += (rotor - motor) / p.N
-        out[i] = laws.motor_reading(motor, p) if is_link else laws.link_reading(link, p)
+            out[i] = laws.link_reading(link, p)
 
 
 def in_held_out_block(time: np.ndarray, index: int, settings: SegmentSettings = SETTINGS) -> np.ndarray:

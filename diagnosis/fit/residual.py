@@ -37,8 +37,7 @@ move the same number (its own tolerance and a shared one) reach little further t
 _STEP, _FAR = 1e-6, 1e-4  # of differences of the record's numbers
 _STEP_X, _STEP_U = 0.05, 0.03  # of differences of residuals, where these stand for derivatives
 _BENT = 0.2  # part of a number's change over such a step by which it may differ from its derivative
-ANY_PHASE = 2 * np.pi / np.sqrt(12)
-"""Standard deviation [rad] of a phase of which nothing is known."""
+_ANY_PHASE = 2 * np.pi / np.sqrt(12)  # standard deviation [rad] of a phase of which nothing is known
 _UNBOUNDED = 100.0  # times what nine of ten are at most
 _INFINITE = 1e6  # A or N·m per standard deviation or ordinary size: a derivative that is as good as infinite
 _HELD = 1e-4  # prior standard deviation of what stays as described
@@ -150,16 +149,15 @@ class Problem:
     def deviation(self, effect: Hypothesis, u: np.ndarray, covariance: np.ndarray) -> dict[str, float]:
         """Standard deviations of an effect's free parameters at its coordinates, from their covariance.
 
-        A phase may count from the rotor's angle. Where only the link's encoder was read, that is known up to this encoder's zero:
-        1 mrad of it is 1.2 rad of an order of 12 behind a gear of 100. Estimates from the same encoder have the same angle, so
-        that bands do not grow by it.
+        The phase of a ripple counts from the rotor's angle. Where only the link's encoder was read, that is known up to this
+        encoder's zero: 1 mrad of it is 1.2 rad of an order of 12 behind a gear of 100. Estimates from the same encoder have the
+        same angle, so that bands do not grow by it.
         """
         std = effect.deviation(u, covariance)
-        by_rotor = effect.cause.series is not None and effect.cause.series[1] == "motor_position"
-        if "phase" in std and by_rotor and not any(s.rotor_measured for s in self.segments):
+        if "phase" in std and effect.cause.ripple and not any(s.rotor_measured for s in self.segments):
             zeros = [self.calibration.deviation(s) for s in self.calibration.slots if s.name == "link_encoder_zero"]
             turned = effect.values(u)["order"] * self.joint.numbers["N"].value * max(zeros, default=0.0)
-            std["phase"] = min(float(np.hypot(std["phase"], turned)), ANY_PHASE)
+            std["phase"] = min(float(np.hypot(std["phase"], turned)), _ANY_PHASE)
         return std
 
     @property

@@ -20,7 +20,7 @@ from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.score import deviations
 from flexspline.diagnosis.validate import validate
 from flexspline.models import causes
-from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.joint import Effect, Mounting, load_joint
 from flexspline.models.recording import Measurement, Recording, read_measurement
 
 RIPPLE = 2 * np.pi * 40.0
@@ -161,10 +161,9 @@ def test_a_phase_that_counts_from_the_rotor_is_known_up_to_the_link_encoders_zer
 def test_a_described_zero_is_taken_off_before_the_rotor_is_where_the_link_says():
     """5 mrad would turn it by 0.5 rad, and every order of the kinematic error and the motor with it."""
     joint, angle = load_joint("test-joint"), log("link_position", 1.0)
-    data = joint.model_dump()
-    data["sensors"]["link_encoder"]["zero"]["value"] = 5e-3
-    mounted = Joint.model_validate(data)
-    mounted._path = joint._path
+    zero = joint.sensors.link_encoder.zero.model_copy(update={"value": 5e-3})
+    encoder = joint.sensors.link_encoder.model_copy(update={"zero": zero})
+    mounted = joint.model_copy(update={"sensors": joint.sensors.model_copy(update={"link_encoder": encoder})})
     shifted = replace(angle, columns=angle.columns | {"link_position": angle["link_position"] + 5e-3})
     (plain,), _ = segments([angle], joint)
     (same,), _ = segments([shifted], mounted)
@@ -174,12 +173,9 @@ def test_a_described_zero_is_taken_off_before_the_rotor_is_where_the_link_says()
 def test_a_described_eccentricity_is_taken_off_before_the_link_is_where_the_rotor_says():
     """10 mrad of the motor's encoder would be 0.1 mrad of the link."""
     joint, angle = load_joint("test-joint"), log("motor_position", 100.0)
-    data = joint.model_dump()
-    data["effects"] = [
-        {"name": "motor_encoder_eccentricity", "parameters": {"amplitude": {"value": 1e-2}, "phase": {"value": 0.4}}}
-    ]
-    known = Joint.model_validate(data)
-    known._path = joint._path
+    values = {"amplitude": {"value": 1e-2}, "phase": {"value": 0.4}}
+    effect = Effect.model_validate({"name": "motor_encoder_eccentricity", "parameters": values})
+    known = joint.model_copy(update={"effects": [effect]})
     read = angle["motor_position"] + 1e-2 * (np.sin(angle["motor_position"] + 0.4) - np.sin(0.4))
     (plain,), _ = segments([angle], joint)
     (same,), _ = segments([replace(angle, columns=angle.columns | {"motor_position": read})], known)

@@ -183,10 +183,6 @@ def check(case: Case, push: bool, names: tuple[str, ...], command: bool = True) 
     assert not wrong, f"{case.name}: " + "; ".join(wrong)
 
 
-LONG = [pytest.mark.slow, pytest.mark.long]
-PUSHED = pytest.param(True, marks=LONG)
-
-
 @pytest.mark.fast_every(16)  # of every eighth case the sweep
 @pytest.mark.parametrize("push", [False, True], ids=["sweep", "push"])
 @pytest.mark.parametrize("case", CASES, ids=[case.name for case in CASES])
@@ -194,6 +190,7 @@ def test_told_of_an_effect(case, push):
     check(case, push, CHEAP)
 
 
+PUSHED = pytest.param(True, marks=pytest.mark.long)
 FEW = [pytest.param(case, marks=pytest.mark.long) if i % 6 else case for i, case in enumerate(CASES)]
 
 
