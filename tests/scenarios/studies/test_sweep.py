@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -101,6 +103,30 @@ def test_a_file_with_damage_inside_is_computed_again(done, tmp_path):
     assert pq.read_metadata(path).num_rows > 0
     sweep(again.design, Dataset.open(tmp_path / "a", again.design, versions()), jobs=1)
     assert same(again, done)
+
+
+@pytest.mark.slow
+def test_a_process_may_end_right_after_it_looked(tmp_path):
+    """A dataset is looked through by threads that are gone then: Python ended with SIGABRT in more than every second process
+    whose rows have this many columns, and in every tenth with those of a study."""
+    again = run(tmp_path / "a", jobs=1)
+    path = again.parts(2)[0][2]
+    table = pq.read_table(path, partitioning=None)
+    for i in range(200):
+        table = table.append_column(f"more_{i}", table["run"])
+    pq.write_table(table, path, write_page_checksum=True)
+    look = (
+        "import sys\nfrom pathlib import Path\nsys.path.insert(0, sys.argv[1])\n"
+        "from small import study\n"
+        "from flexspline.scenarios.studies.dataset import Dataset\n"
+        "from flexspline.scenarios.studies.design import Design\n"
+        "from flexspline.scenarios.studies.sweep import versions\n"
+        "Dataset.open(Path(sys.argv[2]), Design.of(study()), versions()).done()\n"
+    )
+    words = [sys.executable, "-c", look, str(Path(__file__).parent), str(tmp_path / "a")]
+    for _ in range(4):
+        done = subprocess.run(words, capture_output=True, text=True, timeout=120)
+        assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ESTALE, errno.EACCES])
