@@ -159,9 +159,7 @@ def fit_eccentricity(recording: Recording, joint: Joint, use: np.ndarray | None 
 
 def extended(joint: Joint, effects: tuple[Effect, ...], name: str, description: str) -> Joint:
     """The joint with effects added, under another name."""
-    changed = joint.model_copy(update={"name": name, "description": description, "effects": [*joint.effects, *effects]})
-    changed._path = joint._path
-    return changed
+    return joint.model_copy(update={"name": name, "description": description, "effects": [*joint.effects, *effects]})
 
 
 def _spread(q: CauseParameter, record: np.ndarray) -> float:

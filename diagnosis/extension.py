@@ -120,5 +120,4 @@ def extended(problem: Problem, at: Fit, joint: Joint, unknown: Unknown | None) -
     names = {e.name for e in effects}
     kept = [e for e in joint.effects if e.name not in names or causes.get(e.name).adds]
     found = found.model_copy(update={"effects": [*kept, *effects]})
-    found._path = joint._path
     return discrepancy.extend(found, replace(unknown, fit=at)) if unknown is not None else found

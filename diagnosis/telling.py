@@ -122,9 +122,7 @@ def _tared(conclusion: Conclusion) -> Joint:
         theta = tare.tared(problem, theta, ())
         found = calibrated(problem.tared(), replace(conclusion.drawn.fit, theta=theta, model=()), found)
     told = of_description(problem, evaluate_point(problem, theta, ()))
-    found = found.model_copy(update={"uncertainty": told})
-    found._path = problem.joint._path
-    return found
+    return found.model_copy(update={"uncertainty": told})
 
 
 def _acts_on_the_link(f: Finding) -> bool:

@@ -332,9 +332,7 @@ class Scenario(Strict):
                     if given in change and other not in change:
                         merged[name][other] = None
         sensors = parse(merged, Sensors, f"scenario {self.name}: sensors")
-        copy = joint.model_copy(update={"sensors": sensors})
-        copy._path = joint._path
-        return copy
+        return joint.model_copy(update={"sensors": sensors})
 
 
 def _revalidated(joint: Joint, update: dict[str, Any], where: str) -> Joint:

@@ -628,9 +628,7 @@ def _own(problem: Problem, f: Fit, spline: Spline) -> float:
 
 def extend(joint: Joint, found: Unknown) -> Joint:
     """The joint with the discrepancy in it."""
-    extended = joint.model_copy(update={"discrepancies": [*joint.discrepancies, found.discrepancy]})
-    extended._path = joint._path
-    return extended
+    return joint.model_copy(update={"discrepancies": [*joint.discrepancies, found.discrepancy]})
 
 
 def describe(found: Unknown) -> str:

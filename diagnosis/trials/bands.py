@@ -103,9 +103,7 @@ def without_noise(joint: Joint) -> Joint:
             "joint_torque": s.joint_torque.model_copy(update=still),
         }
     )
-    found = joint.model_copy(update={"sensors": quiet})
-    found._path = joint.path
-    return found
+    return joint.model_copy(update={"sensors": quiet})
 
 
 def channels_held(part: Part) -> dict[str, Held]:

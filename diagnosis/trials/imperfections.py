@@ -115,5 +115,4 @@ def imperfections(nominal: Joint, rng: np.random.Generator) -> Imperfections:
         }
     )  # fmt: skip
     real = nominal.model_copy(update={"sensors": with_errors})
-    real._path = nominal._path
     return Imperfections(v, real, v["warming"], v["jitter"])
