@@ -39,15 +39,17 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     weighed = link is not None and link.after <= ANSWER.far * link.noise
     calibration = parameter_shifts(problem, final)
     crowded = not problem.link_measured and _ends(problem, calibration) >= ANSWER.crowded
-    if crowded:
-        surest = min(
-            surest, ANSWER.behind
-        )  # something is missing, and many numbers stand for it: a cause may be one more
+    # Where something is missing and many numbers stand for it, a cause may be one more.
+    limited = conclusion.behind or crowded
+
+    def on_the_link(f: Finding) -> bool:
+        """Whether the link's own balance shows a finding, and holds: it has neither the gear in it nor the rotor."""
+        return weighed and _acts_on_the_link(f)
 
     def told(f: Finding) -> Finding:
         """A finding as sure as the motion that was measured lets it be."""
-        behind = conclusion.behind and not (weighed and _acts_on_the_link(f))
-        return replace(f, confidence=min(f.confidence, surest, ANSWER.behind if behind else 1.0))
+        most = ANSWER.behind if limited and not on_the_link(f) else 1.0
+        return replace(f, confidence=min(f.confidence, surest, most))
 
     findings, minor = ([told(f) for f in fs] for fs in (findings, minor))
     if conclusion.nearly_all:
@@ -55,6 +57,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         findings = [
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
+    crowded = crowded and not any(on_the_link(f) and f.confidence > ANSWER.behind for f in findings)
     verdict, reasons = _verdict(conclusion, findings, minor, residual, useless, crowded)
     reasons += [
         *_out_of_proportion(problem, findings),
@@ -276,7 +279,7 @@ def _verdict(
 
     Args:
       useless: whether the causes leave no less unexplained than calibration alone; crowded: whether many numbers stand at the
-        end of their tolerances beside them.
+        end of their tolerances beside them, and none is likely by the link's own balance, which has none of these numbers.
     """
     problem = conclusion.problem
     # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.

@@ -355,10 +355,16 @@ def test_a_late_encoder_is_followed_from_far_away():
 @pytest.mark.slow
 def test_of_what_is_worth_about_the_same_the_likelier_is_taken():
     """A gravity moment 10 % up was told as a torque sensor's gain at 0.99: worth a little more in the linear model, and less
-    likely by 54, while a third that was likelier than both kept the two from being held against each other."""
+    likely by 54, while a third that was likelier than both kept the two from being held against each other. A torque constant and
+    a sensor's gain together do nearly what it does: what is not sure for that says so."""
     drawn = draw(Challenge(seed=481, hidden="one", real=True), 42)
-    found = {c.name: c for c in diagnose(drawn.measurement, drawn.nominal).causes}
-    assert found["gravity_moment"].confidence > 0.9 and "torque_sensor_gain" not in found
+    said = diagnose(drawn.measurement, drawn.nominal)
+    found = {c.name: c for c in said.causes}
+    others = {"torque_constant", "torque_sensor_gain"}
+    assert found["gravity_moment"].confidence > 0.5 and not others & {*found}
+    told = {name for pair in said.confusable if "gravity_moment" in pair for name in pair}
+    assert found["gravity_moment"].confidence > 0.9 or others <= told
+    assert all(error < 3 for error, _ in score.deviations(drawn, said).values())
 
 
 @pytest.mark.slow
