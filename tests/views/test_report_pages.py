@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import itertools
 import json
 import re
@@ -168,6 +169,19 @@ def test_contact_names_the_most_sensitive_at_few_false_alarms(contact_page, cont
     (tmp_path / "contact.csv").write_text("a,b\n1,2\n")
     code, _, err = flexspline("report", tmp_path, "--out", tmp_path / "page.html")
     assert code == 2 and "expected the curves of flexspline contact" in err
+
+
+@pytest.mark.parametrize(
+    ("column", "cell"),
+    [("runs", "1e999"), ("runs", ""), ("hours", "nan"), ("tolerance", ""), ("smallest_push", "-inf")],
+)
+def test_curves_with_a_number_that_is_none_are_one_line(contact_folder, flexspline, tmp_path, column, cell):
+    rows = list(csv.DictReader((contact_folder / "contact.csv").open(newline="")))
+    rows[1][column] = cell
+    write_curves(rows, tmp_path / "contact.csv")
+    code, _, err = flexspline("report", tmp_path, "--out", tmp_path / "page.html")
+    assert code == 2 and err.count("\n") == 1 and f"row 1: {column}: expected a finite number" in err
+    assert not (tmp_path / "page.html").exists()
 
 
 def test_pages_are_self_contained_and_begin_with_the_answer(

@@ -23,6 +23,8 @@ RATE = 10.0
 _NUMBERS = (
     "tolerance", "threshold", "false_alarms_per_hour", "smallest_push", "found_of_large", "delay_ms", "hours", "runs",
 )  # fmt: skip
+_STATED = ("tolerance", "hours", "runs")
+"""Numbers of every row; the others are measures, which may not be defined."""
 _DECADES = (0.1, 1, 10, 100, 1000, 10_000)
 
 _SENSOR = "torque sensor"
@@ -39,7 +41,7 @@ def read_curves(path: Path) -> list[dict[str, Any]]:
     """
     try:
         with path.open(newline="", encoding="utf-8") as file:
-            rows = [
+            rows: list[dict[str, Any]] = [
                 {"estimator": row["estimator"]}
                 | {name: float(row[name]) if row[name] else math.nan for name in _NUMBERS}
                 for row in csv.DictReader(file)
@@ -48,6 +50,10 @@ def read_curves(path: Path) -> list[dict[str, Any]]:
         raise InputError(f"{path}: expected the curves of flexspline contact, got something else") from error
     if not rows:
         raise InputError(f"{path}: expected curves, got none")
+    for i, row in enumerate(rows):
+        for name in _NUMBERS:
+            if math.isinf(row[name]) or (name in _STATED and math.isnan(row[name])):
+                raise InputError(f"{path}: row {i}: {name}: expected a finite number, got {row[name]:g}")
     return rows
 
 
