@@ -39,17 +39,13 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     weighed = link is not None and link.after <= ANSWER.far * link.noise
     calibration = parameter_shifts(problem, final)
     crowded = not problem.link_measured and _ends(problem, calibration) >= ANSWER.crowded
-    # Where something is missing and many numbers stand for it, a cause may be one more.
-    limited = conclusion.behind or crowded
-
-    def on_the_link(f: Finding) -> bool:
-        """Whether the link's own balance shows a finding, and holds: it has neither the gear in it nor the rotor."""
-        return weighed and _acts_on_the_link(f)
 
     def told(f: Finding) -> Finding:
         """A finding as sure as the motion that was measured lets it be."""
-        most = ANSWER.behind if limited and not on_the_link(f) else 1.0
-        return replace(f, confidence=min(f.confidence, surest, most))
+        # Where something is missing and many numbers stand for it, a cause may be one more; not where the link's own balance
+        # shows it, which has neither gear nor rotor in it.
+        unlikely = (conclusion.behind or crowded) and not (weighed and _acts_on_the_link(f))
+        return replace(f, confidence=min(f.confidence, surest, ANSWER.behind if unlikely else 1.0))
 
     findings, minor = ([told(f) for f in fs] for fs in (findings, minor))
     if conclusion.nearly_all:
@@ -57,7 +53,6 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         findings = [
             replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
         ]
-    crowded = crowded and not any(on_the_link(f) and f.confidence > ANSWER.behind for f in findings)
     verdict, reasons = _verdict(conclusion, findings, minor, residual, useless, crowded)
     reasons += [
         *_out_of_proportion(problem, findings),
@@ -279,7 +274,7 @@ def _verdict(
 
     Args:
       useless: whether the causes leave no less unexplained than calibration alone; crowded: whether many numbers stand at the
-        end of their tolerances beside them, and none is likely by the link's own balance, which has none of these numbers.
+        end of their tolerances beside them.
     """
     problem = conclusion.problem
     # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
@@ -298,7 +293,7 @@ def _verdict(
     unlikely = not problem.link_measured and all(f.confidence <= ANSWER.unsure for f in findings)
     if findings and unlikely and conclusion.drawn.share == 0.0:
         return "inconclusive", [_NOT_SURE, *late, *left]
-    if findings and crowded:
+    if findings and crowded and all(f.confidence <= ANSWER.behind for f in findings):
         return "inconclusive", [_CROWDED, *late, *left]
     if findings:
         return "discrepancy", [*late, *_after("beside the causes named, ", left)]
