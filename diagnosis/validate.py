@@ -18,13 +18,14 @@ itself: the root of the sum of squares of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from ..estimator.conditioning import as_logged, condition
 from ..models import dynamics
 from ..models.dynamics import State
 from ..models.errors import InputError
@@ -34,9 +35,8 @@ from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
-from .data.counts import as_logged
 from .data.mistakes import Mistake, find_mistakes
-from .data.segments import CURRENT, LINK, TORQUE, Segment, clock_error, segments
+from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
 from .fit.replay import parallel, readings, transmission
 from .fit.residual import lateness
 
@@ -248,6 +248,8 @@ class _Part:
 
 def _simulated(recording: Recording, joint: Joint) -> Channels:
     """A recording's channels, measured and simulated."""
+    conditioned = condition(recording, joint)
+    recording = replace(recording, time=conditioned.recording.time, logged=conditioned.recording.logged)
     parts = _parts(recording, joint, [name for name in _BALANCE_OF if name in recording])
     of = {name: [part for part in parts if name in part.values] for name in _BALANCE_OF}
     if {"motor_position", "link_position"} <= set(recording.columns) and recording.external != "unmeasured":
@@ -274,7 +276,7 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
         variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
         motion = np.maximum(_joined(of[name], since, [part.motion_noise[name] for part in of[name]]), 0.0)
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
-            motion = motion + (np.nan_to_num(velocity) * clock_error(recording, joint)) ** 2
+            motion = motion + (np.nan_to_num(velocity) * conditioned.stamps.error) ** 2
         deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint, sensor[name]))
         noise[name] = np.sqrt(motion + sensor[name] ** 2)
     return Channels(

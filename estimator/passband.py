@@ -24,7 +24,7 @@ it is that of the sensor as it is described."""
 _BEYOND = 2.0  # times the described noise, up to which it is that
 _DESCRIBED_WRONG = 3.0  # times too small an inertia may be described
 _AS_GOOD = 1.005  # of the least residual of a regression
-_LEAST, _STEPS = 0.5, 48  # passbands that are tried: from so many Hz, so many
+_LEAST, _STEPS = 0.5, 32  # passbands that are tried: from so many Hz, so many
 _LOWER = 4.0  # times less than the noise allows, down to which a regression chooses
 _WINDOW = 4.0  # s of a spectrum
 _LONGEST, _SHORTEST, _WINDOWS = 1 << 15, 32, 48  # samples of a window, windows of a long log
@@ -72,7 +72,7 @@ def highest(
         for y, inertia in held.items():
             good &= inertia * whole <= _DESCRIBED_WRONG * np.sqrt(np.mean(recording[y] ** 2))
         own = float(tried[good].max()) if good.any() else float(tried[0])
-        if own < limit and held:
+        if held and (own < limit or len(floors) == 1):
             own = _regressed(
                 recording, name, next(iter(held)), parts, tried[(tried <= own) & (tried >= own / _LOWER)], float(p["N"])
             )

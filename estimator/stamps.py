@@ -18,6 +18,7 @@ FEWEST = 50
 """Samples in motion below which nothing is said."""
 LEAST = 2e-3
 """Error of the time, in intervals, below which it is none: no motion is smoother."""
+_COUNTS = 3.0  # times the mean square of counts, the most that a pattern of theirs can be
 _PASSED = 100.0  # times an encoder's noise, squared, by which it goes on between samples
 _STILL = 1e-4  # of the largest square of the speed: what is slower is at rest
 _BINS = 8  # of the speed, with as many samples each
@@ -134,7 +135,12 @@ def timing_error(time: np.ndarray, encoders: Sequence[np.ndarray], floors: Seque
         slope, sure = float(np.sum(mean * v / spread**2) / np.sum(weight)), float(np.sqrt(np.sum(weight)))
     fast = range(_BINS // 2, _BINS)
     whole = [np.sqrt(_steady(off[0][bins[k]] ** 2)[0] * _steady(off[-1][bins[k]] ** 2)[0]) for k in fast]
-    if slope * sure < _SURE or slope <= (LEAST * interval) ** 2 or slope < _PART * np.median(whole / v[list(fast)]):
+    if (
+        np.median(whole) < _COUNTS * floor
+        or slope * sure < _SURE
+        or slope <= (LEAST * interval) ** 2
+        or slope < _PART * np.median(whole / v[list(fast)])
+    ):
         return 0.0
     return float(np.sqrt(slope))
 
