@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from ..estimator.conditioning import as_logged, condition
+from ..estimator.conditioning import Conditioned, as_logged, condition
 from ..models import dynamics
 from ..models.dynamics import State
 from ..models.errors import InputError
@@ -250,11 +250,12 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
     """A recording's channels, measured and simulated."""
     conditioned = condition(recording, joint)
     recording = replace(recording, time=conditioned.recording.time, logged=conditioned.recording.logged)
-    parts = _parts(recording, joint, [name for name in _BALANCE_OF if name in recording])
+    parts = _parts(conditioned, joint, [name for name in _BALANCE_OF if name in recording])
     of = {name: [part for part in parts if name in part.values] for name in _BALANCE_OF}
     if {"motor_position", "link_position"} <= set(recording.columns) and recording.external != "unmeasured":
         alone = ["link_position", *(n for n in ("motor_current", "motor_torque") if n in recording and _loose(joint))]
-        one_end = _parts(recording.without("link_position"), joint, alone)
+        motor = replace(conditioned, recording=conditioned.recording.without("link_position"))
+        one_end = _parts(motor, joint, alone)
         for name in alone:
             having = [part for part in one_end if name in part.values]
             if _width(having, name) < _width(of.get(name, []), name):
@@ -342,13 +343,14 @@ def _sensor_noise(joint: Joint, name: str) -> float:
     return float(np.hypot(getattr(spec, "noise", 0.0), step / np.sqrt(12)))
 
 
-def _parts(recording: Recording, joint: Joint, names: Sequence[str]) -> list[_Part]:
+def _parts(conditioned: Conditioned, joint: Joint, names: Sequence[str]) -> list[_Part]:
     """The segments of a recording, each with those of the channels `names` that can be simulated in it."""
+    recording = conditioned.recording
     record = joint.record(recording.link)
     moved = directions(joint, recording.link)
     late = lateness(joint)
     found = []
-    for one, replicate in zip(*segments([recording], joint), strict=True):
+    for one, replicate in zip(*segments([conditioned], joint), strict=True):
         kept = [name for name in names if _can(one, recording, name)]
 
         def channels(task: tuple[Segment, np.ndarray], kept: list[str] = kept) -> dict[str, np.ndarray]:

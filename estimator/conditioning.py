@@ -3,7 +3,7 @@
 Whatever takes a measured recording, takes it conditioned:
 
 * **Current** is made of a motor torque, where the drive reported that instead.
-* **Time** means when a sample was taken. Stamps of a coarse clock, of arrival, or row numbers in their place are seen by the
+* **Time** means when a sample was taken. Clock of a coarse clock, of arrival, or row numbers in their place are seen by the
   encoders: a sample with a wrong time is off the smooth motion by the speed times that error, and at rest by nothing. Where
   samples that are even in time make the motion smoother than its stamps do, they are taken as even.
 * **Repeats.** A reading that did not change although the motion went on is an old one. It is no news; what lies between fresh
@@ -27,7 +27,7 @@ from ..models.recording import Recording
 from ..models.signals import CHANNELS, POSITIONS
 from .motion import CUTOFF, SHARE
 from .passband import highest
-from .stamps import Stamps, clock_times, off_motion, read_stamps
+from .stamps import Clock, clock_times, off_motion, read_stamps
 
 READ = ("motor_position", "link_position", "motor_current", "joint_torque", "external_torque")
 """Channels whose repeats and noise are looked at."""
@@ -44,7 +44,7 @@ _MOVING = 0.2  # of the rms speed
 
 
 @dataclass(frozen=True)
-class Channel:
+class Quality:
     """What one channel's readings are like; in its unit.
 
     Attributes:
@@ -79,8 +79,8 @@ class Conditioned:
     """
 
     recording: Recording
-    channels: Mapping[str, Channel]
-    stamps: Stamps
+    channels: Mapping[str, Quality]
+    stamps: Clock
     passband: float
     news: Mapping[str, np.ndarray] = field(default_factory=dict)
     done: tuple[str, ...] = ()
@@ -288,11 +288,11 @@ def _floors(joint: Joint, encoders: Sequence[str], columns: Mapping[str, np.ndar
     return found
 
 
-def _channel(recording: Recording, name: str, parts: Sequence[slice], repeated: float, joint: Joint) -> Channel:
+def _channel(recording: Recording, name: str, parts: Sequence[slice], repeated: float, joint: Joint) -> Quality:
     rate = (1 - repeated) / recording.interval
     spec = joint.sensors.of(CHANNELS[name]) if CHANNELS[name].sensor else None
     low = getattr(spec, "bandwidth", None)
-    return Channel(
+    return Quality(
         noise=_noise(recording, name, parts),
         step=step_of(recording[name]),
         rate=rate,

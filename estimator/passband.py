@@ -19,7 +19,7 @@ from .motion import CUTOFF, smooth
 NOISY = 0.02
 """Share of the acceleration's power that may be noise."""
 KNOWN = 8.0
-"""Noise of the acceleration as a torque over the noise of what that is held against, up to which fits of two encoders count it: where
+"""Noise of the acceleration as a torque over that of what it is held against, up to which fits of two encoders count it: where
 it is that of the sensor as it is described."""
 _BEYOND = 2.0  # times the described noise, up to which it is that
 _DESCRIBED_WRONG = 3.0  # times too small an inertia may be described
@@ -70,7 +70,8 @@ def highest(
             counted = np.all([shaken * inertia <= KNOWN * noise[y] * passed for y, inertia in held.items()], axis=0)
             good |= counted & (shaken <= _BEYOND * white)
         for y, inertia in held.items():
-            good &= inertia * whole <= _DESCRIBED_WRONG * np.sqrt(np.mean(recording[y] ** 2))
+            possible = inertia * whole <= _DESCRIBED_WRONG * np.sqrt(np.mean(recording[y] ** 2))
+            good &= possible | ~possible.any()  # of a column in another unit nothing is
         own = float(tried[good].max()) if good.any() else float(tried[0])
         if held and (own < limit or len(floors) == 1):
             own = _regressed(
@@ -139,8 +140,8 @@ def _noise_share(frequency: np.ndarray, power: np.ndarray, cutoff: float) -> tup
 
 
 def _regressed(recording: Recording, name: str, y: str, parts: Sequence[slice], tried: np.ndarray, N: float) -> float:
-    """The highest of some passbands [Hz] at which a regression of a channel on an encoder's motion predicts blocks that it has not
-    seen about as well as at any."""
+    """The highest of some passbands [Hz] at which a regression of a channel on an encoder's motion predicts blocks that it has
+    not seen about as well as at any."""
     longest = max(part.stop - part.start for part in parts)
     size = min(longest, _REGRESSED)
     begins = _windows(recording, name, parts, size, max(_REGRESSED // size, 1), size)

@@ -35,7 +35,7 @@ Kind = Literal["exact", "row numbers", "coarse clock", "arrival"]
 
 
 @dataclass(frozen=True)
-class Stamps:
+class Clock:
     """What a log's stamps are.
 
     Attributes:
@@ -66,7 +66,7 @@ class Stamps:
 
 def read_stamps(
     time: np.ndarray, encoders: Sequence[np.ndarray], parts: Sequence[slice], floors: Sequence[float]
-) -> Stamps:
+) -> Clock:
     """What the encoders say of the stamps.
 
     Args:
@@ -74,16 +74,16 @@ def read_stamps(
       floors: noise of each in motion, whatever the clock [rad].
     """
     if not parts:
-        return Stamps("exact", 0.0)
+        return Clock("exact", 0.0)
     error = max(timing_error(time[k], [x[k] for x in encoders], floors) for k in parts)
     if not error:
-        return Stamps("exact", 0.0)
+        return Clock("exact", 0.0)
     steps = np.concatenate([np.diff(time[k]) for k in parts])
     interval = float(np.median(steps))
     tick = _tick(steps, interval)
     if tick > 0.9 * interval or np.percentile(np.abs(steps - interval), 90) < _EVEN * interval:
-        return Stamps("row numbers", error)
-    return Stamps("coarse clock", error, tick=tick) if tick else Stamps("arrival", error)
+        return Clock("row numbers", error)
+    return Clock("coarse clock", error, tick=tick) if tick else Clock("arrival", error)
 
 
 def _tick(steps: np.ndarray, interval: float) -> float:

@@ -195,19 +195,21 @@ def undisturbed(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def segments(
-    recordings: list[Recording], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
+    recordings: Sequence[Recording | Conditioned], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
 ) -> tuple[list[Segment], list[Segment]]:
-    """Smooth every segment of every recording; returns the segments and their noise replicates.
+    """Smooth every segment of every recording, which is conditioned first if it is not; returns the segments and their noise
+    replicates.
 
     What unmeasured pushes make of a recording with one encoder (`pushed`) does not count beside others, which have none.
     """
     rng = np.random.default_rng(seed)
     found, replicates = [], []
-    counted = undisturbed(recordings)
-    for index, recording in enumerate(recordings):
-        conditioned = condition(recording, joint)
+    prepared = [r if isinstance(r, Conditioned) else condition(r, joint) for r in recordings]
+    counted = undisturbed([c.recording for c in prepared])
+    for index, conditioned in enumerate(prepared):
+        recording = conditioned.recording
         for part in recording.segments:
-            time = conditioned.recording.time[part]
+            time = recording.time[part]
             if len(time) < settings.shortest[0] or time[-1] - time[0] < settings.shortest[1]:
                 continue
             one, replicate = _segment(conditioned, index, part, joint, rng, settings)

@@ -11,8 +11,8 @@ from scipy.special import ndtr
 
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.estimator import get, names, smoothed
-from flexspline.estimator.conditioning import condition
 from flexspline.estimator.bands import disagreement, reference_torque
+from flexspline.estimator.conditioning import condition
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import (
     SHORTEST,
