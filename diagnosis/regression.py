@@ -20,19 +20,21 @@ from typing import Any
 
 import numpy as np
 
-from ..estimator.motion import SHARE, smooth
+from ..estimator.conditioning import Conditioned, condition
+from ..estimator.motion import smooth
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
-from ..models.signals import CHANNELS, DRIVING, POSITIONS
+from ..models.signals import CHANNELS, DRIVING
 from .data.segments import in_held_out_block
 
+MOVING = 0.05
+"""Share of the usual largest speed (98 % of the samples are slower) below which a sample is at rest: there friction may be anything
+up to its level."""
 _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
-_MOVING = 0.05  # of the usual largest speed: slower samples are at rest, where friction may be anything up to its level
 _FEWEST = 20  # samples in motion for each coefficient
 _CLUSTER = 1.0  # s: residuals that far apart count as independent
 _SAME = 1e-6  # share of a column that no other column explains, below which it is left out
-_PASSBANDS = (2.0, 4.0, 6.0, 10.0, 15.0, 25.0, 40.0)
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class Regression:
       rms: of what is left in motion; held_out: the same on blocks of time that were kept from a fit of its own; NaN where the
         recordings are too short for that. spread: standard deviation of the channel in motion. All in `unit`.
       samples: in motion.
-      passband: of the smoother [Hz].
+      passband: of the smoother [Hz], the lowest of all recordings.
       left_out: shapes that this motion does not tell from others.
     """
 
@@ -95,7 +97,7 @@ class Regression:
 
     def predict(self, recording: Recording, joint: Joint) -> np.ndarray:
         """The channel of a recording at its samples, shape (n,), in `unit`; NaN at the ends of parts without gaps."""
-        shapes = _shapes(recording, joint, self.channel, self.passband)
+        shapes = _shapes(condition(recording, joint), joint, self.channel)
         found = np.full(len(recording.time), np.nan)
         if shapes is not None:
             found[shapes.rows] = sum(c.value * shapes.columns[c.name] for c in self.coefficients)
@@ -121,17 +123,11 @@ def regressions(measurement: Measurement, joint: Joint) -> tuple[Regression, ...
       One regression a channel; none of a channel with too little motion.
     """
     quiet = [r for r in measurement.recordings if r.external != "unmeasured" and not r.link.locked]
+    conditioned = [condition(r, joint) for r in quiet]
     channels = [name for name in DRIVING if any(name in r for r in quiet)]
     if "motor_current" in channels and "motor_torque" in channels:
         channels.remove("motor_torque")
-    return tuple(one for name in channels if (one := _best(quiet, joint, name)) is not None)
-
-
-def _best(recordings: Sequence[Recording], joint: Joint, channel: str) -> Regression | None:
-    """The regression with the passband that predicts held-out blocks best."""
-    tried = [_regress(recordings, joint, channel, passband) for passband in _PASSBANDS]
-    found = [one for one in tried if one is not None]
-    return min(found, key=lambda one: one.held_out if np.isfinite(one.held_out) else one.rms, default=None)
+    return tuple(one for name in channels if (one := _regress(conditioned, joint, name)) is not None)
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -152,8 +148,9 @@ class _Shapes:
     reading: np.ndarray
 
 
-def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -> _Shapes | None:
+def _shapes(conditioned: Conditioned, joint: Joint, channel: str) -> _Shapes | None:
     """Shapes of a recording; None where no part of it is long enough."""
+    recording, passband = conditioned.recording, conditioned.passband
     p = joint.record(recording.link)[0]
     position = "link_position" if "link_position" in recording else "motor_position"
     sensed = channel != "joint_torque" and "joint_torque" in recording
@@ -168,7 +165,7 @@ def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -
             values += [recording.load.torque[part], recording.load.inertia[part]]
         values.append(recording.columns.get("external_torque", np.zeros(len(recording.time)))[part])
         values.append(recording[channel][part])
-        s = smooth(time, np.column_stack(values), min(_STEP, float(np.median(np.diff(time)))), passband, share=2 * SHARE)
+        s = smooth(time, np.column_stack(values), min(_STEP, recording.interval), passband)
         inside = (time > time[0] + _EDGE) & (time < time[-1] - _EDGE)
         at = time[inside]
         columns = [np.interp(at, s.time, x) for x in (*s.value.T, s.rate[:, 0], s.acceleration[:, 0])]
@@ -205,9 +202,9 @@ def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -
 # --- least squares ---------------------------------------------------------------------------------------------------
 
 
-def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passband: float) -> Regression | None:
-    having = [(i, r) for i, r in enumerate(recordings) if channel in r]
-    each = [(i, s) for i, r in having if (s := _shapes(r, joint, channel, passband)) is not None]
+def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> Regression | None:
+    having = [(i, c) for i, c in enumerate(conditioned) if channel in c.recording]
+    each = [(i, s) for i, c in having if (s := _shapes(c, joint, channel)) is not None]
     if not each:
         return None
     names = [n for n in each[0][1].columns if all(n in s.columns for _, s in each)]
@@ -215,7 +212,7 @@ def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passba
     held = np.concatenate([in_held_out_block(s.time, i) for i, s in each])
     cluster = np.concatenate([np.floor(s.time / _CLUSTER) + 1e6 * i for i, s in each])
     X = np.column_stack([np.concatenate([s.columns[n] for _, s in each]) for n in names])
-    moving = np.abs(speed) > _MOVING * float(np.quantile(np.abs(speed), 0.98))
+    moving = np.abs(speed) > MOVING * float(np.quantile(np.abs(speed), 0.98))
     X, y, raw, held, cluster = X[moving], y[moving], raw[moving], held[moving], cluster[moving]
     kept = _independent(X, [names.index(n) for n in _PREFERRED if n in names])
     if len(y) < _FEWEST * len(kept) or not len(kept):
@@ -226,12 +223,12 @@ def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passba
     if _FEWEST * len(kept) <= (~held).sum() and held.sum() >= _FEWEST:
         unseen = _rms(raw[held] - X[held][:, kept] @ _least_squares(X[~held][:, kept], y[~held]))
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
-    p = joint.record(having[0][1].link)[0]
+    p = joint.record(having[0][1].recording.link)[0]
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
     coefficients = tuple(_of_joint(names[k], float(b), float(s), channel, p, alone) for k, b, s in zip(kept, beta, std, strict=True))
     left_out = tuple(n for i, n in enumerate(names) if i not in kept)
     return Regression(
-        channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y), passband, left_out
+        channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y), min(c.passband for _, c in having), left_out
     )
 
 
