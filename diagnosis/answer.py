@@ -202,6 +202,7 @@ class Diagnosis:
                 k: {"before": r.before, "after": r.after, "noise": r.noise, "unit": r.unit}
                 for k, r in self.residual.items()
             },
+            "regressions": [r.to_json() for r in self.regressions],
             "regions": [r.to_json() for r in self.regions],
             "estimation": self.estimation,
             "held_out": self.held_out,

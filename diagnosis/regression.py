@@ -14,7 +14,7 @@ a joint that predicts held-out data worse than it is not written.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,8 @@ import numpy as np
 
 from ..estimator.conditioning import Conditioned, condition
 from ..estimator.motion import smooth
-from ..models.joint import Joint
+from ..models.calibration import Calibration
+from ..models.joint import Joint, Mounting
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS, DRIVING
 from .data.segments import in_held_out_block
@@ -45,7 +46,8 @@ class Coefficient:
       name: of the shape: `gravity`, `inertia`, `Coulomb friction`, …
       value, std: in the channel's unit over the shape's.
       means: what it says of the joint: a symbol or a name of a cause's parameter; empty where it is none.
-      number, number_std: that number, in `unit`; described: what the description has; NaN where it has none.
+      number, number_std: that number, in `unit`; described, tolerance: what the description has, and the standard deviation that
+        it leaves open; NaN where the coefficient says nothing of the joint.
     """
 
     name: str
@@ -55,15 +57,24 @@ class Coefficient:
     number: float = float("nan")
     number_std: float = float("nan")
     described: float = float("nan")
+    tolerance: float = float("nan")
     unit: str = ""
+
+    @property
+    def beyond(self) -> float:
+        """By how many standard deviations, of tolerance and regression together, the number differs from the description; 0 where
+        the coefficient says nothing of the joint."""
+        spread = float(np.hypot(self.tolerance, self.number_std))
+        return abs(self.number - self.described) / max(spread, 1e-300) if self.means else 0.0
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         found: dict[str, Any] = {"name": self.name, "value": self.value, "std": self.std}
         if self.means:
-            found |= {"means": self.means, "number": self.number, "number_std": self.number_std, "unit": self.unit}
-            if np.isfinite(self.described):
-                found["described"] = self.described
+            found |= {
+                "means": self.means, "number": self.number, "number_std": self.number_std, "described": self.described,
+                "tolerance": self.tolerance, "unit": self.unit,
+            }  # fmt: skip
         return found
 
 
@@ -91,9 +102,29 @@ class Regression:
     passband: float
     left_out: tuple[str, ...] = ()
 
-    def number(self, means: str) -> float | None:
-        """A number of the joint by its name (`Coefficient.means`); None where the regression does not say it."""
-        return next((c.number for c in self.coefficients if c.means == means), None)
+    @property
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """For people: shape, its coefficient, what that says of the joint, and what the description has."""
+        return [
+            (
+                c.name,
+                f"{c.value:.4g} ± {c.std:.2g}",
+                f"{c.means.replace('_', ' ')} {c.number:.4g} ± {c.number_std:.2g} {'' if c.unit == '1' else c.unit}".rstrip()
+                if c.means
+                else "",
+                f"{c.described:.4g} ± {c.tolerance:.2g}" if c.means else "",
+            )
+            for c in self.coefficients
+        ]
+
+    @property
+    def title(self) -> str:
+        """For people: what it leaves of which channel."""
+        unseen = f", {self.held_out:.3g} on held-out blocks" if np.isfinite(self.held_out) else ""
+        return (
+            f"{self.channel.replace('_', ' ')}: {self.rms:.3g} {self.unit} RMS of {self.spread:.3g} is left in motion{unseen}; "
+            f"motion smoothed at {self.passband:.3g} Hz"
+        )
 
     def predict(self, recording: Recording, joint: Joint) -> np.ndarray:
         """The channel of a recording at its samples, shape (n,), in `unit`; NaN at the ends of parts without gaps."""
@@ -223,9 +254,9 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     if _FEWEST * len(kept) <= (~held).sum() and held.sum() >= _FEWEST:
         unseen = _rms(raw[held] - X[held][:, kept] @ _least_squares(X[~held][:, kept], y[~held]))
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
-    p = joint.record(having[0][1].recording.link)[0]
+    link = having[0][1].recording.link
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
-    coefficients = tuple(_of_joint(names[k], float(b), float(s), channel, p, alone) for k, b, s in zip(kept, beta, std, strict=True))
+    coefficients = tuple(_of_joint(names[k], float(b), float(s), channel, joint, link, alone) for k, b, s in zip(kept, beta, std, strict=True))
     left_out = tuple(n for i, n in enumerate(names) if i not in kept)
     return Regression(
         channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y), min(c.passband for _, c in having), left_out
@@ -271,35 +302,51 @@ def _covariance(X: np.ndarray, left: np.ndarray, cluster: np.ndarray) -> np.ndar
     return bread @ meat @ bread / scale[:, None] / scale
 
 
-def _of_joint(name: str, value: float, std: float, channel: str, p: np.void, alone: bool) -> Coefficient:
+def _of_joint(name: str, value: float, std: float, channel: str, joint: Joint, link: Mounting, alone: bool) -> Coefficient:
     """A coefficient with what it says of the joint; torques of friction are those of the motor side.
 
     Args:
+      link: the mounting of the recording.
       alone: whether the link's own inertia is in a shape of its own, so that `inertia` is the rotor's alone.
     """
-    link = 0.0 if alone else float(p["Jl"])
-    N, Kt = float(p["N"]), float(p["Kt"])
+    calibration = Calibration(joint)
+    records = [calibration.record(x, link)[0] for x in np.vstack([np.zeros(calibration.size), np.eye(calibration.size)])]
+    p = records[0]
+    N, Kt, moment = float(p["N"]), float(p["Kt"]), float(p["Mg"]) or 1.0
     output = {"motor_current": N * Kt, "motor_torque": N, "joint_torque": 1.0}[channel]
-    motor = output / N
-    meanings: dict[str, tuple[str, float, float, str]] = {
-        "gravity": ("gravity_moment", (float(p["Mg"]) or 1.0) * output, float(p["Mg"]), "N·m"),
-        "arm": ("arm_scale", output, 1.0, "1"),
-        "inertia": ("rotor_inertia" if alone else "inertia", output, link + N * N * float(p["Jm"] + p["Jw"]) * (channel != "joint_torque"), "kg·m²"),
-        "load friction": ("load_dependent_friction", output, float(p["friction_load"]), "1"),
-        "offset": ("offset", 1.0, float(p["current_offset" if channel == "motor_current" else "torque_offset"]), ""),
+    driven = channel != "joint_torque"
+    offset = "current_offset" if channel == "motor_current" else "torque_offset"
+    unit = CHANNELS[channel].unit
+    if name == "sensor torque":
+        if channel != "motor_current" or value <= 0.0:
+            return Coefficient(name, value, std)
+        number, factor = 1.0 / (N * value), -1.0 / (N * value) / value
+    else:
+        factor = {"gravity": moment * output, "Coulomb friction": output / N, "viscous friction": output / N**2, "offset": 1.0}.get(
+            name, output
+        )
+        number = factor * value
+    meanings: dict[str, tuple[str, str, Callable[[np.void], float]]] = {
+        "sensor torque": ("Kt", "N·m/A", lambda r: r["Kt"]),
+        "gravity": ("gravity_moment", "N·m", lambda r: r["Mg"]),
+        "arm": ("arm_scale", "1", lambda r: 1.0),
+        "inertia": (
+            "rotor_inertia" if alone else "inertia",
+            "kg·m²",
+            lambda r: (not alone) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
+        ),
+        "load friction": ("load_dependent_friction", "1", lambda r: r["friction_load"]),
+        "offset": ("offset", unit, lambda r: r[offset]),
     }
-    if channel != "joint_torque":
-        meanings["Coulomb friction"] = ("Fc", motor, float(p["Fc"]), "N·m")
-        meanings["viscous friction"] = ("viscous", motor / N, float(p["bw"] + p["bm"] + p["bl"] / N**2), "N·m·s/rad")
-    if name == "sensor torque" and channel == "motor_current" and value > 0.0:
-        constant = 1.0 / (N * value)
-        return Coefficient(name, value, std, "Kt", constant, constant * std / value, Kt, "N·m/A")
+    if driven:
+        meanings["Coulomb friction"] = ("Fc", "N·m", lambda r: r["Fc"])
+        meanings["viscous friction"] = ("viscous", "N·m·s/rad", lambda r: r["bw"] + r["bm"] + r["bl"] / N**2)
     if name not in meanings:
         return Coefficient(name, value, std)
-    means, factor, described, unit = meanings[name]
-    return Coefficient(
-        name, value, std, means, factor * value, factor * std, described, unit or CHANNELS[channel].unit
-    )
+    means, unit, of = meanings[name]
+    described, *moved = (float(of(r)) for r in records)
+    open_ = float(np.sqrt(np.sum((np.array(moved) - described) ** 2)))
+    return Coefficient(name, value, std, means, number, abs(factor) * std, described, open_, unit)
 
 
 def _rms(x: np.ndarray) -> float:

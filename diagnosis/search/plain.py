@@ -17,21 +17,20 @@ from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
 from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter, with_dispersion
-from ..regression import MOVING, Coefficient, Regression
+from ..regression import MOVING, Regression
 from .acceptance import Rivals, significance
 
 CAUSES = {
-    "gravity_moment": ("gravity_moment", "scale", ("Mg",)),
-    "inertia": ("link_inertia", "scale", ("Jl", "Jm", "Jw")),
-    "rotor_inertia": ("rotor_inertia", "value", ("Jm", "Jw")),
-    "Fc": ("mesh_friction", "scale", ("Fc",)),
-    "viscous": ("viscous_friction", "coefficient", ("bw", "bm", "bl")),
-    "load_dependent_friction": ("load_dependent_friction", "coefficient", ()),
-    "offset": ("current_offset", "value", ("current_offset",)),
-    "Kt": ("torque_constant", "value", ("Kt",)),
+    "gravity_moment": ("gravity_moment", "scale"),
+    "inertia": ("link_inertia", "scale"),
+    "rotor_inertia": ("rotor_inertia", "value"),
+    "Fc": ("mesh_friction", "scale"),
+    "viscous": ("viscous_friction", "coefficient"),
+    "load_dependent_friction": ("load_dependent_friction", "coefficient"),
+    "offset": ("current_offset", "value"),
+    "Kt": ("torque_constant", "value"),
 }
-"""Cause, its parameter, and the joint's numbers that the same coefficient of a regression is made of, by
-`regression.Coefficient.means`."""
+"""Cause and its parameter by what a coefficient of a regression says (`regression.Coefficient.means`)."""
 BEYOND = 3.0
 """Standard deviations, of tolerance and regression together, from which on a number starts in the model."""
 _ITERATIONS = 12
@@ -49,9 +48,9 @@ def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Reg
     started: dict[str, tuple[Hypothesis, np.ndarray]] = {}
     for one in found:
         for c in one.coefficients:
-            name, parameter, numbers = CAUSES.get(c.means, ("", "", ()))
+            name, parameter = CAUSES.get(c.means, ("", ""))
             h = next((g for g in offered if g.cause.name == name), None)
-            if h is None or name in started or not _beyond(problem, c, numbers):
+            if h is None or name in started or c.beyond <= BEYOND:
                 continue
             now = h.cause.present(record)[parameter]
             value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)
@@ -71,15 +70,6 @@ def in_motion(problem: Problem) -> Problem:
         return replace(s, usable=s.usable & fast, held_out=s.held_out & fast)
 
     return problem.with_segments(moving)
-
-
-def _beyond(problem: Problem, c: Coefficient, numbers: Sequence[str]) -> bool:
-    """Whether a regression's number lies beyond what the description leaves open of the numbers that it is made of."""
-    slots = [s for s in problem.calibration.slots if s.name in numbers]
-    relative = [problem.calibration.deviation(s) / abs(s.number.value) for s in slots if s.number.value]
-    open_ = max([*relative, 0.0]) * abs(c.described)
-    open_ = max([open_, *(problem.calibration.deviation(s) for s in slots if not s.number.value)])
-    return abs(c.number - c.described) > BEYOND * float(np.hypot(open_, c.number_std))
 
 
 def held_out_square(problem: Problem, f: Fit) -> float:
