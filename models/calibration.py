@@ -1,9 +1,10 @@
 """What a datasheet leaves open: a joint's tolerances as independent standard normal variables.
 
 Each calibration variable `x_j ~ N(0, 1)` moves one number of the joint (or, where a tolerance is shared, several):
-`value = nominal · (1 + tolerance · x_own) · (1 + shared tolerance · x_shared) + deviation · x_own`. Drawing a
+`value = nominal · f(tolerance, x_own) · f(shared tolerance, x_shared) + deviation · x_own`. Drawing a
 joint within its tolerances is drawing `x`; fitting one is finding `x` with the prior that the joint file states.
-No factor `1 + tolerance · x` passes through zero, however wide the tolerance: below 0.3 it goes on as an exponential.
+A tolerance up to `NARROW` is normal, f = 1 + tolerance · x. A wider one is log-normal, f = (1 + tolerance)^x: a number that is
+known within a factor is as likely half as double, and never negative.
 """
 
 from __future__ import annotations
@@ -125,8 +126,8 @@ class Calibration:
     def values(self, x: np.ndarray) -> np.ndarray:
         """Value of the number of every slot at `x`, shape (len(slots),)."""
         n, x = self._laws, np.append(x, 0.0)
-        value = n.value * _factor(n.tolerance * x[n.own]) + n.deviation * x[n.own]
-        return np.maximum(value * _factor(n.shared_tolerance * x[n.shared]), n.least)
+        value = n.value * factor_of(n.tolerance, x[n.own]) + n.deviation * x[n.own]
+        return np.maximum(value * factor_of(n.shared_tolerance, x[n.shared]), n.least)
 
     def value(self, slot: Slot, x: np.ndarray) -> float:
         """Value of one number at `x`."""
@@ -137,6 +138,14 @@ class Calibration:
         number = slot.number
         shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
         return float(np.hypot(np.hypot(number.tolerance, shared) * abs(number.value), number.deviation))
+
+    def reach(self, slot: Slot, within: float) -> float:
+        """By how much one number may be above its value within so many standard deviations, in its unit."""
+        number = slot.number
+        shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
+        wide = [np.log1p(t) for t in (number.tolerance, shared) if t > NARROW]
+        factor = float(np.expm1(within * np.linalg.norm(wide))) if wide else 0.0
+        return max(within * self.deviation(slot), factor * abs(number.value))
 
     def record(self, x: np.ndarray, mounting: Mounting | None = None, effects: bool = True) -> np.ndarray:
         """Parameter record, shape (1,), of the joint at `x` in a mounting, with the joint's own effects or without."""
@@ -171,29 +180,38 @@ class Calibration:
         nominal = self.record(np.zeros(self.size), mounting)
         allowed, period = np.zeros(1, record.dtype), np.zeros(record.nbytes // 8)
         for slot in self.slots:
-            deviation = self.deviation(slot)
+            reach = self.reach(slot, within)
             period[slot.place] = slot.period
             if slot.index >= 0:
-                allowed[0][slot.field][slot.index] = within * deviation
+                allowed[0][slot.field][slot.index] = reach
             else:
                 scale = nominal[0][slot.field] if slot.field in ("Jl", "Mg") else 1.0
-                allowed[0][slot.field] = within * deviation * scale
+                allowed[0][slot.field] = reach * scale
         now, before, described, limit = (as_floats(r) for r in (record, without, nominal, allowed))
         off = short_way(now - described, period)
         return not np.any((now != before) & (np.abs(off) > limit))
 
 
+NARROW = 0.5
+"""Largest relative standard deviation of a normal tolerance; a wider one is log-normal."""
 _ANGLES = ("phase", "gravity_angle")
 """Fields of the record that return after a turn."""
 _LEAST = 0.3
 _LEAST_SHARE = 1e-3  # of its nominal value, of a number that is not zero
 
 
-def _factor(change: np.ndarray) -> np.ndarray:
-    """1 + change, and positive all the same for changes near −1 and below: an inertia is no less than nothing."""
-    return np.where(
+def factor_of(tolerance: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """What tolerances make of their numbers at x standard deviations, as factors on them, shape of the arguments."""
+    change = tolerance * x
+    normal = np.where(
         change > _LEAST - 1, 1 + change, _LEAST * np.exp((np.minimum(change, _LEAST - 1) + 1 - _LEAST) / _LEAST)
     )
+    return np.where(tolerance > NARROW, (1 + tolerance) ** x, normal)
+
+
+def variable_of(tolerance: float, factor: float) -> float:
+    """The standard deviations at which a tolerance makes a factor of `_LEAST` or more: the inverse of `factor_of`."""
+    return float(np.log(factor) / np.log1p(tolerance)) if tolerance > NARROW else (factor - 1) / tolerance
 
 
 def _least(slot: Slot) -> float:

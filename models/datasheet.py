@@ -24,6 +24,7 @@ from .units import plain
 
 _RULE = "rule: "
 _TYPICAL = 0.4  # relative deviation of what a rule of proportion gives
+_FACTOR_2, _FACTOR_3 = 1.0, 2.0  # tolerances: a standard deviation is a factor of 2, of 3
 _DRIVEN = ("N", "Kt", "R", "L", "Jm")
 
 _SCALES: dict[str, dict[str, float]] = {
@@ -198,7 +199,7 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
             numbers[symbol] = _row(given[symbol], unit, *_given(symbol, sheet, catalogued))
         else:
             value, tolerance, rule = rules.of(symbol)
-            numbers[symbol] = _row(value, unit, tolerance, _RULE + rule)
+            numbers[symbol] = _row(value, unit, sheet.tolerances.get(symbol, tolerance), _RULE + rule)
         if symbol in _SHARED:
             numbers[symbol]["shared"] = _SHARED[symbol]
     values = {symbol: float(row["value"]) for symbol, row in numbers.items()}
@@ -211,13 +212,13 @@ def new_joint(sheet: Datasheet, path: Path | None = None) -> NewJoint:
         "mounting": "link",
         "shared_tolerances": {
             "stiffness": 0.1 if "K1" in sheet.numbers else 0.15 if exact else 0.2,
-            "friction": 0.2 if "Fc" in sheet.numbers else 0.4,
+            "friction": 0.2 if "Fc" in sheet.numbers else _FACTOR_2,
         },
         "numbers": numbers,
         "kinematic_error": rules.kinematic_error(),
         "link_tolerances": {
-            "inertia": _row(1, "1", 0.05, "rule: as well as people know what hangs on a joint"),
-            "gravity_moment": _row(1, "1", 0.02, "rule: as well as people know what hangs on a joint"),
+            "inertia": _row(1, "1", 0.15, "rule: as well as people know the inertia of a load"),
+            "gravity_moment": _row(1, "1", 0.05, "rule: as well as people know the weight of a load"),
         },
         "mountings": _mountings(sheet, catalogued, values),
         "sensors": _sensors(sheet, values),
@@ -314,10 +315,10 @@ class _Rules:
         return self.known[symbol] if symbol in self.known else self.of(symbol)[0]
 
     def _Jw(self) -> tuple[float, float, str]:
-        return self.gear.inertia, 0.2, f"{self.where}, its wave generator's inertia"
+        return self.gear.inertia, _FACTOR_2, f"{self.where}, its wave generator's inertia"
 
     def _bm(self) -> tuple[float, float, str]:
-        return 0.03 * self._value("bw"), _TYPICAL, "3 % of bw: the mesh holds nearly all viscous friction"
+        return 0.03 * self._value("bw"), _FACTOR_2, "3 % of bw: the mesh holds nearly all viscous friction"
 
     def _supply_voltage(self) -> tuple[float, float, str]:
         return 48.0, 0.0, "48 V, usual for robot joints"
@@ -379,11 +380,11 @@ class _Rules:
         return 1e-3 * self._value("s0"), _TYPICAL, "s0 · 1 ms, the test joint's proportion"
 
     def _bw(self) -> tuple[float, float, str]:
-        return self._value("Fc") / 200, _TYPICAL, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"
+        return self._value("Fc") / 200, _FACTOR_3, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"
 
     def _bl(self) -> tuple[float, float, str]:
         damping = 0.02 * (self.gear.size / 17) ** 3
-        return damping, _TYPICAL, "output bearing, with the cube of the size from the test joint's"
+        return damping, _FACTOR_2, "output bearing, with the cube of the size from the test joint's"
 
     def kinematic_error(self) -> list[dict[str, Any]]:
         """Orders 2 and 4: a share of the catalogue's transmission accuracy, of unknown phase."""
@@ -475,12 +476,12 @@ def _filled(data: Mapping[str, Any], sheet: Datasheet) -> list[Filled]:
             found.append(Filled(name, row["value"], row["unit"], tolerance, row["source"].removeprefix(_RULE)))
     bare, link = (data["mountings"][name] for name in ("no_load", "link"))
     found.append(
-        Filled("inertia of no_load", bare["inertia"], "kg·m²", 0.05, "a bare flange, with the fifth power of the size")
+        Filled("inertia of no_load", bare["inertia"], "kg·m²", 0.15, "a bare flange, with the fifth power of the size")
     )
     if sheet.gravity_moment is None:
         rule = "half the rated torque, or what the motor holds at 40 % of its current"
-        found.append(Filled("gravity of link", link["gravity_moment"], "N·m", 0.02, rule))
+        found.append(Filled("gravity of link", link["gravity_moment"], "N·m", 0.05, rule))
     if sheet.inertia is None:
         rule = "its mass on a lever that grows with the size, 0.38 m of size 17"
-        found.append(Filled("inertia of link", link["inertia"], "kg·m²", 0.05, rule))
+        found.append(Filled("inertia of link", link["inertia"], "kg·m²", 0.15, rule))
     return found

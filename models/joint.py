@@ -73,7 +73,7 @@ class Number(Strict):
     """A number of the joint.
 
     `tolerance` is the relative, `deviation` the absolute standard deviation that datasheet and calibration leave
-    open; `shared` names a further deviation that several numbers have in common (`Joint.shared_tolerances`).
+    open. A tolerance above 0.5 is log-normal: one standard deviation is a factor of 1 + tolerance. `shared` names a further deviation that several numbers have in common (`Joint.shared_tolerances`).
     `std` is the standard deviation that a diagnosis found, `nominal` what the value was before it.
     """
 
@@ -83,8 +83,8 @@ class Number(Strict):
     """`N·m` and `Nm`, `kg·m²` and `kgm2` are the same."""
     source: str
     """Where it is from: a datasheet, a measurement, a rule."""
-    tolerance: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Relative standard deviation that is left open."""
+    tolerance: Annotated[float, Field(ge=0, lt=10)] = 0.0
+    """Relative standard deviation that is left open; above 0.5 one standard deviation is a factor of 1 + tolerance."""
     deviation: Annotated[float, Field(ge=0)] = 0.0
     """Absolute standard deviation that is left open, in the unit."""
     shared: str | None = None
@@ -482,7 +482,7 @@ class Joint(Strict):
     """The mounting that is meant where none is named."""
     numbers: dict[str, Number]
     """By symbol; `flexspline joint new` writes all of them."""
-    shared_tolerances: dict[str, Annotated[float, Field(ge=0, lt=1)]] = {}
+    shared_tolerances: dict[str, Annotated[float, Field(ge=0, lt=10)]] = {}
     """Relative standard deviations that several numbers have in common, by name."""
     kinematic_error: Annotated[list[Order], Field(max_length=N_ORDERS)]
     """Orders of the gear's kinematic error."""

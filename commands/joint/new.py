@@ -63,7 +63,7 @@ def command(
     ] = None,
     tolerances: Annotated[
         list[str] | None,
-        typer.Option("--tolerance", metavar="SYMBOL=SHARE", help="How well it is known, `Jm=0.3`. Repeatable."),
+        typer.Option("--tolerance", metavar="SYMBOL=SHARE", help="How well it is known, `Jm=0.3`; above 0.5 a factor: `bw=2` is known within a factor of 3. Repeatable."),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; NAME.yaml by default.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
@@ -155,9 +155,18 @@ def _share(symbol: str, text: str) -> float:
         share = float(text)
     except ValueError:
         share = -1.0
-    if not 0 <= share < 1:
-        raise InputError(f"--tolerance {symbol}={text}: expected a share from 0 to 1, got {text!r}")
+    if not 0 <= share < 10:
+        raise InputError(f"--tolerance {symbol}={text}: expected a share from 0 to 10, got {text!r}")
     return share
+
+
+def _spread(tolerance: float) -> str:
+    """A tolerance for people: a share, or the factor that a wide one is."""
+    from ...models.calibration import NARROW
+
+    if not tolerance:
+        return ""
+    return f"factor {1 + tolerance:.2g}" if tolerance > NARROW else f"{100 * tolerance:.0f} %"
 
 
 def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
@@ -170,14 +179,14 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
     from .check import line
 
     terminal = console()
-    table = narrow_table(f"{made.joint.name}: filled by rules, not from a datasheet", "±: relative standard deviation")
+    table = narrow_table(f"{made.joint.name}: filled by rules, not from a datasheet", "±: standard deviation, relative or as a factor")
     table.add_column("number", no_wrap=True)
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("±", justify="right", no_wrap=True)
     table.add_column("rule", overflow="fold")
     for f in made.filled:
         unit = "" if f.unit == "1" else f" {f.unit}"
-        tolerance = f"{100 * f.tolerance:.0f} %" if f.tolerance else ""
+        tolerance = _spread(f.tolerance)
         table.add_row(Text(f.name), Text(f"{f.value:.4g}{unit}"), tolerance, Text(f.rule))
     terminal.print(table)
     for problem in check(path).problems:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...models.calibration import Slot
+from ...models.calibration import NARROW, Slot, factor_of, variable_of
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
 from ..fit.residual import REACH, Model, Problem
@@ -165,10 +165,11 @@ def _shares(problem: Problem, slots: list[Slot], x: np.ndarray, factor: float) -
         logs = np.log([ratios[s.name] for s in slots])
         own = np.array([s.number.tolerance for s in slots])
         weight = 1 / np.maximum(own, 1e-6) ** 2
-        y = spread * np.sum(weight * logs) / (1 + spread**2 * np.sum(weight))
+        width = np.log1p(spread) if spread > NARROW else spread
+        y = width * np.sum(weight * logs) / (1 + width**2 * np.sum(weight))
         found[f"shared {name}"] = float(y)
-        common = 1 + spread * y
+        common = float(factor_of(np.array(spread), np.array(y)))
     for s in slots:
         if s.number.tolerance:
-            found[s.name] = (ratios[s.name] / common - 1) / s.number.tolerance
+            found[s.name] = variable_of(s.number.tolerance, ratios[s.name] / common)
     return found if all(abs(y) <= REACH for y in found.values()) else None

@@ -109,7 +109,7 @@ def test_numbers_are_read_as_datasheets_write_them(flexspline, option, same):
         ({"link_encoder": "60 bit"}, "csg_14_100.yaml: sensors.link_encoder.bits: expected less than 40, got 60"),
         ({"set": "K9=3"}, "--set K9=3: expected one of N, Jm"),
         ({"set": "K1"}, "--set K1: expected SYMBOL=…, got no '='"),
-        ({"tolerance": "Jm=2"}, "--tolerance Jm=2: expected a share from 0 to 1, got '2'"),
+        ({"tolerance": "Jm=20"}, "--tolerance Jm=20: expected a share from 0 to 10, got '20'"),
         ({"out": "a.txt"}, "--out a.txt: expected a file .yaml"),
         ({"name": "../a"}, "name: expected a name"),
     ],

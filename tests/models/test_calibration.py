@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from flexspline.models import causes
-from flexspline.models.calibration import CUT, Calibration
+from flexspline.models.calibration import CUT, Calibration, variable_of
 from flexspline.models.joint import as_joint, known_joints, load_joint
 from flexspline.models.parameters import as_floats
 
@@ -90,6 +90,22 @@ def test_no_tolerance_makes_a_number_negative():
     x = np.zeros(calibration.size)
     x[calibration.names.index("Jm")] = -1.2
     assert calibration.value(slot, x) == pytest.approx(nominal["Jm"] * (1 - 1.2 * 0.5))  # a tolerance as it says
+
+
+def test_wide_tolerance_is_a_factor():
+    """As likely half as double: one standard deviation up and one down are inverse factors."""
+    data = load_joint("test-joint").model_dump()
+    data["numbers"]["bw"]["tolerance"] = 2.0
+    data["shared_tolerances"]["friction"] = 1.0
+    calibration = Calibration(as_joint(data, Path("joint.yaml")))
+    for name, variable, factor in (("bw", "bw", 3.0), ("Fc", "shared friction", 2.0)):
+        slot = next(s for s in calibration.slots if s.name == name)
+        for x in (-2.0, -1.0, 1.0, 2.5):
+            at = np.zeros(calibration.size)
+            at[calibration.names.index(variable)] = x
+            assert calibration.value(slot, at) == pytest.approx(slot.number.value * factor**x), (name, x)
+            assert variable_of(factor - 1, factor**x) == pytest.approx(x)
+        assert calibration.reach(slot, 2.0) == pytest.approx((factor**2 - 1) * slot.number.value, rel=0.35)
 
 
 def test_no_number_becomes_negative_however_wide_its_deviation():
