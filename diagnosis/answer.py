@@ -120,6 +120,8 @@ class Diagnosis:
       plan: what to measure next (`planning.plan`), where it was asked for.
       held_out: how data were kept from the fits.
       regressions: what a plain regression says of each torque channel.
+      drive_torque: torque constant of the drive [N·m/A] where it reported a torque and no current: the balance of the drive
+        is then `motor_torque` in `residual`, in N·m; else 0.
       complete: whether there was time for all stages.
       seconds: that it took.
     """
@@ -148,6 +150,7 @@ class Diagnosis:
     plan: Plan | None = field(default=None, repr=False)
     held_out: str = ""
     regressions: tuple[Regression, ...] = ()
+    drive_torque: float = 0.0
     complete: bool = True
     seconds: float = 0.0
 
@@ -155,6 +158,12 @@ class Diagnosis:
     def reason(self) -> str:
         """The reasons in one sentence, as `diagnosis.json` has them; empty for none."""
         return "; ".join(self.reasons)
+
+    def logged_as(self, balance: str) -> tuple[str, float]:
+        """The channel that a balance stands for in the log, and the factor from the balance's unit to the channel's."""
+        return (
+            ("motor_torque", self.drive_torque) if self.drive_torque and balance == "motor_current" else (balance, 1.0)
+        )
 
     @property
     def mendable(self) -> bool:

@@ -113,6 +113,8 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
     if main is None:
         return None
     kept = [held_out(recording, index) for index, recording in sensed]
+    if not any(k.any() for k in kept):  # too short to keep a block from the fits
+        kept = [np.ones(len(recording.time), bool) for _, recording in sensed]
     return Improvement(
         quantity=quantity,
         main=main,

@@ -29,8 +29,8 @@ from ..models.signals import CHANNELS, DRIVING
 from .data.segments import in_held_out_block
 
 MOVING = 0.05
-"""Share of the usual largest speed (98 % of the samples are slower) below which a sample is at rest: there friction may be anything
-up to its level."""
+"""Share of the usual largest speed (98 % of the samples are slower) below which a sample is at rest: there friction may be
+anything up to its level."""
 _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
 _FEWEST = 20  # samples in motion for each coefficient
@@ -256,10 +256,21 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
     link = having[0][1].recording.link
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
-    coefficients = tuple(_of_joint(names[k], float(b), float(s), channel, joint, link, alone) for k, b, s in zip(kept, beta, std, strict=True))
+    coefficients = tuple(
+        _of_joint(names[k], float(b), float(s), channel, joint, link, alone)
+        for k, b, s in zip(kept, beta, std, strict=True)
+    )
     left_out = tuple(n for i, n in enumerate(names) if i not in kept)
     return Regression(
-        channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y), min(c.passband for _, c in having), left_out
+        channel,
+        CHANNELS[channel].unit,
+        coefficients,
+        _rms(raw - X[:, kept] @ beta),
+        unseen,
+        float(np.std(raw)),
+        len(y),
+        min(c.passband for _, c in having),
+        left_out,
     )
 
 
@@ -302,7 +313,9 @@ def _covariance(X: np.ndarray, left: np.ndarray, cluster: np.ndarray) -> np.ndar
     return bread @ meat @ bread / scale[:, None] / scale
 
 
-def _of_joint(name: str, value: float, std: float, channel: str, joint: Joint, link: Mounting, alone: bool) -> Coefficient:
+def _of_joint(
+    name: str, value: float, std: float, channel: str, joint: Joint, link: Mounting, alone: bool
+) -> Coefficient:
     """A coefficient with what it says of the joint; torques of friction are those of the motor side.
 
     Args:
@@ -310,7 +323,9 @@ def _of_joint(name: str, value: float, std: float, channel: str, joint: Joint, l
       alone: whether the link's own inertia is in a shape of its own, so that `inertia` is the rotor's alone.
     """
     calibration = Calibration(joint)
-    records = [calibration.record(x, link)[0] for x in np.vstack([np.zeros(calibration.size), np.eye(calibration.size)])]
+    records = [
+        calibration.record(x, link)[0] for x in np.vstack([np.zeros(calibration.size), np.eye(calibration.size)])
+    ]
     p = records[0]
     N, Kt, moment = float(p["N"]), float(p["Kt"]), float(p["Mg"]) or 1.0
     output = {"motor_current": N * Kt, "motor_torque": N, "joint_torque": 1.0}[channel]
@@ -322,9 +337,12 @@ def _of_joint(name: str, value: float, std: float, channel: str, joint: Joint, l
             return Coefficient(name, value, std)
         number, factor = 1.0 / (N * value), -1.0 / (N * value) / value
     else:
-        factor = {"gravity": moment * output, "Coulomb friction": output / N, "viscous friction": output / N**2, "offset": 1.0}.get(
-            name, output
-        )
+        factor = {
+            "gravity": moment * output,
+            "Coulomb friction": output / N,
+            "viscous friction": output / N**2,
+            "offset": 1.0,
+        }.get(name, output)
         number = factor * value
     meanings: dict[str, tuple[str, str, Callable[[np.void], float]]] = {
         "sensor torque": ("Kt", "N·m/A", lambda r: r["Kt"]),

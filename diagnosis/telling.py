@@ -10,10 +10,11 @@ import numpy as np
 from ..models import causes
 from ..models.joint import Joint
 from ..models.recording import Measurement
+from ..models.signals import CHANNELS
 from .answer import BalanceResidual, Diagnosis, Finding, ParameterShift
 from .conclusion import ANSWER, Conclusion
 from .data.mistakes import NO_CHANGE, Mistake
-from .data.segments import BALANCES, SETTINGS, UNITS
+from .data.segments import BALANCES, CURRENT, SETTINGS, UNITS
 from .extension import DELAYS, calibrated, extended, parameter_shifts
 from .findings import close, explains_nothing, findings_of, other_ripples, out_of_proportion
 from .fit import tare
@@ -34,7 +35,9 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
     surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
     unseen = _without_held_out(conclusion)
-    residual = _balances(problem, found.base, unseen)
+    drive = any("motor_current" in r for r in measurement.recordings)
+    drive_torque = 0.0 if drive else float(joint.record()[0]["Kt_drive"])
+    residual = _balances(problem, found.base, unseen, drive_torque)
     link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
     weighed = link is not None and link.after <= ANSWER.far * link.noise
     calibration = parameter_shifts(problem, final)
@@ -48,6 +51,8 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         return replace(f, confidence=min(f.confidence, surest, ANSWER.behind if unlikely else 1.0))
 
     findings, minor = ([told(f) for f in fs] for fs in (findings, minor))
+    slight = [f for f in findings if _explains_nothing(f, conclusion)]
+    findings, minor = [f for f in findings if f not in slight], [*minor, *slight]
     if conclusion.nearly_all:
         # Something is wrong; where it sits cannot be told from what could not have shown.
         findings = [
@@ -97,6 +102,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         before=found.base.point.residual,
         after=final.point.residual,
         held_out=_held_out(problem),
+        drive_torque=drive_torque if "motor_torque" in residual else 0.0,
         complete=found.complete,
     )
 
@@ -121,6 +127,15 @@ def _tared(conclusion: Conclusion) -> Joint:
         found = calibrated(problem.tared(), replace(conclusion.drawn.fit, theta=theta, model=()), found)
     told = of_description(problem, evaluate_point(problem, theta, ()))
     return found.model_copy(update={"uncertainty": told})
+
+
+_NOTHING = 0.005
+"""Share of the discrepancy below which a cause explains 0 %."""
+
+
+def _explains_nothing(f: Finding, conclusion: Conclusion) -> bool:
+    """Whether a finding is no cause: it explains 0 %, or the measurement could not have shown it."""
+    return f.name != "unknown" and (f.explains < _NOTHING or f.name in conclusion.missing)
 
 
 def _acts_on_the_link(f: Finding) -> bool:
@@ -280,7 +295,7 @@ def _verdict(
     # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
     taken_back = conclusion.drawn.share < 1.0
     rated = problem.joint.numbers["rated_torque"].value
-    scale = dict(zip(BALANCES, problem.output_scale, strict=True))
+    scale = dict(zip(BALANCES, problem.output_scale, strict=True)) | {"motor_torque": problem.joint.numbers["N"].value}
     times, worth = (ANSWER.far, ANSWER.worth) if findings or not taken_back else (ANSWER.near, 0.0)
     far = [
         (name, r) for name, r in residual.items()
@@ -324,9 +339,13 @@ def _after(words: str, reasons: list[str]) -> list[str]:
     return [words + reasons[0], *reasons[1:]] if reasons else []
 
 
-def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResidual]:
+def _balances(problem: Problem, base: Fit, final: Fit, drive_torque: float) -> dict[str, BalanceResidual]:
     """RMS on held-out samples by balance, in motion: at rest friction may be anything up to its level; of all where none is held
-    out."""
+    out.
+
+    Args:
+      drive_torque: [N·m/A], where the drive reported a torque and no current: the RMS is then that torque's; else 0.
+    """
     found, judged = {}, problem.judged
     for b, name in enumerate(BALANCES):
         kept = [j[:, b] for j in judged]
@@ -339,5 +358,9 @@ def _balances(problem: Problem, base: Fit, final: Fit) -> dict[str, BalanceResid
             float(np.sqrt(np.mean(np.concatenate([r[u, b] for r, u in zip(rs, use, strict=True)]) ** 2)))
             for rs in (base.point.residual, final.point.residual, final.point.noise)
         )
-        found[name] = BalanceResidual(before, after, noise, UNITS[name])
+        if b == CURRENT and drive_torque:
+            before, after, noise = (drive_torque * x for x in (before, after, noise))
+            found["motor_torque"] = BalanceResidual(before, after, noise, CHANNELS["motor_torque"].unit)
+        else:
+            found[name] = BalanceResidual(before, after, noise, UNITS[name])
     return found

@@ -3,13 +3,14 @@
 Each calibration variable `x_j ~ N(0, 1)` moves one number of the joint (or, where a tolerance is shared, several):
 `value = nominal · f(tolerance, x_own) · f(shared tolerance, x_shared) + deviation · x_own`. Drawing a
 joint within its tolerances is drawing `x`; fitting one is finding `x` with the prior that the joint file states.
+A number that a diagnosis has found is known by its standard deviation instead: what was learned is the prior of the next one.
 A tolerance up to `NARROW` is normal, f = 1 + tolerance · x. A wider one is log-normal, f = (1 + tolerance)^x: a number that is
 known within a factor is as likely half as double, and never negative.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -82,7 +83,8 @@ class Calibration:
 
     def __init__(self, joint: Joint):
         self.joint = joint
-        self.slots = [s for s in slots(joint) if s.number.tolerance or s.number.deviation or s.number.shared]
+        known = [replace(s, number=_known(s.number)) for s in slots(joint)]
+        self.slots = [s for s in known if s.number.tolerance or s.number.deviation or s.number.shared]
         own = [s.name for s in self.slots if s.number.tolerance or s.number.deviation]
         shared = [f"shared {name}" for name in joint.shared_tolerances]
         self.names = own + shared
@@ -194,6 +196,15 @@ class Calibration:
 
 NARROW = 0.5
 """Largest relative standard deviation of a normal tolerance; a wider one is log-normal."""
+
+
+def _known(number: Number) -> Number:
+    """A number as well as it is known: one that a diagnosis has found by its standard deviation, not by its data sheet's."""
+    if number.std is None:
+        return number
+    return number.model_copy(update={"tolerance": 0.0, "shared": None, "deviation": number.std})
+
+
 _ANGLES = ("phase", "gravity_angle")
 """Fields of the record that return after a turn."""
 _LEAST = 0.3

@@ -73,7 +73,8 @@ class Number(Strict):
     """A number of the joint.
 
     `tolerance` is the relative, `deviation` the absolute standard deviation that datasheet and calibration leave
-    open. A tolerance above 0.5 is log-normal: one standard deviation is a factor of 1 + tolerance. `shared` names a further deviation that several numbers have in common (`Joint.shared_tolerances`).
+    open. A tolerance above 0.5 is log-normal: one standard deviation is a factor of 1 + tolerance. `shared` names a further
+    deviation that several numbers have in common (`Joint.shared_tolerances`).
     `std` is the standard deviation that a diagnosis found, `nominal` what the value was before it.
     """
 

@@ -97,7 +97,7 @@ def overlays(report: Report) -> list[list[Overlay]]:
     d, segments = report.diagnosis, _segments(report)
     found = []
     for c, channel in enumerate(CHANNELS):
-        if channel not in d.residual:
+        if d.logged_as(channel)[0] not in d.residual:
             continue
         row = []
         for index, recording in enumerate(report.measurement.recordings):
@@ -121,15 +121,15 @@ def _overlay(report: Report, c: int, name: str, pieces: list[int]) -> Overlay:
         measured.append(segment.measured[:, min(c, 1)])
         before.append(np.where(use, d.before[s][:, c], np.nan))
         after.append(np.where(use, d.after[s][:, c], np.nan))
-    channel = CHANNELS[c]
+    channel, factor = d.logged_as(CHANNELS[c])
     return Overlay(
         name,
         channel,
         d.residual[channel].unit,
         _joined([segment.at for segment in segments], instants=True),
-        _joined(measured) if sensed else None,
-        _joined(before),
-        _joined(after),
+        factor * _joined(measured) if sensed else None,
+        factor * _joined(before),
+        factor * _joined(after),
         d.residual[channel].noise,
         tuple(part for segment in segments for part in _held_out(segment)),
     )
@@ -139,7 +139,8 @@ def balances(report: Report) -> list[ResidualSeries]:
     """The torque balances that the measurement has, with at least 200 samples that count."""
     d = report.diagnosis
     found = []
-    for c, channel in enumerate(CHANNELS):
+    for c, balance in enumerate(CHANNELS):
+        channel, factor = d.logged_as(balance)
         if channel not in d.residual:
             continue
         columns: list[list[np.ndarray]] = [[] for _ in range(8)]
@@ -147,7 +148,7 @@ def balances(report: Report) -> list[ResidualSeries]:
             use = _counts(segment, c) & ~segment.at_rest
             theta_m, theta_l, w = segment.state.T[:3]
             rising = np.gradient(uniform_filter1d(segment.load, 3)) > 0
-            every = (before[:, c], after[:, c], segment.at, theta_l, theta_m, w, segment.load, rising)
+            every = (factor * before[:, c], factor * after[:, c], segment.at, theta_l, theta_m, w, segment.load, rising)
             for column, x in zip(columns, every, strict=True):
                 column.append(x[use])
         joined = [np.concatenate(x) for x in columns]

@@ -63,7 +63,11 @@ def command(
     ] = None,
     tolerances: Annotated[
         list[str] | None,
-        typer.Option("--tolerance", metavar="SYMBOL=SHARE", help="How well it is known, `Jm=0.3`; above 0.5 a factor: `bw=2` is known within a factor of 3. Repeatable."),
+        typer.Option(
+            "--tolerance",
+            metavar="SYMBOL=SHARE",
+            help="How well it is known, `Jm=0.3`; above 0.5 a factor: `bw=2` is known within a factor of 3. Repeatable.",
+        ),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; NAME.yaml by default.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
@@ -179,7 +183,9 @@ def _show(made: NewJoint, path: Path, mjcf: Path) -> None:
     from .check import line
 
     terminal = console()
-    table = narrow_table(f"{made.joint.name}: filled by rules, not from a datasheet", "±: standard deviation, relative or as a factor")
+    table = narrow_table(
+        f"{made.joint.name}: filled by rules, not from a datasheet", "±: standard deviation, relative or as a factor"
+    )
     table.add_column("number", no_wrap=True)
     table.add_column("value", justify="right", no_wrap=True)
     table.add_column("±", justify="right", no_wrap=True)

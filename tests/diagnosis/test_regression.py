@@ -1,0 +1,96 @@
+"""What a plain regression says, of motions whose torque is written down here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from flexspline.diagnosis.regression import regressions
+from flexspline.models.joint import Mounting, load_joint
+from flexspline.models.recording import Measurement, Recording
+
+LINK = Mounting(inertia=0.35, gravity_moment=9.0)
+RATE = 200.0
+
+
+def motion(rng: np.random.Generator, seconds: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Time [s] and a sum of sines with its two derivatives [rad], [rad/s], [rad/s²]."""
+    time = np.arange(0.0, seconds, 1 / RATE)
+    theta, v, a = (np.zeros_like(time) for _ in range(3))
+    for omega in rng.uniform(0.5, 5.0, 4):
+        size, phase = rng.uniform(0.1, 0.4), rng.uniform(0, 2 * np.pi)
+        theta += size * np.sin(omega * time + phase)
+        v += size * omega * np.cos(omega * time + phase)
+        a -= size * omega**2 * np.sin(omega * time + phase)
+    return time, theta, v, a
+
+
+def measurement(tmp_path, **columns: np.ndarray) -> Measurement:
+    time = columns.pop("time")
+    return Measurement("made", tmp_path, (Recording("made", time, columns, link=LINK),))
+
+
+@pytest.mark.parametrize("draw", range(6))
+def test_numbers_of_a_rigid_joint(draw, rng, tmp_path):
+    """Gravity, inertia, friction, load friction and offset of a current that these equations make."""
+    joint = load_joint("test-joint")
+    N, Kt = joint.numbers["N"].value, joint.numbers["Kt"].value
+    time, theta, v, a = motion(rng, 40.0)
+    moment, inertia, Fc, viscous, mu, offset = (
+        rng.uniform(4, 14), rng.uniform(0.4, 1.2), rng.uniform(0.005, 0.1), rng.uniform(2e-5, 5e-4), rng.uniform(0, 0.3),
+        rng.uniform(-0.1, 0.1),
+    )  # fmt: skip
+    load = 9.0 * np.sin(theta) + 0.35 * a
+    torque = moment * np.sin(theta) + inertia * a + np.sign(v) * (N * Fc + mu * np.abs(load)) + N * N * viscous * v
+    current = torque / (N * Kt) + offset + 0.01 * rng.standard_normal(len(time))
+    (found,) = regressions(measurement(tmp_path, time=time, link_position=theta, motor_current=current), joint)
+    got = {c.means: c for c in found.coefficients if c.means}
+    wanted = {
+        "gravity_moment": moment, "inertia": inertia, "Fc": Fc, "viscous": viscous, "load_dependent_friction": mu, "offset": offset,
+    }  # fmt: skip
+    assert set(got) == set(wanted)
+    for name, value in wanted.items():
+        assert got[name].number == pytest.approx(value, rel=0.05, abs=0.02 if name != "viscous" else 1e-5), name
+    assert found.rms < 0.03
+    assert found.held_out == pytest.approx(found.rms, rel=0.2)
+
+
+def test_torque_constant_where_a_sensor_was_read(rng, tmp_path):
+    joint = load_joint("test-joint")
+    time, theta, v, a = motion(rng, 30.0)
+    torque = 9.0 * np.sin(theta) + 0.35 * a
+    current = (torque / 100.0 + 0.018 * np.sign(v)) / 0.046 + 0.01 * rng.standard_normal(len(time))
+    columns = {"link_position": theta, "motor_current": current, "joint_torque": torque + 0.03 * rng.standard_normal(len(time))}
+    found = regressions(measurement(tmp_path, time=time, **columns), joint)
+    (constant,) = [c for one in found for c in one.coefficients if c.means == "Kt"]
+    assert constant.number == pytest.approx(0.046, rel=0.02)
+    assert constant.beyond > 5
+
+
+def test_one_stroke_does_not_tell_friction_from_an_offset(tmp_path):
+    """In one direction friction is a constant: one of the two shapes is left out, and it is said which."""
+    joint = load_joint("test-joint")
+    time = np.arange(0.0, 8.0, 1 / RATE)
+    theta = -1.0 + 0.25 * time + 0.02 * np.sin(time)
+    current = (9.0 * np.sin(theta) + 2.0) / 6.03
+    (found,) = regressions(measurement(tmp_path, time=time, link_position=theta, motor_current=current), joint)
+    assert "offset" in found.left_out
+    assert np.isfinite([c.std for c in found.coefficients]).all()
+
+
+def test_prediction_is_what_it_was_fitted_to(rng, tmp_path):
+    joint = load_joint("test-joint")
+    time, theta, _, a = motion(rng, 20.0)
+    current = (9.0 * np.sin(theta) + 0.6 * a) / 6.03
+    made = measurement(tmp_path, time=time, link_position=theta, motor_current=current)
+    (found,) = regressions(made, joint)
+    predicted = found.predict(made.recordings[0], joint)
+    inside = np.isfinite(predicted)
+    assert inside.mean() > 0.95
+    assert np.sqrt(np.mean((predicted - current)[inside] ** 2)) < 0.02
+
+
+def test_too_little_motion_says_nothing(tmp_path):
+    time = np.arange(0.0, 0.3, 1 / RATE)
+    rest = np.zeros_like(time)
+    assert regressions(measurement(tmp_path, time=time, link_position=rest, motor_current=rest), load_joint("test-joint")) == ()
