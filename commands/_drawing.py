@@ -13,6 +13,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,6 +33,8 @@ _MODULES = {
     "recording": (f"{_PACKAGE}.views.rerun",),
 }
 """What each view loads beside the run."""
+_LARGE = 1 << 20
+"""Samples from which on a run is drawn in this process: another would hold all of it once more."""
 
 _watching: list[threading.Thread] = []
 Begin = Callable[["Run", Path], Callable[[], object]]
@@ -93,6 +96,8 @@ def _stop_loading() -> None:
 def _begin(
     pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Path, shares: int
 ) -> Callable[[], object]:
+    if len(run.time) > _LARGE:
+        return partial(_draw, run, folder, views, 0, 1)
     whole = run.complete()
     begun = [pool.submit(_draw, whole, folder, tuple(views), share, shares) for share in range(shares)]
 

@@ -56,7 +56,7 @@ def send_scene(
       colors: of the filters that there are, by name.
       pushed: whether there is ever a torque on the link.
     """
-    frames = thin_frames(run.time) if run.thinned is None else np.arange(0, len(run.time), -(-len(run.time) // _FRAMES))
+    frames = thin_frames(run.time)
     if not len(frames):
         return
     time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]
