@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 FRAME_RATE = 50.0
 """Poses of the 3D scene per second."""
-_FRAMES = 5000  # of a run that is too long for that
 
 
 def shape_of(joint: Joint) -> mujoco.MjModel:
