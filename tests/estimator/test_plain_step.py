@@ -53,6 +53,16 @@ def plugin(tmp_path_factory):
     path = tmp_path_factory.mktemp("plugin") / "plain_steps.py"
     path.write_text(PLUGIN, encoding="utf-8")
     fs.load_plugin(path)
+    return path
+
+
+def test_the_list_says_that_it_is_slow(flexspline, plugin):
+    code, out, error = flexspline("estimators", "--plugin", plugin)
+    assert code == 0, error
+    found = {
+        line.split()[0]: line for line in out.splitlines() if line.split() and line.split()[0] in ("fast", "plain")
+    }
+    assert "plain Python: slow" in found["plain"] and "slow" not in found["fast"]
 
 
 def test_plain_python_gives_the_compiled_steps_bits():
