@@ -2,7 +2,7 @@
 
 A draw is a joint (`diagnosis.trials.draw`), by turns alone and with one hidden effect of ordinary size, with a real joint's small
 imperfections or without. 60 % of its angles, and with them of speeds and loads, are diagnosed; then it moves through all of its
-range (`diagnosis.trials.bands`). Counted are samples in motion beyond the data in which the noise-free reading lies in its 95 %
+range (`benchmarks.band_draws`). Counted are samples in motion beyond the data in which the noise-free reading lies in its 95 %
 band. Draws are kept as they come (`--kept`), and those that are kept are not computed again.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from flexspline.diagnosis.trials import bands
+from benchmarks import band_draws as bands
 from flexspline.diagnosis.trials.draw import Challenge, Hidden
 from flexspline.views.limit_tables import markdown
 

@@ -115,7 +115,7 @@ TESTS = {
     "estimator/filters/payload.py": _filter("payload", "payload_smoothed"),
     "estimator/filters/rts_smoother.py": [f"{_E}dynamics_filters.py", *_symmetric("rts_smoother"), f"{_E}estimator.py"],
     "estimator/filters/strong_tracking.py": _filter("strong_tracking"),
-    "diagnosis/balance.py": [f"{_D}balance.py"],
+    "benchmarks/balance.py": [f"{_D}balance.py"],
     "diagnosis/uncertainty.py": [f"{_D}uncertainty.py"],
 }
 """Files, and the fast tests that are to notice what is changed in them, those first that compile least and say most."""

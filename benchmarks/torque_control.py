@@ -1,7 +1,7 @@
 """Torque control with each estimate in the loop: `python -m benchmarks torque_control` writes the section *In the loop* of
 docs/estimators.md and every number of it, docs/torque_control.csv.
 
-Per draw a joint within a share of its tolerances (`scenarios.evaluation.torque_control`): gain and delay margin and bandwidth
+Per draw a joint within a share of its tolerances (`benchmarks.torque_loops`): gain and delay margin and bandwidth
 with the output bolted to a bench, and the error of the torque in the experiment external_push. Medians with distribution-free
 intervals, as margins may be infinite. Draws that are kept are not computed again.
 """
@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.torque_loops import DEFAULT, Loop, assess
 from flexspline.estimator import registry
 from flexspline.scenarios.evaluation.intervals import Interval, median
-from flexspline.scenarios.evaluation.torque_control import DEFAULT, Loop, assess
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
 

@@ -1,17 +1,19 @@
-"""Views of runs, drawn in processes of their own while scenarios still run: matplotlib and Rerun are loaded there, meanwhile."""
+"""Views of runs, drawn in processes of their own while scenarios still run: matplotlib and Rerun are loaded there, meanwhile.
+
+A run goes to them through a pipe. Nothing that a process would load or execute is written to a folder, which others may share.
+"""
 
 from __future__ import annotations
 
 import gc
 import multiprocessing
 import os
-import pickle
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, wait
+from concurrent.futures import ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
-from functools import lru_cache
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +33,8 @@ _MODULES = {
     "recording": (f"{_PACKAGE}.views.rerun",),
 }
 """What each view loads beside the run."""
-_SHARES = 4
-"""A run's figures are handed out in as many parts: about one each."""
+_LARGE = 1 << 20
+"""Samples from which on a run is drawn in this process: another would hold all of it once more."""
 
 _watching: list[threading.Thread] = []
 Begin = Callable[["Run", Path], Callable[[], object]]
@@ -43,7 +45,7 @@ Begin = Callable[["Run", Path], Callable[[], object]]
 def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     """Processes that draw `views`, of `figures` and `recording`, of so many runs; one function that begins, or none.
 
-    They are as many as there are cores, or views to draw.
+    They are as many as there are cores, and a run is shared out to as many of them as it has to itself.
     """
     if not views:
         yield []
@@ -53,12 +55,13 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     if method == "forkserver":  # a server that has loaded what is needed, from which each of them begins
         first = (f"{_PACKAGE}.{_ROOM}._server", __name__, f"{_PACKAGE}.scenarios.run")
         context.set_forkserver_preload([*first, *(module for view in views for module in _MODULES[view])])
-    count = min(os.cpu_count() or 1, runs * len(views) * _SHARES)
+    shares = max(1, (os.cpu_count() or 1) // runs)
+    count = min(os.cpu_count() or 1, runs * shares)
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),))
     starting = threading.Thread(target=_start, args=(pool, count))
     starting.start()
     try:
-        yield [lambda run, folder: _begin(pool, views, run, folder)]
+        yield [lambda run, folder: _begin(pool, views, run, folder, shares)]
     except BaseException as error:
         if (
             not isinstance(error, Exception) and starting.is_alive()
@@ -90,23 +93,18 @@ def _stop_loading() -> None:
             os.kill(server, signal.SIGTERM)
 
 
-def _begin(pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Path) -> Callable[[], object]:
-    handed = folder / ".run"
-    with handed.open("wb") as file:
-        pickle.dump(run.complete(), file, protocol=pickle.HIGHEST_PROTOCOL)
-    begun: list[Future[None]] = []
-    if "recording" in views:  # the longest first
-        begun.append(pool.submit(_record, handed, folder))
-    if "figures" in views:
-        begun += [pool.submit(_draw, handed, folder, share) for share in range(_SHARES)]
+def _begin(
+    pool: ProcessPoolExecutor, views: Sequence[str], run: Run, folder: Path, shares: int
+) -> Callable[[], object]:
+    if len(run.time) > _LARGE:
+        return partial(_draw, run, folder, views, 0, 1)
+    whole = run.complete()
+    begun = [pool.submit(_draw, whole, folder, tuple(views), share, shares) for share in range(shares)]
 
     def finish() -> None:
-        try:
-            wait(begun)  # what fails does not leave others writing into a folder that is given up
-            for future in begun:
-                future.result()
-        finally:
-            handed.unlink(missing_ok=True)
+        wait(begun)  # what fails does not leave others writing into a folder that is given up
+        for future in begun:
+            future.result()
 
     return finish
 
@@ -128,19 +126,13 @@ def _end_with(parent: Any) -> None:
     os._exit(1)
 
 
-@lru_cache(maxsize=1)
-def _handed(file: Path) -> Run:
-    with file.open("rb") as opened:
-        return pickle.load(opened)
+def _draw(run: Run, folder: Path, views: Sequence[str], share: int, shares: int) -> None:
+    """Draw a run's figures from the `share` on, each `shares`th; the last share, which has fewest, writes the recording."""
+    if "figures" in views:
+        from ..views.figures import save_figures
 
+        save_figures(run, folder / "figures", share, shares)
+    if "recording" in views and share == shares - 1:
+        from ..views.rerun import write_rerun
 
-def _draw(handed: Path, folder: Path, share: int) -> None:
-    from ..views.figures import save_figures
-
-    save_figures(_handed(handed), folder / "figures", share, _SHARES)
-
-
-def _record(handed: Path, folder: Path) -> None:
-    from ..views.rerun import write_rerun
-
-    write_rerun(_handed(handed), folder / "run.rrd")
+        write_rerun(run, folder / "run.rrd")

@@ -52,10 +52,8 @@ def run_all(
     """Run scenarios on as many threads as there are cores, into folders below `out`; all are read before the first is run."""
     views = [name for name, wanted in (("figures", figures), ("recording", recording)) if wanted]
     with drawing(views, len(names)) as begin:
-        from ..models.memory import give_back_large_arrays
         from ..scenarios.arms.arm_run import run_arm, save_arm
         from ..scenarios.arms.arm_scenario import ArmScenario, load_any
-        from ..scenarios.long_run import is_long, run_long
         from ..scenarios.run import run_scenario
         from ..scenarios.run_folder import check_run_folder, save_run
 
@@ -73,8 +71,6 @@ def run_all(
                 for described in joint.load_joint(source.parent):
                     joint.mount(described)
                 check_run_folder(joint, source, place, out)
-            if not isinstance(scenario, ArmScenario) and is_long(scenario, source.parent):
-                give_back_large_arrays()
         cores = os.cpu_count() or 1
         at_once = min(cores, len(loaded))
         pool = ThreadPoolExecutor(at_once, thread_name_prefix="run")
@@ -87,9 +83,6 @@ def run_all(
                     runs = run_arm(scenario, source.parent, threads)
                     bar.update(task, advance=1, description=f"{scenario.name}: writing")
                     saved = list(zip(runs.values(), save_arm(scenario, runs, place, begin, out), strict=True))
-                elif is_long(scenario, source.parent):
-                    saved = [(run_long(scenario, source.parent, place, begin, out, threads), place)]
-                    bar.update(task, advance=1)
                 else:
                     run = run_scenario(scenario, source.parent, threads)
                     bar.update(task, advance=1, description=f"{scenario.name}: writing")

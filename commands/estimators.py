@@ -18,11 +18,13 @@ def command(as_json: AsJson = False) -> None:
     Scenarios, studies and `estimate` take them by these names; causal ones can also feed torque back in the loop.
     """
     from ..estimator import registry
+    from ..models.step import PythonStep
     from ._listing import Entry, show
 
     entries = {}
     for name in registry.names():
         one = registry.get(name)
-        kind = f"{'causal' if one.causal else 'not causal'}; reads {', '.join(one.needs)}"
+        slow = ", in plain Python: slow" if isinstance(getattr(one, "compiled", None), PythonStep) else ""
+        kind = f"{'causal' if one.causal else 'not causal'}{slow}; reads {', '.join(one.needs)}"
         entries[name] = Entry(kind, one.description, registry.origin(name).name)
     show("estimator", entries, as_json)

@@ -12,8 +12,8 @@ EXAMPLES = (
 
 def command(as_json: AsJson = False) -> None:
     """List the scenarios that come with the testbed; commands take one of these names, or the path of a YAML file."""
-    from ..scenarios.arms.arm_scenario import load_arm, shipped_arms
-    from ..scenarios.scenario import load_scenario, shipped_scenarios
+    from ..scenarios.arms.arm_scenario import load_arm
+    from ..scenarios.scenario import load_scenario, shipped_arms, shipped_scenarios
     from ._listing import Entry, show
 
     entries = {}

@@ -1,7 +1,7 @@
 """What docs/lara8.md states, computed: hold-out table, figures, and the extended joint, from the measured sweep.
 
-python docs/lara8.py ../shared/data/lara8/joint3_outbound.csv          # table and figures
-python docs/lara8.py ../shared/data/lara8/joint3_outbound.csv --write  # and models/lara8_joint3_extended.yaml
+python -m docs.lara8 ../shared/data/lara8/joint3_outbound.csv          # table and figures
+python -m docs.lara8 ../shared/data/lara8/joint3_outbound.csv --write  # and models/lara8_joint3_extended.yaml
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 
+from benchmarks.balance import extended, fit_current, fit_eccentricity
 from flexspline.diagnosis.answer import Diagnosis
-from flexspline.diagnosis.balance import extended, fit_current, fit_eccentricity
 from flexspline.diagnosis.data.importing import import_recording, load_layout
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.estimator.motion import smooth
@@ -33,7 +33,7 @@ CAUSES = ("load_dependent_friction", "gravity_direction")
 DESCRIPTION = (
     "lara8-joint3 with what its outbound sweep showed: friction grows with the load, gravity pulls from another "
     "direction than the controller believes, the link encoder has a once-per-revolution error. Made by "
-    "`python docs/lara8.py … --write` from motor current, encoders and the flange sensor at joint angles from -2.6 to "
+    "`python -m docs.lara8 … --write` from motor current, encoders and the flange sensor at joint angles from -2.6 to "
     "0 rad; standard deviations beside the values."
 )
 

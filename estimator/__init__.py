@@ -3,6 +3,7 @@
 `registry.get(name)` gives an estimator, `KnownJoint.of(joint)` what it may know of a joint, `estimate` runs it over signals.
 """
 
+from ..models.step import step_of
 from .arrays import FilterHistory, FilterModel, run, run_batch, run_extended
 from .compliance import Compliance, compliance, compliance_torque, measurement_variance, torsions
 from .errors import FilterDiverged
@@ -32,5 +33,6 @@ __all__ = [
     "run",
     "run_batch",
     "run_extended",
+    "step_of",
     "torsions",
 ]

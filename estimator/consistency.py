@@ -89,9 +89,9 @@ def autocorrelation(innovations: np.ndarray, lags: int) -> np.ndarray:
     v = np.asarray(innovations, dtype=np.float64)
     if v.ndim != 1 or not 0 < lags < len(v):
         raise InputError(f"autocorrelation: expected shape (T,) with more than {lags} samples, got {v.shape}")
-    from statsmodels.tsa.stattools import acovf
+    from scipy.signal import correlate
 
-    covariance = acovf(v, demean=False, fft=True, nlag=lags)
+    covariance = correlate(v, v, method="fft")[len(v) - 1 : len(v) + lags]
     return covariance[1:] / covariance[0] if covariance[0] > 0.0 else np.zeros(lags)
 
 
@@ -104,6 +104,7 @@ def white_band(samples: int, level: float = LEVEL) -> float:
 
 def ljung_box(rho: np.ndarray, samples: int) -> float:
     """Probability of autocorrelations, shape (L,), as large as these if the innovations are white (Ljung & Box 1978)."""
-    from statsmodels.tsa.stattools import q_stat
+    from scipy.special import chdtrc
 
-    return float(q_stat(np.asarray(rho), samples)[1][-1])
+    squares = np.asarray(rho) ** 2 / (samples - np.arange(1, len(rho) + 1))
+    return float(chdtrc(len(rho), samples * (samples + 2) * np.sum(squares)))

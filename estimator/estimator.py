@@ -24,7 +24,7 @@ from ..models.notebook import html_table, paragraph
 from ..models.parameters import N_ORDERS, PARAMETERS
 from ..models.pointers import call_estimator
 from ..models.signals import SENSED, Signals
-from ..models.step import OK, SAMPLE, CompiledStep, Step
+from ..models.step import OK, SAMPLE, CompiledStep, PythonStep, Step
 from ..models.streams import BLOCK
 from .errors import FilterDiverged
 from .sensing import LOWPASS, read_joint_torque
@@ -332,19 +332,31 @@ class Estimator(ABC):
 class CausalEstimator(Estimator):
     """An estimator that is one compiled step, called in the loop and over signals alike.
 
-    A subclass gives `compiled` (a `models.step.Step`); `remembers`, the type of the record in which the step keeps what it
-    remembers, float64 fields and arrays of them; `outputs`, the names of what it writes; and `settings`.
+    A subclass gives `compiled`, a step of records (`models.step.step_of`). Of a bare `Step` of addresses it also gives
+    `remembers`, the type of the record in which the step keeps what it remembers; `outputs`, the names of what it writes; and
+    `settings`. A step left in plain Python works everywhere, too, slower by a thousand.
     Outputs with these names find their place in the posterior: `torque` (the first), `variance`, `innovation…` with its
     `innovation_variance…`, `robust`, `external_torque`; the others are its columns.
     """
 
-    compiled: ClassVar[Step]
+    compiled: ClassVar[Step | PythonStep]
     remembers: ClassVar[np.dtype]
     outputs: ClassVar[tuple[str, ...]] = ("torque",)
 
-    @abstractmethod
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        compiled = vars(cls).get("compiled")
+        records = getattr(compiled, "records", None)
+        if records is not None:
+            cls.remembers, cls.outputs = records[0], fields_of(records[4])
+        cls.costly = cls.costly or isinstance(compiled, PythonStep)
+
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
-        """The step's settings, a record of float64 fields, shape (1,); `interval`: median time between samples [s]."""
+        """The step's settings, a record of float64 fields, shape (1,): by default tuning parameters by their names, and
+        `interval`, the median time between samples [s]."""
+        given = {**{f.name: getattr(self, f.name) for f in fields(self)}, "interval": interval}  # type: ignore[arg-type]
+        kind = self.compiled.records[3]  # type: ignore[union-attr]
+        return np.array([tuple(float(given[name]) for name in fields_of(kind))], kind)
 
     def reason(self, status: int, out: np.ndarray) -> str:
         """Why a step with this status gave no estimate, for people; `out`: the last good outputs."""

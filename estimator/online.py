@@ -1,17 +1,12 @@
-"""Estimators beside signals that are still being made: a stretch at a time, to the bit what they say of the whole.
-
-Those of the whole are kept (`OnlineEstimate`), or go with their stretch where they are too many (`PassingEstimate`).
-"""
+"""Estimators beside signals that are still being made: a stretch at a time, to the bit what they say of the whole."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..models.errors import InputError
-from ..models.signals import Signals
 from .errors import FilterDiverged
 from .estimator import (
     CausalEstimator,
@@ -21,7 +16,6 @@ from .estimator import (
     fill_samples,
     go_on,
     interval_of,
-    part_samples,
 )
 
 
@@ -87,70 +81,3 @@ class OnlineEstimate:
         """What it said of a stretch."""
         columns = dict(zip(self.estimator.outputs, self._history[part].T.copy(), strict=True))
         return self.estimator.posterior(self._samples.time[part], columns)
-
-
-class PassingSamples:
-    """What estimators read of signals of which no more than a stretch is held: records of `models.step.SAMPLE`."""
-
-    def __init__(self, joint: KnownJoint):
-        """Before the first stretch; `joint`: what is known."""
-        self._joint = joint
-        self._last: _Sample | None = None
-        self._records: dict[bool, np.ndarray] = {}
-        self.time = np.empty(0)
-
-    def take(self, signals: Signals) -> None:
-        """Take up the signals of the next stretch."""
-        self.time, before = signals.time, self._last
-        if before is None:
-            self._joint = (
-                replace(self._joint, start=float(signals.time[0])) if self._joint.start is None else self._joint
-            )
-        else:
-            columns = {name: np.concatenate([before[name], values]) for name, values in signals.columns.items()}
-            signals = Signals(np.concatenate([before.time, signals.time]), columns)
-        part = slice(len(signals.time) - len(self.time), len(signals.time))
-        self._records = {told: part_samples(signals, self._joint, part, told) for told in (False, True)}
-        end = len(signals.time)
-        self._last = _Sample(signals.time[end - 1 :], {name: x[end - 1 :] for name, x in signals.columns.items()})
-
-    def of(self, estimator: CausalEstimator) -> np.ndarray:
-        """The records that an estimator reads of the stretch."""
-        return self._records[estimator.reads_command]
-
-
-@dataclass(frozen=True)
-class _Sample:
-    """The last sample of a stretch; shape (1,) each."""
-
-    time: np.ndarray
-    columns: Mapping[str, np.ndarray]
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        return self.columns[name]
-
-
-class PassingEstimate:
-    """An estimator that goes along with signals and keeps nothing of what it said."""
-
-    def __init__(self, estimator: CausalEstimator, joint: KnownJoint, interval: float):
-        """Begin before the first sample; `interval`: median time between samples [s] (`estimator.sample_interval`)."""
-        self.estimator = estimator
-        self._arrays = estimator.step(joint, interval).arrays()
-        self._outputs, self._done = len(estimator.outputs), 0
-        self._last = np.zeros(self._outputs)
-
-    def advance(self, samples: PassingSamples) -> Posterior:
-        """What the estimator says of the stretch that was taken up last.
-
-        Raises:
-          FilterDiverged: an estimate that is no longer finite.
-        """
-        records = samples.of(self.estimator)
-        history = np.zeros((len(records), self._outputs))
-        failed, status = go_on(self._arrays, records, history)
-        if failed < len(records):
-            reason = self.estimator.reason(status, history[failed - 1] if failed else self._last)
-            raise FilterDiverged(self.estimator.name, self._done + failed, float(samples.time[failed]), reason)
-        self._done, self._last = self._done + len(records), history[-1]
-        return self.estimator.posterior(samples.time, dict(zip(self.estimator.outputs, history.T.copy(), strict=True)))

@@ -72,6 +72,6 @@ def read_text(path: Path, what: str, largest: int = LARGEST_TEXT) -> str:
         raise
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
-        raise InputError(f"{path}, line {line}: cannot read {what}: not UTF-8 text") from error
+        raise InputError(f"{path}:{line}: cannot read {what}: not UTF-8 text") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: cannot read {what}: {getattr(error, 'strerror', None) or error}") from error

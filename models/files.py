@@ -6,7 +6,7 @@ import json
 import math
 import re
 from collections.abc import Hashable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -120,7 +120,7 @@ def read_yaml(path: Path, what: str) -> Any:
         return _loaded(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
-        where = f", line {mark.line + 1}" if mark else ""
+        where = f":{mark.line + 1}" if mark else ""
         raise InputError(f"{path}{where}: not YAML: {getattr(error, 'problem', None) or first_line(error)}") from error
     except (
         ValueError,
@@ -237,14 +237,40 @@ _WORD = re.compile(r"[\w .·²/+-]{1,60}")
 """What a key may look like; what does not is not shown."""
 
 
-def parse(data: Any, model: type[M], where: str) -> M:
-    """Check `data` against a pydantic model; the first thing wrong raises `InputError` in one line."""
+def place(path: Path, field: str) -> str:
+    """A YAML file with the line of a dotted field, or of the innermost part of it that is there: `joint.yaml:14`."""
+    line, found = None, None
+    with suppress(InputError, yaml.YAMLError, ValueError):
+        found = yaml.compose(read_text(path, "a file"), Loader=_Loader)
+    for part in field.split("."):
+        inner: list[Any] = []
+        if isinstance(found, yaml.MappingNode):
+            inner = next(([key, value] for key, value in found.value if key.value == part), [])
+        elif isinstance(found, yaml.SequenceNode) and part.isdecimal():
+            inner = found.value[int(part) :][:1]
+        if inner:
+            line, found = inner[0].start_mark.line + 1, inner[-1]
+    return f"{path}:{line}" if line else str(path)
+
+
+def parse(data: Any, model: type[M], where: str | Path) -> M:
+    """Check data against a pydantic model.
+
+    Args:
+      data: what a file or a caller says. model: what it should be.
+      where: what an error begins with; a path where the data are those of that file, whose line is then named.
+
+    Raises:
+      InputError: the first thing wrong, in one line.
+    """
     if not isinstance(data, dict):
         raise InputError(f"{where}: expected a mapping of keys, got {kind_of(data)}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        raise InputError(f"{where}: {describe(error, model, data)}") from error
+        text = describe(error, model)
+        at = place(where, text.partition(": ")[0]) if isinstance(where, Path) else where
+        raise InputError(f"{at}: {text}") from error
 
 
 def kind_of(data: Any) -> str:
@@ -255,10 +281,10 @@ def kind_of(data: Any) -> str:
 
 def load(path: Path, model: type[M], what: str) -> M:
     """Read a YAML file into a pydantic model."""
-    return parse(read_yaml(path, what), model, str(path))
+    return parse(read_yaml(path, what), model, path)
 
 
-def describe(error: ValidationError, model: type[BaseModel], data: Any) -> str:
+def describe(error: ValidationError, model: type[BaseModel]) -> str:
     """One line for the first error that pydantic found, a misspelt key before what is missing: field, expected, came.
 
     Of what is missing all is named at once.

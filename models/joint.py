@@ -15,7 +15,7 @@ from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_valid
 from . import causes, units
 from .errors import InputError, InputWarning, is_there, nearest, unknown_key
 from .faults import contradictions, unlike_mjcf
-from .files import Line, Strict, load, write_into_place, yaml_text
+from .files import Line, Strict, load, parse, place, write_into_place, yaml_text
 from .mjcf import mjcf_files, stated_numbers
 from .notebook import html_table, paragraph
 from .parameters import N_COEFFICIENTS, N_DISCREPANCIES, N_ORDERS, PARAMETERS, PLACES, VARIABLES, as_floats, neutral
@@ -368,29 +368,18 @@ class ValidRange(Strict):
     ) -> dict[str, float]:
         """Shares of samples in motion, shape (n,) each, beyond the range: by variable those that are beyond by more than a
         twentieth of it, and by name those of a combination of motion and load that was not seen; empty where there are none."""
-        return self.shares_beyond(self.count_beyond(link_position, link_velocity, joint_torque), len(link_position))
-
-    def count_beyond(
-        self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray
-    ) -> Counter[str]:
-        """How many of the samples in motion are beyond, by what `beyond` names, and how many are of each combination."""
-        found = Counter[str]()
+        samples = max(len(link_position), 1)
+        found: dict[str, float] = {}
         for name, x in (
             ("link_position", link_position), ("link_velocity", link_velocity), ("joint_torque", joint_torque),
         ):  # fmt: skip
-            found[name] = int(np.count_nonzero(self._past(name, x) > _SLACK)) if len(x) else 0
+            share = int(np.count_nonzero(self._past(name, x) > _SLACK)) / samples
+            if share > 0:
+                found[name] = share
         sign = np.sign(np.asarray(link_velocity) * joint_torque)
         for name, which in (("driving", 1.0), ("driven", -1.0)):
-            found[name] = int(np.count_nonzero(sign == which))
-        return found
-
-    def shares_beyond(self, counts: Mapping[str, int], samples: int) -> dict[str, float]:
-        """`beyond` by the counts of so many samples in motion."""
-        found = {}
-        for name, count in counts.items():
-            share = count / samples if samples else 0.0
-            beyond = bool(self.loads) and name not in self.loads and share > _SLACK
-            if beyond if name in ("driving", "driven") else share > 0:
+            share = int(np.count_nonzero(sign == which)) / samples
+            if self.loads and name not in self.loads and share > _SLACK:
                 found[name] = share
         return found
 
@@ -825,14 +814,13 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
         fitted = {symbol for symbol, number in joint.numbers.items() if number.nominal is not None}
         wrong = [problem for problem in contradictions(value, fitted) if problem.severity == "error"]
         for problem in (*wrong, *unlike_mjcf(joint)):
-            warnings.warn(f"{path}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
+            at = place(path, problem.field)
+            warnings.warn(f"{at}: {problem.field}: {problem.message}", InputWarning, stacklevel=2)
     return joint
 
 
 def as_joint(data: dict[str, Any], path: Path) -> Joint:
     """Build a joint from plain data as if it stood in the file at `path`."""
-    from .files import parse
-
     joint = parse(data, Joint, str(path))
     joint._path = path.resolve()
     return joint

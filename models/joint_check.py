@@ -63,7 +63,7 @@ def check(source: str | Path) -> Checked:
     try:
         data = read_yaml(path, "a joint description")
     except InputError as error:
-        return Checked(path, None, (Fault("error", "file", str(error).removeprefix(str(path)).lstrip(":, ")),))
+        return Checked(path, None, (Fault("error", "file", str(error).removeprefix(f"{path}:").strip()),))
     if not isinstance(data, dict):
         return Checked(path, None, (Fault("error", "file", f"expected a mapping of keys, got {kind_of(data)}"),))
     joint, faults = _read(data)

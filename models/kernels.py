@@ -70,22 +70,25 @@ def _cached_beside(function: Callable[..., Any]) -> Iterator[None]:
 
 @cache
 def cache_folder(module: str) -> Path:
-    """The folder in which a module's compiled code lies: inside `__pycache__`, or of the user where that is not writable."""
+    """The folder in which a module's compiled code lies: inside `__pycache__`, or of the user where that is not writable.
+
+    Nobody else may write to it, whatever the umask: its code is executed.
+    """
     own = _file(module)
     top = own.parent / "__pycache__" / "kernels" if own is not None else _users()
     try:
-        top.mkdir(parents=True, exist_ok=True)
+        top.mkdir(0o700, parents=True, exist_ok=True)
         writable = os.access(top, os.W_OK)
     except OSError:
         writable = False
     if not writable:
         top = _users()
-        top.mkdir(parents=True, exist_ok=True)
+        top.mkdir(0o700, parents=True, exist_ok=True)
     name = module.rsplit(".", 1)[-1]
     folder = top / f"{name}-{digest(module)}"
     if not folder.exists():
         _forget_old(top, name)
-        folder.mkdir(exist_ok=True)
+        folder.mkdir(0o700, exist_ok=True)
     return folder
 
 

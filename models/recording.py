@@ -10,8 +10,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -32,7 +31,7 @@ from .output import recover
 from .own_sensors import channel
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .streams import BLOCK
-from .tables import TableWriter, reading_parquet
+from .tables import reading_parquet, write_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -429,28 +428,16 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     Raises:
       InputError: a name that is none of a file, or a folder that cannot be written to.
     """
-    with writing_recording(recording, folder) as write:
-        write(recording)
-    return Path(folder) / f"{recording.name}.parquet"
-
-
-@contextmanager
-def writing_recording(like: Recording, folder: str | Path) -> Iterator[Callable[[Recording], None]]:
-    """Write a recording as `write_recording` does, part after part: gives what takes the next part.
-
-    Args:
-      like: what all parts have in common: name, joint, columns, what is said of them. folder: where to.
-    """
-    folder, arm = Path(folder), like.arm
-    check_name(like.name, "recording: name")
-    path = folder / f"{like.name}.parquet"
+    folder, arm = Path(folder), recording.arm
+    check_name(recording.name, "recording: name")
+    path = folder / f"{recording.name}.parquet"
     sidecar = Sidecar(
         format=1,
-        joint=like.joint,
-        description=like.description,
-        link=like.link if arm is None else None,
-        arm=None if arm is None else arm.spec.model_copy(update={"model": f"{like.name}_arm.xml"}),
-        external_torque=like.external,
+        joint=recording.joint,
+        description=recording.description,
+        link=recording.link if arm is None else None,
+        arm=None if arm is None else arm.spec.model_copy(update={"model": f"{recording.name}_arm.xml"}),
+        external_torque=recording.external,
     )
     data = sidecar.model_dump(mode="json", exclude_none=True)
     if sidecar.link is not None:
@@ -459,14 +446,13 @@ def writing_recording(like: Recording, folder: str | Path) -> Iterator[Callable[
         with write_into_place(folder / sidecar.arm.model) as temporary:
             temporary.write_text(arm.mjcf, encoding="utf-8")
     text = yaml_text(data)
-    units_of = {name: _unit(name) for name in _ordered(like)}
-    with (
-        write_into_place(path) as temporary,
-        TableWriter(temporary, units_of, metadata={_WRITTEN: _digest(text)}) as table,
-    ):
-        yield lambda part: table.write(_ordered(part))
+    columns = _ordered(recording)
+    with write_into_place(path) as temporary:
+        units_of = {name: _unit(name) for name in columns}
+        write_table(temporary, columns, units_of, metadata={_WRITTEN: _digest(text)})
     with write_into_place(path.with_suffix(".yaml")) as temporary:
         temporary.write_text(text, encoding="utf-8")
+    return path
 
 
 def _ordered(recording: Recording) -> dict[str, np.ndarray]:

@@ -12,15 +12,17 @@ from __future__ import annotations
 
 import ctypes
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numba import types
+from numba.np.numpy_support import from_dtype
 
 from .errors import InputError
 from .kernels import c_function
+from .parameters import PARAMETERS
 from .pointers import pointer_to
 from .signals import READINGS
 
@@ -39,10 +41,10 @@ _compiling = threading.RLock()
 
 
 class Step:
-    """A step function, compiled when it is first needed; `@Step` above a function of five addresses."""
+    """A step function, compiled when it is first needed; `@Step` above a function of five addresses, `step_of` of records."""
 
-    def __init__(self, function: Callable[[int, int, int, int, int], int]):
-        self.function = function
+    def __init__(self, function: Callable[..., int], signature: Any = SIGNATURE):
+        self.function, self._signature = function, signature
         self._compiled: Any = None
 
     @property
@@ -55,7 +57,7 @@ class Step:
         with _compiling:
             if self._compiled is None:
                 try:
-                    self._compiled = c_function(SIGNATURE, self.function)
+                    self._compiled = c_function(self._signature, self.function)
                 except Exception as error:  # of a field that is not there Numba makes a KeyError
                     code = self.function.__code__
                     raise InputError(
@@ -87,6 +89,37 @@ class PythonStep:
     def address(self) -> int:
         """Address of the C callback."""
         return int(ctypes.cast(self._callback, ctypes.c_void_p).value or 0)
+
+
+def step_of(
+    memory: np.dtype,
+    settings: Sequence[str] = ("interval",),
+    outputs: Sequence[str] = ("torque",),
+    plain: bool = False,
+) -> Callable[[Callable[..., int]], Any]:
+    """Make a step of a function of five records: memory, sample, parameters, settings, outputs, with fields by name.
+
+    Args:
+      memory: what it remembers, float64 fields and arrays of them. settings, outputs: names of float64 fields.
+      plain: leave it in Python: it may do anything then, and is slower by a thousand. Compiled otherwise.
+
+    Returns:
+      A decorator, which gives a `Step` or a `PythonStep` with the records' types as `records`.
+    """
+    own = [np.dtype([(name, np.float64) for name in names]) for names in (settings, outputs)]
+    records = (memory, SAMPLE, PARAMETERS, *own)
+
+    def decorated(function: Callable[..., int]) -> Step | PythonStep:
+        def of_addresses(*addresses: int) -> int:
+            return function(
+                *(numpy_at(at, of, 1).view(np.recarray)[0] for at, of in zip(addresses, records, strict=True))
+            )
+
+        step: Any = PythonStep(of_addresses) if plain else Step(function, types.int64(*map(from_dtype, records)))
+        step.records = records
+        return step
+
+    return decorated
 
 
 def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from .errors import InputError, first_line
-from .streams import BLOCK
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -114,40 +113,3 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
         columns = {name: table.column(name).to_numpy() for name in table.column_names}
         notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}
     return columns, notes
-
-
-class TableParts:
-    """A Parquet file whose columns are read part after part; what its groups of rows are is read once."""
-
-    def __init__(self, path: Path):
-        """Look at the file.
-
-        Raises:
-          InputError: not a Parquet file.
-        """
-        import pyarrow.parquet as pq
-
-        self._path = path
-        with reading_parquet(path):
-            self._metadata = pq.read_metadata(path)
-
-    @property
-    def rows(self) -> int:
-        """How many rows it has."""
-        return int(self._metadata.num_rows)
-
-    def column(self, name: str) -> Iterator[np.ndarray]:
-        """A column from its start on, part after part.
-
-        Raises:
-          InputError: it cannot be read.
-        """
-        import pyarrow.parquet as pq
-
-        # Arrow's own reading ahead keeps all that was read until the end.
-        with (
-            reading_parquet(self._path),
-            pq.ParquetFile(self._path, metadata=self._metadata, memory_map=False, pre_buffer=False) as file,
-        ):
-            for batch in file.iter_batches(BLOCK, columns=[name]):
-                yield batch.column(0).to_numpy()

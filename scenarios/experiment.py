@@ -20,14 +20,11 @@ from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
 from ..sim import plant, sensors
 from ..sim.loop import CONTROL_PERIOD, SENSOR_FEEDBACK, TRUTH, ClosedLoop, Driven, Simulation
-from .course import Acting, Course
 from .scenario import Scenario
 
 if TYPE_CHECKING:
     import mujoco
 
-LONGEST_HELD = 3600.0
-"""Longest scenario [s] that is held in memory as a whole: 2.2 GB."""
 _FASTEST = 1e5  # rad/s
 _SEEN = tuple(name for name in SENSED if not CHANNELS[name].at_step)
 
@@ -61,9 +58,7 @@ class Experiment:
     fed_back: Estimator | None
 
     @classmethod
-    def of(
-        cls, scenario: Scenario, folder: Path | None = None, load: float | None = None, acting: Acting | None = None
-    ) -> Experiment:
+    def of(cls, scenario: Scenario, folder: Path | None = None, load: float | None = None) -> Experiment:
         """Read the joint and work out the commands.
 
         Args:
@@ -71,25 +66,18 @@ class Experiment:
           folder: of the scenario's file, where a joint that it names by a relative path lies.
           load: gravity moment [N·m] at horizontal of what is bolted on, which the estimators know too, instead of the
             mounting's; the inertia changes in proportion.
-          acting: what acts over a part of it, for who holds no more; by default over all of it.
 
         Raises:
-          InputError: a joint or mounting that does not exist, one without a gravity moment to change, or all of a scenario
-            that is too long to be held.
+          InputError: a joint or mounting that does not exist, or one without a gravity moment to change.
         """
-        if acting is None and scenario.duration > LONGEST_HELD:
-            raise InputError(
-                f"scenario {scenario.name}: duration: expected at most {LONGEST_HELD:g} s where all of it is held in memory, got "
-                f"{scenario.duration:g} s: `flexspline run` writes longer ones of single joints"
-            )
         joint, known_joint = scenario.load_joint(folder)
         mounting, known_mounting = (scenario.mount(j) for j in (joint, known_joint))
         if load is not None:
             mounting, known_mounting = _loaded(mounting, load), _loaded(known_mounting, load)
-        acting = Course(scenario).next(scenario.ticks) if acting is None else acting
         return cls(
             scenario, joint, known_joint, mounting, joint.record(mounting), KnownJoint.of(known_joint, known_mounting),
-            *acting, next((f.build() for f in scenario.filters if f.name == scenario.feedback), None),
+            *scenario.commands(), scenario.external_torque(), scenario.temperature.signal(scenario.time),
+            scenario.tip_force(), next((f.build() for f in scenario.filters if f.name == scenario.feedback), None),
         )  # fmt: skip
 
     def build(self, record: np.ndarray | None = None) -> mujoco.MjModel:
@@ -128,20 +116,12 @@ class Experiment:
         record = self.record if record is None else record
         return ClosedLoop(self.build(record) if model is None else model, (self.driven(seed, record),))
 
-    def driven(
-        self,
-        seed: int | None = None,
-        record: np.ndarray | None = None,
-        prefix: str = "",
-        noise: np.ndarray | None = None,
-        stamps: np.ndarray | None = None,
-    ) -> Driven:
+    def driven(self, seed: int | None = None, record: np.ndarray | None = None, prefix: str = "") -> Driven:
         """How its joint is driven and read in a closed loop.
 
         Args:
           seed, record: as of `simulate`.
           prefix: of the joint's names in a model of several.
-          noise, stamps: of the sensors, as in `Driven`, where this is a part of a scenario; by default from its start on.
         """
         scenario, record = self.scenario, self.record if record is None else record
         p, seed = record[0], scenario.seed if seed is None else seed
@@ -154,20 +134,19 @@ class Experiment:
             self.velocity,
             self.external_torque,
             sensors.sensor_records(self.joint, float(p["link_delay"]), CONTROL_PERIOD),
-            sensors.noise(self.joint, seed, len(self.position), CONTROL_PERIOD) if noise is None else noise,
+            sensors.noise(self.joint, seed, len(self.position), CONTROL_PERIOD),
             scenario.controller.record(self._known_to_the_drive(p), CONTROL_PERIOD, scenario.feedback != "none"),
             feedback,
             self.temperature,
             self.tip_force,
             sensors.wrench_crosstalk(self.joint, seed),
-            sensors.time_stamps(scenario.time, scenario.jitter, seed) if stamps is None else stamps,
+            sensors.time_stamps(scenario.time, scenario.jitter, seed),
             scenario.current == "command",
             prefix,
         )
 
-    def check(self, loop: ClosedLoop, begin: int = 0, place: int = 0, before: int = 0) -> None:
-        """Look at what the loop has simulated, from a tick on; `place`: of the joint among the loop's; `before`: ticks of earlier
-        pieces.
+    def check(self, loop: ClosedLoop, begin: int = 0, place: int = 0) -> None:
+        """Look at what the loop has simulated, from a tick on; `place`: of the joint among the loop's.
 
         Raises:
           InputError: torques under which the motion is no longer finite.
@@ -182,11 +161,11 @@ class Experiment:
                 "motions that the joint can bear, got a load beyond the wave generator's compliance, Eq. (5)"
             )
         if tick < len(simulation.time):
-            if self.fed_back is not None and tick > 0 and before == 0:  # over the signals until then it says why
+            if self.fed_back is not None and tick > 0:  # over the signals until then it says why
                 self.fed_back.estimate(signals_of(simulation).part(slice(0, tick + 1)), self.known)
             raise FilterDiverged(
                 self.scenario.feedback,
-                before + tick,
+                tick,
                 float(simulation.time[tick]),
                 "the estimate is no longer a finite number",
             )

@@ -12,7 +12,7 @@ from ..models import own_sensors
 from ..models.errors import InputError
 from ..sim.loop import CONTROL_PERIOD, Simulation
 from .experiment import Experiment, estimate, readable, signals_of
-from .run import Run
+from .run import Run, run_of
 from .scenario import Scenario
 
 
@@ -52,9 +52,7 @@ class LiveRun:
         model = registry.get("model")
         assert isinstance(model, CausalEstimator)
         self._model = OnlineEstimate(model, self._samples)
-        self._whole = Run(
-            scenario, self._experiment.joint, self._experiment.known_joint, self._experiment.known, simulation, {}
-        )
+        self._whole = run_of(self._experiment, simulation, {})
 
     @property
     def start(self) -> Run:
@@ -87,14 +85,14 @@ class LiveRun:
         self._samples.fill(part)
         model = self._model.advance(part).mean
         estimates = {name: one.advance(part) for name, one in self._along.items()}
-        stretch = replace(self._whole, simulation=_part(self._whole.simulation, part), estimates=estimates)
-        # Where its cached properties keep what the whole run has.
-        vars(stretch).update(
+        return replace(
+            self._whole,
+            simulation=_part(self._whole.simulation, part),
+            estimates=estimates,
             position_command=self._whole.position_command[part],
             external_torque=self._whole.external_torque[part],
-            model_torque=model,
+            raw=model,
         )
-        return stretch
 
     def finish(self, threads: int = 1) -> Run:
         """The whole run, once the last stretch has been simulated, with the filters that did not go along.

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -53,29 +51,6 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Thinned:
-    """What is known of all samples of a run that keeps some of them only; b bins of the time.
-
-    Attributes:
-      start: of the bins [s], shape (b,).
-      robust: share of a bin in robust mode, shape (b,), by filter, of those that have modes.
-      sizes: of errors, increasing, shape (s,) [N·m].
-      errors: errors up to each size after the transient, shape (s + 1,), by filter and `"raw model"`.
-    """
-
-    start: np.ndarray
-    robust: Mapping[str, np.ndarray]
-    sizes: np.ndarray
-    errors: Mapping[str, np.ndarray]
-
-    def exceeded(self, name: str, shares: np.ndarray) -> np.ndarray:
-        """Sizes of a filter's error [N·m] that are exceeded in these shares of the time [%], shape (n,); the next of `sizes`."""
-        upto = self.errors[name]
-        rank = (1 - shares / 100) * max(upto[-1] - 1, 0)
-        return self.sizes[np.minimum(np.searchsorted(upto, rank, side="right"), len(self.sizes) - 1)]
-
-
-@dataclass(frozen=True)
 class Run:
     """A scenario that has been run: what was asked, what came out. n control ticks.
 
@@ -85,9 +60,10 @@ class Run:
       known: what they know of it.
       simulation: everything that happened at the control ticks: truth and readings as records, by name.
       estimates: what each of the scenario's filters said, by its name.
+      position_command: commanded link position [rad], shape (n,).
+      external_torque: torque on the link [N·m], shape (n,).
       place: where the joint was in an arm; None where it was alone.
-      thinned: of a run too long to be held (`long_run`): it has the samples at which something is smallest or largest, and the
-        measures and notes of all; None where it has all.
+      raw: the raw compliance model [N·m], shape (n,), where it is known already.
     """
 
     scenario: Scenario
@@ -96,8 +72,10 @@ class Run:
     known: KnownJoint
     simulation: Simulation
     estimates: dict[str, Posterior]
+    position_command: np.ndarray
+    external_torque: np.ndarray
     place: Place | None = None
-    thinned: Thinned | None = None
+    raw: np.ndarray | None = None
 
     def __getstate__(self) -> dict[str, Any]:
         return {name: value for name, value in self.__dict__.items() if name not in _COPIES}
@@ -118,19 +96,9 @@ class Run:
         return signals_of(self.simulation)
 
     @cached_property
-    def position_command(self) -> np.ndarray:
-        """Commanded link position [rad], shape (n,)."""
-        return self.scenario.commands()[0]
-
-    @cached_property
-    def external_torque(self) -> np.ndarray:
-        """Torque on the link [N·m], shape (n,)."""
-        return self.scenario.external_torque()
-
-    @cached_property
     def model_torque(self) -> np.ndarray:
         """Raw compliance model [N·m], shape (n,): what the paper's filters filter."""
-        return registry.get("model").estimate(self.signals, self.known).mean
+        return registry.get("model").estimate(self.signals, self.known).mean if self.raw is None else self.raw
 
     @cached_property
     def kinematic_error(self) -> np.ndarray:
@@ -160,9 +128,14 @@ class Run:
     def beyond(self) -> dict[str, float]:
         """Shares of the motion beyond the range of validity of the plant's joint or of the one that the estimators know, the
         larger (`models.joint.ValidRange.beyond`); empty where neither states one."""
-        count = BeyondCount((self.joint, self.known_joint))
-        count.add(self)
-        return count.shares
+        joints = [joint for joint in (self.joint, self.known_joint) if joint.valid is not None]
+        moving = np.abs(self.truth("motor_velocity")) > 2.5 * self.joint.numbers["vs"].value
+        motion = [self.truth(name)[moving] for name in ("link_position", "link_velocity", "joint_torque")]
+        found: dict[str, float] = {}
+        for joint in joints:
+            for name, share in joint.valid.beyond(*motion).items() if joint.valid else ():
+                found[name] = max(share, found.get(name, 0.0))
+        return found
 
     def reading(self, name: str) -> np.ndarray:
         """What a sensor gave, one of `models.signals.SENSED`, shape (n,)."""
@@ -180,22 +153,39 @@ class Run:
     @cached_property
     def notes(self) -> tuple[str, ...]:
         """What whoever reads the measures should know: disturbances that do not act, a drive at its limit, no measures."""
+        end, samples, late, found = self.scenario.duration, len(self.time), [], []
+        for i, d in enumerate(self.scenario.disturbances):
+            if d.start >= end:
+                late.append((f"disturbances.{i}", f"{d.start:g}"))
+            elif d.start + d.duration > end:
+                found.append(
+                    f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off"
+                )
+        if late:
+            names, starts = (", ".join(words) for words in zip(*late, strict=True))
+            start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
+            found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
         limit = self.joint.numbers["current_limit"].value
-        force = None
+        limited = np.count_nonzero(np.abs(self.simulation.command) >= (1 - 1e-9) * limit) / samples
+        if limited > _LIMITED:
+            off = float(np.max(np.abs(self.position_command - self.truth("link_position"))))
+            found.append(
+                f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: the motion asks for more than "
+                f"it gives, and the link is up to {off:.2g} rad off its command"
+            )
+        for name, one in self.estimates.items():
+            count = int(np.sum(~np.isfinite(one.mean)))
+            if count:
+                found.append(f"{name} gives no estimate for {count} of {samples} samples and is not measured")
         if self.tip_force is not None:
             errors = self.tip_force.errors(self.reference.kept)
             shown = ", ".join(f"{name} {value:.2f}" for name, value in sorted(errors.items(), key=lambda item: item[1]))
             lever = self.tip_force.lever
             where = "" if math.isnan(lever) else f"; it acts at {lever:.3f} m, says the wrench"
-            force = f"force at the link, RMS error [N]: {shown}{where}"
-        return notes_of(
-            self,
-            len(self.time),
-            int(np.count_nonzero(at_limit(self.simulation.command, limit))),
-            float(np.max(np.abs(self.position_command - self.truth("link_position")))),
-            {name: int(np.sum(~np.isfinite(one.mean))) for name, one in self.estimates.items()},
-            force,
-        )
+            found.append(f"force at the link, RMS error [N]: {shown}{where}")
+        if self.beyond:
+            found.append(beyond_sentence(self.beyond))
+        return tuple(found)
 
     @cached_property
     def tip_force(self) -> TipForce | None:
@@ -231,11 +221,11 @@ class Run:
             "tip_force": None if tip is None else {"rms": tip.errors(kept), "lever": tip.lever, "unit": "N, m"},
         }
 
-    def as_recording(self, pushed: bool | None = None) -> Recording:
+    def as_recording(self) -> Recording:
         """What a person would have measured: the sensors that the scenario's `record` names.
 
         Where it names none: encoders, current and torque sensor, and motor torque and temperature where the joint states such a
-        sensor's noise. `pushed`: whether there is ever a torque on the link, where this is a stretch of a run.
+        sensor's noise.
         """
         mounting = self.scenario.mount(self.joint)
         names = self.scenario.record
@@ -245,7 +235,7 @@ class Run:
         columns = {name: self.reading(name) for name in names} | {"position_command": self.position_command}
         columns |= self.simulation.further
         external = self.external_torque if self.place is None else self.place.external_torque
-        pushed = bool(np.any(external)) if pushed is None else pushed
+        pushed = bool(np.any(external))
         if pushed:
             columns["external_torque"] = external
         recording = Recording(
@@ -264,78 +254,6 @@ class Run:
             recording.time, self.reading("link_position"), arm.positions, recording.segments
         )
         return replace(recording, link=link, load=load, arm=arm)
-
-
-class BeyondCount:
-    """How much of a run's motion lies beyond its joints' ranges of validity, stretch after stretch."""
-
-    def __init__(self, joints: tuple[Joint, Joint]):
-        """Nothing yet; `joints`: the plant's, and the one that the estimators know."""
-        self._joints = joints
-        self._counts = [Counter[str]() for _ in joints]
-        self._moving = 0
-
-    def add(self, stretch: Run) -> None:
-        """Take up a stretch, or a whole run."""
-        if not any(joint.valid for joint in self._joints):
-            return
-        moving = np.abs(stretch.truth("motor_velocity")) > 2.5 * self._joints[0].numbers["vs"].value
-        motion = [stretch.truth(name)[moving] for name in ("link_position", "link_velocity", "joint_torque")]
-        self._moving += len(motion[0])
-        for joint, count in zip(self._joints, self._counts, strict=True):
-            if joint.valid is not None:
-                count.update(joint.valid.count_beyond(*motion))
-
-    @property
-    def shares(self) -> dict[str, float]:
-        """`Run.beyond`."""
-        found: dict[str, float] = {}
-        for joint, count in zip(self._joints, self._counts, strict=True):
-            for name, share in (joint.valid.shares_beyond(count, self._moving) if joint.valid else {}).items():
-                found[name] = max(share, found.get(name, 0.0))
-        return found
-
-
-def at_limit(command: np.ndarray, limit: float) -> np.ndarray:
-    """Whether a current command [A], shape (n,), is at the drive's limit [A]."""
-    return np.abs(command) >= (1 - 1e-9) * limit
-
-
-def notes_of(
-    run: Run, samples: int, limited: int, off: float, missing: Mapping[str, int], force: str | None = None
-) -> tuple[str, ...]:
-    """What is to be known of a run's measures.
-
-    Args:
-      run: with `beyond` of all of it.
-      samples: of the whole; limited: of these at the drive's limit.
-      off: largest position error [rad].
-      missing: samples without an estimate, by filter.
-      force: what is said of the force at the link.
-    """
-    end, late, found = run.scenario.duration, [], []
-    for i, d in enumerate(run.scenario.disturbances):
-        if d.start >= end:
-            late.append((f"disturbances.{i}", f"{d.start:g}"))
-        elif d.start + d.duration > end:
-            found.append(f"disturbances.{i} lasts until {d.start + d.duration:g} s: the end at {end:g} s cuts it off")
-    if late:
-        names, starts = (", ".join(words) for words in zip(*late, strict=True))
-        start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
-        found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
-    if limited / samples > _LIMITED:
-        found.append(
-            f"the drive is at its limit of {run.joint.numbers['current_limit'].value:g} A for {100 * limited / samples:.2g} % of "
-            f"the time: the motion asks for more than it gives, and the link is up to {off:.2g} rad off its command"
-        )
-    for name, count in missing.items():
-        if count:
-            found.append(f"{name} gives no estimate for {count} of {samples} samples and is not measured")
-    if force is not None:
-        found.append(force)
-    if run.beyond:
-        found.append(beyond_sentence(run.beyond))
-    return tuple(found)
 
 
 def reference_of(
@@ -368,7 +286,17 @@ def run_scenario(scenario: Scenario, folder: Path | None = None, threads: int = 
     experiment = Experiment.of(scenario, folder)
     simulation = experiment.simulate()
     estimates = estimate(scenario.estimators(), signals_of(simulation), experiment.known, threads)
-    return Run(scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates)
+    return run_of(experiment, simulation, estimates)
+
+
+def run_of(
+    experiment: Experiment, simulation: Simulation, estimates: dict[str, Posterior], place: Place | None = None
+) -> Run:
+    """What came of an experiment, as a run."""
+    return Run(
+        experiment.scenario, experiment.joint, experiment.known_joint, experiment.known, simulation, estimates,
+        experiment.position, experiment.external_torque, place,
+    )  # fmt: skip
 
 
 def simulate_scenario(scenario: Scenario, folder: Path | None, seed: int) -> Run:
@@ -384,4 +312,4 @@ def simulate_scenario(scenario: Scenario, folder: Path | None, seed: int) -> Run
         )
     scenario = scenario.model_copy(update={"seed": int(seed)})
     experiment = Experiment.of(scenario, folder)
-    return Run(scenario, experiment.joint, experiment.known_joint, experiment.known, experiment.simulate(), {})
+    return run_of(experiment, experiment.simulate(), {})

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import platform
 import re
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,13 +16,11 @@ from ..models import own_sensors
 from ..models.errors import InputError
 from ..models.files import json_text, load, yaml_text
 from ..models.output import check_output, output_folder, recover
-from ..models.recording import Recording, writing_recording
+from ..models.recording import write_recording
 from ..models.signals import READINGS, SENSED
-from ..models.tables import TableParts, TableWriter, read_table
+from ..models.tables import read_table, write_table
 from ..sim.loop import CONTROL_PERIOD, TRUTH, Simulation
 from ..sim.sensors import time_stamps
-from .course import ever_pushed
-from .experiment import LONGEST_HELD
 from .run import Run
 from .scenario import Scenario
 
@@ -56,72 +53,15 @@ def save_run(run: Run, out: Path, views: Sequence[View] = (), within: Path | Non
     """
     with output_folder(out, _MAKER, whole=True, within=within) as folder:
         begun = [view(run, folder) for view in views]
-        with writing_tables(folder) as write:
-            write(run)
+        write_recording(run.as_recording(), folder)
+        signals = signal_columns(run)
+        write_table(folder / "signals.parquet", signals, {name: _unit_of(name) for name in signals})
+        write_table(folder / "estimates.parquet", *_estimate_columns(run))
         _describe(run, folder)
         for finish in begun:
             if finish is not None:
                 finish()
     return out
-
-
-def save_stretches(
-    scenario: Scenario,
-    stretches: Iterator[Run],
-    whole: Callable[[Path], Run],
-    out: Path,
-    views: Sequence[View] = (),
-    within: Path | None = None,
-) -> Run:
-    """Write a run folder as `save_run` does, of a run that comes in stretches.
-
-    Args:
-      scenario: what is run. stretches: of two samples and more, in order.
-      whole: what stands for the whole of it, thinned, once its tables are in a folder.
-      out, views, within: as of `save_run`.
-
-    Returns:
-      What stands for the whole.
-    """
-    with output_folder(out, _MAKER, whole=True, within=within) as folder:
-        with writing_tables(folder, ever_pushed(scenario)) as write:
-            for stretch in stretches:
-                write(stretch)
-        run = whole(folder)
-        begun = [view(run, folder) for view in views]
-        _describe(run, folder)
-        for finish in begun:
-            if finish is not None:
-                finish()
-    return run
-
-
-@contextmanager
-def writing_tables(folder: Path, pushed: bool | None = None) -> Iterator[Callable[[Run], None]]:
-    """Write the tables of a run, stretch after stretch: gives what takes the next one.
-
-    Args:
-      folder: where to.
-      pushed: whether there is ever a torque on the link, where one stretch does not say it of all.
-    """
-    with ExitStack() as opened:
-        tables: list[tuple[Callable[[Recording], None], TableWriter, TableWriter]] = []
-
-        def write(stretch: Run) -> None:
-            recording, signals = stretch.as_recording(pushed), signal_columns(stretch)
-            estimates, units, notes = _estimate_columns(stretch)
-            if not tables:
-                tables.append((
-                    opened.enter_context(writing_recording(recording, folder)),
-                    opened.enter_context(TableWriter(folder / "signals.parquet", {n: _unit_of(n) for n in signals})),
-                    opened.enter_context(TableWriter(folder / "estimates.parquet", units, notes)),
-                ))  # fmt: skip
-            record, of_signals, of_estimates = tables[0]
-            record(recording)
-            of_signals.write(signals)
-            of_estimates.write(estimates)
-
-        yield write
 
 
 def _describe(run: Run, folder: Path) -> None:
@@ -156,11 +96,6 @@ def load_run(folder: Path) -> Run:
         if not (folder / name).is_file():
             raise InputError(f"{folder}: expected a run folder, found no {name}")
     scenario = load(folder / "scenario.yaml", Scenario, "a scenario")
-    seconds = TableParts(folder / "signals.parquet").rows * CONTROL_PERIOD
-    if seconds > LONGEST_HELD:
-        raise InputError(
-            f"{folder}: expected a run of at most {LONGEST_HELD:g} s, which is held in memory, got one of {seconds:g} s"
-        )
     joint, known_joint = scenario.load_joint(folder)
     known = KnownJoint.of(known_joint, scenario.mount(known_joint))
     columns, _ = _read_numbers(folder / "signals.parquet")
@@ -175,7 +110,11 @@ def load_run(folder: Path) -> Run:
         time_stamps(time, scenario.jitter, scenario.seed), scenario.current == "command",
         {name: columns[name] for name in own_sensors.names() if name in columns},
     )  # fmt: skip
-    return Run(scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario, time))
+    command, external = (_column(columns, name, folder) for name in ("position_command", "external_torque"))
+    return Run(
+        scenario, joint, known_joint, known, simulation, _read_estimates(folder, scenario, time), command, external,
+        raw=_column(columns, "model_torque", folder),
+    )  # fmt: skip
 
 
 def signal_columns(run: Run) -> dict[str, np.ndarray]:

@@ -26,6 +26,7 @@ from ..sim.plant import TIMESTEP
 from ..sim.sensors import realistic, stream
 from .filters import PAPER, FilterEntry, paper_entries
 
+_LONGEST = 3600.0  # s: four filters over it take 4 GB
 LAGGING = Controller().lagging(2e-3)
 """The drive where `sensors: realistic` and none is stated."""
 
@@ -63,8 +64,8 @@ class Disturbance(Strict):
         u = (time - self.start) / self.duration
         return (u >= 0) & (u < 1)
 
-    def signal(self, time: np.ndarray, seed: int = 0, walk: Walk | None = None) -> np.ndarray:
-        """Torque [N·m] at the times [s]; for a walk, `seed` is that of the scenario, and `walk` one that goes on with them."""
+    def signal(self, time: np.ndarray, seed: int = 0) -> np.ndarray:
+        """Torque [N·m] at the times [s]; for a walk, `seed` is that of the scenario."""
         u = (time - self.start) / self.duration
         inside = self.acts(time)
         shape = {
@@ -72,29 +73,16 @@ class Disturbance(Strict):
             "step": lambda: np.ones_like(u),
             "triangle": lambda: 1 - np.abs(2 * u - 1),
             "sine": lambda: np.sin(2 * np.pi * self.cycles * u),
-            "walk": lambda: (walk or Walk(seed, self.start, int(np.count_nonzero(inside)))).next(inside),
+            "walk": lambda: self._walk(inside, seed),
         }[self.kind]()
         return np.where(inside, self.torque * shape, 0.0)
 
-
-class Walk:
-    """A random walk that is zero where it begins and has unit standard deviation where it ends, a part at a time."""
-
-    def __init__(self, seed: int, start: float, count: int):
-        """Before the first sample; `start`: of the disturbance [s], `count`: samples in which it acts."""
-        self._rng = stream(seed, f"walk at {start:g} s")
-        self._size = math.sqrt(max(count, 1))
-        self._begun, self._at = False, np.empty(0)
-
-    def next(self, inside: np.ndarray) -> np.ndarray:
-        """Its next samples, shape (n,); `inside`: whether it acts, likewise."""
-        steps = self._rng.standard_normal(len(inside)) * inside
-        if not self._begun and np.any(inside):
+    def _walk(self, inside: np.ndarray, seed: int) -> np.ndarray:
+        """A random walk that is zero where it begins and has unit standard deviation where it ends."""
+        steps = stream(seed, f"walk at {self.start:g} s").standard_normal(len(inside)) * inside
+        if np.any(inside):
             steps[np.argmax(inside)] = 0.0
-            self._begun = True
-        sums = np.cumsum(np.concatenate([self._at, steps]))[len(self._at) :]
-        self._at = sums[-1:]
-        return sums / self._size
+        return np.cumsum(steps) / math.sqrt(max(int(np.count_nonzero(inside)), 1))
 
 
 class Temperature(Strict):
@@ -146,7 +134,7 @@ class Scenario(Strict):
     link: Annotated[
         Mounting | None, Field(description="what hangs on the output, instead of a mounting by its name")
     ] = None
-    duration: Annotated[float, Field(gt=0, le=86_400, description="s")]
+    duration: Annotated[float, Field(gt=0, description="s; an hour at most: a run is held in memory")]
     timestep: Annotated[float, Field(ge=1e-6, le=CONTROL_PERIOD, description="s")] = TIMESTEP
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 1
     """Of every random stream."""
@@ -197,6 +185,10 @@ class Scenario(Strict):
         if round(self.duration / CONTROL_PERIOD) < 2:
             raise ValueError(
                 f"duration: expected at least two control periods of {CONTROL_PERIOD:g} s, got {self.duration:g} s"
+            )
+        if self.duration > _LONGEST:
+            raise ValueError(
+                f"duration: expected at most {_LONGEST:g} s, as a run is held in memory, got {self.duration:g} s"
             )
         substeps = CONTROL_PERIOD / self.timestep
         if abs(substeps - round(substeps)) > 1e-6:
@@ -358,6 +350,12 @@ def shipped_scenarios() -> dict[str, Path]:
     return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
 
 
+def shipped_arms() -> dict[str, Path]:
+    """The scenarios of arms that the package ships, by name."""
+    folder = Path(str(resources.files(str(__package__)))) / "arms"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
 def load_scenario(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario, Path]:
@@ -374,8 +372,6 @@ def load_scenario(
     Raises:
       InputError: no such scenario, or one that is wrong; one line.
     """
-    from .arms.arm_scenario import shipped_arms
-
     data, path = read_scenario(source, changes, seed, shipped_arms())
     if "arm" in data:
         raise InputError(
@@ -391,7 +387,7 @@ def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: lis
       InputError: what is wrong, in one line.
     """
     try:
-        return parse(data, model, str(path))
+        return parse(data, model, str(path) if changes else path)
     except InputError as error:
         if not changes:
             raise

@@ -59,6 +59,20 @@ def test_imports_point_one_way(room):
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.parametrize("room", ROOMS)
+def test_nothing_is_loaded_that_could_execute(room):
+    """Formats that run code as they are read: a file in a folder that others share would be theirs to write."""
+    executing = {"pickle", "_pickle", "cPickle", "cloudpickle", "dill", "joblib", "marshal", "shelve"}
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {target}"
+        for name, path, package in modules(room)
+        for line, target in imported(name, path, package)
+        if target.split(".")[0] in executing
+    ]
+    assert not found, "\n".join(found)
+    assert not [path for path in (ROOT / room).rglob("*.py") if "allow_pickle=True" in path.read_text(encoding="utf-8")]
+
+
 def test_every_package_is_listed_once():
     """`pyproject.toml` names all folders with an `__init__.py`, and no others."""
     listed = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["setuptools"]

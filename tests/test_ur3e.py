@@ -134,6 +134,6 @@ def test_a_current_in_newton_metres_makes_no_cause_sure(log):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="0.038 A, where gravity, inertia, viscous and Coulomb friction leave 0.053")
+@pytest.mark.xfail(strict=True, reason="0.038 A, where gravity, inertia, viscous and Coulomb friction leave 0.053")
 def test_current_on_what_the_fit_has_not_seen(held, ur3e):
     assert np.sqrt(np.nanmean(ur3e.error(held.extended) ** 2)) <= 0.036

@@ -29,9 +29,6 @@ def robust_share(run: Run, name: str, part: np.ndarray) -> float:
 
 def switching(run: Run) -> list[str]:
     """Filters that switch between optimal and robust mode; the others are always in one of them."""
-    if run.thinned is not None:
-        shares = {name: run.metrics["filters"][name]["robust_share"] for name in run.thinned.robust}
-        return [name for name, share in shares.items() if 0 < share < 1]
     kept = settled(run)
     return [name for name in run.estimates if 0 < np.mean(modes(run, name)[kept]) < 1]
 

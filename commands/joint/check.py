@@ -50,10 +50,11 @@ def command(
 def line(path: Path, problem: Fault) -> str:
     """A problem as it is printed, with the meaning of its symbol."""
     from ...models.errors import one_line
+    from ...models.files import place
     from ...models.joint import SYMBOLS
     from ...views.glossary import meaning
 
-    text = f"{path}: {problem.severity}: {problem.field}: {problem.message}"
+    text = f"{place(path, problem.field)}: {problem.severity}: {problem.field}: {problem.message}"
     symbol = problem.field.removeprefix("numbers.").split(".")[0]
     if problem.field.startswith("numbers.") and meaning(symbol):
         unit = SYMBOLS[symbol][0] if symbol in SYMBOLS else ""

@@ -19,7 +19,7 @@ from ...sim import arm as plant
 from ...sim.arm import ArmJoint
 from ...sim.loop import ClosedLoop
 from ..experiment import Experiment, estimate, signals_of
-from ..run import Place, Run
+from ..run import Place, Run, run_of
 from ..run_folder import View, save_run
 from ..scenario import Scenario
 from .arm_scenario import ArmScenario
@@ -81,7 +81,7 @@ def run_arm(
         beyond = np.sum([one.external_torque for one in experiments[i:]], axis=0)
         place = Place(ArmRecord(ArmSpec(model=_MJCF, joint=name), mjcf, others_angles), beyond)
         estimates = estimate(e.scenario.estimators(), signals_of(s), e.known, threads)
-        runs[name] = Run(e.scenario, e.joint, e.known_joint, e.known, s, estimates, place)
+        runs[name] = run_of(e, s, estimates, place)
     return runs
 
 

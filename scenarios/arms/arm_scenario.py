@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Mapping
-from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +18,7 @@ from ...models.files import Strict, parse
 from ...models.joint import Joint
 from ...sim.loop import CONTROL_PERIOD
 from ...sim.plant import TIMESTEP
-from ..scenario import Scenario, parse_changed, put_all, read_scenario
+from ..scenario import Scenario, parse_changed, put_all, read_scenario, shipped_arms
 
 _SHARED = ("duration", "timestep")
 _BESIDE = (*_SHARED, "seed", "format")
@@ -134,12 +133,6 @@ def _seed(seed: int, name: str) -> int:
     return int(np.random.SeedSequence([seed, zlib.crc32(name.encode())]).generate_state(1)[0])
 
 
-def shipped_arms() -> dict[str, Path]:
-    """The scenarios of arms that the package ships, by name."""
-    folder = Path(str(resources.files(str(__package__))))
-    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
-
-
 def load_any(
     source: str | Path, changes: list[str] | None = None, seed: int | None = None
 ) -> tuple[Scenario | ArmScenario, Path]:
@@ -172,7 +165,7 @@ def load_arm(
     put_all(data, changes or {}, str(path))
     if "arm" not in data:
         raise InputError(f"{path}: arm: expected a scenario of an arm, got that of a joint alone")
-    return parse(data, ArmScenario, str(path)), path.parent
+    return parse(data, ArmScenario, str(path) if changes else path), path.parent
 
 
 def changed_arm(scenario: ArmScenario, changes: Mapping[str, Any], seed: int | None = None) -> ArmScenario:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,10 +11,8 @@ from ...estimator.estimator import Posterior
 from ...models.kernels import kernel
 
 _WINDOW = 0.2  # s: slower than this is signal, faster is noise
-STEADY_RATE = 0.5
-"""N·m/s: slower than this is steady."""
-LEAST_SWING = 0.5
-"""N·m by which the torque must change for a delay to show."""
+_STEADY_RATE = 0.5  # N·m/s: slower than this is steady
+_LEAST_SWING = 0.5  # N·m by which the torque must change for a delay to show
 _LONGEST_DELAY = 0.1  # s
 _EARLIEST = 5  # samples by which an estimate may be early
 _RESPONSE = 0.9
@@ -35,9 +32,9 @@ def errors(estimate: np.ndarray, truth: np.ndarray, reading: np.ndarray, kept: n
 
 def steady(truth: np.ndarray, dt: float, kept: np.ndarray) -> np.ndarray:
     """Where the torque has been changing by less than 0.5 N·m/s for 0.2 s, shape (n,)."""
-    width = window(dt)
+    width = _window(dt)
     rate = np.abs(np.gradient(moving_mean(truth, width), dt))
-    fast = (rate > STEADY_RATE).astype(float)
+    fast = (rate > _STEADY_RATE).astype(float)
     return kept & (moving_mean(fast, 2 * width) < 0.5 / (2 * width))
 
 
@@ -46,7 +43,7 @@ def noise(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
     if np.count_nonzero(where) < 2:
         return float("nan")
     e = estimate - truth
-    return float(np.std((e - moving_mean(e, window(dt)))[where]))
+    return float(np.std((e - moving_mean(e, _window(dt)))[where]))
 
 
 def moving_mean(x: np.ndarray, width: int) -> np.ndarray:
@@ -63,48 +60,23 @@ def delay(estimate: np.ndarray, truth: np.ndarray, dt: float, where: np.ndarray)
 
     None where the torque does not change enough for a delay to show, or none up to 0.1 s explains the estimate.
     """
-    if np.count_nonzero(where) < 2 or np.ptp(truth[where]) < LEAST_SWING:
+    if np.count_nonzero(where) < 2 or np.ptp(truth[where]) < _LEAST_SWING:
         return None
-    shifts = Shifts(dt, len(truth))
-    shifts.add(np.ascontiguousarray(estimate), np.ascontiguousarray(truth), 0, lambda begin, end: where[begin:end])
-    return shifts.delay
-
-
-class Shifts:
-    """How well the truth explains an estimate at every shift, taken up a part of the samples after the other."""
-
-    def __init__(self, dt: float, count: int):
-        """Before the first sample of `count`, `dt` apart [s]."""
-        self._dt, self._longest = dt, round(_LONGEST_DELAY / dt)
-        self._next, self._last = self._longest, count - self._longest
-        self._used, self._total = 0, np.zeros(_EARLIEST + self._longest)
-
-    def add(self, estimate: np.ndarray, truth: np.ndarray, since: int, where: Callable[[int, int], np.ndarray]) -> None:
-        """Take up samples.
-
-        Args:
-          estimate, truth: shape (n,) each [N·m]: what is new, and `reach` samples before it.
-          since: the first of them, counted from the start.
-          where: the samples that count, from one to another.
-        """
-        end = max(min(since + len(truth) - _EARLIEST, self._last), self._next)
-        indices = np.flatnonzero(where(self._next, end)) + self._next - since
-        _shift_costs(estimate, truth, indices, _EARLIEST, self._total)
-        self._used, self._next = self._used + len(indices), end
-
-    @property
-    def delay(self) -> float | None:
-        """The shift of the least square [s], by a parabola; None where there is none up to 0.1 s."""
-        if self._used < 2:
-            return None
-        shifts, cost = np.arange(-_EARLIEST, self._longest), self._total[::-1] / self._used
-        best = int(np.argmin(cost))
-        if 0 < best < len(cost) - 1:
-            left, middle, right = cost[best - 1 : best + 2]
-            curvature = left - 2 * middle + right
-            if curvature > 0:
-                return float((shifts[best] + 0.5 * (left - right) / curvature) * self._dt)
+    longest = round(_LONGEST_DELAY / dt)
+    ends = max(longest, _EARLIEST)
+    indices = np.flatnonzero(where[longest : max(len(truth) - ends, longest)]) + longest
+    if len(indices) < 2:
         return None
+    total = np.zeros(_EARLIEST + longest)
+    _shift_costs(np.ascontiguousarray(estimate), np.ascontiguousarray(truth), indices, _EARLIEST, total)
+    shifts, cost = np.arange(-_EARLIEST, longest), total[::-1] / len(indices)
+    best = int(np.argmin(cost))
+    if 0 < best < len(cost) - 1:
+        left, middle, right = cost[best - 1 : best + 2]
+        curvature = left - 2 * middle + right
+        if curvature > 0:
+            return float((shifts[best] + 0.5 * (left - right) / curvature) * dt)
+    return None
 
 
 @kernel
@@ -128,46 +100,23 @@ def pushes(external_torque: np.ndarray, dt: float) -> list[tuple[int, int]]:
     active = np.concatenate([[False], external_torque != 0, [False]])
     edges = np.flatnonzero(active[1:] != active[:-1])
     found = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return [(a, b) for a, b in found if is_push(a, b, dt)]
+    return [(a, b) for a, b in found if (b - a) * dt <= _LONGEST_PUSH]
 
 
-def is_push(begin: int, end: int, dt: float) -> bool:
-    """Whether an external torque from a tick to another is a push, not a load."""
-    return (end - begin) * dt <= _LONGEST_PUSH
-
-
-def window(dt: float) -> int:
+def _window(dt: float) -> int:
     """Samples of the window between signal and noise."""
     return round(_WINDOW / dt)
 
 
-def end_of(push: int, dt: float) -> int:
-    """The sample to which a delay is measured of a push that ends with the sample `push`."""
-    return push + window(dt)
-
-
-def reach(dt: float) -> int:
-    """Samples back from the last that measures of the next ones need."""
-    return max(round(_LONGEST_DELAY / dt) + _EARLIEST, round(_LONGEST_PUSH / dt) + _before(dt)) + 2
-
-
 def response_time(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
     """Mean of `responses` [s] over the pushes that the estimate follows; None where there is none."""
-    return mean_response(responses(estimate, truth, dt, events))
-
-
-def mean_response(times: np.ndarray) -> float | None:
-    """Mean of `responses` that there are [s]; None where there is none."""
+    times = responses(estimate, truth, dt, events)
     return float(np.nanmean(times)) if np.isfinite(times).any() else None
 
 
 def missed(estimate: np.ndarray, truth: np.ndarray, dt: float, events: list[tuple[int, int]]) -> float | None:
     """Share of the pushes that the estimate never follows (`responses`); None where there is none to follow."""
-    return share_missed(responses(estimate, truth, dt, events))
-
-
-def share_missed(times: np.ndarray) -> float | None:
-    """Share of `responses` that are none; None without any."""
+    times = responses(estimate, truth, dt, events)
     return float(np.mean(np.isnan(times))) if len(times) else None
 
 
@@ -260,7 +209,7 @@ class Reference:
             return self.kept
         during = np.zeros(len(self.truth), dtype=bool)
         for a, b in self.events:
-            during[a : min(end_of(b, self.dt), len(self.truth))] = True
+            during[a : b + _window(self.dt)] = True
         return during
 
     def response_ms(self, estimate: np.ndarray) -> float | None:

@@ -15,16 +15,16 @@ import pyarrow as pa
 
 from ...models import plugins
 from ...models.errors import InputError
-from . import sweep
 from .dataset import Chunk
 from .design import Design
+from .rows import Done, compute
 
 _ATTEMPTS = 20
 """Workers that a chunk may take down, or be on when they go, before it is thought to be its fault."""
 _PATIENCE = 20  # s
 
 
-def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> sweep.Done:
+def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> Done:
     """Chunks with their rows as they finish. Few are under way at a time, however many there are.
 
     Raises:
@@ -81,4 +81,4 @@ def on_cluster(design: Design, chunks: Iterator[Chunk], address: str) -> sweep.D
 def _compute(known: tuple[Path, ...], design: Design, chunk: Chunk) -> pa.Table | None:
     """The rows of a chunk, on a worker, which knows the plugins then."""
     plugins.load_all(known)
-    return sweep.compute(design, chunk)
+    return compute(design, chunk)

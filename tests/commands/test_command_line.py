@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -151,6 +153,27 @@ def test_asked_to_end_it_ends_and_leaves_nothing(flexspline, tmp_path_factory, t
     _, err = process.communicate(timeout=60)
     assert process.returncode == 128 + number and b"Traceback" not in err
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no umask")
+def test_nothing_executable_lies_in_a_folder_that_is_drawn_into(tmp_path):
+    """With rights for everybody: what others could replace while a run is drawn is data, which nothing executes."""
+    out = tmp_path / "o"
+    words = [word for word in RUN if not word.startswith("--no-")]
+    process = subprocess.Popen([*PROGRAM, *words, "--out", str(out)], umask=0, stdout=subprocess.PIPE)
+    seen = {}
+    while process.poll() is None:
+        for folder, _, names in os.walk(out):  # which passes over what is moved meanwhile
+            for path in (Path(folder) / name for name in names):
+                with contextlib.suppress(OSError):
+                    seen[path.name] = path.stat().st_mode & 0o111, path.open("rb").read(2)[:1]
+        time.sleep(0.002)
+    assert process.returncode == 0
+    assert {"signals.parquet", "error.png"} <= set(seen)
+    data = re.compile(r".+\.(parquet|yaml|json|png|rrd)|\.journal|(\.flexspline|\.\.flexspline\.[0-9a-f]{8})")
+    assert not [name for name in seen if not data.fullmatch(name)]
+    for name, (executable, first) in seen.items():
+        assert not executable and first != b"\x80", name  # how a pickle begins
 
 
 def test_the_viewer_sends_no_usage_data(monkeypatch):

@@ -53,30 +53,24 @@ def test_run_writes_a_folder(flexspline, tmp_path):
     assert [path.name for path in (tmp_path / "runs").iterdir()] == ["external_push"]
 
 
-@pytest.mark.slow
-def test_run_writes_a_long_run_in_stretches(flexspline, tmp_path, monkeypatch):
-    words = ("run", "external_push", "--set", "duration=9", "--seed", 7, "--json", "--out")
-    code, whole, _ = flexspline(*words, tmp_path / "whole")
-    assert code == 0
-    monkeypatch.setattr("flexspline.scenarios.long_run.LONG", 2000)
-    monkeypatch.setattr("flexspline.scenarios.long_run.BINS", 100)
-    code, parts, _ = flexspline(*words, tmp_path / "parts")
-    assert code == 0
-    whole, parts = (json.loads(text)["external_push"] for text in (whole, parts))
-    assert whole | {"folder": ""} == parts | {"folder": ""}
-    found = files(tmp_path / "parts" / "external_push")
-    assert {"run.rrd", "figures/overview.png", "figures/error.png", "signals.parquet"} <= set(found)
-    assert set(found) < set(files(tmp_path / "whole" / "external_push"))
+def test_a_run_that_memory_does_not_hold_is_refused(flexspline, tmp_path):
+    expected = "duration: expected at most 3600 s, as a run is held in memory, got 3600.5 s"
+    for words in (("run", "no_load", "--out", tmp_path / "o", *QUICK), ("bound", "no_load")):
+        code, _, err = flexspline(*words, "--set", "duration=3600.5")
+        assert code == 2 and expected in one_line(err) and not list(tmp_path.iterdir())
 
 
-def test_run_refuses_what_is_too_long_to_be_held(flexspline, tmp_path):
-    change = "filters=[EKF, rts_smoother]"
-    code, _, err = flexspline(
-        "run", "no_load", "--set", "duration=7200", "--set", change, "--out", tmp_path / "o", *QUICK
-    )
-    assert code == 2 and "rts_smoother" in one_line(err) and not (tmp_path / "o").exists()
-    code, _, err = flexspline("bound", "no_load", "--set", "duration=7200")
-    assert code == 2 and "expected at most 3600 s" in one_line(err)
+def test_a_large_run_is_drawn_by_the_command_itself(flexspline, tmp_path, monkeypatch):
+    """Another process would hold all of it once more; what is drawn is the same."""
+    words = ("run", "external_push", "--set", "duration=4", "--json", "--out")
+    assert flexspline(*words, tmp_path / "others")[0] == 0
+    monkeypatch.setattr("flexspline.commands._drawing._LARGE", 1000)
+    assert flexspline(*words, tmp_path / "itself")[0] == 0
+    found = files(tmp_path / "others" / "external_push")
+    assert {"run.rrd", "figures/overview.png", "figures/error.png"} <= set(found)
+    assert found == files(tmp_path / "itself" / "external_push")
+    for path in (tmp_path / "others").rglob("*.png"):
+        assert path.read_bytes() == (tmp_path / "itself" / path.relative_to(tmp_path / "others")).read_bytes()
 
 
 def test_run_takes_a_file(flexspline, tmp_path):

@@ -7,8 +7,7 @@ import json
 import pytest
 
 import flexspline as fs
-from flexspline.scenarios.arms.arm_scenario import shipped_arms
-from flexspline.scenarios.scenario import shipped_scenarios
+from flexspline.scenarios.scenario import shipped_arms, shipped_scenarios
 from flexspline.scenarios.studies.study import shipped_studies
 
 KNOWN = {

@@ -315,7 +315,7 @@ def test_a_step_that_cannot_be_compiled_is_one_line(flexspline, files, tmp_path)
     files[0].write_text(text, encoding="utf-8")
     words = ["--set", "duration=1.5", "--set", "filters=[moving_average]", "--no-figures", "--no-recording"]
     line = one_line(flexspline("run", "link_sweep", *words, "--out", tmp_path / "r", "--plugin", files[0]))
-    assert f"{files[0]}, line 23: _step: expected a step that can be compiled" in line and "cuont" in line
+    assert f"{files[0]}, line 13: _step: expected a step that can be compiled" in line and "cuont" in line
 
 
 @pytest.mark.slow

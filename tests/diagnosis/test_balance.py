@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import flexspline as fs
-from flexspline.diagnosis.balance import SENSOR_MEMORY, SENSOR_NOISE, extended, fit_current, fit_eccentricity
+from benchmarks.balance import SENSOR_MEMORY, SENSOR_NOISE, extended, fit_current, fit_eccentricity
 from flexspline.estimator.smoothed import STEP
 from flexspline.models.errors import InputError
 from flexspline.models.joint import Effect, Estimate, Joint, load_joint

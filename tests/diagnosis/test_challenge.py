@@ -75,7 +75,7 @@ def require_found(drawn: Draw, found: Diagnosis) -> None:
 
 
 OFF = pytest.mark.xfail(
-    strict=False, reason="its coefficients lie 3.2 and 3.0 deviations off, 17 %, along the torque constant"
+    strict=True, reason="its coefficients lie 3.2 and 3.0 deviations off, 17 %, along the torque constant"
 )
 
 
@@ -202,7 +202,7 @@ def test_rows_in_which_alone_the_load_shakes_count():
 
 
 NO_TELLING = pytest.mark.xfail(
-    strict=False, reason="the general one adds 3 to the log evidence: its special case, at 0.83"
+    strict=True, reason="the general one adds 3 to the log evidence: its special case, at 0.83"
 )
 
 
@@ -252,7 +252,7 @@ def test_a_variance_of_rounding_alone_is_no_error(beside_a_stop):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="an order of the link encoder's error stands in its place, at 0.7")
+@pytest.mark.xfail(strict=True, reason="an order of the link encoder's error stands in its place, at 0.7")
 def test_a_rotor_inertia_is_found_beside_a_stop(beside_a_stop):
     found = {c.name: c.confidence for c in beside_a_stop.causes}
     assert {"hard_stop", "rotor_inertia"} <= set(found), found

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hidden_joint import measure
 
+from benchmarks import band_draws as bands
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.regions import Region, drawn_back, held_out_regions, region_masks, valid_range
@@ -17,7 +18,6 @@ from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, evaluate_point, with_dispersion
 from flexspline.diagnosis.search.acceptance import by_chance
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
-from flexspline.diagnosis.trials import bands
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.uncertainty import growth, larger, of_description, stated
 from flexspline.diagnosis.validate import validate

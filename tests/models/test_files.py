@@ -7,8 +7,9 @@ import os
 from contextlib import contextmanager
 from typing import Annotated, Literal
 
+import numpy as np
 import pytest
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from flexspline.models.errors import InputError
 from flexspline.models.files import Strict, check_name, load, parse, read_yaml, write_into_place
@@ -117,7 +118,7 @@ def test_text_that_is_no_yaml_is_one_line(tmp_path, text, expected):
 
 def test_text_in_another_encoding_is_named_by_line(tmp_path):
     (tmp_path / "a.yaml").write_bytes("name: x\nunit: °C\n".encode("latin-1"))
-    with pytest.raises(InputError, match=r"a\.yaml, line 2: .*not UTF-8"):
+    with pytest.raises(InputError, match=r"a\.yaml:2: .*not UTF-8"):
         read_yaml(tmp_path / "a.yaml", "a file")
 
 
@@ -163,6 +164,45 @@ def test_what_is_wrong_is_said_at_once(data, said):
     assert str(caught.value) == said
 
 
+class _Listed(Strict):
+    name: str
+    parts: list[_Inner] = []
+    first: _Inner | None = None
+
+    @model_validator(mode="after")
+    def _ordered(self) -> _Listed:
+        if len(self.parts) > 2:
+            raise ValueError("parts.2: expected two at most")
+        return self
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "said"),
+    [
+        ("name: a\nparts:\n  - {mass: 1, distance: 2}\n  - mass: 1\n    distance: x", 5, "parts.1.distance: expected"),
+        ("name: a\nparts:\n  - {mass: 1, distance: 2}\n  - mass: 1", 4, "parts.1.distance: missing"),
+        ("parts: []", None, "name: missing"),
+        (
+            "name: a\nparts: [{mass: 1, distance: 2},\n  {mass: 1, distance: 2},\n  {mass: 1, distance: 2}]",
+            4,
+            "parts.2: e",
+        ),
+        ("name: a\nfirst: &a\n  mass: 1\n  distance: 2\nparts:\n - *a\n - {mas: 3}", 7, "parts.1.mas: unknown"),
+        ("name: a\n\nnam: b", 3, "nam: unknown key; did you mean 'name'?"),
+        ("name: a\nparts: [\n", 3, "not YAML"),
+        ("name: a\nname: b", 2, "not YAML: the key 'name' stands twice"),
+    ],
+)
+def test_errors_name_the_line(tmp_path, text, line, said):
+    """Wherever it is: comments and empty lines above do not move it."""
+    above = int(np.random.default_rng(len(text)).integers(0, 5))
+    path = tmp_path / "a.yaml"
+    path.write_text("# what it is\n" * above + text, encoding="utf-8")
+    with pytest.raises(InputError) as caught:
+        load(path, _Listed, "a file")
+    assert str(caught.value).startswith(f"{path}{f':{above + line}' if line else ''}: {said}")
+
+
 class _Numbers(Strict):
     number: float = 0.0
     count: Annotated[int, Field(ge=0)] = 0
@@ -186,7 +226,7 @@ def test_only_numbers_are_numbers(tmp_path, text, place):
     with pytest.raises(InputError) as caught:
         load(path, _Numbers, "a file")
     message = str(caught.value)
-    assert message.startswith(f"{path}: {place.split(':')[0]}") and "number" in message and ", got " in message
+    assert message.startswith(f"{path}:1: {place.split(':')[0]}") and "number" in message and ", got " in message
 
 
 @pytest.mark.parametrize(

@@ -250,7 +250,7 @@ def test_empty_and_binary_files(tmp_path):
         load_joint(empty)
     binary = tmp_path / "binary.yaml"
     binary.write_bytes(bytes([0xFF, 0xFE, 0x00, 0x81]))
-    with pytest.raises(InputError, match=r"binary\.yaml, line 1: cannot read a joint description: not UTF-8 text"):
+    with pytest.raises(InputError, match=r"binary\.yaml:1: cannot read a joint description: not UTF-8 text"):
         load_joint(binary)
 
 

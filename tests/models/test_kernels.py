@@ -58,9 +58,10 @@ def house(tmp_path):
     for name, text in (("__init__", ""), ("law", LAW), ("user", USER), ("other", OTHER)):
         (package / f"{name}.py").write_text(text, encoding="utf-8")
 
-    def run(**environment):
+    def run(umask=-1, **environment):
         done = subprocess.run(
             [sys.executable, "-c", MAIN], cwd=tmp_path, env=os.environ | environment, capture_output=True, text=True,
+            umask=umask,
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         values, digests, folder, misses = done.stdout.strip().splitlines()
@@ -199,3 +200,10 @@ def test_division_by_zero_is_an_infinity():
         return a / b
 
     assert quotient(1.0, 0.0) == np.inf and np.isnan(quotient(0.0, 0.0))
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no umask")
+def test_compiled_code_is_for_its_owner_to_write(house, tmp_path):
+    """Whatever the umask: it is executed."""
+    folder = house(umask=0)[2]
+    assert [path.stat().st_mode & 0o077 for path in (folder, folder.parent)] == [0, 0]

@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 
 
 def figures_of(run: Run) -> dict[str, Figure]:
-    """The figures that fit a run, by file name: those of the paper that its scenario names, and the general ones.
-
-    Of a thinned run those that show samples alone.
-    """
+    """The figures that fit a run, by file name: those of the paper that its scenario names, and the general ones."""
     return {name: make(run) for name, make in _chosen(run).items()}
 
 
@@ -66,8 +63,6 @@ def _without_collecting() -> Iterator[None]:
 def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
     from . import error, experiments, filters, hysteresis, overview, zoom
 
-    if run.thinned is not None:  # means over a window need every sample
-        return {"overview": overview.overview, "error": error.error}
     of_paper: dict[str, tuple[str, Callable[[Run], Figure]]] = {
         "3": ("fig3_stiffness", hysteresis.stiffness),
         "5": ("fig5_no_load", experiments.no_load),

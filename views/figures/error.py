@@ -43,11 +43,9 @@ def error(run: Run) -> Figure:
         panel.set(ylabel="[N·m]", ylim=(-limit, limit), xlim=(run.time[0], run.time[-1]))
         legend(panel)
     panels[-1].set_xlabel("time [s]")
-    thinned, shares = run.thinned, 100 * (1 - np.arange(1, 1001) / 1001)
+    shares = 100 * (1 - np.arange(1, 1001) / 1001)
     for name, values in {"raw model": model, **errors}.items():
-        size = (
-            np.quantile(np.abs(values[kept]), 1 - shares / 100) if thinned is None else thinned.exceeded(name, shares)
-        )
+        size = np.quantile(np.abs(values[kept]), 1 - shares / 100)
         last.plot(np.maximum(size, 1e-6), shares, color=colors.get(name, MODEL), label=name, lw=1.4)
     last.set(xlabel="size of the error [N·m]", ylabel="time above it [%]")
     decades(last.xaxis, last.yaxis)

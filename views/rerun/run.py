@@ -44,11 +44,6 @@ def write_rerun(run: Run, path: Path) -> Path:
     with recording(path, run.name, run_blueprint(run, reach(model))) as stream:
         send_run(stream, run, model, colors, bool(np.any(run.external_torque)))
         for name in switching(run):
-            if run.thinned is not None:
-                start, share_of_bin = run.thinned.start, run.thinned.robust[name]
-                send_share(stream, name, start, 100 * share_of_bin, colors[name])
-                send_mode(stream, name, start, share_of_bin >= 0.5, colors[name])
-                continue
             robust = modes(run, name)
             send_share(stream, name, run.time, share_of(robust, run.time), colors[name])
             start, robust = windows(run.time, robust, window_samples(MODE_WINDOW, run.time))
@@ -88,7 +83,7 @@ def _interesting(run: Run) -> np.ndarray:
     """Samples around disturbances' edges, which keep every millisecond as far as the points suffice; shape (n,)."""
     edges = [edge for d in run.scenario.happening for edge in (d.start, d.start + d.duration)]
     near = np.zeros(len(run.time), dtype=bool)
-    if edges and run.thinned is None:
+    if edges:
         reach = min(0.2, 0.5 * POINTS * float(run.time[1] - run.time[0]) / (2 * len(edges)))
         for edge in edges:
             near |= np.abs(run.time - edge) <= reach

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
 
 FRAME_RATE = 50.0
 """Poses of the 3D scene per second."""
-_FRAMES = 5000  # of a run that is too long for that
 
 
 def shape_of(joint: Joint) -> mujoco.MjModel:
@@ -56,7 +55,7 @@ def send_scene(
       colors: of the filters that there are, by name.
       pushed: whether there is ever a torque on the link.
     """
-    frames = thin_frames(run.time) if run.thinned is None else np.arange(0, len(run.time), -(-len(run.time) // _FRAMES))
+    frames = thin_frames(run.time)
     if not len(frames):
         return
     time = [rr.TimeColumn(TIMELINE, duration=run.time[frames])]

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
+from benchmarks import torque_loops as torque_control
 from flexspline.models import laws
 from flexspline.models.errors import InputError
-from flexspline.scenarios.evaluation import torque_control
 from flexspline.scenarios.evaluation.intervals import median
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim.drive import Controller

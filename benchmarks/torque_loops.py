@@ -19,15 +19,15 @@ from pathlib import Path
 
 import numpy as np
 
-from ...estimator.errors import FilterDiverged
-from ...estimator.estimator import Estimator, KnownJoint
-from ...models.errors import InputError
-from ...models.joint import LOCKED, Mounting
-from ...sim.drive import Controller
-from ...sim.loop import CONTROL_PERIOD, Simulation
-from ..experiment import Experiment
-from ..scenario import Scenario, Waypoint
-from .draws import drawn_record, told, varied
+from flexspline.estimator.errors import FilterDiverged
+from flexspline.estimator.estimator import Estimator, KnownJoint
+from flexspline.models.errors import InputError
+from flexspline.models.joint import LOCKED, Mounting
+from flexspline.scenarios.evaluation.draws import drawn_record, told, varied
+from flexspline.scenarios.experiment import Experiment
+from flexspline.scenarios.scenario import Scenario, Waypoint
+from flexspline.sim.drive import Controller
+from flexspline.sim.loop import CONTROL_PERIOD, Simulation
 
 GAINS = (0.25, 64.0)
 """Smallest and largest torque loop gain that is tried."""

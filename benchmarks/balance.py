@@ -17,14 +17,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..estimator import smoothed
-from ..estimator.estimator import KnownJoint
-from ..estimator.smoothed import Motion
-from ..models import causes
-from ..models.causes.base import CauseParameter
-from ..models.errors import InputError
-from ..models.joint import Effect, Estimate, Joint
-from ..models.recording import Recording
+from flexspline.estimator import smoothed
+from flexspline.estimator.estimator import KnownJoint
+from flexspline.estimator.smoothed import Motion
+from flexspline.models import causes
+from flexspline.models.causes.base import CauseParameter
+from flexspline.models.errors import InputError
+from flexspline.models.joint import Effect, Estimate, Joint
+from flexspline.models.recording import Recording
 
 MOVING = 0.05
 """Output velocity [rad/s] above which samples count: friction at rest is anything up to its level."""

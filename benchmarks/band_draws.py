@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from ...estimator.offline import estimate_recording
-from ...models.joint import Joint
-from ...models.recording import Measurement, Recording
-from ...scenarios.scenario import Scenario
-from ..answer import Diagnosis
-from ..diagnose import diagnose
-from ..improvement import MAIN as ESTIMATORS
-from ..validate import SIGMAS, Channels, validate
-from .draw import Challenge, Draw, draw, drawn_scenarios
-from .motions import jittered, record_motion
+from flexspline.diagnosis.answer import Diagnosis
+from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.improvement import MAIN as ESTIMATORS
+from flexspline.diagnosis.trials.draw import Challenge, Draw, draw, drawn_scenarios
+from flexspline.diagnosis.trials.motions import jittered, record_motion
+from flexspline.diagnosis.validate import SIGMAS, Channels, validate
+from flexspline.estimator.offline import estimate_recording
+from flexspline.models.joint import Joint
+from flexspline.models.recording import Measurement, Recording
+from flexspline.scenarios.scenario import Scenario
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,105 @@
+"""Rows of a study's dataset: the runs of a chunk, simulated, estimated and measured."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Generator
+from dataclasses import dataclass
+from functools import cache
+from importlib import metadata
+from typing import Any
+
+import mujoco
+import numpy as np
+import pyarrow as pa
+
+from ...estimator import registry
+from ...estimator.errors import FilterDiverged
+from ...models.errors import InputError
+from ..experiment import Experiment, signals_of
+from ..run import reference_of
+from .dataset import Chunk
+from .design import Cell, Design
+
+Done = Generator[tuple[Chunk, pa.Table], None, None]
+"""Chunks with their rows, as they finish."""
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of what the bits of a row depend on."""
+    return {name: metadata.version(name) for name in ("flexspline", "mujoco", "numpy", "scipy", "numba")}
+
+
+@dataclass(frozen=True)
+class VariantOutcome:
+    """What became of one variant in one run: measures by name, or why there are none."""
+
+    metrics: dict[str, float | None]
+    failure: str = ""
+
+
+def compute(design: Design, chunk: Chunk, stop: threading.Event | None = None) -> pa.Table | None:
+    """The rows of a chunk: runs of one cell, one after the other. None when asked to stop.
+
+    Raises:
+      InputError: a scenario that cannot run.
+    """
+    cell = design.cells[chunk.cell]
+    experiment = design.experiment(cell)
+    model = experiment.build()
+    rows = []
+    for run in range(chunk.begin, chunk.end):
+        if stop is not None and stop.is_set():
+            return None
+        seed = design.study.seed_list[run]
+        drawn, record = design.drawn(cell, seed, experiment)
+        plant = model if record is None else drawn.build(record)
+        outcomes = outcomes_of(design, cell, seed, drawn, record, plant)
+        head: dict[str, Any] = {"run": run, "seed": seed, "key": design.key(cell, seed), **cell.columns}
+        for variant, outcome in zip(design.variants, outcomes, strict=True):
+            rows.append(head | variant.columns | {"filter": variant.name, "failure": outcome.failure} | outcome.metrics)
+    table = pa.Table.from_pylist(rows, schema=schema(design))
+    return table.replace_schema_metadata({"versions": json.dumps(versions(), sort_keys=True)})
+
+
+def schema(design: Design) -> pa.Schema:
+    """Columns of the dataset, but for scenario and cell, which its folders name."""
+    kinds: dict[str, pa.DataType] = {"cause": pa.string()}
+    for axis in design.study.axes:
+        text = isinstance(getattr(axis, "values", [0.0])[0], str)
+        kinds[axis.name] = pa.string() if text else pa.float64()
+    columns = [*design.cells[0].columns, *(axis.name for axis in design.study.filter_axes)]
+    return pa.schema(
+        [("run", pa.int64()), ("seed", pa.int64()), ("key", pa.string())]
+        + [(name, kinds[name]) for name in columns]
+        + [("filter", pa.string()), ("failure", pa.string())]
+        + [(name, pa.float64()) for name in design.study.metrics]
+    )
+
+
+def outcomes_of(
+    design: Design, cell: Cell, seed: int, experiment: Experiment, record: np.ndarray | None, model: mujoco.MjModel
+) -> list[VariantOutcome]:
+    """Simulate once; what became of every variant. One that diverges leaves the others as they are."""
+    try:
+        simulation = experiment.simulate(design.noise_seed(cell, seed), record, model)
+        signals = signals_of(simulation)
+        raw = registry.get("model").estimate(signals, experiment.known).mean
+    except (InputError, FilterDiverged) as error:
+        return [VariantOutcome({}, str(error))] * len(design.variants)
+    reference = reference_of(simulation, raw, experiment.external_torque, experiment.scenario.transient)
+    outcomes = []
+    for variant in design.variants:
+        try:
+            found = variant.estimator.estimate(signals, experiment.known)
+        except (InputError, FilterDiverged) as error:
+            outcomes.append(VariantOutcome({}, str(error)))
+            continue
+        if not np.isfinite(found.mean).all():
+            outcomes.append(VariantOutcome({}, f"{variant.estimator.name}: the estimate is no longer a finite number"))
+            continue
+        measured = reference.evaluate_posterior(found)
+        outcomes.append(VariantOutcome({name: measured[name] for name in design.study.metrics}))
+    return outcomes
