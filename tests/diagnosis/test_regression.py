@@ -46,7 +46,8 @@ def test_numbers_of_a_rigid_joint(draw, rng, tmp_path):
     (found,) = regressions(measurement(tmp_path, time=time, link_position=theta, motor_current=current), joint)
     got = {c.means: c for c in found.coefficients if c.means}
     wanted = {
-        "gravity_moment": moment, "inertia": inertia, "Fc": Fc, "viscous": viscous, "load_dependent_friction": mu, "offset": offset,
+        "gravity_moment": moment, "inertia": inertia, "Fc": Fc, "viscous": viscous, "load_dependent_friction": mu,
+        "offset": offset,
     }  # fmt: skip
     assert set(got) == set(wanted)
     for name, value in wanted.items():
@@ -60,7 +61,11 @@ def test_torque_constant_where_a_sensor_was_read(rng, tmp_path):
     time, theta, v, a = motion(rng, 30.0)
     torque = 9.0 * np.sin(theta) + 0.35 * a
     current = (torque / 100.0 + 0.018 * np.sign(v)) / 0.046 + 0.01 * rng.standard_normal(len(time))
-    columns = {"link_position": theta, "motor_current": current, "joint_torque": torque + 0.03 * rng.standard_normal(len(time))}
+    columns = {
+        "link_position": theta,
+        "motor_current": current,
+        "joint_torque": torque + 0.03 * rng.standard_normal(len(time)),
+    }
     found = regressions(measurement(tmp_path, time=time, **columns), joint)
     (constant,) = [c for one in found for c in one.coefficients if c.means == "Kt"]
     assert constant.number == pytest.approx(0.046, rel=0.02)
@@ -93,4 +98,7 @@ def test_prediction_is_what_it_was_fitted_to(rng, tmp_path):
 def test_too_little_motion_says_nothing(tmp_path):
     time = np.arange(0.0, 0.3, 1 / RATE)
     rest = np.zeros_like(time)
-    assert regressions(measurement(tmp_path, time=time, link_position=rest, motor_current=rest), load_joint("test-joint")) == ()
+    assert (
+        regressions(measurement(tmp_path, time=time, link_position=rest, motor_current=rest), load_joint("test-joint"))
+        == ()
+    )
