@@ -35,8 +35,8 @@ def command(
         list[str],
         typer.Argument(
             metavar="FORMAT FILE…",
-            help="a shipped layout (`lara8`, `ur3e`, `ur3e_rtde`) or a mapping file (YAML), and logs (CSV and other text, Parquet, "
-            "JSON, npz, mat, HDF5, xlsx, MCAP, ROS bags); or a measurement alone; or, with --propose, a log alone",
+            help="a shipped layout (`lara8`, `ur3e`, `ur3e_rtde`) or a mapping file (YAML), and logs (CSV and other text, "
+            "Parquet, JSON, npz, mat, HDF5, xlsx, MCAP, ROS bags); or a measurement alone; or, with --propose, a log alone",
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="folder that the recordings are written to")] = None,

@@ -27,7 +27,7 @@ _LOOKED_AT = 400  # lines
 _BLOCK = 1 << 16  # rows that are converted at once
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:([.,])\d*)?|([.,])\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 _CLOCK = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{1,2})(?:([.,:])(\d+))?")
-_LIST = re.compile(r"[\[(].*[\])]", re.DOTALL)
+_LIST = re.compile(r"[\[(]\s*[-+.\d].*[\])]", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,8 @@ def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool 
 
     begin = next(i for i, row in enumerate(rows) if row and not row[0].startswith(COMMENTS) and is_data(row))
     above = [fit for row in rows[:begin] if (fit := _fitted(row, late, width)) is not None]
-    if not above and rows[begin] == [str(j) for j in range(width)] and width > 1:  # a header of numbers
+    by_number = [str(j) for j in range(width)]
+    if not above and width > 1 and rows[begin] in (by_number, ["", *by_number[:-1]]):  # a header of numbers
         above, begin = [*above, rows[begin]], begin + 1
     said = [row for row in above if not row[0].startswith(COMMENTS)]
     comments = [[row[0].lstrip("#%/ "), *row[1:]] for row in above if row[0].startswith(COMMENTS)]

@@ -558,7 +558,7 @@ def _unpacked(path: Path, start: bytes) -> tuple[Source, str]:
     found, note = BytesIO(), ""
     try:
         with opener(path) as stream:
-            while part := stream.read(1 << 20):
+            while part := stream.read1(1 << 16):
                 found.write(part)
     except EOFError:
         note = "the compressed file is cut short, and what there is of it is read"
