@@ -446,12 +446,15 @@ class _Text(Log):
         return self._table.fault(self._table.names[0], index * self._turns + int(column))
 
 
+_NO_TABLES = (".urdf", ".xml", ".yaml", ".yml", ".md", ".py", ".png", ".jpg", ".mp4", ".pdf", "")
+
+
 class _Folder(Log):
     """Files of a folder that belong together, row by row: columns are `FILE/COLUMN`."""
 
     def __init__(self, path: Path, wanted: set[str] | None, form: LogForm):
         self.path = path
-        files = [one for one in sorted(path.iterdir()) if one.is_file() and not one.name.startswith(".")]
+        files = [one for one in sorted(path.iterdir()) if one.is_file() and one.suffix not in _NO_TABLES]
         asked = [one for one in files if wanted is None or any(name.startswith(f"{one.name}/") for name in wanted)]
         if not asked:
             raise InputError(

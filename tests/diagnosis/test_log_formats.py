@@ -88,8 +88,13 @@ TEXTS: dict[str, str | bytes] = {
     "tabs": text("\t"),
     "bars": text("|"),
     "blanks": text(" "),
-    "a column of text first": "\n".join(f"{'name' if k == 0 else 'arm'},{line}" for k, line in enumerate(text().splitlines())) + "\n",
-    "aligned by blanks": "\n".join(["   time        q   current"] + [f"{t:12.4f}  {q:12.6f} {i:12.5f}" for t, q, i in ROWS]),
+    "a column of text first": "\n".join(
+        f"{'name' if k == 0 else 'arm'},{line}" for k, line in enumerate(text().splitlines())
+    )
+    + "\n",
+    "aligned by blanks": "\n".join(
+        ["   time        q   current"] + [f"{t:12.4f}  {q:12.6f} {i:12.5f}" for t, q, i in ROWS]
+    ),
     "commas and blanks": text().replace(",", ", "),
     "windows line ends": text(end="\r\n"),
     "utf-8 with a mark": b"\xef\xbb\xbf" + text().encode(),
@@ -110,22 +115,29 @@ TEXTS: dict[str, str | bytes] = {
     "every row ends with a separator": text().replace("\n", ",\n").replace("current,", "current"),
     "header and rows end with a separator": text(end=";\n", separator=";"),
     "row numbers": "\n".join(f"{k or ''},{line}" for k, line in enumerate(text().splitlines())),
-    "row numbers without a name": "\n".join(line if k == 0 else f"{k},{line}" for k, line in enumerate(text().splitlines())),
+    "row numbers without a name": "\n".join(
+        line if k == 0 else f"{k},{line}" for k, line in enumerate(text().splitlines())
+    ),
     "quoted": "\n".join(",".join(f'"{cell}"' for cell in line.split(",")) for line in text().splitlines()),
-    "quoted decimal commas": "time,q,current\n" + "\n".join(",".join(f'"{x}"'.replace(".", ",") for x in row) for row in ROWS),
+    "quoted decimal commas": "time,q,current\n"
+    + "\n".join(",".join(f'"{x}"'.replace(".", ",") for x in row) for row in ROWS),
     "comments between the rows": text().replace("0.400000,", "# marker set\n0.400000,", 1),
     "empty lines between the rows": text().replace("\n0.4", "\n\n0.4"),
     "clock times": with_times(stamps("2024-03-01 12:00:00", "%H:%M:%S.%f")),
     "clock times past midnight": with_times(stamps("2024-03-01 23:59:59.2", "%H:%M:%S.%f")),
-    "clock times with a comma": with_times([t.replace(".", ",") for t in stamps("2024-03-01 12:00:00", "%H:%M:%S.%f")], ";"),
-    "clock times, milliseconds by a colon": with_times([t.replace(".", ":") for t in stamps("2024-03-01 08:59:59", "%H:%M:%S.%f")]),
+    "clock times with a comma": with_times(
+        [t.replace(".", ",") for t in stamps("2024-03-01 12:00:00", "%H:%M:%S.%f")], ";"
+    ),
+    "clock times, milliseconds by a colon": with_times(
+        [t.replace(".", ":") for t in stamps("2024-03-01 08:59:59", "%H:%M:%S.%f")]
+    ),
     "dates and times": with_times(stamps("2024-03-01 23:59:59", "%Y-%m-%d %H:%M:%S.%f")),
     "dates with T": with_times(stamps("2024-02-28 23:59:59", "%Y-%m-%dT%H:%M:%S.%f")),
     "dates with T and Z": with_times([t + "Z" for t in stamps("2024-03-01 12:00:00", "%Y-%m-%dT%H:%M:%S.%f")]),
     "dates with an offset": with_times([t + "+01:00" for t in stamps("2024-03-01 12:00:00", "%Y-%m-%dT%H:%M:%S.%f")]),
     "dates with points": with_times(stamps("2024-03-01 12:00:00", "%d.%m.%Y %H:%M:%S.%f"), ";"),
     "dates with slashes": with_times(stamps("2024-03-01 12:00:00", "%m/%d/%Y %H:%M:%S.%f")),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", TEXTS)
@@ -211,8 +223,17 @@ def test_a_torn_last_line_is_left_out_and_said(tmp_path, tail):
 
 def test_all_damaged_rows_are_named_at_once_and_left_out_by_a_key(tmp_path):
     lines = text().splitlines()
-    bad = {20: "0.076,,1.0", 50: "0.196,0.1,err", 51: "0.2,0.1", 99: "0.392,nan,1", 140: "0.556,inf,1", 200: "n/a,0,0",
-           201: "0.8,1,2,3", 260: "1.036,0x,1", 300: "1.196,1.2.3,1"}  # fmt: skip
+    bad = {
+        20: "0.076,,1.0",
+        50: "0.196,0.1,err",
+        51: "0.2,0.1",
+        99: "0.392,nan,1",
+        140: "0.556,inf,1",
+        200: "n/a,0,0",
+        201: "0.8,1,2,3",
+        260: "1.036,0x,1",
+        300: "1.196,1.2.3,1",
+    }
     for line, given in bad.items():
         lines[line] = given
     (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
@@ -319,56 +340,162 @@ def parquet(**columns: Any) -> Write:
 LISTS = pa.FixedSizeListArray.from_arrays(pa.array(np.stack([Q, 2 * Q, Q**2], axis=1).ravel()), 3)
 FILES: dict[str, tuple[str, Write, dict[str, Any]]] = {
     "npz": ("log.npz", lambda p: np.savez(p, time=T, q=Q, current=I, note=np.array(["a"])), {}),
-    "npz, compressed, with objects": ("log.npz", lambda p: np.savez_compressed(p, time=T, q=Q, current=I, what=np.array([{}], dtype=object)), {}),
+    "npz, compressed, with objects": (
+        "log.npz",
+        lambda p: np.savez_compressed(p, time=T, q=Q, current=I, what=np.array([{}], dtype=object)),
+        {},
+    ),
     "npz, single precision": ("log.npz", lambda p: np.savez(p, time=T, q=Q.astype("f4"), current=I.astype("f4")), {}),
-    "npz of tables": ("log.npz", lambda p: np.savez(p, t=T, state=np.stack([Q, I], axis=1)), {"time": "t", "link_position": "state/0", "motor_current": "state/1"}),
-    "npz of tables on their side": ("log.npz", lambda p: np.savez(p, t=T[None], state=np.stack([Q, I])), {"time": "t", "link_position": "state[0]", "motor_current": "state/1"}),
-    "npz of one table": ("log.npz", lambda p: np.savez(p, np.array(ROWS)), {"time": 0, "link_position": 1, "motor_current": "arr_0/2"}),
-    "npz of fields": ("log.npz", lambda p: np.savez(p, log=FIELDS), {"time": "log/time", "link_position": "q", "motor_current": "log.current"}),
+    "npz of tables": (
+        "log.npz",
+        lambda p: np.savez(p, t=T, state=np.stack([Q, I], axis=1)),
+        {"time": "t", "link_position": "state/0", "motor_current": "state/1"},
+    ),
+    "npz of tables on their side": (
+        "log.npz",
+        lambda p: np.savez(p, t=T[None], state=np.stack([Q, I])),
+        {"time": "t", "link_position": "state[0]", "motor_current": "state/1"},
+    ),
+    "npz of one table": (
+        "log.npz",
+        lambda p: np.savez(p, np.array(ROWS)),
+        {"time": 0, "link_position": 1, "motor_current": "arr_0/2"},
+    ),
+    "npz of fields": (
+        "log.npz",
+        lambda p: np.savez(p, log=FIELDS),
+        {"time": "log/time", "link_position": "q", "motor_current": "log.current"},
+    ),
     "npy": ("log.npy", lambda p: np.save(p, np.array(ROWS)), {"time": 0, "link_position": 1, "motor_current": 2}),
     "npy of fields": ("log.npy", lambda p: np.save(p, FIELDS), {}),
     "mat": ("log.mat", lambda p: scipy.io.savemat(p, {"time": T, "q": Q[:, None], "current": I[None]}), {}),
-    "mat of structs": ("log.mat", lambda p: scipy.io.savemat(p, {"log": STRUCT}), {"time": "log.t.time", "link_position": "log/joint/q", "motor_current": "current"}),
-    "mat of a matrix": ("log.mat", lambda p: scipy.io.savemat(p, {"data": np.array(ROWS), "fs": 250.0}), {"time": "data/0", "link_position": "data/1", "motor_current": "data/2"}),
+    "mat of structs": (
+        "log.mat",
+        lambda p: scipy.io.savemat(p, {"log": STRUCT}),
+        {"time": "log.t.time", "link_position": "log/joint/q", "motor_current": "current"},
+    ),
+    "mat of a matrix": (
+        "log.mat",
+        lambda p: scipy.io.savemat(p, {"data": np.array(ROWS), "fs": 250.0}),
+        {"time": "data/0", "link_position": "data/1", "motor_current": "data/2"},
+    ),
     "mat, version 4": ("log.mat", lambda p: scipy.io.savemat(p, {"time": T, "q": Q, "current": I}, format="4"), {}),
     "mat, version 7.3": ("log.mat", matlab_7_3, {"link_position": "log/q", "motor_current": "log.current"}),
     "hdf5": ("log.h5", hdf5(time=T, q=Q, current=I), {}),
-    "hdf5 of groups": ("log.hdf5", hdf5(t={"time": T}, joint={"q": Q[:, None], "i": np.stack([I, -I], 1)}, image=np.zeros((N, 40, 40))), {"motor_current": "joint/i/0"}),
+    "hdf5 of groups": (
+        "log.hdf5",
+        hdf5(t={"time": T}, joint={"q": Q[:, None], "i": np.stack([I, -I], 1)}, image=np.zeros((N, 40, 40))),
+        {"motor_current": "joint/i/0"},
+    ),
     "hdf5 of fields": ("log.h5", hdf5(group={"log": FIELDS}), {"link_position": "/group/log/q"}),
-    "hdf5 of pandas": ("log.h5", hdf5(frame={"block0_items": np.array([b"time", b"q", b"current"]), "block0_values": np.array(ROWS)}), {}),
-    "json of columns": ("log.json", lambda p: p.write_text(json.dumps({"time": T.tolist(), "q": Q.tolist(), "current": I.tolist(), "name": "b"})), {}),
+    "hdf5 of pandas": (
+        "log.h5",
+        hdf5(frame={"block0_items": np.array([b"time", b"q", b"current"]), "block0_values": np.array(ROWS)}),
+        {},
+    ),
+    "json of columns": (
+        "log.json",
+        lambda p: p.write_text(json.dumps({"time": T.tolist(), "q": Q.tolist(), "current": I.tolist(), "name": "b"})),
+        {},
+    ),
     "json of entries": ("log.json", lambda p: p.write_text(json.dumps(ENTRIES)), {}),
-    "json of entries in a dictionary": ("log.json", lambda p: p.write_text(json.dumps({"mass": 0.5, "axes": [1, 2], "entries": ENTRIES}, indent=1)), {}),
-    "json of nested entries": ("log.json", lambda p: p.write_text(json.dumps({"run": {"data": [{"stamp": {"s": t}, "joint": {"q": [0, q]}, "i": i} for t, q, i in ROWS]}})), {"time": "stamp/s", "link_position": "joint/q/1", "motor_current": "i"}),
-    "json of joint states": ("log.json", lambda p: p.write_text(json.dumps([{"t": t, "name": ["a", "b"], "position": [q, 0], "effort": [i, 1]} for t, q, i in ROWS])), {"time": "t", "link_position": "position/a", "motor_current": "effort/a"}),
+    "json of entries in a dictionary": (
+        "log.json",
+        lambda p: p.write_text(json.dumps({"mass": 0.5, "axes": [1, 2], "entries": ENTRIES}, indent=1)),
+        {},
+    ),
+    "json of nested entries": (
+        "log.json",
+        lambda p: p.write_text(
+            json.dumps({"run": {"data": [{"stamp": {"s": t}, "joint": {"q": [0, q]}, "i": i} for t, q, i in ROWS]}})
+        ),
+        {"time": "stamp/s", "link_position": "joint/q/1", "motor_current": "i"},
+    ),
+    "json of joint states": (
+        "log.json",
+        lambda p: p.write_text(
+            json.dumps([{"t": t, "name": ["a", "b"], "position": [q, 0], "effort": [i, 1]} for t, q, i in ROWS])
+        ),
+        {"time": "t", "link_position": "position/a", "motor_current": "effort/a"},
+    ),
     "json lines": ("log.jsonl", lambda p: p.write_text("\n".join(map(json.dumps, ENTRIES)) + "\n"), {}),
     "json lines under any name": ("log.log", lambda p: p.write_text("\n".join(map(json.dumps, ENTRIES))), {}),
     "json of pandas": ("log.json", lambda p: TABLE.to_json(p), {}),
     "json of pandas, records": ("log.json", lambda p: TABLE.to_json(p, orient="records"), {}),
     "json of pandas, split": ("log.json", lambda p: TABLE.to_json(p, orient="split"), {}),
     "json of rows": ("log.json", lambda p: p.write_text(json.dumps([["time", "q", "current"], *map(list, ROWS)])), {}),
-    "json of rows without names": ("log.json", lambda p: p.write_text(json.dumps({"data": np.array(ROWS).tolist()})), {"time": "data/0", "link_position": "1", "motor_current": 2}),
-    "json with dates": ("log.json", lambda p: p.write_text(json.dumps([e | {"time": t} for e, t in zip(ENTRIES, stamps("2024-03-01", "%Y-%m-%dT%H:%M:%S.%f"), strict=True)])), {}),
+    "json of rows without names": (
+        "log.json",
+        lambda p: p.write_text(json.dumps({"data": np.array(ROWS).tolist()})),
+        {"time": "data/0", "link_position": "1", "motor_current": 2},
+    ),
+    "json with dates": (
+        "log.json",
+        lambda p: p.write_text(
+            json.dumps(
+                [e | {"time": t} for e, t in zip(ENTRIES, stamps("2024-03-01", "%Y-%m-%dT%H:%M:%S.%f"), strict=True)]
+            )
+        ),
+        {},
+    ),
     "xlsx": ("log.xlsx", sheet(), {}),
     "xlsx with a title": ("log.xlsx", sheet(["Bench 7, joint 2"], []), {}),
     "xlsx with dates": ("log.xlsx", sheet(dates=True), {}),
     "xlsx, second sheet": ("log.xlsx", sheet(second=True), {}),
     "parquet": ("log.parquet", lambda p: TABLE.to_parquet(p), {}),
-    "parquet, single precision": ("log.parquet", lambda p: TABLE.astype({"q": "float32", "current": "float32"}).to_parquet(p), {}),
+    "parquet, single precision": (
+        "log.parquet",
+        lambda p: TABLE.astype({"q": "float32", "current": "float32"}).to_parquet(p),
+        {},
+    ),
     "parquet, nullable": ("log.parquet", lambda p: TABLE.convert_dtypes().to_parquet(p), {}),
-    "parquet with dates": ("log.pq", lambda p: TABLE.assign(time=pd.Timestamp("2024-03-01") + pd.to_timedelta(T, unit="s")).to_parquet(p), {}),
-    "parquet with durations": ("log.parquet", lambda p: TABLE.assign(time=pd.to_timedelta(T, unit="s")).to_parquet(p), {}),
-    "parquet with times as text": ("log.parquet", lambda p: TABLE.assign(time=stamps("2024-03-01 23:59:59.5", "%H:%M:%S.%f")).to_parquet(p), {}),
-    "parquet with lists of fixed size": ("log.parquet", parquet(timestamp=T, **{"observation.state": LISTS, "action": LISTS, "i": I}), {"time": "timestamp", "link_position": "observation.state/0", "motor_current": "i"}),
-    "parquet with lists": ("log.parquet", parquet(timestamp=T, state=np.stack([I, Q], 1).tolist()), {"time": "timestamp", "link_position": "state/1", "motor_current": "state/0"}),
-    "parquet with structs": ("log.parquet", parquet(time=T, arm=[{"q": q, "i": [0.0, i]} for _, q, i in ROWS]), {"link_position": "arm/q", "motor_current": "arm.i[1]"}),
+    "parquet with dates": (
+        "log.pq",
+        lambda p: TABLE.assign(time=pd.Timestamp("2024-03-01") + pd.to_timedelta(T, unit="s")).to_parquet(p),
+        {},
+    ),
+    "parquet with durations": (
+        "log.parquet",
+        lambda p: TABLE.assign(time=pd.to_timedelta(T, unit="s")).to_parquet(p),
+        {},
+    ),
+    "parquet with times as text": (
+        "log.parquet",
+        lambda p: TABLE.assign(time=stamps("2024-03-01 23:59:59.5", "%H:%M:%S.%f")).to_parquet(p),
+        {},
+    ),
+    "parquet with lists of fixed size": (
+        "log.parquet",
+        parquet(timestamp=T, **{"observation.state": LISTS, "action": LISTS, "i": I}),
+        {"time": "timestamp", "link_position": "observation.state/0", "motor_current": "i"},
+    ),
+    "parquet with lists": (
+        "log.parquet",
+        parquet(timestamp=T, state=np.stack([I, Q], 1).tolist()),
+        {"time": "timestamp", "link_position": "state/1", "motor_current": "state/0"},
+    ),
+    "parquet with structs": (
+        "log.parquet",
+        parquet(time=T, arm=[{"q": q, "i": [0.0, i]} for _, q, i in ROWS]),
+        {"link_position": "arm/q", "motor_current": "arm.i[1]"},
+    ),
     "arrow": ("log.feather", lambda p: TABLE.to_feather(p), {}),
     "gz of text": ("log.csv.gz", lambda p: p.write_bytes(gzip.compress(text().encode())), {}),
     "bz2 of text": ("log.csv.bz2", lambda p: p.write_bytes(bz2.compress(text(";", ",").encode())), {}),
     "xz of json": ("log.json.xz", lambda p: p.write_bytes(lzma.compress(json.dumps(ENTRIES).encode())), {}),
-    "lists in cells": ("log.csv", lambda p: p.write_text("type,timestamp,positions,torques\n" + "".join(f'STATE,{t},"[0.0, {q}]","[{i}, 1]"\n' for t, q, i in ROWS)), {"time": "timestamp", "link_position": "positions/1", "motor_current": "torques/0"}),
-    "lists of numpy in cells": ("log.csv", lambda p: p.write_text("t;state\n" + "".join(f"{t};[{q} {i}]\n" for t, q, i in ROWS)), {"time": "t", "link_position": "state[0]", "motor_current": "state[1]"}),
-}  # fmt: skip
+    "lists in cells": (
+        "log.csv",
+        lambda p: p.write_text(
+            "type,timestamp,positions,torques\n" + "".join(f'STATE,{t},"[0.0, {q}]","[{i}, 1]"\n' for t, q, i in ROWS)
+        ),
+        {"time": "timestamp", "link_position": "positions/1", "motor_current": "torques/0"},
+    ),
+    "lists of numpy in cells": (
+        "log.csv",
+        lambda p: p.write_text("t;state\n" + "".join(f"{t};[{q} {i}]\n" for t, q, i in ROWS)),
+        {"time": "t", "link_position": "state[0]", "motor_current": "state[1]"},
+    ),
+}
 
 
 @pytest.mark.parametrize("kind", FILES)
@@ -423,8 +550,10 @@ def test_a_missing_package_is_named_with_its_extra(tmp_path, monkeypatch, packag
     import sys
 
     write: dict[str, Write] = {
-        "h5py": hdf5(time=T), "openpyxl": sheet(), "rosbags.highlevel": lambda p: p.write_bytes(b"#ROSBAG V2.0\n")
-    }  # fmt: skip
+        "h5py": hdf5(time=T),
+        "openpyxl": sheet(),
+        "rosbags.highlevel": lambda p: p.write_bytes(b"#ROSBAG V2.0\n"),
+    }
     write[package](tmp_path / name)
     monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(InputError, match=r"install flexspline\[logs\]"):
@@ -453,7 +582,7 @@ def test_a_recording_of_every_episode(flexspline, tmp_path, suffix):
         fs.import_log(mapping(tmp_path, names), path)
     with pytest.raises(InputError, match="expected one episode, got 3"):
         fs.import_log(mapping(tmp_path, names, episodes="episode_index"), path)
-    code, out, err = flexspline("import", tmp_path / "map.yaml", path, "--out", tmp_path / "out")
+    code, _, err = flexspline("import", tmp_path / "map.yaml", path, "--out", tmp_path / "out")
     assert code == 0, err
     recordings = read_measurement(tmp_path / "out").recordings
     assert [r.name for r in recordings] == ["file-000_4", "file-000_5", "file-000_9"]
@@ -482,7 +611,7 @@ def test_files_of_a_folder_and_columns_that_take_turns(flexspline, tmp_path):
         "link_position": "position.csv/- arm_1_joint",
         "motor_current": "effort.csv/- arm_1_joint",
     }
-    code, out, err = flexspline("import", mapping(tmp_path, names), folder, "--out", tmp_path / "out")
+    code, _, err = flexspline("import", mapping(tmp_path, names), folder, "--out", tmp_path / "out")
     assert code == 0, err
     comes_out(read_measurement(tmp_path / "out").recordings[0])
 

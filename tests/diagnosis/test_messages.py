@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 import flexspline as fs
+from flexspline.models.errors import InputWarning
 from flexspline.models.recording import Recording, read_measurement, write_recording
 
 pytest.importorskip("mcap_ros2")
@@ -188,6 +189,69 @@ def test_topics_are_columns(flexspline, tmp_path, kind):
     np.testing.assert_allclose(recording["joint_torque"], 0.05 * motor(k), rtol=0, atol=1e-4)
     again = fs.import_log(tmp_path / "bag.yaml", source)
     assert again["joint_torque"].tobytes() == recording["joint_torque"].tobytes()
+
+
+def ros1(path: Path) -> Path:
+    """The same joint states and wrench as a ROS 1 bag."""
+    from rosbags.rosbag1 import Writer
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind = store.types
+    with Writer(path) as writer:
+        states = writer.add_connection("/joint_states", "sensor_msgs/msg/JointState", typestore=store)
+        wrenches = writer.add_connection("/ft", "geometry_msgs/msg/WrenchStamped", typestore=store)
+        currents = writer.add_connection("/motor_current", "std_msgs/msg/Float32", typestore=store)
+
+        def header(at: int) -> object:
+            stamp = kind["builtin_interfaces/msg/Time"](sec=at // 10**9, nanosec=at % 10**9)
+            return kind["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="")
+
+        def write(connection: object, at: int, message: object) -> None:
+            writer.write(connection, at, store.serialize_ros1(message, message.__msgtype__))
+
+        vector = kind["geometry_msgs/msg/Vector3"]
+        for k in range(N):
+            at, empty = BEGIN + k * STEP, np.zeros(0)
+            angles = np.array([motor(k), 0.01 * motor(k)])
+            state = kind["sensor_msgs/msg/JointState"](header(at), ["motor", "link"], angles, empty, empty)
+            write(states, at + 50_000, state)
+            write(currents, at, kind["std_msgs/msg/Float32"](data=np.float32(0.02 * motor(k))))
+            torque = kind["geometry_msgs/msg/Wrench"](vector(1.0, 2.0, 3.0), vector(0.0, -0.05 * motor(k + 0.5), 0.0))
+            write(wrenches, at + 900_000, kind["geometry_msgs/msg/WrenchStamped"](header(at + STEP // 2), torque))
+    return path
+
+
+def test_a_bag_of_ros_1(tmp_path):
+    recording = fs.import_log(mapping(tmp_path), ros1(tmp_path / "log.bag"))
+    k = np.arange(1, N)
+    np.testing.assert_allclose(recording.time, 1e-9 * STEP * (k - 1), rtol=0, atol=1e-12)
+    np.testing.assert_allclose(recording["link_position"], 0.01 * motor(k), rtol=0, atol=1e-14)
+    np.testing.assert_allclose(recording["motor_current"], 0.02 * motor(k), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(recording["joint_torque"], 0.05 * motor(k), rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize(("period", "most"), [(5, True), (2, False)])
+def test_stamps_that_were_there_before_are_counted(tmp_path, monkeypatch, period, most):
+    """A coarse clock stamps several messages alike: some are left out, and where most would be, the time of logging is used."""
+
+    def coarse() -> Iterable[tuple[str, int, bytes]]:
+        for k in range(N):
+            at = BEGIN + k * STEP
+            stamp = BEGIN + (k // period * period if most or k < N // 2 else k) * STEP
+            yield "/joint_states", at, joint_state(stamp, {"motor": motor(k), "link": 0.01 * motor(k)})
+            yield "/motor_current", at, Cdr().put("d", 0.02 * motor(k)).bytes()
+
+    monkeypatch.setattr(sys.modules[__name__], "messages", lambda: list(coarse()))
+    with pytest.warns(InputWarning) as caught:
+        recording = fs.import_log(mapping(tmp_path), mcap(tmp_path / "log.mcap"))
+    said = " ".join(str(one.message) for one in caught)
+    if most:
+        assert f"{N - N // period} of {N} of /joint_states" in said and "when" not in said and "were logged" in said
+        np.testing.assert_allclose(recording["link_position"], 0.01 * motor(np.arange(N)), rtol=0, atol=1e-12)
+    else:
+        assert f"{N // 4} of {N} messages of /joint_states are left out" in said
+        assert len(recording.time) == N - N // 4
 
 
 def test_who_else_publishes_may_be_the_first(flexspline, tmp_path, monkeypatch):
