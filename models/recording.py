@@ -8,6 +8,7 @@ Which channels there may be, and their units, stands in `models.signals`.
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -22,7 +23,7 @@ from pydantic import model_validator
 from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
-from .errors import InputError, nearest
+from .errors import InputError, InputWarning, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
 from .notebook import html_table, paragraph
@@ -567,6 +568,8 @@ def _read_csv(path: Path) -> dict[str, np.ndarray]:
     except OSError as error:
         raise InputError(f"{path}: not a readable CSV file: {error.strerror}") from error
     _check_header(path, table.names)
+    if table.torn:
+        warnings.warn(f"{path}: the last line is left out, as it is cut short", InputWarning, stacklevel=2)
     columns = table.read(table.names)
     for i in sorted(int(np.argmax(bad)) for values in columns.values() if np.any(bad := ~np.isfinite(values)))[:1]:
         name = next(name for name, values in columns.items() if not np.isfinite(values[i]))

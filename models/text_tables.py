@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from functools import cached_property
 from io import StringIO
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +29,9 @@ _LOOKED_AT = 400  # lines
 _BLOCK = 1 << 16  # rows that are converted at once
 _NUMBER = re.compile(r"[-+]?(?:\d+(?:([.,])\d*)?|([.,])\d+)(?:[eE][-+]?\d+)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE)
 _CLOCK = re.compile(r"(?:(\d+):)?(\d{1,2}):(\d{1,2})(?:([.,:])(\d+))?")
+_DATE = re.compile(
+    r"\d+[-/.]\w+[-/.]\d+[T ]\s*\d+:\d\d(?::\d\d(?:[.,:]\d+)?)?\s*(?:[AP]M|Z|UTC|[-+]\d\d:?\d\d)?", re.IGNORECASE
+)
 _LIST = re.compile(r"[\[(]\s*[-+.\d].*[\])]", re.DOTALL)
 
 
@@ -53,7 +58,7 @@ def _kind(cell: str) -> str:
         return "clock"
     if _LIST.fullmatch(cell):
         return "list"
-    return "date" if ":" in cell and re.match(r"\d+[-/.]\w+[-/.]\d+", cell) else ""
+    return "date" if _DATE.fullmatch(cell) else ""
 
 
 def elements(cell: object) -> list[float]:
@@ -127,13 +132,29 @@ def numbers(cells: Sequence[object] | np.ndarray, decimal: str = ".", like: np.d
         return np.array([_number(cell, decimal) for cell in cells], dtype=np.float64)
     if kind == "clock":
         return np.array([_clock(_as_text(cell)) for cell in cells], dtype="timedelta64[ns]")
+    return _dates([_as_text(cell).replace(",", ".") for cell in cells])
+
+
+def _dates(texts: list[str]) -> np.ndarray:
+    """Dates and times of text as datetime64[ns], NaT for one that is none; of day and month first what makes the log shorter."""
     import pandas as pd
 
-    texts = [_as_text(cell).replace(",", ".") for cell in cells]
-    slashes = any("/" in text for text in texts[:_LOOKED_AT])
-    form = "mixed" if slashes or not re.match(r"\d{4}-", next((t for t in texts if t), "")) else "ISO8601"
-    stamps = pd.to_datetime(pd.Series(texts), errors="coerce", format=form, utc=True, dayfirst=form == "mixed")
-    return stamps.dt.tz_localize(None).to_numpy().astype("datetime64[ns]")
+    def stamps(given: pd.Series, **how: Any) -> pd.Series:
+        found = pd.to_datetime(given, errors="coerce", utc=True, **how)
+        return found.dt.tz_localize(None).astype("datetime64[ns]")
+
+    given = pd.Series(texts, dtype=object)
+    if re.match(r"\d{4}-", next((text for text in texts if text), "")):
+        return stamps(given, format="ISO8601").to_numpy()
+    found = []
+    for dayfirst in (True, False):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that the other order would fit, too
+            one = stamps(given, dayfirst=dayfirst)
+            if (others := one.isna() & (given != "")).any():
+                one[others] = stamps(given[others], format="mixed", dayfirst=dayfirst)
+        found.append((int(one.isna().sum()), one.max() - one.min(), one.to_numpy()))
+    return min(found, key=lambda one: (one[0], one[1]))[2]
 
 
 def seconds(stamps: np.ndarray) -> np.ndarray:
@@ -159,6 +180,8 @@ class Head:
     begin: int
     numbered: bool
     """Whether there is no header, and columns go by number."""
+    odd: int = 0
+    """How many cells the line above the rows has, where they are not as many as a row's."""
 
 
 def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool = False) -> Head:
@@ -193,7 +216,8 @@ def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool 
     comments = [row for row in comments if (wanted & set(row) if wanted else width > 1)]
     found = said or comments
     if headless or not found:
-        return Head([str(j) for j in range(width)], {}, begin, True)
+        last = next((row for row in reversed(rows[:begin]) if len(row) > 1 and not row[0].startswith(COMMENTS)), [])
+        return Head([str(j) for j in range(width)], {}, begin, True, len(last))
     # The last line has the names, or the units of those above it.
     *names_first, last = found
     spelt = [_spelt(cell) for cell in last]
@@ -227,7 +251,9 @@ def _fitted(row: list[str], late: list[list[str]], width: int) -> list[str] | No
     spare = width - len(row)
     if spare and not any(cell for one in late for cell in one[len(row) :]):  # every row ends with a separator
         return row + [""] * spare
-    if spare == 1 and width > 2:  # a column of row numbers, which has no name
+    first = [one[0] for one in late]
+    counted = all(cell.isdecimal() for cell in first) and set(np.diff([int(cell) for cell in first])) == {1}
+    if spare == 1 and width > 2 and counted:  # a column of row numbers, which has no name
         return ["", *row]
     return row if not spare else None
 

@@ -78,7 +78,7 @@ class Log:
 
 
 def _plain(name: str) -> str:
-    return re.sub(r"[./\[\]()]+", "/", name).strip("/ ")
+    return re.sub(r"[./\[\]()]+", "/", name).strip("/ #%")
 
 
 # Arrays -----------------------------------------------------------------------------------------------------------------------
@@ -241,7 +241,12 @@ def _matlab(source: Source, wanted: set[str], form: TextForm) -> Any:
             return [plain(one) for one in value]
         return value
 
-    return {k: plain(v) for k, v in loadmat(source, simplify_cells=True).items() if not k.startswith("__")}
+    found = {k: v for k, v in loadmat(source, simplify_cells=True).items() if not k.startswith("__")}
+    if any(type(value).__name__ == "MatlabOpaque" for value in found.values()) and not wanted <= found.keys():
+        raise ValueError(
+            "it has tables, timetables or other objects of MATLAB, which it alone reads: save arrays or structs"
+        )
+    return {key: plain(value) for key, value in found.items()}
 
 
 def _hdf5(source: Source, wanted: set[str], form: TextForm) -> Any:
@@ -425,6 +430,8 @@ class _Text(Log):
 
     def missing(self, column: str) -> str:
         by_number = ", ".join(map(repr, self.names[:6])) + (", …" if len(self.names) > 6 else "")
+        if odd := self._table.head.odd:
+            return f"; its header has {odd} names, and its rows have {len(self._table.head.names)} cells"
         return f"; it has no header, its columns go by number: {by_number}" if self._table.head.numbered else ""
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:

@@ -136,6 +136,15 @@ TEXTS: dict[str, str | bytes] = {
     "dates with T and Z": with_times([t + "Z" for t in stamps("2024-03-01 12:00:00", "%Y-%m-%dT%H:%M:%S.%f")]),
     "dates with an offset": with_times([t + "+01:00" for t in stamps("2024-03-01 12:00:00", "%Y-%m-%dT%H:%M:%S.%f")]),
     "dates with points": with_times(stamps("2024-03-01 12:00:00", "%d.%m.%Y %H:%M:%S.%f"), ";"),
+    "dates with slashes, past midnight": with_times(stamps("2024-03-01 23:59:59.2", "%m/%d/%Y %H:%M:%S.%f")),
+    "dates with slashes, day first": with_times(stamps("2024-03-01 23:59:59.2", "%d/%m/%Y %H:%M:%S.%f")),
+    "dates and AM": with_times([t + " PM" for t in stamps("2024-03-01 11:59:58", "%m/%d/%Y %I:%M:%S.%f")]),
+    "a date and a clock": with_times(stamps("2024-03-01 12:00:00", "2024-03-01,%H:%M:%S.%f")).replace(
+        "time", "date,time", 1
+    ),
+    "of rostopic": "%" + text(),
+    "of a spreadsheet": "sep=;\n" + text(";", ","),
+    "two lines of names": "log,arm,arm\n" + text(),
     "dates with slashes": with_times(stamps("2024-03-01 12:00:00", "%m/%d/%Y %H:%M:%S.%f")),
 }
 
@@ -194,6 +203,13 @@ def test_stamps_of_today_in_any_unit(tmp_path, unit, factor, suffix):
     else:
         table.to_json(path)
     comes_out(fs.import_log(mapping(tmp_path, {"time": {"column": "time", "unit": unit}}), path))
+
+
+def test_names_that_do_not_fit_the_rows_are_the_reason(tmp_path):
+    """A text with a separator in it: the names were those of the next column."""
+    (tmp_path / "log.csv").write_text(text(junk="moving, fast"))
+    with pytest.raises(InputError, match=r"'time': missing.*its header has 4 names, and its rows have 5 cells"):
+        fs.import_log(mapping(tmp_path), tmp_path / "log.csv")
 
 
 def test_lines_to_skip_and_a_rate_where_no_time_was_logged(tmp_path):
@@ -373,6 +389,13 @@ FILES: dict[str, tuple[str, Write, dict[str, Any]]] = {
         "log.mat",
         lambda p: scipy.io.savemat(p, {"log": STRUCT}),
         {"time": "log.t.time", "link_position": "log/joint/q", "motor_current": "current"},
+    ),
+    "mat of an array of structs": (
+        "log.mat",
+        lambda p: scipy.io.savemat(
+            p, {"log": np.array([(t, [q, 0.0], i) for t, q, i in ROWS], dtype=[("t", "O"), ("q", "O"), ("i", "O")])}
+        ),
+        {"time": "log/t", "link_position": "log.q[0]", "motor_current": "log.i"},
     ),
     "mat of a matrix": (
         "log.mat",
