@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import InputError, first_line
+from .errors import InputError
 
 COMMENTS = ("#", "%", "//")
 _SEPARATORS = ",;\t| "
@@ -178,10 +178,8 @@ class Head:
     names: list[str]
     units: dict[str, str]
     begin: int
-    numbered: bool
-    """Whether there is no header, and columns go by number."""
-    odd: int = 0
-    """How many cells the line above the rows has, where they are not as many as a row's."""
+    why: str = ""
+    """Why a column may be missing, where there are no names or no rows."""
 
 
 def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool = False) -> Head:
@@ -201,7 +199,7 @@ def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool 
     numeric = [j for j in range(width) if 2 * sum(kinds[j]) >= len(late)]
     if not numeric:
         (names, *_) = plain or [[]]
-        return Head(names, {}, len(rows), False)
+        return Head(names, {}, len(rows), "no rows of numbers are found in it" if len(plain) > 1 else "")
 
     def is_data(row: list[str]) -> bool:
         return len(row) == width and 2 * sum(bool(_kind(row[j])) for j in numeric) >= len(numeric)
@@ -217,18 +215,26 @@ def find_head(rows: list[list[str]], wanted: Iterable[str] = (), headless: bool 
     found = said or comments
     if headless or not found:
         last = next((row for row in reversed(rows[:begin]) if len(row) > 1 and not row[0].startswith(COMMENTS)), [])
-        return Head([str(j) for j in range(width)], {}, begin, True, len(last))
+        why = f"its header has {len(last)} names, and its rows have {width} cells"
+        if not last or headless:
+            some = ", ".join(map(repr, by_number[:6])) + (", …" if width > 6 else "")
+            why = f"it has no header, its columns go by number: {some}"
+        return Head(by_number, {}, begin, why)
     # The last line has the names, or the units of those above it.
     *names_first, last = found
     spelt = [_spelt(cell) for cell in last]
     is_units = bool(names_first) and 2 * sum(unit in _UNITS for unit in spelt) > len(spelt)
     usual = len(found) - (2 if is_units else 1)
-    chosen = max(range(len(found)), key=lambda i: (len(wanted & set(found[i])), i == usual, i))
-    names = found[chosen]
-    if len(set(names)) < width and chosen > 0:  # of two lines, as `joint1,joint1` and `position,current`
-        names = ["/".join(filter(None, pair)) for pair in zip(found[chosen - 1], names, strict=True)]
+    # A name may stand in two lines, as `joint1,joint1` and `position,current`.
+    several = [len(set(row)) < width for row in found]
+    pairs = [i for i in range(1, len(found)) if several[i - 1] or several[i]]
+    joined = {i: ["/".join(filter(None, pair)) for pair in zip(found[i - 1], found[i], strict=True)] for i in pairs}
+    lines = [(names, i, several[i]) for i, names in enumerate(found)] + [
+        (names, i, False) for i, names in joined.items()
+    ]
+    names, chosen, _ = max(lines, key=lambda one: (len(wanted & set(one[0])), one[1] == usual, not one[2], one[1]))
     units = dict(zip(names, spelt, strict=True)) if is_units and chosen != len(found) - 1 else {}
-    return Head(names, units, begin, False)
+    return Head(names, units, begin)
 
 
 _UNITS = set(
@@ -297,7 +303,7 @@ class TextTable:
         text = decoded(raw)
         if text is None:
             raise InputError(f"{path}: expected a table as text, got bytes that are no text")
-        self._text = text.rstrip("\0").lstrip("\ufeff")
+        self._text = text.rstrip("\0").lstrip("\ufeff").replace("\r\n", "\n").replace("\r", "\n")
         begin = 0
         for _ in range(form.skip):
             begin = self._text.find("\n", begin) + 1 or len(self._text)
@@ -367,15 +373,11 @@ class TextTable:
         return last
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Line and cells of every row."""
-        with_lines = StringIO(self._text[self._begin :].replace("\0", "?"))
-        reader = csv.reader(with_lines, delimiter=self.separator, skipinitialspace=True)
-        try:
-            for row in reader:
-                if row and not row[0].lstrip().startswith(COMMENTS) and (len(row) > 1 or row[0].strip()):
-                    yield reader.line_num + self._top + self._skipped, row
-        except csv.Error as error:
-            raise InputError(f"{self.path}: not a readable CSV file: {first_line(error)}") from error
+        """Line and cells of every row. A line is a row, whatever quotes are open at its end: no number has two lines."""
+        for number, line in enumerate(StringIO(self._text[self._begin :]), 1 + self._top + self._skipped):
+            line = line.strip("\n\0") if self.separator == "\t" else line.strip(" \t\n\0")
+            if line and not line.startswith(COMMENTS):
+                yield number, line.split(self.separator) if '"' not in line else self._split(line)
 
     @cached_property
     def _index(self) -> dict[str, tuple[int, int | None]]:

@@ -482,7 +482,7 @@ def import_recordings(
     return found
 
 
-_NAMED = 8
+_NAMED = 12
 """Damaged rows that a message names."""
 
 

@@ -198,7 +198,8 @@ class Arrays(Log):
 
     def fault(self, column: str, index: int) -> str:
         cell = self._columns[column][index]
-        return f"column {column!r}, {self.row(index)}: expected a finite number, got {cell if cell is not None else 'none'!r}"
+        said = "none" if cell is None else repr(cell) if isinstance(cell, str) else str(cell)
+        return f"column {column!r}, {self.row(index)}: expected a finite number, got {said}"
 
 
 # Files ------------------------------------------------------------------------------------------------------------------------
@@ -429,10 +430,7 @@ class _Text(Log):
             self.names = [str(k) for k in range(self._turns)]
 
     def missing(self, column: str) -> str:
-        by_number = ", ".join(map(repr, self.names[:6])) + (", …" if len(self.names) > 6 else "")
-        if odd := self._table.head.odd:
-            return f"; its header has {odd} names, and its rows have {len(self._table.head.names)} cells"
-        return f"; it has no header, its columns go by number: {by_number}" if self._table.head.numbered else ""
+        return f"; {self._table.head.why}" if self._table.head.why else ""
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
         if not self._turns:
@@ -528,6 +526,7 @@ _REFUSED = {
     "pickle": "a pickle file can run code when it is read: save the columns as CSV, Parquet or npz",
     "xls": "the older Excel format: save it as .xlsx or CSV",
     "zip": "an archive: unpack it first",
+    "markup": "XML or HTML: save the columns as CSV",
 }
 
 
@@ -546,6 +545,8 @@ def _kind_of(path: Path, start: bytes, source: Source) -> str:
     if found is not None:
         return found
     suffix = _SUFFIXES.get(path.suffix.lower(), "")
+    if re.match(rb"(?:\xef\xbb\xbf)?\s*<[?!\w]", start):
+        return "markup"
     if not suffix and re.match(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*[\[{])", start):
         return "json"
     return suffix

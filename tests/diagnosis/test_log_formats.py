@@ -144,6 +144,8 @@ TEXTS: dict[str, str | bytes] = {
     ),
     "of rostopic": "%" + text(),
     "of a spreadsheet": "sep=;\n" + text(";", ","),
+    "names of two levels": text().replace("time,q,current\n", "time,arm,arm\n,q,current\n"),
+    "old line ends": text(end="\r"),
     "two lines of names": "log,arm,arm\n" + text(),
     "dates with slashes": with_times(stamps("2024-03-01 12:00:00", "%m/%d/%Y %H:%M:%S.%f")),
 }
@@ -156,7 +158,8 @@ def test_text_is_read_as_it_is(tmp_path, kind):
     log.write_bytes(given if isinstance(given, bytes) else given.encode())
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        comes_out(fs.import_log(mapping(tmp_path), log))
+        two = {"link_position": "arm/q", "motor_current": "arm/current"} if "levels" in kind else {}
+        comes_out(fs.import_log(mapping(tmp_path, two), log))
 
 
 @pytest.mark.parametrize(
@@ -267,6 +270,15 @@ def test_all_damaged_rows_are_named_at_once_and_left_out_by_a_key(tmp_path):
     with pytest.warns(InputWarning, match="9 of 400 rows"):
         found = fs.import_log(mapping(tmp_path, damaged_rows="leave_out"), tmp_path / "log.csv")
     comes_out(found, np.setdiff1d(np.arange(N), np.array(list(bad)) - 1))
+
+
+def test_a_quote_that_is_left_open_damages_one_row(tmp_path):
+    lines = text().splitlines()
+    lines[100] = '0.396,"0.1,0.2'
+    (tmp_path / "log.csv").write_text("\n".join(lines) + "\n")
+    with pytest.warns(InputWarning, match=r"row 99 \(line 101\)"):
+        found = fs.import_log(mapping(tmp_path, damaged_rows="leave_out"), tmp_path / "log.csv")
+    comes_out(found, np.delete(np.arange(N), 99))
 
 
 def test_rows_at_which_time_does_not_increase_are_damaged(tmp_path):
@@ -544,6 +556,8 @@ def test_files_are_read_as_they_are(tmp_path, kind):
         ("log.zip", b"PK\x03\x04" + b"\0" * 40, "archive"),
         ("log.csv", bytes(range(256)) * 20, r"not a format that is read \(CSV"),
         ("log.png", b"\x89PNG\r\n\x1a\n" + bytes(range(32)) * 30, r"not a format that is read"),
+        ("log.csv", b"<?xml version='1.0'?><log/>", "XML or HTML"),
+        ("log.txt", b"time\nis\nmoney\n", "'time'.*no rows of numbers"),
         ("log.npz", b"no archive", "not a readable NumPy file"),
         ("log.mat", b"no matrix", "not a readable MATLAB file"),
         ("log.h5", b"\x89HDF\r\n\x1a\n" + b"\0" * 300, "not a readable HDF5 file"),
