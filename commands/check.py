@@ -34,7 +34,6 @@ def command(
     from rich.table import Table
     from rich.text import Text
 
-    from ..diagnosis.data.counts import coarser
     from ..diagnosis.data.coverage import (
         balances,
         missing_columns,
@@ -44,6 +43,7 @@ def command(
         undetermined,
     )
     from ..diagnosis.data.mistakes import find_mistakes, mended_if_possible
+    from ..estimator.conditioning import coarser
     from ..models import causes
     from ..models.command_lines import mending
     from ..models.files import json_text

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ..estimator.conditioning import as_logged
 from ..models import causes
 from ..models.joint import Joint
 from ..models.recording import Measurement
 from .answer import Diagnosis
 from .conclusion import ANSWER, Conclusion
 from .data import coverage
-from .data.counts import as_logged
 from .data.mistakes import find_mistakes
 from .data.segments import pushed, segments
 from .extension import extended

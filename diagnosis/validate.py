@@ -18,13 +18,14 @@ itself: the root of the sum of squares of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from ..estimator.conditioning import Conditioned, as_logged, condition
 from ..models import dynamics
 from ..models.dynamics import State
 from ..models.errors import InputError
@@ -34,9 +35,8 @@ from ..models.notebook import html_table, paragraph
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS
 from ..models.uncertainty import directions
-from .data.counts import as_logged
 from .data.mistakes import Mistake, find_mistakes
-from .data.segments import CURRENT, LINK, TORQUE, Segment, clock_error, segments
+from .data.segments import CURRENT, LINK, TORQUE, Segment, segments
 from .fit.replay import parallel, readings, transmission
 from .fit.residual import lateness
 
@@ -248,11 +248,14 @@ class _Part:
 
 def _simulated(recording: Recording, joint: Joint) -> Channels:
     """A recording's channels, measured and simulated."""
-    parts = _parts(recording, joint, [name for name in _BALANCE_OF if name in recording])
+    conditioned = condition(recording, joint)
+    recording = replace(recording, time=conditioned.recording.time, logged=conditioned.recording.logged)
+    parts = _parts(conditioned, joint, [name for name in _BALANCE_OF if name in recording])
     of = {name: [part for part in parts if name in part.values] for name in _BALANCE_OF}
     if {"motor_position", "link_position"} <= set(recording.columns) and recording.external != "unmeasured":
         alone = ["link_position", *(n for n in ("motor_current", "motor_torque") if n in recording and _loose(joint))]
-        one_end = _parts(recording.without("link_position"), joint, alone)
+        motor = replace(conditioned, recording=conditioned.recording.without("link_position"))
+        one_end = _parts(motor, joint, alone)
         for name in alone:
             having = [part for part in one_end if name in part.values]
             if _width(having, name) < _width(of.get(name, []), name):
@@ -274,7 +277,7 @@ def _simulated(recording: Recording, joint: Joint) -> Channels:
         variance = _joined(of[name], since, [part.variance[name] for part in of[name]])
         motion = np.maximum(_joined(of[name], since, [part.motion_noise[name] for part in of[name]]), 0.0)
         if name == "link_position":  # a sample with a wrong time is off by the speed times that
-            motion = motion + (np.nan_to_num(velocity) * clock_error(recording, joint)) ** 2
+            motion = motion + (np.nan_to_num(velocity) * conditioned.stamps.error) ** 2
         deviation[name] = np.sqrt(variance + motion + _fast(recording, name, of[name], joint, sensor[name]))
         noise[name] = np.sqrt(motion + sensor[name] ** 2)
     return Channels(
@@ -340,13 +343,14 @@ def _sensor_noise(joint: Joint, name: str) -> float:
     return float(np.hypot(getattr(spec, "noise", 0.0), step / np.sqrt(12)))
 
 
-def _parts(recording: Recording, joint: Joint, names: Sequence[str]) -> list[_Part]:
+def _parts(conditioned: Conditioned, joint: Joint, names: Sequence[str]) -> list[_Part]:
     """The segments of a recording, each with those of the channels `names` that can be simulated in it."""
+    recording = conditioned.recording
     record = joint.record(recording.link)
     moved = directions(joint, recording.link)
     late = lateness(joint)
     found = []
-    for one, replicate in zip(*segments([recording], joint), strict=True):
+    for one, replicate in zip(*segments([conditioned], joint), strict=True):
         kept = [name for name in names if _can(one, recording, name)]
 
         def channels(task: tuple[Segment, np.ndarray], kept: list[str] = kept) -> dict[str, np.ndarray]:

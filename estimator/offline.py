@@ -38,12 +38,12 @@ from ..models.spool import Spool
 from ..models.tables import ROWS, TableWriter
 from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
+from .conditioning import condition
 from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
 from .filters.paper import PaperFilter
 from .filters.payload import DECIMATION, PayloadObserver, observe, slow_current
-from .held import moved_on
 from .motion import CUTOFF
 from .payload_model import MEMORY, NOISE, friction_error, slow_friction
 
@@ -180,7 +180,8 @@ def estimate_recording(
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
-    blind = recording.signals.without("joint_torque", "external_torque")
+    conditioned = condition(recording, joint)
+    blind = conditioned.recording.signals.without("joint_torque", "external_torque")
     n = len(recording.time)
     found, deviation = (
         {what: _Held(n) if spool is None else Spool(spool, f"{recording.name}_{kind}{what}", n) for what in _QUANTITIES}
@@ -455,8 +456,6 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     if not given & set(POSITIONS):
         raise InputError(f"recording: expected one of the columns {', '.join(POSITIONS)}, got {sorted(given)}")
     signals = smoothed.in_amperes(signals, joint)
-    if given >= set(POSITIONS):
-        signals = moved_on(signals, joint)
     signals, joint = smoothed.in_time(signals, joint)
     measured = set(signals)
     if "link_position" not in measured:

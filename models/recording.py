@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 GAP = 0.1 + 1e-6
-"""A time [s] between samples that splits a recording into segments: more than 0.1 s, however stamps are rounded."""
+"""The least time [s] between samples that splits a recording into segments: more than 0.1 s, however stamps are rounded."""
+SEVERAL = 5.0
+"""A gap is longer than so many of a log's own intervals."""
 LARGEST = 1e30
 """A number that no sensor reads in any unit, and whose powers are still numbers."""
 SUFFIXES = (".parquet", ".csv")
@@ -205,19 +207,24 @@ class Recording:
     @cached_property
     def segments(self) -> tuple[slice, ...]:
         """The parts between gaps, as slices of samples."""
-        cuts = np.flatnonzero(np.diff(self.time) > GAP) + 1
+        cuts = np.flatnonzero(np.diff(self.time) > self.gap) + 1
         edges = [0, *cuts.tolist(), len(self.time)]
         return tuple(slice(a, b) for a, b in pairwise(edges))
 
     @cached_property
     def gaps(self) -> tuple[tuple[float, float], ...]:
-        """Begin and end of every gap longer than `GAP` [s]."""
+        """Begin and end of every gap longer than `gap` [s]."""
         return tuple((float(self.time[s.start - 1]), float(self.time[s.start])) for s in self.segments[1:])
 
     @cached_property
     def interval(self) -> float:
         """Median time between samples [s]."""
         return float(np.median(np.diff(self.time)))
+
+    @property
+    def gap(self) -> float:
+        """A time [s] between samples beyond which it is split into segments: more than 0.1 s and several of its intervals."""
+        return max(GAP, SEVERAL * self.interval)
 
     @property
     def sparse(self) -> bool:

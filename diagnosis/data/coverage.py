@@ -14,14 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
+from ...estimator.conditioning import condition
 from ...estimator.motion import smooth
 from ...models import causes, dynamics
 from ...models.causes import Cause
 from ...models.dynamics import State
 from ...models.joint import Joint
-from ...models.recording import GAP, Measurement, Recording
+from ...models.recording import Measurement, Recording
 from ...models.signals import POSITIONS, SENSED
-from .segments import DECIMATION, SETTINGS, STEP, clock_error, undisturbed
+from .segments import DECIMATION, SETTINGS, STEP, undisturbed
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
@@ -44,6 +45,8 @@ class RecordingSummary:
       name: of the recording; samples, duration [s], interval (median) [s].
       jitter: rms of the intervals' deviation from it, without missing samples [s].
       late: by how much the time stamps are wrong, as the encoders have it [s rms]; zero where they do not say so.
+      passband: up to which its motion may be differentiated twice [Hz].
+      done: what conditioning does to it, as sentences.
       missing: single samples that are missing; gaps: longer ones, begin and end [s].
       ranges: smallest and largest value by channel.
       motor_speed, link_speed: largest [rad/s]; of an encoder that is not there, by the gear ratio.
@@ -61,6 +64,8 @@ class RecordingSummary:
     interval: float
     jitter: float
     late: float
+    passband: float
+    done: tuple[str, ...]
     missing: int
     gaps: tuple[tuple[float, float], ...]
     ranges: dict[str, tuple[float, float]]
@@ -92,10 +97,10 @@ class Balance:
 def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
     """Sum up a recording of a joint, whatever its channels."""
     time = recording.time
-    late = clock_error(recording, joint)
+    conditioned = condition(recording, joint)
     steps = np.diff(time)
     interval = recording.interval
-    inside = steps[steps <= GAP]
+    inside = steps[steps <= recording.gap]
     regular = inside[inside < 1.6 * interval]
     N = joint.numbers["N"].value
     rotor, link = _positions(recording, N)
@@ -113,7 +118,9 @@ def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
         duration=float(time[-1] - time[0]),
         interval=interval,
         jitter=float(np.sqrt(np.mean((regular - interval) ** 2))) if len(regular) else 0.0,
-        late=late,
+        late=max(conditioned.stamps.found, conditioned.stamps.error),
+        passband=conditioned.passband,
+        done=conditioned.done,
         missing=max(round(float(inside.sum()) / interval) - len(inside), 0),
         gaps=recording.gaps,
         ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items()},

@@ -16,19 +16,19 @@ sensor is held against the link's own motion.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
+from ...estimator.conditioning import Conditioned, between, condition
 from ...estimator.motion import CUTOFF, SHARE, Smooth, passband, smooth
 from ...models import dynamics, laws
 from ...models.joint import EncoderSpec, Joint, Mounting
 from ...models.kernels import kernel
 from ...models.recording import Recording
-from .sampling import between, clock_times, fresh, is_slower, timing_error, timing_error_of_one
 
 STEP = 1e-3
 """Step of the replay [s]."""
@@ -53,7 +53,6 @@ class SegmentSettings:
       rest_travel: of the rotor within ±40 ms, below which neither its encoder's counts nor presliding friction average out
         [rad].
       shortest: segments of fewer samples or seconds are left out.
-      mistimed: passband [Hz] of the smoother where time stamps are wrong: an error of the time is one of the acceleration.
       block: most residuals that count as one, where the motion is so slow that above some frequency it is noise alone.
       above_noise: power of the measured acceleration over its noise's, from which on it is motion.
       shaken: noise of the rotor's acceleration, as a current, over the current's own, beyond which more residuals count as one.
@@ -70,7 +69,6 @@ class SegmentSettings:
     rest_travel: float = 0.06
     shortest: tuple[int, float] = (50, 0.5)
     block: int = 8
-    mistimed: float = 25.0
     above_noise: float = 10.0
     shaken: float = 0.9
     following: float = 0.5
@@ -184,23 +182,6 @@ def decimate(x: np.ndarray) -> np.ndarray:
     return out / total.reshape(-1, *[1] * (x.ndim - 1))
 
 
-def wrong_times(time: np.ndarray, readings: Mapping[str, np.ndarray], joint: Joint) -> float:
-    """Standard deviation [s] of the error of the time stamps of a segment that its encoders show, both or one; zero for none."""
-    if len(readings) == len(ENCODERS):
-        return timing_error(time, *(readings[name] for name in ENCODERS))
-    ((name, reading),) = readings.items()
-    order = max((o.order for o in joint.kinematic_error), default=1.0)
-    return timing_error_of_one(time, reading, order * (joint.numbers["N"].value if name == "link_position" else 1.0))
-
-
-def clock_error(recording: Recording, joint: Joint) -> float:
-    """Error of the time stamps [s rms] that the encoders show, of the worst segment."""
-    readings = {name: recording[name] for name in ENCODERS if name in recording}
-    return max(
-        wrong_times(recording.time[k], {n: x[k] for n, x in readings.items()}, joint) for k in recording.segments
-    )
-
-
 def pushed(recording: Recording) -> bool:
     """Whether pushes that nobody measured may show in whatever a recording is held against: with both encoders the torsion has
     them, with one nothing has, unless the link cannot move."""
@@ -214,21 +195,24 @@ def undisturbed(recordings: Sequence[Recording]) -> list[Recording]:
 
 
 def segments(
-    recordings: list[Recording], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
+    recordings: Sequence[Recording | Conditioned], joint: Joint, seed: int = 1, settings: SegmentSettings = SETTINGS
 ) -> tuple[list[Segment], list[Segment]]:
-    """Smooth every segment of every recording; returns the segments and their noise replicates.
+    """Smooth every segment of every recording, which is conditioned first if it is not; returns the segments and their noise
+    replicates.
 
     What unmeasured pushes make of a recording with one encoder (`pushed`) does not count beside others, which have none.
     """
     rng = np.random.default_rng(seed)
     found, replicates = [], []
-    counted = undisturbed(recordings)
-    for index, recording in enumerate(recordings):
+    prepared = [r if isinstance(r, Conditioned) else condition(r, joint) for r in recordings]
+    counted = undisturbed([c.recording for c in prepared])
+    for index, conditioned in enumerate(prepared):
+        recording = conditioned.recording
         for part in recording.segments:
             time = recording.time[part]
             if len(time) < settings.shortest[0] or time[-1] - time[0] < settings.shortest[1]:
                 continue
-            one, replicate = _segment(recording, index, part, joint, rng, settings)
+            one, replicate = _segment(conditioned, index, part, joint, rng, settings)
             if not any(recording is r for r in counted):
                 none = np.zeros_like(one.usable)
                 one, replicate = (replace(s, usable=none, held_out=none) for s in (one, replicate))
@@ -244,18 +228,16 @@ def mirrored(segment: Segment, replicate: Segment) -> Segment:
 
 
 def _segment(
-    recording, index: int, part: slice, joint: Joint, rng, settings: SegmentSettings
+    conditioned: Conditioned, index: int, part: slice, joint: Joint, rng, settings: SegmentSettings
 ) -> tuple[Segment, Segment]:
+    recording = conditioned.recording
     p = joint.record(recording.link)[0]
-    channels, noise, time = _channels(recording, part, joint, p, rng)
+    time = recording.time[part]
+    channels, noise = _channels(conditioned, part, joint, p, rng)
     names = list(channels)
     values = np.column_stack([*channels.values(), *(noise[name] for name in names)])
-    mistimed = wrong_times(time, {name: channels[name] for name in ENCODERS if name in recording}, joint) > 0.0
-    cutoff, share, settle = settings.mistimed if mistimed else CUTOFF, SHARE, settings.settle_time
-    # What a sensor slower than the log does not say of a fast motion would look like a part that does not take part in it.
-    analog = {"motor_current": joint.sensors.motor_current, "joint_torque": joint.sensors.joint_torque}
-    rates = [spec.rate for name, spec in analog.items() if name in channels and is_slower(time, spec.rate)]
-    cutoff = min([cutoff, *(SHARE * rate for rate in rates)])
+    cutoff, settle = conditioned.passband, settings.settle_time
+    whole = passband(time, cutoff)
     link_measured = "link_position" in recording and "motor_position" in recording
     # In an arm the load comes of the joint's own motion, and pushes that nobody measured may be anything.
     alone = "joint_torque" in recording and recording.load is None and recording.external != "unmeasured"
@@ -263,13 +245,14 @@ def _segment(
     if "motor_position" in recording:
         s = smooth(time, values, STEP, cutoff)
     else:
-        share = settings.readings
+        readings = min([CUTOFF, *(SHARE * conditioned.channels[name].rate for name in conditioned.news)])
+        whole = passband(time, readings, settings.readings)
         following = max(settings.following * float(np.sqrt(p["K1"] / p["Jl"])) / (2 * np.pi), settings.slowest)
         following = min(following, cutoff)
         s = _joined(
             [name in ENCODERS for name in (*names, *names)],
             smooth(time, values, STEP, following),
-            smooth(time, values, STEP, cutoff, share=share),
+            smooth(time, values, STEP, readings, share=settings.readings),
         )
         if weighed:  # what is held against each other goes through one smoother
             s = _joined([name in _WEIGHING for name in (*names, *names)], smooth(time, values, STEP, cutoff), s)
@@ -316,12 +299,12 @@ def _segment(
         external=external, temperature=temperature, mounting=recording.link,
         stiffness=float(p["K1"] + p["K2"] + p["K3"]), at=at, measured=measured, measured_rate=decimate(read_rate),
         measured_bend=decimate(read_bend), state=state, load=load, balances=balances, usable=usable, held_out=held_out,
-        at_rest=at_rest, passband=1 / (2 * np.pi * passband(time, cutoff, share)),
+        at_rest=at_rest, passband=1 / (2 * np.pi * whole),
     )  # fmt: skip
-    if not link_measured and not mistimed:
-        block = 1  # the motion's noise is the current's, and a ripple of the gear is faster than any motion
-    else:
-        block = settings.block if mistimed else _block((rotor, link), (rotor_noise, link_noise), settings)
+    # Above its passband a motion says nothing, and what friction does there is in the simulation alone.
+    block = int(np.clip(0.5 / (STEP * DECIMATION * cutoff), 1, settings.block)) if one.rotor_measured else 1
+    if link_measured:
+        block = max(block, _block((rotor, link), (rotor_noise, link_noise), settings))
         # The drive acts on the counts, which no replicate knows. To have less of what they make of a heavy rotor's acceleration
         # a fit makes the rotor light and the motor strong. That noise falls with the power 5/2 of the frequency.
         shakes, current = (float(np.std(decimate(x))) for x in (rotor_noise[:, 2], read_noise[:, CURRENT]))
@@ -352,39 +335,33 @@ def _joined(first: Sequence[bool], one: Smooth, other: Smooth) -> Smooth:
     )
 
 
-def _channels(recording: Recording, part: slice, joint: Joint, p: np.void, rng: np.random.Generator):
-    """Channels of a segment by name, another draw of their noise, and the times of what is news; shape (n,) each."""
-    s = joint.sensors
+def _channels(conditioned: Conditioned, part: slice, joint: Joint, p: np.void, rng: np.random.Generator):
+    """Channels of a segment by name, and another draw of their noise; shape (n,) each."""
+    s, recording = joint.sensors, conditioned.recording
     time = recording.time[part]
     columns = {name: values[part] for name, values in recording.columns.items()}
-    known = recording.external == "measured" or recording.load is not None
-    if recording.load is not None:
-        columns["external_torque"] = recording.torque_of_arm[part] + columns.get("external_torque", 0.0)
-    if "motor_current" not in columns and "motor_torque" in columns:
-        columns["motor_current"] = columns["motor_torque"] / p["Kt_drive"]
     encoders = {"motor_position": s.motor_encoder, "link_position": s.link_encoder}
     present = [name for name in encoders if name in columns]
-    slow = min(present, key=lambda name: encoders[name].rate)
-    news = fresh(time, columns[slow], encoders[slow].rate)
-    time, columns = time[news], {name: values[news] for name, values in columns.items()}
-    if len(present) == len(encoders):
-        even = clock_times(time, columns["motor_position"], columns["link_position"])
-        time = time if even is None else even
-    noise = {name: _encoder_noise(time, columns[name], encoders[name], rng) for name in present}
+
+    def as_read(name: str, noise: np.ndarray) -> np.ndarray:
+        """Noise as a channel has it that is not read anew with every sample."""
+        if name not in conditioned.news:
+            return noise
+        fresh = conditioned.news[name][part]
+        return between(time, time[fresh], noise[fresh])
+
+    noise = {name: as_read(name, _encoder_noise(time, columns[name], encoders[name], rng)) for name in present}
     if len(present) == 1:
         _complete(columns, noise, time - recording.time[0], p)
     kept = {name: columns[name] for name in encoders}
     for name, spec in (("motor_current", s.motor_current), ("joint_torque", s.joint_torque)):
         if name in columns:
             rms = float(np.hypot(spec.noise, spec.step / np.sqrt(12)))
-            at = fresh(time, columns[name], spec.rate)
-            kept[name] = between(time, time[at], columns[name][at])
-            noise[name] = between(time, time[at], rms * rng.standard_normal(int(at.sum())))
-    if known:
-        at = fresh(time, columns["external_torque"], s.wrench.rate)
-        kept["external_torque"] = between(time, time[at], columns["external_torque"][at])
+            kept[name], noise[name] = columns[name], as_read(name, rms * rng.standard_normal(len(time)))
+    if recording.external == "measured" or recording.load is not None:
+        kept["external_torque"] = recording.torque_of_arm[part] + columns.get("external_torque", 0.0)
         noise["external_torque"] = np.zeros(len(time))
-    return kept, noise, time
+    return kept, noise
 
 
 def _complete(columns: dict, noise: dict, since: np.ndarray, p: np.void) -> None:

@@ -12,8 +12,8 @@ from scipy.special import ndtr
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.estimator import get, names, smoothed
 from flexspline.estimator.bands import disagreement, reference_torque
+from flexspline.estimator.conditioning import condition
 from flexspline.estimator.estimator import KnownJoint
-from flexspline.estimator.held import moved_on
 from flexspline.estimator.offline import (
     SHORTEST,
     WALKS,
@@ -400,5 +400,4 @@ def test_of_an_encoder_that_is_held_the_torsion_is_held(column, first):
         ]
         print(name, errors)
         assert errors[1] < 3 * errors[0]
-    signals = r.signals
-    assert moved_on(signals, KnownJoint.of(drawn.nominal, r.link)) is signals
+    assert not condition(r, drawn.nominal).news

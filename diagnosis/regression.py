@@ -1,0 +1,313 @@
+"""What a plain regression says: the least squares of a torque channel on the measured motion that any user would do by hand.
+
+In motion the current of a joint (or the torque of its motor, or of a sensor at its output) is a sum of known shapes:
+
+    gravity, gravity across, inertia, Coulomb friction, viscous friction, friction that grows with load, offset
+
+each with one coefficient. In an arm whose other joints move, gravity and inertia are the arm's inverse dynamics. Where a torque
+sensor was read, the current is that of the sensor's torque, whose coefficient is the torque constant. Velocity and acceleration
+come from the position by the smoother that all of a diagnosis uses.
+
+The regression knows neither compliance nor tolerances. It is the starting point of a diagnosis with one encoder, and the bar:
+a joint that predicts held-out data worse than it is not written.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..estimator.motion import SHARE, smooth
+from ..models.joint import Joint
+from ..models.recording import Measurement, Recording
+from ..models.signals import CHANNELS, DRIVING, POSITIONS
+from .data.segments import in_held_out_block
+
+_STEP = 2e-3  # s: of the smoother's grid
+_EDGE = 0.1  # s: at both ends of a part, where the smoother settles
+_MOVING = 0.05  # of the usual largest speed: slower samples are at rest, where friction may be anything up to its level
+_FEWEST = 20  # samples in motion for each coefficient
+_CLUSTER = 1.0  # s: residuals that far apart count as independent
+_SAME = 1e-6  # share of a column that no other column explains, below which it is left out
+_PASSBANDS = (2.0, 4.0, 6.0, 10.0, 15.0, 25.0, 40.0)
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """One coefficient of a regression.
+
+    Attributes:
+      name: of the shape: `gravity`, `inertia`, `Coulomb friction`, …
+      value, std: in the channel's unit over the shape's.
+      means: what it says of the joint: a symbol or a name of a cause's parameter; empty where it is none.
+      number, number_std: that number, in `unit`; described: what the description has; NaN where it has none.
+    """
+
+    name: str
+    value: float
+    std: float
+    means: str = ""
+    number: float = float("nan")
+    number_std: float = float("nan")
+    described: float = float("nan")
+    unit: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        found: dict[str, Any] = {"name": self.name, "value": self.value, "std": self.std}
+        if self.means:
+            found |= {"means": self.means, "number": self.number, "number_std": self.number_std, "unit": self.unit}
+            if np.isfinite(self.described):
+                found["described"] = self.described
+        return found
+
+
+@dataclass(frozen=True)
+class Regression:
+    """The least squares of one channel.
+
+    Attributes:
+      channel: `motor_current`, `motor_torque` or `joint_torque`; unit: its unit.
+      coefficients: of every shape that the motion tells from the others.
+      rms: of what is left in motion; held_out: the same on blocks of time that were kept from a fit of its own; NaN where the
+        recordings are too short for that. spread: standard deviation of the channel in motion. All in `unit`.
+      samples: in motion.
+      passband: of the smoother [Hz].
+      left_out: shapes that this motion does not tell from others.
+    """
+
+    channel: str
+    unit: str
+    coefficients: tuple[Coefficient, ...]
+    rms: float
+    held_out: float
+    spread: float
+    samples: int
+    passband: float
+    left_out: tuple[str, ...] = ()
+
+    def number(self, means: str) -> float | None:
+        """A number of the joint by its name (`Coefficient.means`); None where the regression does not say it."""
+        return next((c.number for c in self.coefficients if c.means == means), None)
+
+    def predict(self, recording: Recording, joint: Joint) -> np.ndarray:
+        """The channel of a recording at its samples, shape (n,), in `unit`; NaN at the ends of parts without gaps."""
+        shapes = _shapes(recording, joint, self.channel, self.passband)
+        found = np.full(len(recording.time), np.nan)
+        if shapes is not None:
+            found[shapes.rows] = sum(c.value * shapes.columns[c.name] for c in self.coefficients)
+        return found
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        return {
+            "channel": self.channel, "unit": self.unit, "rms": self.rms, "held_out": _finite(self.held_out),
+            "spread": self.spread, "samples": self.samples, "passband": self.passband, "left_out": list(self.left_out),
+            "coefficients": [c.to_json() for c in self.coefficients],
+        }  # fmt: skip
+
+
+def regressions(measurement: Measurement, joint: Joint) -> tuple[Regression, ...]:
+    """The regression of every torque channel that a measurement has.
+
+    Args:
+      measurement: recordings of the joint; pushes of unknown size are not modelled, recordings that have them are left out.
+      joint: its description.
+
+    Returns:
+      One regression a channel; none of a channel with too little motion.
+    """
+    quiet = [r for r in measurement.recordings if r.external != "unmeasured" and not r.link.locked]
+    channels = [name for name in DRIVING if any(name in r for r in quiet)]
+    if "motor_current" in channels and "motor_torque" in channels:
+        channels.remove("motor_torque")
+    return tuple(one for name in channels if (one := _best(quiet, joint, name)) is not None)
+
+
+def _best(recordings: Sequence[Recording], joint: Joint, channel: str) -> Regression | None:
+    """The regression with the passband that predicts held-out blocks best."""
+    tried = [_regress(recordings, joint, channel, passband) for passband in _PASSBANDS]
+    found = [one for one in tried if one is not None]
+    return min(found, key=lambda one: one.held_out if np.isfinite(one.held_out) else one.rms, default=None)
+
+
+# --- shapes ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    """Shapes of one recording at n of its samples: `rows`, shape (n,); `time` since its start [s]; `speed` [rad/s]; `columns` by
+    name, shape (n,) each; `smoothed` and raw `reading` of the channel.
+
+    Both sides of the balance go through one smoother: a controller feeds the position's noise back into the current."""
+
+    rows: np.ndarray
+    time: np.ndarray
+    speed: np.ndarray
+    columns: dict[str, np.ndarray]
+    smoothed: np.ndarray
+    reading: np.ndarray
+
+
+def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -> _Shapes | None:
+    """Shapes of a recording; None where no part of it is long enough."""
+    p = joint.record(recording.link)[0]
+    position = "link_position" if "link_position" in recording else "motor_position"
+    sensed = channel != "joint_torque" and "joint_torque" in recording
+    names = [position, *(["joint_torque"] if sensed else [])]
+    parts: list[np.ndarray] = []
+    for part in recording.segments:
+        time = recording.time[part]
+        if len(time) < 10 or time[-1] - time[0] < 4 * _EDGE:
+            continue
+        values = [recording[name][part] for name in names]
+        if recording.load is not None:
+            values += [recording.load.torque[part], recording.load.inertia[part]]
+        values.append(recording.columns.get("external_torque", np.zeros(len(recording.time)))[part])
+        values.append(recording[channel][part])
+        s = smooth(time, np.column_stack(values), min(_STEP, float(np.median(np.diff(time)))), passband, share=2 * SHARE)
+        inside = (time > time[0] + _EDGE) & (time < time[-1] - _EDGE)
+        at = time[inside]
+        columns = [np.interp(at, s.time, x) for x in (*s.value.T, s.rate[:, 0], s.acceleration[:, 0])]
+        parts.append(np.stack([np.arange(part.start, part.stop)[inside], *columns]))
+    if not parts:
+        return None
+    rows, *columns = np.concatenate(parts, axis=1)
+    scale = 1.0 / float(p["N"]) if position == "motor_position" else 1.0
+    angle, velocity, acceleration = scale * columns[0], scale * columns[-2], scale * columns[-1]
+    at = rows.astype(int)
+    moment, turned = float(p["Mg"]) or 1.0, float(p["gravity_angle"])
+    weight = moment * np.sin(angle + turned)
+    load = weight * (float(p["Mg"]) > 0.0) + float(p["Jl"]) * acceleration
+    found: dict[str, np.ndarray] = {}
+    if sensed:
+        load = columns[1]
+        found["sensor torque"] = load
+    elif recording.load is not None:
+        load = weight - columns[-6] + columns[-5] * acceleration
+        found["arm"] = load
+    else:
+        found |= {"gravity": weight, "gravity across": moment * np.cos(angle + turned)}
+        found["link inertia"] = float(p["Jl"]) * acceleration
+    found["inertia"] = acceleration
+    found |= {"Coulomb friction": np.sign(velocity), "viscous friction": velocity}
+    if channel != "joint_torque":
+        found["load friction"] = np.abs(load) * np.sign(velocity)
+    found["offset"] = np.ones(len(at))
+    if recording.external == "measured":
+        found["external torque"] = -columns[-4]
+    return _Shapes(at, recording.time[at] - recording.time[0], velocity, found, columns[-3], recording[channel][at])
+
+
+# --- least squares ---------------------------------------------------------------------------------------------------
+
+
+def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passband: float) -> Regression | None:
+    having = [(i, r) for i, r in enumerate(recordings) if channel in r]
+    each = [(i, s) for i, r in having if (s := _shapes(r, joint, channel, passband)) is not None]
+    if not each:
+        return None
+    names = [n for n in each[0][1].columns if all(n in s.columns for _, s in each)]
+    speed, y, raw = (np.concatenate([getattr(s, a) for _, s in each]) for a in ("speed", "smoothed", "reading"))
+    held = np.concatenate([in_held_out_block(s.time, i) for i, s in each])
+    cluster = np.concatenate([np.floor(s.time / _CLUSTER) + 1e6 * i for i, s in each])
+    X = np.column_stack([np.concatenate([s.columns[n] for _, s in each]) for n in names])
+    moving = np.abs(speed) > _MOVING * float(np.quantile(np.abs(speed), 0.98))
+    X, y, raw, held, cluster = X[moving], y[moving], raw[moving], held[moving], cluster[moving]
+    kept = _independent(X, [names.index(n) for n in _PREFERRED if n in names])
+    if len(y) < _FEWEST * len(kept) or not len(kept):
+        return None
+    beta = _least_squares(X[:, kept], y)
+    left = y - X[:, kept] @ beta
+    unseen = float("nan")
+    if _FEWEST * len(kept) <= (~held).sum() and held.sum() >= _FEWEST:
+        unseen = _rms(raw[held] - X[held][:, kept] @ _least_squares(X[~held][:, kept], y[~held]))
+    std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
+    p = joint.record(having[0][1].link)[0]
+    alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
+    coefficients = tuple(_of_joint(names[k], float(b), float(s), channel, p, alone) for k, b, s in zip(kept, beta, std, strict=True))
+    left_out = tuple(n for i, n in enumerate(names) if i not in kept)
+    return Regression(
+        channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y), passband, left_out
+    )
+
+
+_PREFERRED = (
+    "sensor torque", "arm", "gravity", "external torque", "inertia", "Coulomb friction", "viscous friction",
+    "gravity across", "link inertia", "load friction", "offset",
+)  # fmt: skip
+"""Shapes in the order in which they are kept where a motion does not tell them apart."""
+
+
+def _independent(X: np.ndarray, order: Sequence[int]) -> list[int]:
+    """Columns of X, shape (n, c), each of which the ones before it in an order do not explain."""
+    kept: list[int] = []
+    basis = np.zeros((len(X), 0))
+    for k in order:
+        x = X[:, k] / max(float(np.linalg.norm(X[:, k])), 1e-300)
+        rest = x - basis @ (basis.T @ x)
+        size = float(np.linalg.norm(rest))
+        if size**2 > _SAME:
+            kept.append(k)
+            basis = np.column_stack([basis, rest / size])
+    return kept
+
+
+def _least_squares(X: np.ndarray, y: np.ndarray) -> np.ndarray:
+    scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    return np.linalg.lstsq(X / scale, y, rcond=1e-10)[0] / scale
+
+
+def _covariance(X: np.ndarray, left: np.ndarray, cluster: np.ndarray) -> np.ndarray:
+    """Covariance of the coefficients that takes residuals of one cluster as one (Liang and Zeger, 1986)."""
+    scale = np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+    A = X / scale
+    bread = np.linalg.pinv(A.T @ A)
+    _, index = np.unique(cluster, return_inverse=True)
+    scores = np.zeros((index.max() + 1, A.shape[1]))
+    np.add.at(scores, index, A * left[:, None])
+    count = len(scores)
+    meat = scores.T @ scores * count / max(count - 1, 1)
+    return bread @ meat @ bread / scale[:, None] / scale
+
+
+def _of_joint(name: str, value: float, std: float, channel: str, p: np.void, alone: bool) -> Coefficient:
+    """A coefficient with what it says of the joint; torques of friction are those of the motor side.
+
+    Args:
+      alone: whether the link's own inertia is in a shape of its own, so that `inertia` is the rotor's alone.
+    """
+    link = 0.0 if alone else float(p["Jl"])
+    N, Kt = float(p["N"]), float(p["Kt"])
+    output = {"motor_current": N * Kt, "motor_torque": N, "joint_torque": 1.0}[channel]
+    motor = output / N
+    meanings: dict[str, tuple[str, float, float, str]] = {
+        "gravity": ("gravity_moment", (float(p["Mg"]) or 1.0) * output, float(p["Mg"]), "N·m"),
+        "arm": ("arm_scale", output, 1.0, "1"),
+        "inertia": ("rotor_inertia" if alone else "inertia", output, link + N * N * float(p["Jm"] + p["Jw"]) * (channel != "joint_torque"), "kg·m²"),
+        "load friction": ("load_dependent_friction", output, float(p["friction_load"]), "1"),
+        "offset": ("offset", 1.0, float(p["current_offset" if channel == "motor_current" else "torque_offset"]), ""),
+    }
+    if channel != "joint_torque":
+        meanings["Coulomb friction"] = ("Fc", motor, float(p["Fc"]), "N·m")
+        meanings["viscous friction"] = ("viscous", motor / N, float(p["bw"] + p["bm"] + p["bl"] / N**2), "N·m·s/rad")
+    if name == "sensor torque" and channel == "motor_current" and value > 0.0:
+        constant = 1.0 / (N * value)
+        return Coefficient(name, value, std, "Kt", constant, constant * std / value, Kt, "N·m/A")
+    if name not in meanings:
+        return Coefficient(name, value, std)
+    means, factor, described, unit = meanings[name]
+    return Coefficient(
+        name, value, std, means, factor * value, factor * std, described, unit or CHANNELS[channel].unit
+    )
+
+
+def _rms(x: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(x * x)))
+
+
+def _finite(x: float) -> float | None:
+    return x if np.isfinite(x) else None

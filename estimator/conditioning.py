@@ -1,0 +1,317 @@
+"""A recording in, a conditioned recording out: what its stamps, steps, repeats and noise are, and what was done about them.
+
+Whatever takes a measured recording, takes it conditioned:
+
+* **Current** is made of a motor torque, where the drive reported that instead.
+* **Time** means when a sample was taken. Clock of a coarse clock, of arrival, or row numbers in their place are seen by the
+  encoders: a sample with a wrong time is off the smooth motion by the speed times that error, and at rest by nothing. Where
+  samples that are even in time make the motion smoother than its stamps do, they are taken as even.
+* **Repeats.** A reading that did not change although the motion went on is an old one. It is no news; what lies between fresh
+  readings follows from the other encoder's motion and the torsion, or from the fresh readings alone.
+* **Passband** [Hz]: how far the motion may be differentiated twice. Above it the acceleration is noise rather than motion, and
+  this noise is not small against that of the current.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..models.joint import AnalogSpec, EncoderSpec, Joint
+from ..models.recording import Recording
+from ..models.signals import CHANNELS, POSITIONS
+from .motion import CUTOFF, SHARE
+from .passband import highest
+from .stamps import Clock, clock_times, off_motion, read_stamps
+
+READ = ("motor_position", "link_position", "motor_current", "joint_torque", "external_torque")
+"""Channels whose repeats and noise are looked at."""
+FEWEST = 200  # changes of a reading below which nothing is said of its steps
+_NEAR = 20  # steps: changes of so many at most are looked at
+_OFF = 0.1  # of a step: changes that are so near a whole number of steps
+_SHARE = 0.98  # of the changes that must be whole numbers of steps
+_COARSER = 1.5  # times the described step
+_SLOWER = 0.75  # of the described rate
+_WENT_ON = 1.5  # steps a sample by which a motion goes on, of which no fresh reading would repeat itself
+_CREEPS = 0.25  # of the usual change of a sample: less of it is rest
+_REPEATED = 0.02  # share of the samples in motion from which on repeats count
+_MOVING = 0.2  # of the rms speed
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What one channel's readings are like; in its unit.
+
+    Attributes:
+      noise: standard deviation of one reading's white noise in motion, its counts among it.
+      step: of which all changes are whole numbers; 0 where it comes in none.
+      rate: at which it is read anew [Hz].
+      repeated: share of the samples in motion that repeat an older reading.
+      delay: by which it is late, as described [s].
+      bandwidth: up to which it follows [Hz]: of a described low-pass, or half of its rate.
+    """
+
+    noise: float
+    step: float
+    rate: float
+    repeated: float
+    delay: float
+    bandwidth: float
+
+
+@dataclass(frozen=True)
+class Conditioned:
+    """A recording as everything takes it; n samples.
+
+    Attributes:
+      recording: with a current, with the times at which samples were taken, and without repeats; its table's times are
+        `recording.stamps`.
+      channels: what its readings are like, by name.
+      stamps: what its stamps are.
+      passband: up to which its motion may be differentiated twice [Hz].
+      news: where a channel was read anew, shape (n,), bool, by name; only channels that repeat themselves.
+      done: what was done, as sentences.
+    """
+
+    recording: Recording
+    channels: Mapping[str, Quality]
+    stamps: Clock
+    passband: float
+    news: Mapping[str, np.ndarray] = field(default_factory=dict)
+    done: tuple[str, ...] = ()
+
+    @cached_property
+    def rate(self) -> float:
+        """Of its samples [Hz]."""
+        return 1.0 / self.recording.interval
+
+
+def condition(recording: Recording, joint: Joint) -> Conditioned:
+    """Condition a recording of a joint.
+
+    Args:
+      recording: any; it is left as it is.
+      joint: the description: its numbers say what an acceleration is as a current.
+    """
+    done: list[str] = []
+    p = joint.record(recording.link)[0]
+    columns = dict(recording.columns)
+    if "motor_current" not in columns and "motor_torque" in columns:
+        columns["motor_current"] = columns["motor_torque"] / p["Kt_drive"]
+        done.append("motor_current is motor_torque over the torque constant that the drive believes in")
+    ratio = float(p["N"])
+    parts = [part for part in recording.segments if part.stop - part.start > 4]
+    news: dict[str, np.ndarray] = {}
+    repeated = dict.fromkeys(columns, 0.0)
+    for name in (n for n in READ if n in columns):
+        fresh, share = news_of(columns[name], parts)
+        if share > _REPEATED:
+            news[name], repeated[name] = fresh, share
+            done.append(
+                f"{name}: {100 * share:.2g} % of the samples in motion repeat an older reading; they are filled in"
+            )
+    time = recording.time
+    encoders = [name for name in POSITIONS if name in columns]
+    for part in parts:  # first by themselves, for the stamps to be seen
+        for name in news:
+            columns[name] = _filled(time, columns, name, news, ratio, part)
+    floors = _floors(joint, encoders, columns)
+    stamps = read_stamps(time, [columns[name] for name in encoders], parts, floors)
+    if stamps.error:
+        even = time.copy()
+        mended = 0
+        for part in parts:
+            times = clock_times(time[part], [columns[name][part] for name in encoders])
+            if times is not None:
+                even[part] = times
+                mended += part.stop - part.start
+        if mended and np.all(np.diff(even) > 0):
+            time = even
+            left = read_stamps(time, [columns[name] for name in encoders], parts, floors)
+            stamps = replace(left, kind=stamps.kind, found=stamps.error, tick=stamps.tick)
+    if stamps.kind != "exact":
+        done.append(stamps.text)
+    if done:
+        logged = recording.stamps if time is not recording.time else recording.logged
+        recording = replace(recording, time=time, columns=columns, logged=logged)
+    channels = {
+        name: _channel(recording, name, parts, repeated[name], joint) for name in READ if name in recording.columns
+    }
+    slowest = min((c.rate, name) for name, c in channels.items() if name != "external_torque")
+    noise = {name: channel.noise for name, channel in channels.items()}
+    passband, loud = highest(recording, parts, noise, dict(zip(encoders, floors, strict=True)), SHARE * slowest[0], p)
+    if loud:
+        cause = f"stamps off by {1e3 * stamps.error:.2g} ms" if stamps.error else f"noise of {noise[loud]:.2g} rad"
+        done.append(
+            f"motion is differentiated up to {passband:.3g} Hz: beyond, {loud} has noise rather than motion ({cause})"
+        )
+    elif passband < CUTOFF:
+        done.append(f"motion is differentiated up to {passband:.3g} Hz: a quarter of the rate of {slowest[1]}")
+    return Conditioned(recording, channels, stamps, passband, news, tuple(done))
+
+
+def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[str] = ()) -> Joint:
+    """The joint with sensors as coarse as a log's readings are; the same where the description has it right.
+
+    Columns that are `wrong`, in another unit say, tell nothing of their sensor.
+    """
+    changed: dict[str, Any] = {}
+    for one in coarser(recordings, joint, wrong):
+        channel = CHANNELS[one.column]
+        spec = changed.get(channel.sensor, joint.sensors.of(channel))
+        new: dict[str, Any] = {one.what: one.found}
+        if isinstance(spec, EncoderSpec) and one.what == "step":
+            new = {"counts": max(round(2 * np.pi / one.found), 2), "bits": None}
+        changed[channel.sensor] = spec.model_copy(update=new)
+    return joint.model_copy(update={"sensors": joint.sensors.model_copy(update=changed)}) if changed else joint
+
+
+# --- steps and repeats -----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Coarse:
+    """A column whose readings are coarser than described: in steps [its unit], or read anew at a rate [Hz]."""
+
+    column: str
+    what: str
+    found: float
+    described: float
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        if self.what == "rate":
+            return f"{self.column} is read anew at {self.found:.4g} Hz, described: {self.described:.4g} Hz"
+        was = f"{self.described:.3g}" if self.described else "none"
+        return f"{self.column} comes in steps of {self.found:.3g} {CHANNELS[self.column].unit}, described: {was}"
+
+
+def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str] = ()) -> tuple[Coarse, ...]:
+    """Columns that are coarser in all recordings than the joint's description says, without those that are `wrong`."""
+    found = []
+    for name in READ[:4]:
+        there = [r for r in recordings if name in r and name not in wrong]
+        spec = joint.sensors.of(CHANNELS[name])
+        steps = [step_of(r[name]) for r in there]
+        if not steps or not isinstance(spec, EncoderSpec | AnalogSpec):
+            continue
+        described = spec.resolution if isinstance(spec, EncoderSpec) else spec.step
+        # Finer steps are none beside an analog sensor's noise.
+        least = 0.0 if isinstance(spec, EncoderSpec) else spec.noise
+        if min(steps) > max(_COARSER * described, least):
+            found.append(Coarse(name, "step", min(steps), described))
+        if isinstance(spec, EncoderSpec) or spec.noise:  # without noise a reading may well stay the same
+            shares = [news_of(r[name], r.segments)[1] for r in there if np.count_nonzero(np.diff(r[name])) > FEWEST]
+            rates = [(1 - share) / r.interval for share, r in zip(shares, there, strict=False)]
+            if rates and min(shares) > _REPEATED and max(rates) < _SLOWER * spec.rate:
+                found.append(Coarse(name, "rate", max(rates), spec.rate))
+    return tuple(found)
+
+
+def step_of(reading: np.ndarray) -> float:
+    """Step of a reading, shape (n,), of which all its changes are whole numbers, in its unit; 0 where it comes in none."""
+    change = np.abs(np.diff(reading))
+    change = change[change > 1e-12 * max(float(np.ptp(reading)), 1e-300)]
+    if len(change) < FEWEST:
+        return 0.0
+    step = float(np.percentile(change, 1))
+    steps = change[change < _NEAR * step] / step
+    whole = float(np.mean(np.abs(steps - np.round(steps)) < _OFF))
+    return step if whole > _SHARE else 0.0
+
+
+def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, float]:
+    """Which samples are read anew, shape (n,), bool, and the share of repeats among the samples in motion.
+
+    A reading stays the same at rest, and between two counts of a slow motion. Where it then goes on by more than a step for every
+    sample that it stayed, these samples were old.
+    """
+    fresh, step, moving, old = np.ones(len(reading), bool), step_of(reading), 0, 0
+    runs = []
+    for part in parts:
+        at = np.flatnonzero(np.diff(reading[part])) + 1  # first sample of each run
+        if len(at) > 1:
+            runs.append((part.start + at[:-1], np.diff(at), np.abs(np.diff(reading[part][at - 1]))))
+    if sum(len(begin) for begin, _, _ in runs) < FEWEST:
+        return fresh, 0.0
+    begin, length, jump = (np.concatenate(x) for x in zip(*runs, strict=True))
+    went = jump / length
+    went_on = went > (_WENT_ON * step if step else _CREEPS * float(np.median(went)))
+    stale = went_on & (length > 1)
+    for first, count in zip(begin[stale].tolist(), length[stale].tolist(), strict=True):
+        fresh[first + 1 : first + count] = False
+    moving, old = int(length[went_on].sum()), int((length[stale] - 1).sum())
+    return fresh, old / max(moving, 1)
+
+
+def _filled(
+    time: np.ndarray,
+    columns: Mapping[str, np.ndarray],
+    name: str,
+    news: Mapping[str, np.ndarray],
+    ratio: float,
+    part: slice,
+) -> np.ndarray:
+    """A channel whose repeats are filled in within a part: an encoder's with the other's motion, where that was read."""
+    values, fresh = columns[name].copy(), news[name][part]
+    other = next((o for o in POSITIONS if name in POSITIONS and o != name and o in columns), None)
+    beside = np.zeros(part.stop - part.start)
+    if other is not None and (other not in news or news[other].sum() > news[name].sum()):
+        beside = columns[other][part] * (ratio if name == "motor_position" else 1 / ratio)
+    t, own = time[part], values[part] - beside
+    values[part] = np.where(fresh, values[part], beside + between(t, t[fresh], own[fresh]))
+    return values
+
+
+def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values known at some times, at other times: the cubic spline through them, constant beyond its ends."""
+    if len(at) < 4 or len(at) == len(time):
+        return np.interp(time, at, values)
+    return CubicSpline(at, values)(np.clip(time, at[0], at[-1]))
+
+
+# --- noise ----------------------------------------------------------------------------------------------
+
+
+def _floors(joint: Joint, encoders: Sequence[str], columns: Mapping[str, np.ndarray]) -> list[float]:
+    """Noise [rad rms] that each encoder has in motion whatever the clock: of its counts, and as described."""
+    found = []
+    for name in encoders:
+        spec = joint.sensors.of(CHANNELS[name])
+        found.append(float(np.hypot(max(step_of(columns[name]), spec.resolution) / np.sqrt(12), spec.noise)))
+    return found
+
+
+def _channel(recording: Recording, name: str, parts: Sequence[slice], repeated: float, joint: Joint) -> Quality:
+    rate = (1 - repeated) / recording.interval
+    spec = joint.sensors.of(CHANNELS[name]) if CHANNELS[name].sensor else None
+    low = getattr(spec, "bandwidth", None)
+    return Quality(
+        noise=_noise(recording, name, parts),
+        step=step_of(recording[name]),
+        rate=rate,
+        repeated=repeated,
+        delay=float(getattr(spec, "delay", 0.0)),
+        bandwidth=min(0.5 * rate, low if low else np.inf),
+    )
+
+
+def _noise(recording: Recording, name: str, parts: Sequence[slice]) -> float:
+    """Standard deviation of a channel's white noise where an encoder moves."""
+    position = next(n for n in POSITIONS if n in recording)
+    found = []
+    for part in parts:
+        off, _ = off_motion(recording.time[part], recording[name][part])
+        speed = np.abs(np.gradient(recording[position][part], recording.time[part])[2:-2])
+        found.append(off[speed > _MOVING * np.sqrt(np.mean(speed**2))])
+    off = np.concatenate(found) if found else np.zeros(0)
+    if not len(off):
+        return 0.0
+    off **= 2
+    return float(np.sqrt(np.mean(np.minimum(off, 36 * np.median(off) + 1e-300)) if len(off) else 0.0))

@@ -1,0 +1,238 @@
+"""Time stamps of a log: whether they say when samples were taken, and when these were taken if not.
+
+A sample with a wrong time is off the smooth motion by the speed times that error: nothing at rest, the same at both encoders at
+once. An encoder's noise is the same at any speed, but for its counts, which are not seen at rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+_BLOCK = 1 << 16
+"""Samples that are looked at together, for an hour to fit into memory."""
+FEWEST = 50
+"""Samples in motion below which nothing is said."""
+LEAST = 2e-3
+"""Error of the time, in intervals, below which it is none: no motion is smoother."""
+_COUNTS = 3.0  # times the mean square of counts, the most that a pattern of theirs can be
+_PASSED = 100.0  # times an encoder's noise, squared, by which it goes on between samples
+_STILL = 1e-4  # of the largest square of the speed: what is slower is at rest
+_BINS = 8  # of the speed, with as many samples each
+_SURE = 4.0  # standard deviations by which the error of the time must show
+_PART = 0.25  # of what the fastest samples are off, that must be the time's
+_CLIPPED = 36.0  # times the median square beyond which a sample counts no more: a shock is no error of the time
+_ALIKE = 1.5  # ratio of the largest speed to the smallest within which there is but one
+_PERIODS = 8  # parts of the median interval that are tried as the period of the clock behind a log
+_STEADIER = 0.7  # a log's samples are even where even times make the motion so much smoother
+_EVEN = 1e-3  # of an interval, within which all are the same
+_TICK = 0.1  # of an interval: coarser clocks are seen
+
+Kind = Literal["exact", "row numbers", "coarse clock", "arrival"]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """What a log's stamps are.
+
+    Attributes:
+      kind: `exact`; `row numbers`: even, while the samples were not; of a `coarse clock`; or `arrival`, later than the samples.
+      error: that is left in the times [s rms]; found: that the stamps have.
+      tick: of a coarse clock [s].
+    """
+
+    kind: Kind
+    error: float
+    found: float = 0.0
+    tick: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """For people."""
+        what = {
+            "exact": "time stamps are right",
+            "row numbers": "time is even, the samples are not: a row number stands for it",
+            "coarse clock": f"time stamps are of a clock of {1e3 * self.tick:.3g} ms",
+            "arrival": "time stamps jitter: they are of the arrival, not of the sampling",
+        }[self.kind]
+        off = f"{what}; off by {1e3 * max(self.found, self.error):.2g} ms rms"
+        return (
+            f"{off}; samples are taken as even, {1e3 * self.error:.2g} ms is left" if self.found > self.error else off
+        )
+
+
+def read_stamps(
+    time: np.ndarray, encoders: Sequence[np.ndarray], parts: Sequence[slice], floors: Sequence[float]
+) -> Clock:
+    """What the encoders say of the stamps.
+
+    Args:
+      time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad], the motor's first; parts: without gaps.
+      floors: noise of each in motion, whatever the clock [rad].
+    """
+    if not parts:
+        return Clock("exact", 0.0)
+    error = max(timing_error(time[k], [x[k] for x in encoders], floors) for k in parts)
+    if not error:
+        return Clock("exact", 0.0)
+    steps = np.concatenate([np.diff(time[k]) for k in parts])
+    interval = float(np.median(steps))
+    tick = _tick(steps, interval)
+    if tick > 0.9 * interval or np.percentile(np.abs(steps - interval), 90) < _EVEN * interval:
+        return Clock("row numbers", error)
+    return Clock("coarse clock", error, tick=tick) if tick else Clock("arrival", error)
+
+
+def _tick(steps: np.ndarray, interval: float) -> float:
+    """Tick [s] of the clock of which all steps are whole numbers; 0 where it is fine."""
+    different = np.abs(steps - interval)
+    different = different[different > 1e-3 * interval]
+    if not len(different):
+        return 0.0
+    tick = float(np.percentile(different, 1))
+    whole = steps / tick
+    return tick if tick > _TICK * interval and np.mean(np.abs(whole - np.round(whole)) < 0.05) > 0.98 else 0.0
+
+
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of readings that no encoder gives
+def timing_error(time: np.ndarray, encoders: Sequence[np.ndarray], floors: Sequence[float]) -> float:
+    """Standard deviation [s] of the error of the stamps of a part without gaps; zero where the encoders do not show any.
+
+    What samples are off the smooth motion is sorted by speed: the part of its squares that grows with the square of the speed is
+    the time's. With two encoders it is the product of both, which noise of either does not make.
+
+    Args:
+      time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad].
+      floors: noise of each in motion, whatever the clock [rad].
+    """
+    if len(time) < FEWEST:
+        return 0.0
+    off, speed = zip(*(off_motion(time, x) for x in encoders), strict=True)
+    both = len(off) == 2
+    squares, speeds = off[0] * off[-1], np.abs(speed[0] * speed[-1])
+    if both:
+        squares = squares * np.sign(speed[0] * speed[-1])
+    moving = speeds > _STILL * speeds.max(initial=0.0)
+    order = np.flatnonzero(moving)[np.argsort(speeds[moving])]
+    if len(order) < FEWEST:
+        return 0.0
+    bins = [*np.array_split(order, _BINS), *([np.flatnonzero(~moving)] if np.sum(~moving) >= FEWEST else [])]
+    mean, spread = np.array([_steady(squares[b]) for b in bins]).T
+    v = np.array([np.mean(speeds[b]) for b in bins])
+    # Counts are not seen at rest: as much as these and described noise fast samples are off without any error of the time.
+    floor = 0.0 if both else floors[0] ** 2
+    spread = np.max([spread, 0.15 * np.abs(mean), np.full(len(mean), 0.02 * np.abs(mean).max() + 1e-300)], axis=0)
+    interval = float(np.median(np.diff(time)))
+    varied = v.max() > _ALIKE**2 * v.min()
+    if counted := [m for m, s in zip(mean, v, strict=True) if varied and s * interval**2 > _PASSED * floor]:
+        floor = min(floor, *counted)  # samples that are many counts apart show what the sensor's noise is at most
+    rest, slope, sure = _line(v, mean, spread**-2)
+    if rest < floor or not varied:
+        mean, weight = mean - floor, (v / spread) ** 2
+        slope, sure = float(np.sum(mean * v / spread**2) / np.sum(weight)), float(np.sqrt(np.sum(weight)))
+    fast = range(_BINS // 2, _BINS)
+    whole = [np.sqrt(_steady(off[0][bins[k]] ** 2)[0] * _steady(off[-1][bins[k]] ** 2)[0]) for k in fast]
+    if (
+        np.median(whole) < _COUNTS * floor
+        or slope * sure < _SURE
+        or slope <= (LEAST * interval) ** 2
+        or slope < _PART * np.median(whole / v[list(fast)])
+    ):
+        return 0.0
+    return float(np.sqrt(slope))
+
+
+def _steady(x: np.ndarray) -> tuple[float, float]:
+    """Mean of x, shape (n,), and its standard deviation, neighbours alike; of shocks no more than `_CLIPPED`."""
+    most = _CLIPPED * float(np.median(np.abs(x)))
+    kept = np.clip(x, -most, most)
+    return float(np.mean(kept)), float(np.std(kept) * np.sqrt(5 / len(x)))
+
+
+def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float, float]:
+    """Weighted line through points, shape (n,): intercept, slope, and one over the slope's standard deviation."""
+    middle = np.average(x, weights=weight)
+    square = float(np.sum(weight * (x - middle) ** 2))
+    slope = float(np.sum(weight * (x - middle) * y) / max(square, 1e-300))
+    return float(np.average(y, weights=weight) - slope * middle), slope, float(np.sqrt(square))
+
+
+def off_motion(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Samples less the cubic through two neighbours on either side, as noise of one sample; and the speed there."""
+    n = max(len(t) - 4, 0)
+    off, speed = np.empty(n), np.empty(n)
+    for begin in range(0, n, _BLOCK):
+        part = slice(begin, begin + _BLOCK + 4)
+        off[begin : begin + _BLOCK], speed[begin : begin + _BLOCK] = _off_within(t[part], x[part])
+    return off, speed
+
+
+def _off_within(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    i = np.arange(2, len(t) - 2)
+    others = [i - 2, i - 1, i + 1, i + 2]
+    weights = [np.prod([(t[i] - t[b]) / (t[a] - t[b]) for b in others if b is not a], axis=0) for a in others]
+    off = x[i] - sum(w * x[a] for w, a in zip(weights, others, strict=True))
+    speed = (x[i + 2] - x[i - 2]) / (t[i + 2] - t[i - 2])
+    return off / np.sqrt(1 + sum(w * w for w in weights)), speed
+
+
+def clock_times(time: np.ndarray, encoders: Sequence[np.ndarray]) -> np.ndarray | None:
+    """Times [s] of the samples by the clock that took them, shape (n,), where they are not the stamps; None where they are.
+
+    Controllers sample evenly and stamp late. Times that are whole periods apart are believed where they make the motion of every
+    encoder smoother.
+
+    Args:
+      time: stamps of one part, shape (n,) [s]; encoders: readings, shape (n,) each [rad].
+    """
+    rough = _roughness(time, encoders)
+    best: np.ndarray | None = None
+    interval = float(np.median(np.diff(time)))
+    for part in range(1, _PERIODS + 1):
+        even = _on_clock(time, interval / part)
+        if even is None:
+            continue
+        now = _roughness(even, encoders)
+        if np.all(now < _STEADIER * rough):
+            best, rough = even, now
+    return best
+
+
+def _on_clock(time: np.ndarray, period: float) -> np.ndarray | None:
+    """The nearest times that are whole periods apart, the period fitted; None where the stamps do not follow such a clock.
+
+    The period is known better the longer one looks: it is fitted to a beginning that doubles, so that ticks never slip.
+    """
+    n = len(time)
+    begin = time[: min(64, n)] - time[0]
+    tried = period * np.linspace(0.94, 1.06, 121)
+    off = [float(np.std(begin / q - np.round(begin / q))) for q in tried]
+    known, slope, start = 64, float(tried[int(np.argmin(off))]), float(time[0])
+    while True:
+        known = min(known, n)
+        ticks = np.round((time[:known] - start) / slope)
+        slope, start = (float(x) for x in np.polyfit(ticks, time[:known], 1))
+        if known == n:
+            break
+        known *= 2
+    ticks = np.round((time - start) / slope)
+    # Two samples of one tick: the later one belongs to the next, or the earlier one to the one before.
+    for k in np.flatnonzero(np.diff(ticks) <= 0):
+        if k + 2 >= n or ticks[k + 2] > ticks[k] + 1:
+            ticks[k + 1] = ticks[k] + 1
+        elif k == 0 or ticks[k - 1] < ticks[k + 1] - 1:
+            ticks[k] = ticks[k + 1] - 1
+    return start + slope * ticks if np.all(np.diff(ticks) >= 1) else None
+
+
+def _roughness(time: np.ndarray, encoders: Sequence[np.ndarray]) -> np.ndarray:
+    """Root mean square by which each encoder is off its own smooth motion where it moves [rad], shape (2,) or (1,)."""
+    found = []
+    for x in encoders:
+        off, speed = off_motion(time, x)
+        moving = np.abs(speed) > 0.2 * np.sqrt(np.mean(speed * speed))
+        found.append(np.sqrt(np.mean(off[moving] ** 2)))
+    return np.array(found)
