@@ -168,7 +168,9 @@ def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -
             values += [recording.load.torque[part], recording.load.inertia[part]]
         values.append(recording.columns.get("external_torque", np.zeros(len(recording.time)))[part])
         values.append(recording[channel][part])
-        s = smooth(time, np.column_stack(values), min(_STEP, float(np.median(np.diff(time)))), passband, share=2 * SHARE)
+        s = smooth(
+            time, np.column_stack(values), min(_STEP, float(np.median(np.diff(time)))), passband, share=2 * SHARE
+        )
         inside = (time > time[0] + _EDGE) & (time < time[-1] - _EDGE)
         at = time[inside]
         columns = [np.interp(at, s.time, x) for x in (*s.value.T, s.rate[:, 0], s.acceleration[:, 0])]
@@ -228,10 +230,20 @@ def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passba
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
     p = joint.record(having[0][1].link)[0]
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
-    coefficients = tuple(_of_joint(names[k], float(b), float(s), channel, p, alone) for k, b, s in zip(kept, beta, std, strict=True))
+    coefficients = tuple(
+        _of_joint(names[k], float(b), float(s), channel, p, alone) for k, b, s in zip(kept, beta, std, strict=True)
+    )
     left_out = tuple(n for i, n in enumerate(names) if i not in kept)
     return Regression(
-        channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y), passband, left_out
+        channel,
+        CHANNELS[channel].unit,
+        coefficients,
+        _rms(raw - X[:, kept] @ beta),
+        unseen,
+        float(np.std(raw)),
+        len(y),
+        passband,
+        left_out,
     )
 
 
@@ -287,7 +299,12 @@ def _of_joint(name: str, value: float, std: float, channel: str, p: np.void, alo
     meanings: dict[str, tuple[str, float, float, str]] = {
         "gravity": ("gravity_moment", (float(p["Mg"]) or 1.0) * output, float(p["Mg"]), "N·m"),
         "arm": ("arm_scale", output, 1.0, "1"),
-        "inertia": ("rotor_inertia" if alone else "inertia", output, link + N * N * float(p["Jm"] + p["Jw"]) * (channel != "joint_torque"), "kg·m²"),
+        "inertia": (
+            "rotor_inertia" if alone else "inertia",
+            output,
+            link + N * N * float(p["Jm"] + p["Jw"]) * (channel != "joint_torque"),
+            "kg·m²",
+        ),
         "load friction": ("load_dependent_friction", output, float(p["friction_load"]), "1"),
         "offset": ("offset", 1.0, float(p["current_offset" if channel == "motor_current" else "torque_offset"]), ""),
     }
@@ -300,9 +317,7 @@ def _of_joint(name: str, value: float, std: float, channel: str, p: np.void, alo
     if name not in meanings:
         return Coefficient(name, value, std)
     means, factor, described, unit = meanings[name]
-    return Coefficient(
-        name, value, std, means, factor * value, factor * std, described, unit or CHANNELS[channel].unit
-    )
+    return Coefficient(name, value, std, means, factor * value, factor * std, described, unit or CHANNELS[channel].unit)
 
 
 def _rms(x: np.ndarray) -> float:

@@ -140,8 +140,8 @@ def _dates(texts: list[str]) -> np.ndarray:
     import pandas as pd
 
     def stamps(given: pd.Series, **how: Any) -> pd.Series:
-        found = pd.to_datetime(given, errors="coerce", utc=True, **how)
-        return found.dt.tz_localize(None).astype("datetime64[ns]")
+        found = pd.to_datetime(given, errors="coerce", utc=True, **how).dt.tz_localize(None)
+        return found.where((found > "1700") & (found < "2250")).astype("datetime64[ns]")
 
     given = pd.Series(texts, dtype=object)
     if re.match(r"\d{4}-", next((text for text in texts if text), "")):

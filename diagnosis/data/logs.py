@@ -557,6 +557,7 @@ def _unpacked(path: Path, start: bytes) -> tuple[Source, str]:
     import bz2
     import gzip
     import lzma
+    import zlib
 
     openers: dict[bytes, Callable[[Path], Any]] = {
         b"\x1f\x8b": gzip.open,
@@ -573,7 +574,7 @@ def _unpacked(path: Path, start: bytes) -> tuple[Source, str]:
                 found.write(part)
     except EOFError:
         note = "the compressed file is cut short, and what there is of it is read"
-    except (OSError, lzma.LZMAError, ValueError) as error:
+    except (OSError, lzma.LZMAError, zlib.error, ValueError) as error:
         raise InputError(f"{path}: not a readable compressed file: {first_line(error)}") from error
     found.seek(0)
     return found, note

@@ -46,7 +46,9 @@ def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Reg
     least_squares = Fitter(fitter.problem, fitter.settings, EVEN)
     problem = least_squares.problem
     names = {CAUSES[c.means] for one in found for c in one.coefficients if c.means in CAUSES}
-    model = tuple(h for i, h in enumerate(offered) if h.cause.name in names and h.cause not in [g.cause for g in offered[:i]])
+    model = tuple(
+        h for i, h in enumerate(offered) if h.cause.name in names and h.cause not in [g.cause for g in offered[:i]]
+    )
     if not model:
         return None
     f = least_squares.fit(model, problem.start(None, model), None, _ITERATIONS)
