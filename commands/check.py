@@ -43,6 +43,7 @@ def command(
         undetermined,
     )
     from ..diagnosis.data.mistakes import find_mistakes, mended_if_possible
+    from ..diagnosis.regression import regressions
     from ..estimator.conditioning import coarser
     from ..models import causes
     from ..models.command_lines import mending
@@ -61,6 +62,7 @@ def command(
     missing, found, reasons = missing_columns(data), balances(data), undetermined(data, described, summaries)
     shows = [name for name in causes.of(described) if name not in reasons]
     coarse = coarser(data.recordings, described)
+    plain = regressions(data, described)
     for recording in data.recordings:
         ratio = torque_over_current(recording, described)
         if ratio is not None:
@@ -79,6 +81,7 @@ def command(
             "missing": missing,
             "coarser": [asdict(one) for one in coarse],
             "balances": [asdict(b) for b in found],
+            "regressions": [r.to_json() for r in plain],
             "can_show": shows,
             "undetermined": reasons,
         }
@@ -120,6 +123,15 @@ def command(
     for balance in found:
         some = "" if len(balance.recordings) == len(data.recordings) else f" ({', '.join(balance.recordings)})"
         terminal.print(Text(f"held against each other: {balance.description}{some}"))
+    for regression in plain:
+        said = Table(title=Text(f"What a plain regression says of {regression.title}"))
+        for heading in ("shape", f"coefficient [{regression.unit}/…]", "says", "described"):
+            said.add_column(heading)
+        for row in regression.rows:
+            said.add_row(*map(Text, row))
+        terminal.print(said)
+        if regression.left_out:
+            terminal.print(f"this motion does not tell apart from the others: {', '.join(regression.left_out)}")
     if not any("link_position" in r and "motor_position" in r for r in data.recordings):
         terminal.print(
             "one encoder: torsion cannot be seen, the other side's motion follows from the joint's description"

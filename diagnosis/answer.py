@@ -14,6 +14,7 @@ from .data.mistakes import Mistake
 from .fit.regions import Region
 from .fit.residual import Problem
 from .fit.solver import Fit
+from .regression import Regression
 from .search.acceptance import Decision
 from .search.stages import Search
 
@@ -118,6 +119,7 @@ class Diagnosis:
       estimation: what diagnosis gains for estimation.
       plan: what to measure next (`planning.plan`), where it was asked for.
       held_out: how data were kept from the fits.
+      regressions: what a plain regression says of each torque channel.
       complete: whether there was time for all stages.
       seconds: that it took.
     """
@@ -145,6 +147,7 @@ class Diagnosis:
     estimation: dict[str, Any] | None = None
     plan: Plan | None = field(default=None, repr=False)
     held_out: str = ""
+    regressions: tuple[Regression, ...] = ()
     complete: bool = True
     seconds: float = 0.0
 
@@ -199,6 +202,7 @@ class Diagnosis:
                 k: {"before": r.before, "after": r.after, "noise": r.noise, "unit": r.unit}
                 for k, r in self.residual.items()
             },
+            "regressions": [r.to_json() for r in self.regressions],
             "regions": [r.to_json() for r in self.regions],
             "estimation": self.estimation,
             "held_out": self.held_out,

@@ -27,6 +27,7 @@ from .fit.regions import DrawnBack, drawn_back, held_out_regions, mean_ratio
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, with_dispersion
 from .improvement import serves
+from .regression import regressions
 from .search import discrepancy
 from .search.acceptance import (
     AcceptSettings,
@@ -40,6 +41,7 @@ from .search.acceptance import (
 )
 from .search.described import as_described
 from .search.identifiability import limits
+from .search.plain import as_rivals, held_out_square, plain_fit
 from .search.settle import is_calibration, why_needed, without_cancelling, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, likeliest_first, search
@@ -82,7 +84,11 @@ def diagnose(
     offered = [h for n in available for h in hypotheses(causes.get(n), record, present.get(n))]
     tried = problem.with_room((), offered)
     fitter = Fitter(problem)
-    found, cancelled = _that_vary(fitter, search(problem, tried, settings, progress, deadline, fitter), settings.accept)
+    said = regressions(measurement, joint)
+    # With one encoder a measurement says what a regression says: from there, and never worse.
+    plain = None if problem.link_measured else plain_fit(fitter, tried, said)
+    found = search(problem, tried, settings, progress, deadline, fitter, plain)
+    found, cancelled = _that_vary(fitter, found, settings.accept)
     if cancelled and (looser := _stribeck_open(joint)) is not None and time.monotonic() < deadline:
         progress("searching once more, the Stribeck friction's height left open", 0.86)
         before, joint = found.decisions, looser
@@ -118,6 +124,9 @@ def diagnose(
     else:
         problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
         judged = final = _inflated(problem, final)
+    if plain is not None and held_out_square(problem, plain) < held_out_square(problem, judged):
+        found, unknown = replace(found, chosen=plain, rivals=as_rivals(problem, plain)), None
+        judged = final = _inflated(problem, with_dispersion(problem, plain))
     progress("regions that a fit has not seen", 0.97)
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
@@ -141,7 +150,8 @@ def diagnose(
         most = ANSWER.unsure if drawn.share == 0.0 else 1.0
         found = replace(found, complete=found.complete and not late)
         conclusion = described or replace(conclusion, found=found, surest=min(conclusion.surest, most))
-    return replace(answer_of(conclusion, measurement), mistakes=mistakes, seconds=time.monotonic() - begin)
+    answer = answer_of(conclusion, measurement)
+    return replace(answer, mistakes=mistakes, regressions=said, seconds=time.monotonic() - begin)
 
 
 def _zeros(measurement: Measurement, problem: Problem, f: Fit) -> dict[str, float]:

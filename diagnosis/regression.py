@@ -14,25 +14,28 @@ a joint that predicts held-out data worse than it is not written.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..estimator.motion import SHARE, smooth
-from ..models.joint import Joint
+from ..estimator.conditioning import Conditioned, condition
+from ..estimator.motion import smooth
+from ..models.calibration import Calibration
+from ..models.joint import Joint, Mounting
 from ..models.recording import Measurement, Recording
-from ..models.signals import CHANNELS, DRIVING, POSITIONS
+from ..models.signals import CHANNELS, DRIVING
 from .data.segments import in_held_out_block
 
+MOVING = 0.05
+"""Share of the usual largest speed (98 % of the samples are slower) below which a sample is at rest: there friction may be anything
+up to its level."""
 _STEP = 2e-3  # s: of the smoother's grid
 _EDGE = 0.1  # s: at both ends of a part, where the smoother settles
-_MOVING = 0.05  # of the usual largest speed: slower samples are at rest, where friction may be anything up to its level
 _FEWEST = 20  # samples in motion for each coefficient
 _CLUSTER = 1.0  # s: residuals that far apart count as independent
 _SAME = 1e-6  # share of a column that no other column explains, below which it is left out
-_PASSBANDS = (2.0, 4.0, 6.0, 10.0, 15.0, 25.0, 40.0)
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,8 @@ class Coefficient:
       name: of the shape: `gravity`, `inertia`, `Coulomb friction`, …
       value, std: in the channel's unit over the shape's.
       means: what it says of the joint: a symbol or a name of a cause's parameter; empty where it is none.
-      number, number_std: that number, in `unit`; described: what the description has; NaN where it has none.
+      number, number_std: that number, in `unit`; described, tolerance: what the description has, and the standard deviation that
+        it leaves open; NaN where the coefficient says nothing of the joint.
     """
 
     name: str
@@ -53,15 +57,24 @@ class Coefficient:
     number: float = float("nan")
     number_std: float = float("nan")
     described: float = float("nan")
+    tolerance: float = float("nan")
     unit: str = ""
+
+    @property
+    def beyond(self) -> float:
+        """By how many standard deviations, of tolerance and regression together, the number differs from the description; 0 where
+        the coefficient says nothing of the joint."""
+        spread = float(np.hypot(self.tolerance, self.number_std))
+        return abs(self.number - self.described) / max(spread, 1e-300) if self.means else 0.0
 
     def to_json(self) -> dict[str, Any]:
         """As plain data."""
         found: dict[str, Any] = {"name": self.name, "value": self.value, "std": self.std}
         if self.means:
-            found |= {"means": self.means, "number": self.number, "number_std": self.number_std, "unit": self.unit}
-            if np.isfinite(self.described):
-                found["described"] = self.described
+            found |= {
+                "means": self.means, "number": self.number, "number_std": self.number_std, "described": self.described,
+                "tolerance": self.tolerance, "unit": self.unit,
+            }  # fmt: skip
         return found
 
 
@@ -75,7 +88,7 @@ class Regression:
       rms: of what is left in motion; held_out: the same on blocks of time that were kept from a fit of its own; NaN where the
         recordings are too short for that. spread: standard deviation of the channel in motion. All in `unit`.
       samples: in motion.
-      passband: of the smoother [Hz].
+      passband: of the smoother [Hz], the lowest of all recordings.
       left_out: shapes that this motion does not tell from others.
     """
 
@@ -89,13 +102,33 @@ class Regression:
     passband: float
     left_out: tuple[str, ...] = ()
 
-    def number(self, means: str) -> float | None:
-        """A number of the joint by its name (`Coefficient.means`); None where the regression does not say it."""
-        return next((c.number for c in self.coefficients if c.means == means), None)
+    @property
+    def rows(self) -> list[tuple[str, str, str, str]]:
+        """For people: shape, its coefficient, what that says of the joint, and what the description has."""
+        return [
+            (
+                c.name,
+                f"{c.value:.4g} ± {c.std:.2g}",
+                f"{c.means.replace('_', ' ')} {c.number:.4g} ± {c.number_std:.2g} {'' if c.unit == '1' else c.unit}".rstrip()
+                if c.means
+                else "",
+                f"{c.described:.4g} ± {c.tolerance:.2g}" if c.means else "",
+            )
+            for c in self.coefficients
+        ]
+
+    @property
+    def title(self) -> str:
+        """For people: what it leaves of which channel."""
+        unseen = f", {self.held_out:.3g} on held-out blocks" if np.isfinite(self.held_out) else ""
+        return (
+            f"{self.channel.replace('_', ' ')}: {self.rms:.3g} {self.unit} RMS of {self.spread:.3g} is left in motion{unseen}; "
+            f"motion smoothed at {self.passband:.3g} Hz"
+        )
 
     def predict(self, recording: Recording, joint: Joint) -> np.ndarray:
         """The channel of a recording at its samples, shape (n,), in `unit`; NaN at the ends of parts without gaps."""
-        shapes = _shapes(recording, joint, self.channel, self.passband)
+        shapes = _shapes(condition(recording, joint), joint, self.channel)
         found = np.full(len(recording.time), np.nan)
         if shapes is not None:
             found[shapes.rows] = sum(c.value * shapes.columns[c.name] for c in self.coefficients)
@@ -121,17 +154,11 @@ def regressions(measurement: Measurement, joint: Joint) -> tuple[Regression, ...
       One regression a channel; none of a channel with too little motion.
     """
     quiet = [r for r in measurement.recordings if r.external != "unmeasured" and not r.link.locked]
+    conditioned = [condition(r, joint) for r in quiet]
     channels = [name for name in DRIVING if any(name in r for r in quiet)]
     if "motor_current" in channels and "motor_torque" in channels:
         channels.remove("motor_torque")
-    return tuple(one for name in channels if (one := _best(quiet, joint, name)) is not None)
-
-
-def _best(recordings: Sequence[Recording], joint: Joint, channel: str) -> Regression | None:
-    """The regression with the passband that predicts held-out blocks best."""
-    tried = [_regress(recordings, joint, channel, passband) for passband in _PASSBANDS]
-    found = [one for one in tried if one is not None]
-    return min(found, key=lambda one: one.held_out if np.isfinite(one.held_out) else one.rms, default=None)
+    return tuple(one for name in channels if (one := _regress(conditioned, joint, name)) is not None)
 
 
 # --- shapes ----------------------------------------------------------------------------------------------------------
@@ -152,8 +179,9 @@ class _Shapes:
     reading: np.ndarray
 
 
-def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -> _Shapes | None:
+def _shapes(conditioned: Conditioned, joint: Joint, channel: str) -> _Shapes | None:
     """Shapes of a recording; None where no part of it is long enough."""
+    recording, passband = conditioned.recording, conditioned.passband
     p = joint.record(recording.link)[0]
     position = "link_position" if "link_position" in recording else "motor_position"
     sensed = channel != "joint_torque" and "joint_torque" in recording
@@ -168,9 +196,7 @@ def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -
             values += [recording.load.torque[part], recording.load.inertia[part]]
         values.append(recording.columns.get("external_torque", np.zeros(len(recording.time)))[part])
         values.append(recording[channel][part])
-        s = smooth(
-            time, np.column_stack(values), min(_STEP, float(np.median(np.diff(time)))), passband, share=2 * SHARE
-        )
+        s = smooth(time, np.column_stack(values), min(_STEP, recording.interval), passband)
         inside = (time > time[0] + _EDGE) & (time < time[-1] - _EDGE)
         at = time[inside]
         columns = [np.interp(at, s.time, x) for x in (*s.value.T, s.rate[:, 0], s.acceleration[:, 0])]
@@ -207,9 +233,9 @@ def _shapes(recording: Recording, joint: Joint, channel: str, passband: float) -
 # --- least squares ---------------------------------------------------------------------------------------------------
 
 
-def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passband: float) -> Regression | None:
-    having = [(i, r) for i, r in enumerate(recordings) if channel in r]
-    each = [(i, s) for i, r in having if (s := _shapes(r, joint, channel, passband)) is not None]
+def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> Regression | None:
+    having = [(i, c) for i, c in enumerate(conditioned) if channel in c.recording]
+    each = [(i, s) for i, c in having if (s := _shapes(c, joint, channel)) is not None]
     if not each:
         return None
     names = [n for n in each[0][1].columns if all(n in s.columns for _, s in each)]
@@ -217,7 +243,7 @@ def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passba
     held = np.concatenate([in_held_out_block(s.time, i) for i, s in each])
     cluster = np.concatenate([np.floor(s.time / _CLUSTER) + 1e6 * i for i, s in each])
     X = np.column_stack([np.concatenate([s.columns[n] for _, s in each]) for n in names])
-    moving = np.abs(speed) > _MOVING * float(np.quantile(np.abs(speed), 0.98))
+    moving = np.abs(speed) > MOVING * float(np.quantile(np.abs(speed), 0.98))
     X, y, raw, held, cluster = X[moving], y[moving], raw[moving], held[moving], cluster[moving]
     kept = _independent(X, [names.index(n) for n in _PREFERRED if n in names])
     if len(y) < _FEWEST * len(kept) or not len(kept):
@@ -228,22 +254,12 @@ def _regress(recordings: Sequence[Recording], joint: Joint, channel: str, passba
     if _FEWEST * len(kept) <= (~held).sum() and held.sum() >= _FEWEST:
         unseen = _rms(raw[held] - X[held][:, kept] @ _least_squares(X[~held][:, kept], y[~held]))
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
-    p = joint.record(having[0][1].link)[0]
+    link = having[0][1].recording.link
     alone = any(names[k] in ("arm", "sensor torque", "link inertia") for k in kept)
-    coefficients = tuple(
-        _of_joint(names[k], float(b), float(s), channel, p, alone) for k, b, s in zip(kept, beta, std, strict=True)
-    )
+    coefficients = tuple(_of_joint(names[k], float(b), float(s), channel, joint, link, alone) for k, b, s in zip(kept, beta, std, strict=True))
     left_out = tuple(n for i, n in enumerate(names) if i not in kept)
     return Regression(
-        channel,
-        CHANNELS[channel].unit,
-        coefficients,
-        _rms(raw - X[:, kept] @ beta),
-        unseen,
-        float(np.std(raw)),
-        len(y),
-        passband,
-        left_out,
+        channel, CHANNELS[channel].unit, coefficients, _rms(raw - X[:, kept] @ beta), unseen, float(np.std(raw)), len(y), min(c.passband for _, c in having), left_out
     )
 
 
@@ -286,38 +302,51 @@ def _covariance(X: np.ndarray, left: np.ndarray, cluster: np.ndarray) -> np.ndar
     return bread @ meat @ bread / scale[:, None] / scale
 
 
-def _of_joint(name: str, value: float, std: float, channel: str, p: np.void, alone: bool) -> Coefficient:
+def _of_joint(name: str, value: float, std: float, channel: str, joint: Joint, link: Mounting, alone: bool) -> Coefficient:
     """A coefficient with what it says of the joint; torques of friction are those of the motor side.
 
     Args:
+      link: the mounting of the recording.
       alone: whether the link's own inertia is in a shape of its own, so that `inertia` is the rotor's alone.
     """
-    link = 0.0 if alone else float(p["Jl"])
-    N, Kt = float(p["N"]), float(p["Kt"])
+    calibration = Calibration(joint)
+    records = [calibration.record(x, link)[0] for x in np.vstack([np.zeros(calibration.size), np.eye(calibration.size)])]
+    p = records[0]
+    N, Kt, moment = float(p["N"]), float(p["Kt"]), float(p["Mg"]) or 1.0
     output = {"motor_current": N * Kt, "motor_torque": N, "joint_torque": 1.0}[channel]
-    motor = output / N
-    meanings: dict[str, tuple[str, float, float, str]] = {
-        "gravity": ("gravity_moment", (float(p["Mg"]) or 1.0) * output, float(p["Mg"]), "N·m"),
-        "arm": ("arm_scale", output, 1.0, "1"),
+    driven = channel != "joint_torque"
+    offset = "current_offset" if channel == "motor_current" else "torque_offset"
+    unit = CHANNELS[channel].unit
+    if name == "sensor torque":
+        if channel != "motor_current" or value <= 0.0:
+            return Coefficient(name, value, std)
+        number, factor = 1.0 / (N * value), -1.0 / (N * value) / value
+    else:
+        factor = {"gravity": moment * output, "Coulomb friction": output / N, "viscous friction": output / N**2, "offset": 1.0}.get(
+            name, output
+        )
+        number = factor * value
+    meanings: dict[str, tuple[str, str, Callable[[np.void], float]]] = {
+        "sensor torque": ("Kt", "N·m/A", lambda r: r["Kt"]),
+        "gravity": ("gravity_moment", "N·m", lambda r: r["Mg"]),
+        "arm": ("arm_scale", "1", lambda r: 1.0),
         "inertia": (
             "rotor_inertia" if alone else "inertia",
-            output,
-            link + N * N * float(p["Jm"] + p["Jw"]) * (channel != "joint_torque"),
             "kg·m²",
+            lambda r: (not alone) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
         ),
-        "load friction": ("load_dependent_friction", output, float(p["friction_load"]), "1"),
-        "offset": ("offset", 1.0, float(p["current_offset" if channel == "motor_current" else "torque_offset"]), ""),
+        "load friction": ("load_dependent_friction", "1", lambda r: r["friction_load"]),
+        "offset": ("offset", unit, lambda r: r[offset]),
     }
-    if channel != "joint_torque":
-        meanings["Coulomb friction"] = ("Fc", motor, float(p["Fc"]), "N·m")
-        meanings["viscous friction"] = ("viscous", motor / N, float(p["bw"] + p["bm"] + p["bl"] / N**2), "N·m·s/rad")
-    if name == "sensor torque" and channel == "motor_current" and value > 0.0:
-        constant = 1.0 / (N * value)
-        return Coefficient(name, value, std, "Kt", constant, constant * std / value, Kt, "N·m/A")
+    if driven:
+        meanings["Coulomb friction"] = ("Fc", "N·m", lambda r: r["Fc"])
+        meanings["viscous friction"] = ("viscous", "N·m·s/rad", lambda r: r["bw"] + r["bm"] + r["bl"] / N**2)
     if name not in meanings:
         return Coefficient(name, value, std)
-    means, factor, described, unit = meanings[name]
-    return Coefficient(name, value, std, means, factor * value, factor * std, described, unit or CHANNELS[channel].unit)
+    means, unit, of = meanings[name]
+    described, *moved = (float(of(r)) for r in records)
+    open_ = float(np.sqrt(np.sum((np.array(moved) - described) ** 2)))
+    return Coefficient(name, value, std, means, number, abs(factor) * std, described, open_, unit)
 
 
 def _rms(x: np.ndarray) -> float:

@@ -141,7 +141,7 @@ def _dates(texts: list[str]) -> np.ndarray:
 
     def stamps(given: pd.Series, **how: Any) -> pd.Series:
         found = pd.to_datetime(given, errors="coerce", utc=True, **how).dt.tz_localize(None)
-        return found.where((found > "1700") & (found < "2250")).astype("datetime64[ns]")
+        return found.where((found > pd.Timestamp("1700")) & (found < pd.Timestamp("2250"))).astype("datetime64[ns]")
 
     given = pd.Series(texts, dtype=object)
     if re.match(r"\d{4}-", next((text for text in texts if text), "")):

@@ -475,6 +475,9 @@ def import_recordings(
                 raise InputError(
                     f"{path}: {fault}; it begins again there: `episodes: COLUMN` parts a log into recordings"
                 )
+            if 10 * np.count_nonzero(~later) > len(its) and time[-1] > time[0]:
+                rate = (len(its) - 1) / (time[-1] - time[0])
+                fault += f" (a coarse clock? `time: {{rate: {rate:.4g}}}` counts rows instead)"
             _damaged(layout, path, [fault], int(np.count_nonzero(~later)), len(its))
         own = {column: values[its[later]] for column, values in table.items()}
         stem = (name or path.stem) + (f"_{value:g}" if layout.episodes else "")

@@ -1,79 +1,89 @@
-"""The start from a plain regression: the effects that least squares puts beyond the joint's tolerances, fitted in the replay.
+"""The start from a plain regression: effects that it puts beyond the joint's tolerances, fitted in the replay by least squares.
 
 With one encoder a measurement says of a joint what a regression of its torque on its motion says: gravity, inertia, friction,
-offset, torque constant. Each is a cause of the library. They are fitted together by least squares, with the joint's tolerances as priors. An effect without
-which held-out data are predicted as well goes again: the tolerances express it, or it is not there.
+offset, torque constant. Each of these numbers is a cause of the library. A number that the regression knows, and that lies beyond
+what the description leaves open, starts in the model; everything else has to be found.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from ..data.segments import Segment
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
 from ..fit.residual import Problem
-from ..fit.solver import Fit, Fitter
-from ..regression import Regression
+from ..fit.solver import Fit, Fitter, with_dispersion
+from ..regression import MOVING, Regression
+from .acceptance import Rivals, significance
 
 CAUSES = {
-    "gravity_moment": "gravity_moment",
-    "inertia": "link_inertia",
-    "rotor_inertia": "rotor_inertia",
-    "Fc": "mesh_friction",
-    "viscous": "viscous_friction",
-    "load_dependent_friction": "load_dependent_friction",
-    "offset": "current_offset",
-    "Kt": "torque_constant",
+    "gravity_moment": ("gravity_moment", "scale"),
+    "inertia": ("link_inertia", "scale"),
+    "rotor_inertia": ("rotor_inertia", "value"),
+    "Fc": ("mesh_friction", "scale"),
+    "viscous": ("viscous_friction", "coefficient"),
+    "load_dependent_friction": ("load_dependent_friction", "coefficient"),
+    "offset": ("current_offset", "value"),
+    "Kt": ("torque_constant", "value"),
 }
-"""Causes by what a coefficient of a regression says (`regression.Coefficient.means`)."""
-_ITERATIONS = 10
-_NEEDED = 0.03
-"""Share by which what is left of held-out data must grow without an effect, for it to stay."""
+"""Cause and its parameter by what a coefficient of a regression says (`regression.Coefficient.means`)."""
+BEYOND = 3.0
+"""Standard deviations, of tolerance and regression together, from which on a number starts in the model."""
+_ITERATIONS = 12
 
 
-def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Regression]) -> Fit | None:
-    """The joint with the effects that a regression needs beyond its tolerances, by least squares.
+def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Regression]) -> Fit:
+    """The joint with the effects that a regression puts beyond its tolerances, by least squares in motion.
 
     Args:
       offered: hypotheses that the measurement can show.
       found: the regressions of the measurement.
-
-    Returns:
-      None where tolerances can express all of them.
     """
-    least_squares = Fitter(fitter.problem, fitter.settings, EVEN)
-    problem = least_squares.problem
-    names = {CAUSES[c.means] for one in found for c in one.coefficients if c.means in CAUSES}
-    model = tuple(
-        h for i, h in enumerate(offered) if h.cause.name in names and h.cause not in [g.cause for g in offered[:i]]
-    )
-    if not model:
-        return None
-    f = least_squares.fit(model, problem.start(None, model), None, _ITERATIONS)
-    while f.model:
-        others = [_without(least_squares, f, i) for i in range(len(f.model))]
-        best = min(others, key=lambda other: held_out_square(problem, other))
-        if held_out_square(problem, best) > (1 + _NEEDED) * held_out_square(problem, f):
-            return f
-        f = best
-    return None
+    problem = fitter.problem
+    record = problem.calibration.record(np.zeros(problem.calibration.size))[0]
+    started: dict[str, tuple[Hypothesis, np.ndarray]] = {}
+    for one in found:
+        for c in one.coefficients:
+            name, parameter = CAUSES.get(c.means, ("", ""))
+            h = next((g for g in offered if g.cause.name == name), None)
+            if h is None or name in started or c.beyond <= BEYOND:
+                continue
+            now = h.cause.present(record)[parameter]
+            value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)
+            started[name] = h, h.confine(h.coordinates({q.name: value for q in h.cause.parameters}))
+    model = tuple(h for h, _ in started.values())
+    start = np.concatenate([problem.start(None, ()), *(u for _, u in started.values())])
+    return Fitter(in_motion(problem), fitter.settings, EVEN).fit(model, start, None, _ITERATIONS)
 
 
-def _without(fitter: Fitter, f: Fit, index: int) -> Fit:
-    """A fit without one of its effects."""
-    block = fitter.problem.place(f.model, index)
-    theta = np.delete(f.theta, np.arange(block.start, block.stop))
-    return fitter.fit(tuple(h for i, h in enumerate(f.model) if i != index), theta, f, 6, anew=True)
+def in_motion(problem: Problem) -> Problem:
+    """The same problem with the samples that a regression counts: at rest and about a reversal friction may be anything."""
+    speed = np.concatenate([np.abs(s.state[:, 3]) for s in problem.segments])
+    least = MOVING * float(np.quantile(speed, 0.98))
+
+    def moving(s: Segment) -> Segment:
+        fast = (np.abs(s.state[:, 3]) > least)[:, None]
+        return replace(s, usable=s.usable & fast, held_out=s.held_out & fast)
+
+    return problem.with_segments(moving)
 
 
 def held_out_square(problem: Problem, f: Fit) -> float:
-    """Mean square of what a fit leaves in motion of the blocks that it has not seen, of all where there are none [N·m at the
-    output]², over all balances."""
-    total = 0.0
+    """Mean square that a fit leaves in motion of the blocks that it has not seen, of all where there are none, over all balances
+    [N·m at the output]²."""
+    moving, total = in_motion(problem), 0.0
     for b, scale in enumerate(problem.output_scale):
-        use = [k[:, b] & ~s.at_rest for k, s in zip(problem.judged, problem.segments, strict=True)]
+        use = [k[:, b] for k in moving.judged]
         squares = np.concatenate([r[u, b] ** 2 for r, u in zip(f.point.residual, use, strict=True)])
         total += float(np.mean(squares)) * scale**2 if len(squares) else 0.0
     return total
+
+
+def as_rivals(problem: Problem, f: Fit) -> tuple[Rivals, ...]:
+    """Effects of a fit as the search keeps them, each with the log evidence of its distance from absent."""
+    sure = with_dispersion(problem, f)
+    return tuple(Rivals(h.cause.name, 0.5 * significance(problem, sure, i) ** 2, ()) for i, h in enumerate(f.model))

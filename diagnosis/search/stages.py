@@ -27,6 +27,7 @@ from .acceptance import AcceptSettings, Decision, Rivals, quiet_rms
 from .calibrate import CalibrateSettings, afresh, calibrate, doubtful, from_least_squares, hand_over, is_slow
 from .combinations import in_place_of_each_other
 from .finalists import Finalist, coarse_finalists, explains_little, finalists_of, first_cause, ranked, rivals_of
+from .plain import as_rivals
 from .rivals import against_rivals, beyond_the_ends
 from .screen import Library, ScreenSettings, screen
 from .select import gains_of, others_than, select
@@ -100,6 +101,7 @@ def search(
     progress: Progress = lambda stage, done: None,
     deadline: float = np.inf,
     fitter: Fitter | None = None,
+    start: Fit | None = None,
 ) -> Search:
     """Find the causes.
 
@@ -107,11 +109,12 @@ def search(
       progress: told the stages as they begin.
       deadline: of `time.monotonic` [s], after which no further stage begins and the best so far is the answer.
       fitter: of this problem, with what it has kept.
+      start: a model to begin with (`plain.plain_fit`); by default the joint without causes.
     """
     fitter = fitter or Fitter(problem)
     progress("calibrating the joint", 0.02)
     first = calibrate(fitter, settings.calibrate)
-    return _from(fitter, first, hypotheses, settings, progress, deadline)
+    return _from(fitter, first, hypotheses, settings, progress, deadline, start)
 
 
 def likeliest_first(
@@ -143,10 +146,11 @@ def _from(
     settings: SearchSettings,
     progress: Progress,
     deadline: float,
+    start: Fit | None = None,
 ) -> Search:
     """The causes beside a calibrated joint."""
     problem, accept = fitter.problem, settings.accept
-    found = _one_by_one(fitter, first, hypotheses, settings, progress, deadline)
+    found = _one_by_one(fitter, first, hypotheses, settings, progress, deadline, start=start)
     if not (found.at.model or found.late) and doubtful(problem, first, quiet_rms(problem, first), settings.calibrate):
         other = afresh(fitter, first, settings.calibrate)
         if other.log_evidence >= first.log_evidence + 1.0:
@@ -226,15 +230,19 @@ def _one_by_one(
     deadline: float,
     *,
     coarsely: bool = True,
+    start: Fit | None = None,
 ) -> _Found:
     """Screen and fit, as long as much is left and a cause explains a good part of it.
 
     Args:
       coarsely: whether causes are also tried without the linear model, where the calibrated joint is far off.
+      start: a model with causes in it to begin with.
     """
     problem = fitter.problem
     accept, iterations = settings.accept, settings.calibrate.iterations
     at, rivals, decisions = first, list[Rivals](), list[Decision]()
+    if start is not None and start.model:
+        at, rivals = fitter.fit(start.model, start.theta, None, 4), list(as_rivals(problem, start))
     last: tuple[Finalist, dict[str, float]] | None = None
     slight = False
     coarsely = coarsely and not accept.likeliest

@@ -290,6 +290,15 @@ def test_rows_at_which_time_does_not_increase_are_damaged(tmp_path):
         comes_out(fs.import_log(mapping(tmp_path, damaged_rows="leave_out"), tmp_path / "log.csv"))
 
 
+def test_a_coarse_clock_is_named_with_the_rate_of_its_rows(tmp_path):
+    table = pd.DataFrame({"time": np.floor(T / 0.02) * 0.02, "q": Q, "current": I})
+    table.to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match=r"320 of 400 rows") as caught:
+        fs.import_log(mapping(tmp_path), tmp_path / "log.csv")
+    rate = float(str(caught.value).split("`time: {rate: ")[1].split("}")[0])
+    assert rate == pytest.approx(250, rel=0.02)
+
+
 def test_a_unit_that_the_log_states_otherwise_is_said(tmp_path):
     (tmp_path / "log.csv").write_text(text().replace("current\n", "current\ns,deg,A\n", 1))
     with pytest.warns(InputWarning, match="'q': its unit in the log is 'deg', in the mapping 'rad'"):

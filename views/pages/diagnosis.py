@@ -120,6 +120,7 @@ def context(report: Report) -> dict[str, Any]:
         "causes": [_cause(report, c) for c in d.causes],
         "minor": [_cause(report, c) for c in d.minor],
         "decisions": _decisions(d),
+        "regressions": d.regressions,
         "overlays": residual_charts.over_time(overlays(report)),
         "told": residual_charts.told(found),
         "balances": residual_charts.by_variable(found),
