@@ -536,7 +536,7 @@ def _kind_of(path: Path, start: bytes, source: Source) -> str:
         try:
             with zipfile.ZipFile(source) as archive:
                 inside = archive.namelist()
-        except (OSError, zipfile.BadZipFile):
+        except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
             inside = []
         if "xl/workbook.xml" in inside:
             return "excel"
