@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from ..diagnosis.data.mistakes import Mistake
     from ..models.recording import Measurement, Recording
 
+_ENDS = (".parquet", ".yaml", "_arm.xml")
+"""Of the names of a recording's files."""
 EXAMPLES = (
+    "flexspline import --propose log.csv",
     "flexspline import mapping.yaml log.csv --out measurement",
     "flexspline import ur3e_rtde free.csv loaded.csv --joint my_joint.yaml --out measurement",
     "flexspline import measurement --fix --out mended",
@@ -32,15 +35,19 @@ def command(
         list[str],
         typer.Argument(
             metavar="FORMAT FILE…",
-            help="a shipped layout (`lara8`, `ur3e`, `ur3e_rtde`) or a mapping file (YAML), and logs (CSV, Parquet, MCAP, "
-            "ROS 2 bags); or a measurement alone",
+            help="a shipped layout (`lara8`, `ur3e`, `ur3e_rtde`) or a mapping file (YAML), and logs (CSV and other text, "
+            "Parquet, JSON, npz, mat, HDF5, xlsx, MCAP, ROS bags); or a measurement alone; or, with --propose, a log alone",
         ),
     ],
-    out: Annotated[Path, typer.Option(help="folder that the recordings are written to")],
+    out: Annotated[Path | None, typer.Option(help="folder that the recordings are written to")] = None,
     joint: Annotated[str | None, typer.Option(help="name of, or path to, a joint; the layout's by default")] = None,
     name: Annotated[
         str | None, typer.Option(help="name of the recording, of a single log; the log's by default")
     ] = None,
+    propose: Annotated[
+        bool,
+        typer.Option("--propose", help="print a mapping for a log: its columns, their likely quantities and units"),
+    ] = False,
     fix: Annotated[bool, typer.Option("--fix", help="mend the mistakes that `flexspline check` names")] = False,
     force: Annotated[
         bool,
@@ -53,28 +60,39 @@ def command(
 ) -> None:
     """Import logs in another layout as recordings: table and YAML. See docs/importing.md.
 
+    `flexspline import --propose LOG > mapping.yaml` begins such a layout; what is to be filled in says so.
+
     With `--fix`, what people get wrong (units, signs, columns exchanged or late, …) is named and mended; a measurement in this
     program's own format can be given as well then: `flexspline import MEASUREMENT --fix --out DIR`.
     """
     from ..diagnosis.data.mistakes import find_mistakes, mended
     from ..models.files import json_text
     from ..models.output import check_output, output_folder
-    from ..models.recording import edited, write_recording
+    from ..models.recording import edited, ordered, write_recording
     from ._console import console
     from ._mistakes import print_mistakes
 
     terminal = console()
+    if propose:
+        if len(what) != 1 or out is not None:
+            raise InputError("--propose: expected one log and no --out, as a mapping is printed")
+        from ..diagnosis.data.proposing import proposed
+
+        print(proposed(Path(what[0])), end="")
+        return
+    if out is None:
+        raise InputError("--out: expected the folder that the recordings are written to, got none")
     measurement, home, inputs = _read(what, joint, name)
     names = [recording.name for recording in measurement.recordings]
-    written = [f"{stem}{suffix}" for stem in names for suffix in (".parquet", ".csv", ".yaml", "_arm.xml")]
+    written = [f"{stem}{suffix}" for stem in names for suffix in (*_ENDS, ".csv")]
     if not force:
         for file in written:
             if (out / file).exists():
                 raise InputError(f"{out / file}: expected no such file, --force replaces what was imported before")
     check_output(out, "import", inputs=inputs, writes=written)
     mistakes: list[Mistake] = []
+    described = measurement.load_joint(joint)
     if fix:
-        described = measurement.load_joint(joint)
         found = find_mistakes(measurement, described)
         mistakes = [m for m in found if m.sure]
         for m in found:
@@ -98,9 +116,10 @@ def command(
                 _keep(path.with_suffix(".yaml"), folder / path.name)
             imported[recording.name] = {
                 "file": str(path),
+                "files": [str(out / f"{path.stem}{end}") for end in _ENDS if (folder / f"{path.stem}{end}").is_file()],
                 "samples": len(recording.time),
                 "seconds": float(recording.time[-1] - recording.time[0]),
-                "columns": ["time", *recording.columns],
+                "columns": list(ordered(recording)),
                 "description_kept": kept,
             }
     if as_json:
@@ -110,12 +129,13 @@ def command(
         if one["description_kept"]:
             terminal.print(f"{Path(one['file']).with_suffix('.yaml')}: kept, as it was edited")
         columns = ", ".join(one["columns"])
-        terminal.print(f"{one['file']}: {one['samples']} samples, {one['seconds']:.2f} s: {columns}")
+        others = " and ".join(Path(file).name for file in one["files"][1:])
+        terminal.print(f"{one['file']}, with {others}: {one['samples']} samples, {one['seconds']:.2f} s: {columns}")
 
 
 def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measurement, Path, list[Path]]:
     """The recordings, the folder to which a path to their joint is relative, and the files that were read."""
-    from ..diagnosis.data.importing import import_recording, known_layouts, load_layout, unfitting
+    from ..diagnosis.data.importing import import_recordings, known_layouts, load_layout, unfitting
     from ..models.files import check_name
     from ..models.recording import Measurement
 
@@ -137,8 +157,9 @@ def _read(what: list[str], joint: str | None, name: str | None) -> tuple[Measure
         if name is not None and len(what) > 2:
             raise InputError(f"--name: expected a single log, got {len(what) - 1}")
         layout = load_layout(what[0])
-        stems = [check_name(name or Path(log).stem, "--name" if name else log) for log in what[1:]]
-        found = [import_recording(layout, log, stem, joint) for log, stem in zip(what[1:], stems, strict=True)]
+        stems = [check_name(name or _stem(Path(log)), "--name" if name else log) for log in what[1:]]
+        given = zip(what[1:], stems, strict=True)
+        found = [recording for log, stem in given for recording in import_recordings(layout, log, stem, joint)]
         if nowhere := unfitting(layout, what[1:]):
             logs = ", ".join(Path(log).name for log in what[1:]) if len(what) <= 4 else f"of {len(what) - 1} logs"
             text = f"{what[0]}: logs: {', '.join(map(repr, nowhere))}: expected to fit a log's name, got {logs}"
@@ -199,12 +220,15 @@ def _is_log(path: Path) -> bool:
         return False
     if path.suffix in (".csv", ".parquet"):
         return not path.with_suffix(".yaml").is_file()
-    if path.suffix in (".pq", ".mcap", ".db3"):
-        return True
     try:
         return not _is_mapping(path)
     except InputError:  # no YAML
         return True
+
+
+def _stem(log: Path) -> str:
+    """The name of a log's recording: `a` of `a.csv.gz`, too."""
+    return log.with_suffix("").stem if log.suffix in (".gz", ".bz2", ".xz") else log.stem
 
 
 def _is_mapping(path: Path) -> bool:

@@ -126,7 +126,7 @@ def import_log(
 
     Args:
       layout: name of a shipped mapping (`lara8`, `ur3e`, `ur3e_rtde`), or path of a mapping file.
-      log: path of the log: CSV, Parquet, MCAP, or a ROS 2 bag.
+      log: path of the log, in any format that is read: CSV, Parquet, JSON, npz, mat, HDF5, xlsx, MCAP, a ROS bag, a folder.
       joint: name of, or path to, the joint's description; by default the one that the mapping names.
       name: of the recording; by default the log's.
 

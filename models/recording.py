@@ -7,9 +7,8 @@ Which channels there may be, and their units, stands in `models.signals`.
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import re
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -23,7 +22,7 @@ from pydantic import model_validator
 from . import units
 from .arm import ArmRecord, ArmSpec, Load, joint_of
 from .arm import column as arm_column
-from .errors import InputError, first_line, nearest
+from .errors import InputError, InputWarning, nearest
 from .files import Strict, check_name, load, write_into_place, yaml_text
 from .joint import Joint, Mounting, load_joint
 from .notebook import html_table, paragraph
@@ -32,6 +31,7 @@ from .own_sensors import channel
 from .signals import CHANNELS, DRIVING, POSITIONS, Signals
 from .streams import BLOCK
 from .tables import reading_parquet, write_table
+from .text_tables import TextTable
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -446,7 +446,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         with write_into_place(folder / sidecar.arm.model) as temporary:
             temporary.write_text(arm.mjcf, encoding="utf-8")
     text = yaml_text(data)
-    columns = _ordered(recording)
+    columns = ordered(recording)
     with write_into_place(path) as temporary:
         units_of = {name: _unit(name) for name in columns}
         write_table(temporary, columns, units_of, metadata={_WRITTEN: _digest(text)})
@@ -455,7 +455,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     return path
 
 
-def _ordered(recording: Recording) -> dict[str, np.ndarray]:
+def ordered(recording: Recording) -> dict[str, np.ndarray]:
     """The columns of a recording's table in their order, shape (n,) each."""
     known = [*CHANNELS, *(name for name in recording.columns if name not in CHANNELS)]
     ordered = {"time": recording.time, **{n: recording.columns[n] for n in known if n in recording.columns}}
@@ -509,8 +509,6 @@ def check_channels(where: str, columns: Iterable[str]) -> None:
 
 def _check_header(path: Path, names: list[str]) -> None:
     for i, name in enumerate(names):
-        if "\x00" in name:
-            raise InputError(f"{path}: expected text in UTF-8, got UTF-16")
         if channel(name) is None and joint_of(name) is None:
             raise InputError(
                 f"{path}: column {name!r}: unknown column{nearest(name, CHANNELS)}; known are {', '.join(CHANNELS)} "
@@ -558,108 +556,15 @@ def _parquet_column(path: Path, file: pa.parquet.ParquetFile, name: str) -> np.n
 
 
 def _read_csv(path: Path) -> dict[str, np.ndarray]:
-    form = csv_format(path)
-    names = csv_header(path, form)
-    _check_header(path, names)
-    return read_csv_columns(path, names, form)
-
-
-@dataclass(frozen=True)
-class CsvFormat:
-    """How a CSV file is written: separator, decimal mark, encoding."""
-
-    separator: str = ","
-    decimal: str = "."
-    encoding: str = "utf-8"
-
-
-_OWN = CsvFormat()
-
-
-_DECIMAL = re.compile(r"\s*[-+]?\d*([.,])\d+([eE][-+]?\d+)?\s*")
-_LOOKED_AT = 200  # rows
-
-
-def csv_format(path: Path, separator: str | None = None, decimal: str | None = None) -> CsvFormat:
-    """How a CSV file is written, as far as it is not stated: UTF-8 or else Latin-1; the separator as the header has it most
-    often (comma, semicolon, tab; blanks where it has none of these); a decimal comma where the first rows have such and no point.
-    """
     try:
-        raw = path.read_bytes()
+        table = TextTable(path, path.read_bytes(), CHANNELS)
     except OSError as error:
         raise InputError(f"{path}: not a readable CSV file: {error.strerror}") from error
-    try:
-        raw.decode("utf-8")
-        encoding = "utf-8"
-    except UnicodeDecodeError:
-        encoding = "latin-1"
-    header, *rows = (line.decode(encoding, "replace") for line in raw.split(b"\n", _LOOKED_AT + 1)[: _LOOKED_AT + 1])
-    if separator is None:
-        separator = max(",;\t", key=header.count)
-        if separator not in header and " " in header.strip():
-            separator = " "
-    if decimal is None:
-        cells = [cell for row in rows for cell in row.strip().split(separator)]
-        marks = {found.group(1) for cell in cells if (found := _DECIMAL.fullmatch(cell.strip('"')))}
-        decimal = "," if marks == {","} and separator != "," else "."
-    return CsvFormat(separator, decimal, encoding)
-
-
-def csv_header(path: Path, form: CsvFormat = _OWN) -> list[str]:
-    """Names of a CSV file's columns, from its first line."""
-    try:
-        with path.open(newline="", encoding=form.encoding) as file:
-            row = next(csv.reader(file, delimiter=form.separator), None)
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(f"{path}: not a readable CSV file: {first_line(error)}") from error
-    if not row:
-        raise InputError(f"{path}: expected a header and rows, got an empty file")
-    return [name.strip().removeprefix("\ufeff") for name in row]
-
-
-def read_csv_columns(path: Path, wanted: list[str], form: CsvFormat = _OWN) -> dict[str, np.ndarray]:
-    """Read columns of a CSV file as float64; a cell that is no number is an error that names row and column."""
-    import pyarrow as pa
-    import pyarrow.csv
-
-    names = csv_header(path, form)
-    options = pa.csv.ConvertOptions(
-        column_types={name: pa.float64() for name in wanted}, include_columns=wanted, null_values=[""],
-        decimal_point=form.decimal,
-    )  # fmt: skip
-    try:
-        table = pa.csv.read_csv(
-            path,
-            read_options=pa.csv.ReadOptions(column_names=names, skip_rows=1, encoding=form.encoding),
-            parse_options=pa.csv.ParseOptions(delimiter=form.separator),
-            convert_options=options,
-        )
-    except (OSError, ValueError, pa.ArrowException) as error:
-        _name_bad_cell(path, names, wanted, form)
-        raise InputError(f"{path}: not a readable CSV file: {first_line(error)}") from error
-    for name in wanted:
-        if table.column(name).null_count:
-            _name_bad_cell(path, names, wanted, form)
-    return {name: table.column(name).to_numpy().astype(np.float64) for name in wanted}
-
-
-def _name_bad_cell(path: Path, names: list[str], wanted: list[str], form: CsvFormat) -> None:
-    """Raise for the first cell that is no number, or the first row that is too short or too long."""
-    with path.open(newline="", encoding=form.encoding, errors="replace") as file:
-        rows = csv.reader((line.replace("\0", "?") for line in file), delimiter=form.separator)
-        next(rows)
-        try:
-            for i, row in enumerate(row for row in rows if row):  # an empty line is no row
-                where = f"row {i} (line {rows.line_num})"
-                if len(row) != len(names):
-                    raise InputError(f"{path}: {where}: expected {len(names)} columns, got {len(row)}")
-                for name, cell in zip(names, row, strict=True):
-                    if name in wanted:
-                        try:
-                            float(cell.replace(form.decimal, "."))
-                        except ValueError:
-                            raise InputError(
-                                f"{path}: column {name!r}, {where}: expected a number, got {cell!r}"
-                            ) from None
-        except csv.Error as error:
-            raise InputError(f"{path}: not a readable CSV file: {first_line(error)}") from error
+    _check_header(path, table.names)
+    if table.torn:
+        warnings.warn(f"{path}: the last line is left out, as it is cut short", InputWarning, stacklevel=2)
+    columns = table.read(table.names)
+    for i in sorted(int(np.argmax(bad)) for values in columns.values() if np.any(bad := ~np.isfinite(values)))[:1]:
+        name = next(name for name, values in columns.items() if not np.isfinite(values[i]))
+        raise InputError(f"{path}: {table.fault(name, i)}")
+    return columns

@@ -7,6 +7,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from importlib import resources
@@ -14,16 +15,17 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import BeforeValidator, Field, PrivateAttr, model_validator
 
 from ...models.arm import ArmSpec, joint_of
-from ...models.errors import InputError, nearest, unknown_key
+from ...models.errors import InputError, InputWarning, nearest, unknown_key
 from ...models.files import Strict, load
 from ...models.joint import Mounting, load_joint
 from ...models.parameters import GRAVITY
 from ...models.recording import External, Recording, check_channels, in_arm
 from ...models.signals import CHANNELS
-from .logs import open_log
+from ...models.text_tables import TextForm, seconds
+from .logs import Log, LogForm, open_log
 
 UNITS: dict[str, tuple[str, float]] = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("s", 1e-9),
@@ -39,13 +41,19 @@ UNITS: dict[str, tuple[str, float]] = {
 """Unit of a foreign column: SI unit and factor; `counts` per revolution are stated beside it."""
 
 
+ColumnName = Annotated[
+    str, BeforeValidator(lambda name: str(name) if type(name) is int else name, json_schema_input_type=str | int)
+]
+"""Name of a foreign column, or its number where the log has no header."""
+
+
 class Zero(Strict):
     """Where a channel's zero is: its mean (or first) difference from `scale` times another column is taken off.
 
     `beyond`: only where that difference is larger (SI): a zero that is known already, by `offset`, is kept.
     """
 
-    column: str
+    column: ColumnName
     """The foreign column that it is compared with."""
     unit: str
     """Of that column."""
@@ -71,7 +79,7 @@ class Zero(Strict):
 class SourceColumn(Strict):
     """One foreign column, made SI: sign · scale · unit · column. `scale` may carry a unit (a lever, A per N·m)."""
 
-    column: str
+    column: ColumnName
     """Name in the log; of a message, topic and field."""
     unit: str
     """As the log has it: `deg`, `rpm`, `counts`, …"""
@@ -110,7 +118,7 @@ class ChannelSource(Strict):
     `integrate`: the column is a speed, and its integral the channel. `optional`: taken where the log has the column.
     """
 
-    column: str | None = None
+    column: ColumnName | None = None
     """Name in the log; of a message, topic and field."""
     unit: str | None = None
     """As the log has it: `deg`, `rpm`, `counts`, …"""
@@ -124,6 +132,8 @@ class ChannelSource(Strict):
     """Whether the angle starts anew every turn."""
     sum: list[SourceColumn] | None = None
     """Several columns that make one channel."""
+    rate: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """Of a time that was not logged [Hz]: rows are so many a second."""
     integrate: bool = False
     """A velocity whose integral is the angle."""
     optional: bool = False
@@ -136,7 +146,12 @@ class ChannelSource(Strict):
     @model_validator(mode="after")
     def _one_or_several(self) -> ChannelSource:
         own = self.model_fields_set & set(SourceColumn.model_fields)
-        if self.sum is not None:
+        if self.rate is not None:
+            if own or self.sum is not None:
+                raise ValueError(
+                    "rate: expected neither column nor sum with it, as it is for a time that was not logged"
+                )
+        elif self.sum is not None:
             if own:
                 raise ValueError(f"expected either column or sum, got sum and {', '.join(sorted(own))}")
             if not self.sum:
@@ -151,9 +166,9 @@ class ChannelSource(Strict):
 
     @property
     def parts(self) -> list[SourceColumn]:
-        """The columns that are summed."""
-        if self.sum is not None:
-            return self.sum
+        """The columns that are summed; none of a time that was not logged."""
+        if self.sum is not None or self.rate is not None:
+            return self.sum or []
         own = self.model_fields_set & set(SourceColumn.model_fields)
         return [SourceColumn.model_validate({name: getattr(self, name) for name in own})]
 
@@ -163,7 +178,11 @@ class ChannelSource(Strict):
         return [part.column for part in self.parts] + ([self.zero.column] if isinstance(self.zero, Zero) else [])
 
     def read(self, table: dict[str, np.ndarray], time: np.ndarray | None = None) -> np.ndarray:
-        """Values in SI, shape (n,); of an integral at the times [s] of the samples, shape (n,)."""
+        """Values in SI, shape (n,); of an integral at the times [s] of the samples, of a time that was not logged at the rows of
+        these numbers, shape (n,) each."""
+        if self.rate is not None:
+            assert time is not None
+            return time / self.rate + self.offset
         values = np.sum([part.read(table) for part in self.parts], axis=0)
         if self.integrate:
             from scipy.integrate import cumulative_trapezoid
@@ -247,6 +266,16 @@ class Layout(Strict):
     """Of a CSV file's columns; found where it is not stated."""
     decimal: Literal[".", ","] | None = None
     """Point or comma; found where it is not stated."""
+    skip: Annotated[int, Field(ge=0)] = 0
+    """Lines of a text file or sheet before everything else; comments and titles are found."""
+    header: Literal["none"] | None = None
+    """`none`: columns go by number, 0, 1, …, whatever the first line says."""
+    interleaved: dict[str, Annotated[int, Field(ge=1, le=1000)]] = {}
+    """How many columns take turns in a file of one number a line, by patterns of file names."""
+    episodes: ColumnName | None = None
+    """Column that parts a log into recordings: one of each of its values."""
+    damaged_rows: Literal["refuse", "leave_out"] = "refuse"
+    """Rows with a cell that is no number, or at which time does not increase."""
     columns: dict[str, ChannelSource]
     """Channels of the recording by name, each from the log's."""
     logs: dict[str, LogLoad] = {}
@@ -263,6 +292,8 @@ class Layout(Strict):
                 raise ValueError(f"columns.{name}: {unknown_key(name, CHANNELS)}")
         if "time" not in self.columns:
             raise ValueError("columns.time: missing")
+        if any(channel.rate is not None for name, channel in self.columns.items() if name != "time"):
+            raise ValueError("columns: expected rate only of time")
         if self.columns["time"].integrate:
             raise ValueError(
                 "columns.time.integrate: expected false, as it is over this column that others are integrated"
@@ -370,59 +401,166 @@ def load_layout(source: str | Path) -> Layout:
 
 
 def import_recording(layout: Layout, path: str | Path, name: str | None = None, joint: str | None = None) -> Recording:
-    """Read another program's log as a recording.
+    """Read another program's log as a recording; as `import_recordings`, of a log that is one.
+
+    Raises:
+      InputError: as of that, and a log of several episodes.
+    """
+    found = import_recordings(layout, path, name, joint)
+    if len(found) > 1:
+        raise InputError(
+            f"{path}: expected one episode, got {len(found)}; `flexspline import` writes a recording of each"
+        )
+    return found[0]
+
+
+def import_recordings(
+    layout: Layout, path: str | Path, name: str | None = None, joint: str | None = None
+) -> list[Recording]:
+    """Read another program's log as recordings: one, or one of each episode.
 
     Args:
       layout: the mapping.
-      path: of the file: CSV, Parquet, MCAP, or a ROS 2 bag.
-      name: of the recording; the file's stem by default.
+      path: of the file, of a bag's folder, or of a folder of files that belong together.
+      name: of the recording; the file's by default. That of an episode has its number behind.
       joint: name of, or path to, the joint; the mapping's by default.
 
     Raises:
-      InputError: a file that cannot be read, a column that is not there, a cell that is no number, time that does not
+      InputError: a file that cannot be read, a column that is not there, cells that are no numbers, time that does not
         increase.
+
+    Warns:
+      InputWarning: rows or messages that were left out, units that the log states otherwise.
     """
     path = Path(path)
     if not (path.is_file() or path.is_dir()):  # nor a pipe, which may never end
         raise InputError(f"{path}: cannot read a log of format {layout.name!r}: no such file")
     layout = layout.of(path, joint)
-    sources = dict.fromkeys(column for channel in layout.columns.values() for column in channel.sources)
-    log = open_log(path, sources, layout.separator, layout.decimal)
-    names = log.names
+    form = LogForm(TextForm(layout.separator, layout.decimal, layout.skip, layout.header == "none"), layout.interleaved)
+    sources = [column for channel in layout.columns.values() for column in channel.sources]
+    log = open_log(path, [*sources, *([layout.episodes] if layout.episodes else [])], form)
+    channels, columns = _found(layout, log)
+    read = log.read(list(dict.fromkeys(columns.values())))
+    if log.note:
+        warnings.warn(f"{path}: {log.note}", InputWarning, stacklevel=2)
+    table = {column: read[theirs] for column, theirs in columns.items()}
+    rows = len(next(iter(table.values())))
+    if not rows:
+        raise InputError(f"{path}: expected rows, got a header alone")
+    for target, channel in channels.items():
+        for part in channel.parts:
+            if table[part.column].dtype.kind in "mM" and part.unit != "s":
+                raise InputError(
+                    f"{path}: column {part.column!r}: expected unit 's' of dates and clock times, got {part.unit!r} ({target})"
+                )
+    table = {column: seconds(values) if values.dtype.kind in "mM" else values for column, values in table.items()}
+    kept = np.all([np.isfinite(values) for values in table.values()], axis=0)
+    if not np.all(kept):
+        faults = [
+            log.fault(columns[next(c for c, values in table.items() if not np.isfinite(values[i]))], int(i))
+            for i in np.flatnonzero(~kept)[:_NAMED]
+        ]
+        _damaged(layout, path, faults, int(np.count_nonzero(~kept)), rows)
+    episodes = table[layout.episodes] if layout.episodes else np.zeros(rows)
+    found = []
+    for value in dict.fromkeys(episodes[kept].tolist()):
+        its = np.flatnonzero(kept & (episodes == value))
+        time = channels["time"].read({column: values[its] for column, values in table.items()}, its)
+        later = np.diff(np.maximum.accumulate(time), prepend=-np.inf) > 0
+        if not np.all(later):
+            i = int(np.argmin(later))
+            fault = f"expected time to increase, got {time[i]:.9g} s after {time[i - 1]:.9g} s"
+            fault = f"column 'time', {log.row(int(its[i]))}: {fault}"
+            if time[i - 1] - time[i] > 0.5 * (time[i - 1] - time[0]) > 0 and not layout.episodes:
+                raise InputError(
+                    f"{path}: {fault}; it begins again there: `episodes: COLUMN` parts a log into recordings"
+                )
+            if 10 * np.count_nonzero(~later) > len(its) and time[-1] > time[0]:
+                rate = (len(its) - 1) / (time[-1] - time[0])
+                fault += f" (a coarse clock? `time: {{rate: {rate:.4g}}}` counts rows instead)"
+            _damaged(layout, path, [fault], int(np.count_nonzero(~later)), len(its))
+        own = {column: values[its[later]] for column, values in table.items()}
+        stem = (name or path.stem) + (f"_{value:g}" if layout.episodes else "")
+        found.append(_recording(layout, channels, own, time[later], path, stem, joint))
+    return found
+
+
+_NAMED = 12
+"""Damaged rows that a message names."""
+
+
+def _damaged(layout: Layout, path: Path, faults: list[str], count: int, rows: int) -> None:
+    """Say that rows are left out, or that they are wrong, all of them at once."""
+    others = f"; {count} of {rows} rows are damaged" if count > 1 else ""
+    text = f"{'; '.join(faults)}{', …' if 1 < len(faults) < count else ''}{others}"
+    if layout.damaged_rows == "refuse" or count > rows - 2:
+        key = (
+            ""
+            if layout.damaged_rows == "leave_out"
+            else "; `damaged_rows: leave_out` in the mapping leaves such rows out"
+        )
+        raise InputError(f"{path}: {text}{key}")
+    warnings.warn(f"{path}: left out: {text}", InputWarning, stacklevel=3)
+
+
+def _found(layout: Layout, log: Log) -> tuple[dict[str, ChannelSource], dict[str, str]]:
+    """The mapping's channels that a log has, and the log's names of their columns; those of time first, whose topic the samples
+    are.
+
+    Raises:
+      InputError: a column that is not there, or several times.
+    """
+    path = log.path
     channels = {
         target: channel
-        for target, channel in layout.columns.items()
-        if not channel.optional or all(column in names for column in channel.sources)
+        for target, channel in sorted(layout.columns.items(), key=lambda one: one[0] != "time")
+        if not channel.optional or all(log.find(column) is not None for column in channel.sources)
     }
-    wanted: list[str] = []
-    for target, channel in sorted(channels.items(), key=lambda one: one[0] != "time"):  # whose topic the samples are
-        for column in channel.sources:
-            if column not in names:
-                raise InputError(
-                    f"{path}: column {column!r}: missing, {target} is made of it (format {layout.name!r})"
-                    f"{nearest(column, names)}"
-                )
-            if names.count(column) > 1:
-                raise InputError(f"{path}: column {column!r}: expected once, stands {names.count(column)} times")
-            if column not in wanted:
-                wanted.append(column)
-    table = log.read(wanted)
-    if not len(table[wanted[0]]):
-        raise InputError(f"{path}: expected rows, got a header alone")
-    for column, values in table.items():
-        bad = np.flatnonzero(~np.isfinite(values))
-        if len(bad):
+    wanted = [(column, target) for target, channel in channels.items() for column in channel.sources]
+    wanted += [(layout.episodes, "episodes")] if layout.episodes else []
+    columns = {}
+    for column, target in wanted:
+        theirs = log.find(column)
+        if theirs is None:
             raise InputError(
-                f"{path}: column {column!r}, {log.row(int(bad[0]))}: expected a finite number, got {values[bad[0]]}"
+                f"{path}: column {column!r}: missing, {target} is made of it (format {layout.name!r})"
+                f"{log.missing(column) or nearest(column, log.names)}"
             )
-    time = channels["time"].read(table)
+        if log.names.count(theirs) > 1:
+            raise InputError(f"{path}: column {column!r}: expected once, stands {log.names.count(theirs)} times")
+        columns[column] = theirs
+    for channel in channels.values():
+        for part in channel.parts:
+            stated = _SPELT.get(log.units.get(columns[part.column], ""))
+            if stated and UNITS[stated] != UNITS[part.unit]:
+                text = (
+                    f"{path}: column {part.column!r}: its unit in the log is {stated!r}, in the mapping {part.unit!r}"
+                )
+                warnings.warn(text, InputWarning, stacklevel=3)
+    return channels, columns
+
+
+_SPELT = {unit.lower(): unit for unit in UNITS if unit not in ("1", "counts", "mN·m", "mNm")} | {"sec": "s"}
+"""Units as logs state them, in small letters."""
+
+
+def _recording(
+    layout: Layout,
+    channels: dict[str, ChannelSource],
+    table: dict[str, np.ndarray],
+    time: np.ndarray,
+    path: Path,
+    name: str,
+    joint: str | None,
+) -> Recording:
+    """A recording of a log's columns, shape (n,) each, at its times, shape (n,) [s]."""
     columns = {target: channel.read(table, time) for target, channel in channels.items() if target != "time"}
     angles = {target: columns.pop(target) for target in list(columns) if target not in CHANNELS}
     external = layout.external_torque
     if external == "measured" and "external_torque" not in columns:
         external = "unmeasured"
     recording = Recording(
-        name=name or path.stem,
+        name=name,
         time=time,
         columns=columns,
         joint=joint or layout.joint,

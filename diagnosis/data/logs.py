@@ -1,98 +1,640 @@
-"""Tables of other programs: columns by name from CSV and Parquet files; those of messages are in `messages`."""
+"""Tables of other programs: columns by name, from any file that is read; those of messages are in `messages`.
+
+A reader gives nested arrays, and `Arrays` makes columns of them: a group, struct or record is a part of a name (`arm/q`), and so
+is an element of a list, by its index (`observation.state/0`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import json
+import math
+import re
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from io import BytesIO
 from pathlib import Path
-from typing import Protocol
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
-from ...models.errors import InputError
-from ...models.recording import CsvFormat, csv_format, csv_header, read_csv_columns
+from ...models.errors import InputError, first_line
 from ...models.tables import reading_parquet
+from ...models.text_tables import TextForm, TextTable, elements, find_head, numbers
+
+READ = "CSV and other text, Parquet, JSON, NumPy, MATLAB, HDF5, Excel (.xlsx), Arrow, MCAP, ROS 1 and ROS 2 bags"
+_WIDEST = 512  # elements of a row of an array: more is an image
+LABELS = ("name", "names", "joint_names", "interface_names", "actuator_names")
+"""Lists of names of other lists' elements, as `sensor_msgs/JointState` has."""
 
 
-class Log(Protocol):
+@dataclass(frozen=True)
+class LogForm:
+    """What a mapping states of a log's form."""
+
+    text: TextForm = field(default_factory=TextForm)
+    interleaved: Mapping[str, int] = field(default_factory=dict)
+    """Columns that take turns in a file of one number a line, by patterns of file names."""
+
+
+class Log:
     """A log as a table: names of its columns, and their values when they are asked for."""
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the columns that can be asked for."""
+    path: Path
+    names: list[str]
+    note = ""
+    """What was left out, or read otherwise than it says."""
+    units: Mapping[str, str] = {}
+    """Of columns, in small letters, where the log has a row of them."""
+
+    def find(self, column: str) -> str | None:
+        """The log's name of a column: the same, or the only one that ends so; `a.b` and `a[0]` are `a/b` and `a/0`."""
+        if column in self.names:
+            return column
+        plain = {name: _plain(name) for name in self.names}
+        for fits in (lambda name: name == _plain(column), lambda name: name.endswith("/" + _plain(column))):
+            found = [name for name, one in plain.items() if fits(one)]
+            if len(found) == 1:
+                return found[0]
+        return None
+
+    def missing(self, column: str) -> str:
+        """Why a column is not found, where there is more to say than that."""
+        return ""
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        """Columns as numbers, shape (n,) each, all of the same length; a cell that is no number is an error or NaN."""
+        """Columns as numbers, dates or clock times, shape (n,) each, of the same length; NaN or NaT for a cell that is none."""
+        raise NotImplementedError
 
     def row(self, index: int) -> str:
         """A row for people, counted from 0."""
+        return f"row {index}"
+
+    def fault(self, column: str, index: int) -> str:
+        """What is wrong with a cell that is no number."""
+        return f"column {column!r}, {self.row(index)}: expected a finite number, got none"
 
 
-def open_log(path: Path, sources: Iterable[str], separator: str | None = None, decimal: str | None = None) -> Log:
-    """Open a log by what it is: Parquet, MCAP, a ROS 2 bag (its folder, or one of its files), else CSV.
+def _plain(name: str) -> str:
+    return re.sub(r"[./\[\]()]+", "/", name).strip("/ #%")
+
+
+# Arrays -----------------------------------------------------------------------------------------------------------------------
+
+
+def _leaves(
+    value: Any, name: str = "", labels: Mapping[int, list[str]] | None = None
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Arrays in nested ones, with their names; what is neither is left out."""
+    if isinstance(value, Mapping):
+        if value and all(str(key).isdecimal() for key in value):  # a column by the numbers of its rows
+            yield from _leaves(list(value.values()), name)
+            return
+        for key, one in value.items():
+            for inner, leaf in _leaves(one, f"{name}/{key}" if name else str(key)):
+                yield from _labelled(inner, leaf, value)
+        return
+    if isinstance(value, list):
+        value = _array(value)
+    if not isinstance(value, np.ndarray) or value.ndim == 0 or (value.dtype.kind in "cV" and not value.dtype.names):
+        return
+    if value.dtype.names:
+        yield from _leaves({key: value[key] for key in value.dtype.names}, name)
+        return
+    if value.dtype.kind == "O":
+        flat = value.ravel()
+        some = [one for one in flat if one is not None]
+        if some and all(isinstance(one, Mapping) for one in some):
+            keys = dict.fromkeys(key for one in some for key in one)
+            yield from _leaves({key: [one.get(key) if one is not None else None for one in flat] for key in keys}, name)
+            return
+        if some and all(
+            isinstance(one, (list, tuple, np.ndarray)) or (isinstance(one, str) and elements(one)) for one in some
+        ):
+            found = [elements(one) if not _is_text(one) else list(one) for one in flat]
+            width = max(map(len, found))
+            if 0 < width <= _WIDEST and value.ndim == 1:
+                if any(_is_text(one) for one in some):
+                    yield name, np.array([(*one, *[""] * (width - len(one))) for one in found], dtype=str)
+                else:
+                    yield name, np.array([[*one, *[np.nan] * (width - len(one))] for one in found])
+            return
+    yield name, value
+
+
+def _is_text(one: Any) -> bool:
+    return isinstance(one, (list, tuple, np.ndarray)) and len(one) > 0 and all(isinstance(x, str) for x in one)
+
+
+def _array(values: list) -> np.ndarray:
+    """A list as an array: of numbers, where it has such alone, else of objects, shape (n,) or (n, k)."""
+    try:
+        found = np.array(values)
+        if found.dtype.kind in "fiub":
+            return found
+    except (ValueError, OverflowError, TypeError):
+        pass
+    found = np.empty(len(values), dtype=object)
+    found[:] = values
+    return found
+
+
+def _labelled(name: str, leaf: np.ndarray, around: Mapping[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
+    """An array whose elements have names in a list next to it as columns of these names; any other as it is."""
+    if leaf.ndim == 2 and leaf.dtype.kind not in "US":
+        for key in (*LABELS, "columns"):
+            found = around.get(key)
+            first = found[0] if isinstance(found, list) and found and isinstance(found[0], list) else found
+            if isinstance(first, (list, np.ndarray)) and len(first) == leaf.shape[1] and _is_text(first):
+                for k, label in enumerate(first):
+                    yield f"{name.rpartition('/')[0] if key == 'columns' else name}/{label}".strip("/"), leaf[:, k]
+                return
+    yield name, leaf
+
+
+class Arrays(Log):
+    """Nested arrays as a table."""
+
+    def __init__(self, path: Path, tree: Any, note: str = ""):
+        self.path, self.note = path, note
+        leaves = [(name, leaf) for name, leaf in _leaves(tree) if leaf.size]
+        sizes = Counter(size for _, leaf in leaves for size in {s for s in leaf.shape if s > 1})
+        self.rows = max(sizes, key=lambda size: (sizes[size], size), default=0)
+        self._columns: dict[str, np.ndarray] = {}
+        for name, leaf in leaves:
+            if self.rows in leaf.shape:
+                leaf = np.moveaxis(leaf, leaf.shape.index(self.rows), 0)
+            width = math.prod(leaf.shape[1:])
+            if width > _WIDEST:
+                continue
+            narrow = width > 1
+            for at in np.ndindex(leaf.shape[1:]) if narrow else [()]:
+                key = "/".join([*([name] if name else []), *map(str, at)])
+                self._columns[key] = leaf[(slice(None), *at)] if narrow else leaf.ravel()
+        self.names = list(self._columns)
+
+    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
+        found = {name: self._numbers(self._columns[name]) for name in wanted}
+        first = wanted[0]
+        for name, values in found.items():
+            if len(values) != len(found[first]):
+                raise InputError(
+                    f"{self.path}: column {name!r}: expected {len(found[first])} rows, as {first!r} has, got {len(values)}"
+                )
+        return found
+
+    @staticmethod
+    def _numbers(values: np.ndarray) -> np.ndarray:
+        if values.dtype.kind in "mM":
+            return values.astype(f"{'timedelta64' if values.dtype.kind == 'm' else 'datetime64'}[ns]")
+        if (
+            values.dtype.kind in "fiub"
+        ):  # of nanoseconds of a date of today the last digits go: a quarter of a microsecond
+            return values.astype(np.float64)
+        cells = [one.decode(errors="replace") if isinstance(one, bytes) else one for one in values.tolist()]
+        return numbers(cells)
+
+    def fault(self, column: str, index: int) -> str:
+        cell = self._columns[column][index]
+        said = "none" if cell is None else repr(cell) if isinstance(cell, str) else str(cell)
+        return f"column {column!r}, {self.row(index)}: expected a finite number, got {said}"
+
+
+# Files ------------------------------------------------------------------------------------------------------------------------
+
+Source = Path | BytesIO
+Reader = Callable[[Source, set[str], TextForm], Any]
+"""What makes nested arrays of a file: of what is read, the columns that are wanted, and what is stated of a table's form."""
+
+
+def _bytes(source: Source) -> bytes:
+    return source.read_bytes() if isinstance(source, Path) else source.getvalue()
+
+
+def _needs(package: str, what: str) -> InputError:
+    return InputError(f"reading {what}: expected the package {package}; install flexspline[logs]")
+
+
+def _numpy(source: Source, wanted: set[str], form: TextForm) -> Any:
+    found = np.load(source)
+    if isinstance(found, np.ndarray):
+        return found
+    tree = {}
+    with found:
+        for name in found.files:
+            try:
+                tree[name] = found[name]
+            except ValueError:  # Python objects, which are not unpacked, as they can run code
+                if name in wanted:
+                    raise
+    return tree
+
+
+def _matlab(source: Source, wanted: set[str], form: TextForm) -> Any:
+    from scipy.io import loadmat
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {key: plain(one) for key, one in value.items()}
+        if isinstance(value, (list, np.ndarray)) and getattr(value, "dtype", np.dtype("O")).kind == "O":
+            return [plain(one) for one in value]
+        return value
+
+    found = {k: v for k, v in loadmat(source, simplify_cells=True).items() if not k.startswith("__")}
+    if any(type(value).__name__ == "MatlabOpaque" for value in found.values()) and not wanted <= found.keys():
+        raise ValueError(
+            "it has tables, timetables or other objects of MATLAB, which it alone reads: save arrays or structs"
+        )
+    return {key: plain(value) for key, value in found.items()}
+
+
+def _hdf5(source: Source, wanted: set[str], form: TextForm) -> Any:
+    try:
+        import h5py
+    except ImportError as error:
+        raise _needs("h5py", "HDF5 and MATLAB 7.3 files") from error
+
+    def plain(group: Any) -> dict[str, Any]:
+        tree: dict[str, Any] = {}
+        for key, one in group.items():
+            if key.startswith("#") or one is None:
+                continue
+            if isinstance(one, h5py.Group):
+                tree[key] = plain(one)
+            elif one.dtype.kind in "fiubVSO" and one.size and one.size <= _WIDEST * max(one.shape, default=1):
+                if h5py.check_ref_dtype(one.dtype) is None and one.attrs.get("MATLAB_class") != b"char":
+                    tree[key] = one[()].T if "MATLAB_class" in one.attrs else one[()]
+        for key in [key for key in tree if key.endswith("_items") and f"{key[:-6]}_values" in tree]:  # of pandas
+            names = [n.decode() if isinstance(n, bytes) else str(n) for n in tree.pop(key)]
+            tree |= dict(zip(names, np.transpose(tree.pop(f"{key[:-6]}_values")), strict=True))
+        return tree
+
+    with h5py.File(source, "r") as file:
+        return plain(file)
+
+
+def _excel(source: Source, wanted: set[str], form: TextForm) -> Any:
+    try:
+        from openpyxl import load_workbook
+    except ImportError as error:
+        raise _needs("openpyxl", "Excel files") from error
+    book = load_workbook(source, read_only=True, data_only=True)
+    sheets: dict[str, dict[str, list]] = {}
+    for sheet in book.worksheets:
+        rows = [row for row in sheet.iter_rows(values_only=True)][form.skip :]
+        while rows and not any(cell is not None for cell in rows[-1]):
+            rows.pop()
+        width = max((j + 1 for row in rows for j, cell in enumerate(row) if cell is not None), default=0)
+        texts = [["" if cell is None else str(cell).strip() for cell in row[:width]] for row in rows[:400]]
+        head = find_head([_without_end(row) for row in texts], wanted, form.headless)
+        body = [row for row in rows[head.begin :] if any(cell is not None for cell in row)]
+        sheets[sheet.title] = {name: [row[j] for row in body] for j, name in enumerate(head.names) if body}
+    found = {title: columns for title, columns in sheets.items() if columns}
+    return next(iter(found.values())) if len(found) == 1 else found
+
+
+def _without_end(row: list[str]) -> list[str]:
+    """A row of cells; one that has its first alone is a title."""
+    return row if any(row[1:]) or len(row) == 1 else row[:1] if any(row) else []
+
+
+def _json(source: Source, wanted: set[str], form: TextForm) -> Any:
+    from ...models.text_tables import decoded
+
+    text = decoded(_bytes(source)) or ""
+    try:
+        return _split_table(json.loads(text))
+    except (ValueError, RecursionError) as error:
+        lines = [line for line in text.splitlines() if line.strip()]
+        entries = []
+        for i, line in enumerate(lines):
+            try:
+                entries.append(json.loads(line))
+            except (ValueError, RecursionError):
+                if i < len(lines) - 1 or i < 2:
+                    raise ValueError(first_line(error)) from None
+        if len(entries) < len(lines):
+            return _Noted(entries, "the last line is left out, as it is cut short")
+        return entries
+
+
+def _split_table(data: Any) -> Any:
+    """A table of names and rows (`columns` and `data`), or of rows alone, by columns; anything else as it is."""
+    if isinstance(data, dict) and isinstance(data.get("columns"), list) and isinstance(data.get("data"), list):
+        columns = [c.get("name", "") if isinstance(c, dict) else str(c) for c in data["columns"]]
+        return dict(zip(columns, map(list, zip(*data["data"], strict=False)), strict=False))
+    if isinstance(data, list) and data and isinstance(data[0], list) and _is_text(data[0]):
+        return dict(zip(data[0], map(list, zip(*data[1:], strict=False)), strict=False))
+    return data
+
+
+@dataclass(frozen=True)
+class _Noted:
+    """Nested arrays, and what was left out of them."""
+
+    tree: Any
+    note: str
+
+
+def _arrow(source: Source, wanted: set[str], form: TextForm) -> Any:
+    import pyarrow.feather as feather
+
+    table = feather.read_table(source)
+    return {name: _arrow_column(table.column(name)) for name in table.column_names}
+
+
+def _arrow_column(column: Any) -> Any:
+    """A column of Arrow as an array, shape (n,) or (n, k)."""
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_dictionary(kind):
+        column = column.cast(kind.value_type)
+        kind = column.type
+    if pa.types.is_timestamp(kind) or pa.types.is_date(kind):
+        return column.cast(pa.timestamp("ns")).to_numpy()
+    if pa.types.is_duration(kind) or pa.types.is_time(kind):
+        ticks = column.cast(pa.time64("ns") if pa.types.is_time(kind) else pa.duration("ns"))
+        return ticks.cast(pa.int64()).to_numpy().astype("timedelta64[ns]")
+    if (
+        pa.types.is_floating(kind)
+        or pa.types.is_integer(kind)
+        or pa.types.is_decimal(kind)
+        or pa.types.is_boolean(kind)
+    ):
+        whole = pa.types.is_integer(kind) and not column.null_count
+        return column.to_numpy() if whole else column.cast(pa.float64(), safe=False).to_numpy()
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        flat = column.combine_chunks().flatten() if len(column) else []
+        width = len(flat) // max(len(column), 1)
+        whole = width and not column.null_count and len(flat) == width * len(column)
+        if whole and (pa.types.is_fixed_size_list(kind) or set(map(len, column.slice(0, 100))) == {width}):
+            return np.asarray(_arrow_column(pa.chunked_array([flat]))).reshape(len(column), width)
+    return column.to_pylist()
+
+
+class _Parquet(Log):
+    """A Parquet file: the names are those of its first rows, and what is read are the columns that are wanted."""
+
+    def __init__(self, path: Path, source: Source):
+        import pyarrow.parquet as pq
+
+        self.path = path
+        with reading_parquet(path):
+            self._file = pq.ParquetFile(source)
+            first = next(self._file.iter_batches(1000), None)
+            if first is None:
+                first = self._file.schema_arrow.empty_table()
+            self._all = list(self._file.schema_arrow.names)
+            tree = self._tree(first)
+        empty = {name: np.zeros(1) for name in tree} if not self._file.metadata.num_rows else tree
+        self.names = Arrays(path, empty).names
+        self._table: Arrays | None = None
+
+    def _tree(self, rows: Any) -> dict[str, Any]:
+        import pyarrow as pa
+
+        table = pa.Table.from_batches([rows]) if isinstance(rows, pa.RecordBatch) else rows
+        return {name: _arrow_column(table.column(name)) for name in table.column_names}
+
+    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
+        roots = [max((one for one in self._all if f"{name}/".startswith(f"{one}/")), key=len) for name in wanted]
+        with reading_parquet(self.path):
+            tree = self._tree(self._file.read(list(dict.fromkeys(roots)), use_pandas_metadata=False))
+        if not self._file.metadata.num_rows:
+            return {name: np.empty(0) for name in wanted}
+        self._table = Arrays(self.path, tree)
+        return self._table.read(wanted)
+
+    def fault(self, column: str, index: int) -> str:
+        return self._table.fault(column, index) if self._table else super().fault(column, index)
+
+
+class _Text(Log):
+    """A table as text."""
+
+    def __init__(self, path: Path, source: Source, wanted: set[str], form: LogForm):
+        self.path = path
+        self._table = TextTable(path, _bytes(source), wanted, form.text)
+        self.names = self._table.names
+        self.units = self._table.head.units
+        self.note = (
+            f"the last line is left out, as it is cut short ({self._table.torn[:40]!r})" if self._table.torn else ""
+        )
+        self._turns = next((k for pattern, k in form.interleaved.items() if fnmatchcase(path.name, pattern)), 0)
+        if self._turns:
+            if len(self.names) != 1:
+                raise InputError(f"{path}: interleaved: expected one number a line, got {len(self.names)} columns")
+            self.names = [str(k) for k in range(self._turns)]
+
+    def missing(self, column: str) -> str:
+        return f"; {self._table.head.why}" if self._table.head.why else ""
+
+    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
+        if not self._turns:
+            return self._table.read(wanted)
+        ((name, values),) = self._table.read(self._table.names).items()
+        if len(values) % self._turns:
+            raise InputError(
+                f"{self.path}: interleaved: expected a multiple of {self._turns} numbers, got {len(values)} ({name!r})"
+            )
+        return {one: values[int(one) :: self._turns] for one in wanted}
+
+    def row(self, index: int) -> str:
+        return self._table.row(index * (self._turns or 1))
+
+    def fault(self, column: str, index: int) -> str:
+        if not self._turns:
+            return self._table.fault(column, index)
+        return self._table.fault(self._table.names[0], index * self._turns + int(column))
+
+
+_NO_TABLES = (".urdf", ".xml", ".yaml", ".yml", ".md", ".py", ".png", ".jpg", ".mp4", ".pdf", "")
+
+
+class _Folder(Log):
+    """Files of a folder that belong together, row by row: columns are `FILE/COLUMN`."""
+
+    def __init__(self, path: Path, wanted: set[str] | None, form: LogForm):
+        self.path = path
+        files = [one for one in sorted(path.iterdir()) if one.is_file() and one.suffix not in _NO_TABLES]
+        asked = [one for one in files if wanted is None or any(name.startswith(f"{one.name}/") for name in wanted)]
+        if not asked:
+            raise InputError(
+                f"{path}: expected a ROS 2 bag with its metadata.yaml, found none; or columns of files in it as FILE/COLUMN, "
+                f"got none of {', '.join(one.name for one in files[:8]) or 'no file'}"
+            )
+        self._logs: dict[str, Log] = {}
+        for one in asked:
+            inner = (
+                None
+                if wanted is None
+                else {n.removeprefix(f"{one.name}/") for n in wanted if n.startswith(f"{one.name}/")}
+            )
+            try:
+                self._logs[one.name] = open_log(one, inner, form)
+            except InputError:
+                if wanted is not None:
+                    raise
+        self.names = [f"{file}/{name}" for file, log in self._logs.items() for name in log.names]
+        self.note = "; ".join(f"{file}: {log.note}" for file, log in self._logs.items() if log.note)
+
+    def _split(self, column: str) -> tuple[Log, str]:
+        file = max((one for one in self._logs if column.startswith(f"{one}/")), key=len)
+        return self._logs[file], column[len(file) + 1 :]
+
+    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
+        found: dict[str, np.ndarray] = {}
+        for file, log in self._logs.items():
+            mine = [column[len(file) + 1 :] for column in wanted if self._split(column)[0] is log]
+            found |= {f"{file}/{name}": values for name, values in (log.read(mine) if mine else {}).items()}
+        lengths = {column: len(values) for column, values in found.items()}
+        if len(set(lengths.values())) > 1:
+            few, many = min(lengths, key=lambda c: lengths[c]), max(lengths, key=lambda c: lengths[c])
+            raise InputError(
+                f"{self.path}: expected as many rows in every file, got {lengths[few]} of {few!r} and {lengths[many]} of "
+                f"{many!r} (`interleaved` is for a file of one number a line)"
+            )
+        return {column: found[column] for column in wanted}
+
+    def fault(self, column: str, index: int) -> str:
+        log, name = self._split(column)
+        return f"{log.path.name}: {log.fault(name, index)}"
+
+
+_MAGIC: tuple[tuple[bytes, str], ...] = (
+    (b"PAR1", "parquet"), (b"\x93NUMPY", "numpy"), (b"\x89HDF\r\n\x1a\n", "hdf5"), (b"MATLAB 7.3", "hdf5"), (b"MATLAB", "matlab"),
+    (b"SQLite format 3", "db3"), (b"\x89MCAP0\r\n", "mcap"), (b"#ROSBAG V", "bag"), (b"ARROW1", "arrow"), (b"FEA1", "arrow"),
+    (b"\xd0\xcf\x11\xe0", "xls"), *((bytes([0x80, version]), "pickle") for version in range(2, 6)),
+)  # fmt: skip
+_SUFFIXES = {
+    ".parquet": "parquet", ".pq": "parquet", ".npz": "numpy", ".npy": "numpy", ".mat": "matlab", ".h5": "hdf5", ".hdf5": "hdf5",
+    ".xlsx": "excel", ".xlsm": "excel", ".json": "json", ".jsonl": "json", ".ndjson": "json", ".mcap": "mcap", ".db3": "db3",
+    ".bag": "bag", ".feather": "arrow", ".arrow": "arrow", ".pkl": "pickle", ".pickle": "pickle", ".xls": "xls",
+}  # fmt: skip
+_READERS: dict[str, tuple[Reader, str]] = {
+    "numpy": (_numpy, "NumPy file"),
+    "matlab": (_matlab, "MATLAB file"),
+    "hdf5": (_hdf5, "HDF5 file"),
+    "json": (_json, "JSON file"),
+    "arrow": (_arrow, "Arrow file"),
+    "excel": (_excel, "Excel file"),
+}
+_REFUSED = {
+    "pickle": "a pickle file can run code when it is read: save the columns as CSV, Parquet or npz",
+    "xls": "the older Excel format: save it as .xlsx or CSV",
+    "zip": "an archive: unpack it first",
+    "markup": "XML or HTML: save the columns as CSV",
+}
+
+
+def _kind_of(path: Path, start: bytes, source: Source) -> str:
+    """What a file is, by its first bytes, or else by its name."""
+    if start.startswith(b"PK\x03\x04"):
+        try:
+            with zipfile.ZipFile(source) as archive:
+                inside = archive.namelist()
+        except (OSError, ValueError, NotImplementedError, zipfile.BadZipFile):
+            inside = []
+        if "xl/workbook.xml" in inside:
+            return "excel"
+        return "numpy" if (inside and all(name.endswith(".npy") for name in inside)) or path.suffix == ".npz" else "zip"
+    found = next((kind for magic, kind in _MAGIC if start.startswith(magic)), None)
+    if found is not None:
+        return found
+    suffix = _SUFFIXES.get(path.suffix.lower(), "")
+    if re.match(rb"(?:\xef\xbb\xbf)?\s*<[?!\w]", start):
+        return "markup"
+    if not suffix and re.match(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*[\"}]|\[\s*[\[{])", start):
+        return "json"
+    return suffix
+
+
+def _unpacked(path: Path, start: bytes) -> tuple[Source, str]:
+    """What is read of a file, and what was left out: a compressed one is unpacked."""
+    import bz2
+    import gzip
+    import lzma
+    import zlib
+
+    openers: dict[bytes, Callable[[Path], Any]] = {
+        b"\x1f\x8b": gzip.open,
+        b"BZh": bz2.open,
+        b"\xfd7zXZ": lzma.open,
+    }
+    opener = next((one for magic, one in openers.items() if start.startswith(magic)), None)
+    if opener is None:
+        return path, ""
+    found, note = BytesIO(), ""
+    try:
+        with opener(path) as stream:
+            while part := stream.read1(1 << 16):
+                found.write(part)
+    except EOFError:
+        note = "the compressed file is cut short, and what there is of it is read"
+    except (OSError, lzma.LZMAError, zlib.error, ValueError) as error:
+        raise InputError(f"{path}: not a readable compressed file: {first_line(error)}") from error
+    found.seek(0)
+    return found, note
+
+
+def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | None = None) -> Log:
+    """Open a log by what it is.
 
     Args:
-      path: of the file or folder.
-      sources: columns that are going to be asked for, which say what topics are of interest.
-      separator, decimal: of a CSV file; found in it where they are not stated.
+      path: of the file, of a ROS 2 bag's folder, or of a folder of files.
+      sources: columns that are going to be asked for, which say what header and what topics are of interest; None: all.
+      form: what is stated of it.
 
     Raises:
       InputError: one that cannot be read.
     """
-    if path.is_dir() or path.suffix in (".mcap", ".db3"):
+    wanted, form = None if sources is None else set(sources), form or LogForm()
+    source: Source = path
+    if path.is_dir() and not (path / "metadata.yaml").is_file():
+        return _Folder(path, wanted, form)
+    if path.is_dir():
+        kind, note = "bag", ""
+    else:
+        try:
+            with path.open("rb") as file:
+                start = file.read(600)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+        source, note = _unpacked(path, start)
+        inner = path if isinstance(source, Path) else path.with_suffix("")
+        kind = _kind_of(inner, start if isinstance(source, Path) else source.getvalue()[:600], source)
+    if kind in _REFUSED:
+        raise InputError(f"{path}: not a format that is read: {_REFUSED[kind]}")
+    if kind in ("bag", "mcap", "db3"):
+        if not isinstance(source, Path):
+            raise InputError(f"{path}: expected a bag or MCAP file that is not compressed as a whole; unpack it first")
         from .messages import open_messages
 
-        return open_messages(path, sources)
-    if path.suffix in (".parquet", ".pq"):
-        return _Parquet(path)
-    form = csv_format(path, separator, decimal)
-    return _Csv(path, form, csv_header(path, form))
-
-
-@dataclass(frozen=True)
-class _Csv:
-    path: Path
-    form: CsvFormat
-    names: list[str]
-
-    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        return read_csv_columns(self.path, wanted, self.form)
-
-    def row(self, index: int) -> str:
-        return f"row {index} (line {index + 2})"
-
-
-class _Parquet:
-    def __init__(self, path: Path):
-        self.path = path
-        with reading_parquet(path):
-            self.file = pq.ParquetFile(path)
-            self.schema = self.file.schema_arrow
-
-    @property
-    def names(self) -> list[str]:
-        return list(self.schema.names)
-
-    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        with reading_parquet(self.path):
-            table = self.file.read(wanted)
-        return {name: self._numbers(name, table.column(name)) for name in wanted}
-
-    def _numbers(self, name: str, column: pa.ChunkedArray) -> np.ndarray:
-        kind = column.type
-        if pa.types.is_timestamp(kind) or pa.types.is_duration(kind):
-            # Seconds since the first: as a float, a date of today has lost a quarter of a microsecond.
-            unit = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}[kind.unit]
-            ticks = column.cast(pa.int64())
-            first = next((t.as_py() for t in ticks if t.is_valid), 0)
-            return unit * pc.subtract(ticks, first).cast(pa.float64()).to_numpy()
-        if not (pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_decimal(kind)):
-            raise InputError(f"{self.path}: column {name!r}: expected numbers, got {kind}")
-        # Whole numbers beyond 2⁵³, as nanoseconds of a date of today, lose their last digits: a quarter of a microsecond.
-        return column.cast(pa.float64(), safe=not pa.types.is_integer(kind)).to_numpy()
-
-    def row(self, index: int) -> str:
-        return f"row {index}"
+        return open_messages(path, wanted)
+    log: Log
+    if kind == "parquet":
+        log = _Parquet(path, source)
+    elif kind in _READERS:
+        reader, what = _READERS[kind]
+        try:
+            tree = reader(source, wanted or set(), form.text)
+            noted = tree if isinstance(tree, _Noted) else _Noted(tree, "")
+            log = Arrays(path, noted.tree, noted.note)
+        except InputError:
+            raise
+        except Exception as error:  # whatever damaged bytes do to a library
+            raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
+        if not log.names:
+            raise InputError(f"{path}: expected arrays or columns of numbers in the {what}, found none")
+    else:
+        try:
+            log = _Text(path, source, wanted or set(), form)
+        except InputError as error:
+            if "no text" in str(error):
+                raise InputError(f"{path}: not a format that is read ({READ})") from error
+            raise
+    log.note = "; ".join(filter(None, (log.note, note)))
+    return log

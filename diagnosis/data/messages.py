@@ -1,8 +1,9 @@
-"""Logs of messages as tables: MCAP files and ROS 2 bags. A column is a topic and a field in it: `/joint_states/position/elbow`.
+"""Logs of messages as tables: MCAP files and bags. A column is a topic and a field in it: `/joint_states/position/elbow`.
 
 Fields lie inside each other by slashes. In a list an element is named by its index, or by its name where the message has a list
 `name` (or `joint_names`, …) of the same length, as `sensor_msgs/JointState` has. `TOPIC/stamp` is a message's time [s]: its
-header's stamp, or else when it was logged.
+header's stamp, or else when it was logged; where most stamps of a topic were there before, that of all topics is when they were
+logged.
 
 Samples are the messages of one topic, that of the column that is asked for first (the mapping's time). Numbers of
 other topics are interpolated linearly between their messages; a sample that does not lie between two of these, or in a gap
@@ -12,9 +13,8 @@ of theirs, is left out.
 from __future__ import annotations
 
 import json
-import sqlite3
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import closing, redirect_stdout
+from collections.abc import Callable, Iterable, Iterator, Set
+from contextlib import redirect_stdout
 from dataclasses import dataclass, field
 from io import StringIO
 from pathlib import Path
@@ -23,11 +23,11 @@ from typing import Any
 import numpy as np
 
 from ...models.errors import InputError, first_line
-from ...models.files import read_yaml, shown
+from ...models.files import shown
 from ...models.recording import GAP
+from .logs import LABELS, Log
 
 STAMP = "stamp"
-_NAMES = ("name", "names", "joint_names", "interface_names", "actuator_names")
 _FARTHEST = 2**62  # ns, so that differences of times fit into 64 bits
 _LISTED = 50
 """Messages of a topic in which names of columns are looked for."""
@@ -69,26 +69,25 @@ DEFINITIONS = {
 
 @dataclass
 class _Topic:
-    """Messages of one topic: times [ns], and the numbers of every wanted field at them; NaN where a message has it not."""
+    """Messages of one topic: stamps and times of logging [ns], and the numbers of every wanted field at them; NaN where a message
+    has it not."""
 
     times: list[int] = field(default_factory=list)
+    logged: list[int] = field(default_factory=list)
     values: dict[str, list[float]] = field(default_factory=dict)
     names: dict[str, None] = field(default_factory=dict)
 
 
-class Messages:
-    """Messages as a table."""
+class Messages(Log):
+    """Messages as a table; its names are the columns of the topics that were read, and the topics that were not."""
 
     def __init__(self, path: Path, topics: dict[str, _Topic], others: Iterable[str]):
         self.path = path
         self._topics = topics
-        self._others = list(others)
+        self.names = [f"{topic}/{name}" for topic, t in topics.items() for name in (STAMP, *t.names)] + list(others)
 
-    @property
-    def names(self) -> list[str]:
-        """Columns of the topics that were read, and the names of the topics that were not."""
-        read = [f"{topic}/{name}" for topic, t in self._topics.items() for name in (STAMP, *t.names)]
-        return [*read, *self._others]
+    def find(self, column: str) -> str | None:
+        return column if column in self.names else None
 
     def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
         """Columns, shape (n,) each, at the messages of the first one's topic."""
@@ -96,7 +95,19 @@ class Messages:
         by_topic: dict[str, list[str]] = {}
         for topic, name in split.values():
             by_topic.setdefault(topic, []).append(name)
-        tables = {topic: self._table(topic, names) for topic, names in by_topic.items()}
+        found = {topic: self._table(topic, names) for topic, names in by_topic.items()}
+        notes = []
+        if coarse := [f"{again} of {count} of {t}" for t, (_, again, count) in found.items() if 2 * again > count]:
+            for topic in by_topic:
+                self._topics[topic].times = self._topics[topic].logged
+            found = {topic: self._table(topic, names) for topic, names in by_topic.items()}
+            notes = [
+                f"most stamps were there before ({', '.join(coarse)}): times are those at which messages were logged"
+            ]
+        dropped = [f"{again} of {count} messages of {topic}" for topic, (_, again, count) in found.items() if again]
+        notes += [f"{', '.join(dropped)} are left out, as their time was there before"] if dropped else []
+        self.note = "; ".join(notes)
+        tables = {topic: table for topic, (table, *_) in found.items()}
         main, *others = by_topic
         times = tables[main][STAMP]
         inside = np.ones(len(times), dtype=bool)
@@ -109,81 +120,83 @@ class Messages:
             raise InputError(f"{self.path}: expected messages of {', '.join(by_topic)} at the same time, got none")
         at = times[inside]
         first = at[0]
-        found = {}
+        columns = {}
         for column, (topic, name) in split.items():
             table = tables[topic]
             if name == STAMP:
-                found[column] = 1e-9 * (at - first)
+                columns[column] = 1e-9 * (at - first)
             elif topic == main:
-                found[column] = table[name][inside]
+                columns[column] = table[name][inside]
             else:
-                found[column] = np.interp(at - first, table[STAMP] - first, table[name])
-        return found
+                columns[column] = np.interp(at - first, table[STAMP] - first, table[name])
+        return columns
 
     def _split(self, column: str) -> tuple[str, str]:
         topic = max((t for t in self._topics if column.startswith(f"{t}/")), key=len)
         return topic, column[len(topic) + 1 :]
 
-    def _table(self, topic: str, names: list[str]) -> dict[str, np.ndarray]:
-        """Times [ns] and numbers of the messages of a topic that have all of them; in order, each time once."""
+    def _table(self, topic: str, names: list[str]) -> tuple[dict[str, np.ndarray], int, int]:
+        """Times [ns] and numbers of the messages of a topic that have all of them, in order, each time once; how many messages
+        are left out for that, and of how many."""
         one = self._topics[topic]
         columns = {name: np.array(one.values[name]) for name in names if name != STAMP}
-        times = np.array(one.times, dtype=np.int64)
-        whole = (
-            np.all([np.isfinite(values) for values in columns.values()], axis=0)
-            if columns
-            else np.ones(len(times), bool)
-        )
-        times, rows = np.unique(times[whole], return_index=True)
+        stamps = np.array(one.times, dtype=np.int64)
+        whole = np.all([np.ones(len(stamps), bool), *(np.isfinite(values) for values in columns.values())], axis=0)
+        times, rows = np.unique(stamps[whole], return_index=True)
         if len(times) < 2:
             raise InputError(f"{self.path}: topic {topic}: expected messages with {', '.join(names)}, got {len(times)}")
-        return {STAMP: times, **{name: values[whole][rows] for name, values in columns.items()}}
+        count = int(np.count_nonzero(whole))
+        return (
+            {STAMP: times, **{name: values[whole][rows] for name, values in columns.items()}},
+            count - len(times),
+            count,
+        )
 
     def row(self, index: int) -> str:
         """A sample for people."""
         return f"sample {index}"
 
 
-def open_messages(path: Path, sources: Iterable[str]) -> Messages:
-    """Read what a mapping asks for of an MCAP file, a ROS 2 bag's folder, or its database.
+def open_messages(path: Path, wanted: Set[str] | None = None) -> Messages:
+    """Read what a mapping asks for of an MCAP file or a bag.
 
     Args:
-      path: of the file or folder.
-      sources: columns that will be asked for.
+      path: of the file, or of a ROS 2 bag's folder.
+      wanted: columns that will be asked for; all where it is None.
 
     Raises:
       InputError: a file that cannot be read, messages in an unknown encoding, packages that are not installed; one line.
     """
-    wanted = list(sources)
     topics: dict[str, _Topic] = {}
     others: dict[str, None] = {}
-    for file in _files(path):
-        reader = _mcap if file.suffix == ".mcap" else _database
-        for topic, logged, message in reader(file, lambda topic: _is_wanted(topic, wanted, others)):
-            one = topics.setdefault(topic, _Topic())
-            try:
-                _add(one, topic, logged, message, wanted)
-            except ValueError as error:
-                raise InputError(f"{file}: topic {topic}, message {len(one.times) + 1}: {error}") from error
+    reader = _mcap if path.suffix == ".mcap" else _bag
+    for topic, logged, message in reader(path, lambda topic: _is_wanted(topic, wanted, others)):
+        one = topics.setdefault(topic, _Topic())
+        try:
+            _add(one, topic, logged, message, wanted)
+        except ValueError as error:
+            raise InputError(f"{path}: topic {topic}, message {len(one.times) + 1}: {error}") from error
     if not topics:
         known = f"; it has {', '.join(others)}" if others else ""
         raise InputError(f"{path}: expected messages of the topics that the mapping names, got none{known}")
     return Messages(path, topics, others)
 
 
-def _is_wanted(topic: str, wanted: list[str], others: dict[str, None]) -> bool:
-    if any(column.startswith(f"{topic}/") for column in wanted):
+def _is_wanted(topic: str, wanted: Set[str] | None, others: dict[str, None]) -> bool:
+    if wanted is None or any(column.startswith(f"{topic}/") for column in wanted):
         return True
     others[topic] = None
     return False
 
 
-def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: list[str]) -> None:
+def _add(one: _Topic, topic: str, logged: int, message: Any, wanted: Set[str] | None) -> None:
     """Take a message's wanted numbers."""
     one.times.append(_time(message, logged))
+    one.logged.append(_nanoseconds([0, logged]))
     if len(one.times) <= _LISTED:
         one.names.update(dict.fromkeys(_numbers(message)))
-    for column in wanted:
+    columns = [f"{topic}/{name}" for name in one.names] if wanted is None else wanted
+    for column in columns:
         name = column.removeprefix(f"{topic}/")
         if name == column or name == STAMP:
             continue
@@ -235,7 +248,7 @@ def _number(message: Any, parts: list[str], names: list[str] | None = None) -> f
         names = _names_of(message, found)
         message = found
     try:
-        return float(message) if isinstance(message, (int, float)) else np.nan
+        return float(message) if isinstance(message, (int, float, np.number)) else np.nan
     except OverflowError:  # of JSON, which has whole numbers of any size
         return np.nan
 
@@ -250,7 +263,7 @@ def _names_of(message: Any, found: Any) -> list[str] | None:
     """Names of a list's elements, where its message has some."""
     if not _is_list(found):
         return None
-    for key in _NAMES:
+    for key in LABELS:
         names = _inside(message, key)
         if _is_list(names) and len(names) == len(found) and all(isinstance(n, str) for n in names):
             return list(names)
@@ -259,7 +272,7 @@ def _names_of(message: Any, found: Any) -> list[str] | None:
 
 def _numbers(message: Any, prefix: str = "", names: list[str] | None = None) -> Iterator[str]:
     """Names of all numbers in a message."""
-    if isinstance(message, (int, float)):
+    if isinstance(message, (int, float, np.number)):
         yield prefix.rstrip("/")
     elif isinstance(message, (str, bytes)) or message is None:
         return
@@ -282,32 +295,6 @@ Found = Iterator[tuple[str, int, Any]]
 """Topic, when it was logged [ns], and the message."""
 
 
-def _files(path: Path) -> list[Path]:
-    """The files of a log: itself, or those of a bag in their order."""
-    if path.is_file():
-        return [path]
-    told = path / "metadata.yaml"
-    if not told.is_file():
-        raise InputError(f"{path}: expected a ROS 2 bag with its metadata.yaml, found none")
-    try:
-        about = read_yaml(told, "what a ROS 2 bag says of itself")["rosbag2_bagfile_information"]
-        files, compressed = [path / name for name in about["relative_file_paths"]], about.get("compression_mode", "")
-    except InputError:
-        raise
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{told}: expected what a ROS 2 bag says of itself, got none of that") from error
-    if compressed and str(compressed).lower() != "none":
-        raise InputError(
-            f"{told}: expected a bag without compression (`ros2 bag convert` takes it off), got {compressed}"
-        )
-    for file in files:
-        if not file.resolve().is_relative_to(path.resolve()):
-            raise InputError(f"{told}: expected files in the bag's folder, got {str(file)!r}")
-        if file.suffix not in (".mcap", ".db3") or not file.is_file():
-            raise InputError(f"{file}: expected a file of the bag, .mcap or .db3, found none")
-    return files
-
-
 def _ros2() -> Any:
     """What decodes messages of ROS 2.
 
@@ -318,7 +305,7 @@ def _ros2() -> Any:
         from mcap_ros2.decoder import DecoderFactory
     except ImportError as error:
         raise InputError(
-            "reading MCAP and ROS 2 bags: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
+            "reading MCAP files: expected the packages mcap and mcap-ros2-support; install flexspline[mcap]"
         ) from error
     return DecoderFactory()
 
@@ -381,38 +368,20 @@ def _decoded(path: Path, topic: str, decode: Callable[[bytes], Any], data: bytes
         raise InputError(f"{path}: topic {topic}: not a readable message: {type(error).__name__}: {error}") from error
 
 
-def _database(path: Path, wanted: Wanted) -> Found:
-    factory = _ros2()
-    from mcap.records import Schema
-
+def _bag(path: Path, wanted: Wanted) -> Found:
+    """Messages of a ROS 1 bag, or of a ROS 2 bag's folder or database; the usual definitions where it brings none."""
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as bag:
-            tables = {name for (name,) in bag.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-            told = {}
-            if "message_definitions" in tables:
-                told = {
-                    kind: (encoding, text)
-                    for kind, encoding, text in bag.execute(
-                        "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
-                    )
-                }
-            for number, topic, kind, encoding in bag.execute(
-                "SELECT id, name, type, serialization_format FROM topics"
-            ).fetchall():
-                if not isinstance(topic, str) or not wanted(topic):
-                    continue
-                written, text = told.get(kind, ("ros2msg", ""))
-                text = text or DEFINITIONS.get(kind, "")
-                if not text or not all(isinstance(x, str) for x in (text, written, kind, encoding)):
-                    raise InputError(
-                        f"{path}: topic {topic}: expected a bag that holds the definition of {kind}, got none"
-                    )
-                schema = Schema(data=text.encode(), encoding=written or "ros2msg", id=number, name=kind)
-                decode = _decoder(factory, path, topic, encoding, schema)
-                rows = bag.execute(
-                    "SELECT timestamp, data FROM messages WHERE topic_id = ? ORDER BY timestamp", (number,)
-                )
-                for logged, data in rows:
-                    yield topic, logged, _decoded(path, topic, decode, data)
-    except sqlite3.Error as error:
-        raise InputError(f"{path}: not a readable ROS 2 bag: {error}") from error
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise InputError("reading bags: expected the package rosbags; install flexspline[logs]") from error
+    what = "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag"
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            chosen = [connection for connection in reader.connections if wanted(connection.topic)]
+            for connection, logged, data in reader.messages(chosen) if chosen else ():
+                yield connection.topic, logged, reader.deserialize(data, connection.msgtype)
+    except InputError:
+        raise
+    except Exception as error:  # whatever damaged bytes do to it
+        raise InputError(f"{path}: not a readable {what}: {first_line(error)}") from error
