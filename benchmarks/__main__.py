@@ -29,6 +29,7 @@ NAMED_ONLY = (
     "bound",
     "studies",
     "arms",
+    "real_logs",
 )
 
 

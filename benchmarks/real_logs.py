@@ -1,0 +1,236 @@
+"""Logs of real joints: what the description, a plain regression and a diagnosis predict of seconds that none of them has seen.
+
+Each log is cut in time. The regression and the diagnosis see the first part. The error is that of the current or torque in the last
+part, sample by sample, in motion (faster than 5 % of the usual largest speed). `python -m benchmarks real_logs` writes the table
+of docs/real_logs.md. The recordings are no part of this project: `--shared` says where they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pandas as pd
+
+from flexspline.diagnosis.data.importing import import_recording, load_layout
+from flexspline.diagnosis.diagnose import diagnose
+from flexspline.diagnosis.regression import MOVING, regressions
+from flexspline.diagnosis.validate import validate
+from flexspline.models.arm import ArmSpec
+from flexspline.models.datasheet import Datasheet, new_joint
+from flexspline.models.joint import Joint, Mounting, load_joint
+from flexspline.models.recording import Measurement, Recording, in_arm
+
+PAGE = Path(__file__).parents[1] / "docs" / "real_logs.md"
+TRAINED = 0.6
+"""Share of a log that the regression and the diagnosis see."""
+PAUSE = 0.2
+"""Seconds between the parts."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """A real log, cut: joint as its data sheet has it, recordings before and after the cut."""
+
+    name: str
+    joint: Joint
+    first: tuple[Recording, ...]
+    last: tuple[Recording, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """RMS errors of a channel on the last part, in its unit, and what the diagnosis of the first part says."""
+
+    log: str
+    channel: str
+    unit: str
+    described: float
+    regression: float
+    diagnosed: float
+    verdict: str
+    causes: str
+
+    @property
+    def row(self) -> str:
+        """A row of the page's table."""
+        ratio = self.diagnosed / self.regression
+        return (
+            f"| {self.log} | {self.channel.replace('_', ' ')} [{self.unit}] | {self.described:.3g} | {self.regression:.3g} | "
+            f"{self.diagnosed:.3g} | {ratio:.2f} | {self.verdict} | {self.causes or '–'} |"
+        )
+
+
+def cut(name: str, joint: Joint, recordings: Sequence[Recording]) -> Log:
+    """Cut every recording of a log at the same share of its time."""
+    first, last = [], []
+    for r in recordings:
+        since = (r.time - r.time[0]) / (r.time[-1] - r.time[0])
+        first.append(r.at(np.flatnonzero(since < TRAINED)))
+        last.append(r.at(np.flatnonzero((r.time - r.time[0]) > TRAINED * (r.time[-1] - r.time[0]) + PAUSE)))
+    return Log(name, joint, tuple(first), tuple(last))
+
+
+# --- logs ------------------------------------------------------------------------------------------------------------
+
+
+def kinova(shared: Path, folder: Path) -> list[Log]:
+    """A Kinova Gen3's second joint: strain wave gear 100:1, 1 kHz, one encoder, current and a torque by the drive's model."""
+    case = shared / "cases" / "01_index_for_time_Kinova"
+    table = pd.read_csv(case / "joint_2.csv")
+    columns = {"link_position": "Position2", "motor_current": "Cur2", "joint_torque": "Torque2"}
+    recording = Recording(
+        "joint_2",
+        1e-3 * table["Time"].to_numpy(),
+        {name: table[column].to_numpy() for name, column in columns.items()},
+        link=Mounting(inertia=2.2, gravity_moment=38.0, gravity_angle=np.pi),
+    )
+    return [cut("Kinova Gen3, joint 2", load_joint(str(case / "gen3_large.yaml")), [recording])]
+
+
+def pendulum(shared: Path, folder: Path) -> list[Log]:
+    """An AK80-6 drive with a pendulum: planetary gear 6:1, 300 Hz, counts of 2.9 mrad."""
+    case = shared / "cases" / "19_quasi_direct_drive_pendulum_DFKI"
+    table = pd.read_csv(case / "pendulum.csv")
+    columns = {"motor_position": 6 * table["position"].to_numpy(), "motor_torque": table["torque"].to_numpy() / 6}
+    link = Mounting(inertia=0.143, gravity_moment=2.81)
+    recording = Recording("pendulum", table["time"].to_numpy(), columns, link=link)
+    return [cut("AK80-6 with a pendulum", load_joint(str(case / "ak80_6.yaml")), [recording])]
+
+
+def friction(shared: Path, folder: Path) -> list[Log]:
+    """Motion made with the published friction law of an eRob80 (strain wave gear 100:1), two loads."""
+    case = shared / "cases" / "13_friction_of_an_eRob80"
+    recordings = []
+    for name, inertia, moment in (("light", 0.045, 2.943), ("heavy", 0.36, 17.658)):
+        table = pd.read_csv(case / f"{name}.csv")
+        columns = {c: table[c].to_numpy() for c in ("link_position", "motor_current")}
+        link = Mounting(inertia=inertia, gravity_moment=moment)
+        recordings.append(Recording(name, table["time"].to_numpy(), columns, link=link))
+    return [cut("eRob80 (published friction)", load_joint(str(case / "erob80.yaml")), recordings)]
+
+
+def ur3e(shared: Path, folder: Path) -> list[Log]:
+    """The shoulder of a UR3e: strain wave gear 101:1, 125 Hz, one encoder."""
+    recording = import_recording(load_layout("ur3e"), shared / "ur3e" / "shoulder_first_half.csv")
+    return [cut("UR3e, shoulder", load_joint("ur3e-shoulder"), [recording])]
+
+
+TIAGO = {1: (20, 0.136), 2: (20, 0.136), 3: (17, -0.087), 4: (17, -0.087)}
+"""Size of the gear and published torque constant [N·m/A] of TIAGo's first joints; it is negative where the current's sign is."""
+
+
+def tiago(shared: Path, folder: Path) -> list[Log]:
+    """Joints 1 to 4 of a TIAGo: strain wave gears 100:1, 100 Hz, one encoder each; all joints move."""
+    robot = shared / "robots" / "tiago"
+    position, effort = (pd.read_csv(robot / f"{name}.csv") for name in ("position", "effort"))
+    model = folder / "tiago.xml"
+    model.write_text(_mjcf(robot / "tiago.urdf"), encoding="utf-8")
+    found = []
+    for k, (size, constant) in TIAGO.items():
+        sheet = Datasheet(
+            "CSG", size, 100, {"Kt": abs(constant), "R": 0.5, "L": 5e-4, "Jm": 1e-4 if size == 20 else 4e-5},
+            {"counts": 4096}, {"bits": 16}, name=f"tiago-{k}", tolerances={"Jm": 1.0},
+        )  # fmt: skip
+        joint = new_joint(sheet, folder / f"tiago_{k}.yaml").joint
+        columns = {
+            "link_position": position[f"- arm_{k}_joint_position"].to_numpy(),
+            "motor_current": np.sign(constant) * effort[f"- arm_{k}_joint_effort"].to_numpy(),
+        }
+        others = {
+            f"arm_{name}_position": position[f"- {name}_position"].to_numpy()
+            for name in ("torso_lift_joint", *(f"arm_{i}_joint" for i in range(1, 8) if i != k))
+        }
+        recording = Recording(f"joint_{k}", position["t"].to_numpy(), columns)
+        carried = in_arm(recording, ArmSpec(model=model.name, joint=f"arm_{k}_joint"), others, model, folder, folder)
+        found.append(cut(f"TIAGo, joint {k}", joint, [carried]))
+    return found
+
+
+def _mjcf(urdf: Path) -> str:
+    """An arm's URDF without its looks, and without the inertias that no body has."""
+    root = ElementTree.parse(urdf).getroot()
+    for link in root.findall("link"):
+        for look in (*link.findall("visual"), *link.findall("collision")):
+            link.remove(look)
+        inertial = link.find("inertial")
+        if inertial is not None and float(inertial.find("mass").get("value")) < 0.05:  # type: ignore[union-attr, arg-type]
+            link.remove(inertial)
+    spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    spec.compile()
+    return spec.to_xml()
+
+
+LOGS: tuple[Callable[[Path, Path], list[Log]], ...] = (kinova, pendulum, friction, ur3e, tiago)
+
+
+# --- outcomes --------------------------------------------------------------------------------------------------------
+
+
+def outcomes(log: Log) -> list[Outcome]:
+    """What description, regression and diagnosis predict of a log's last part."""
+    first, last = (Measurement(log.name, Path(log.name), part) for part in (log.first, log.last))
+    said = regressions(first, log.joint)
+    diagnosis = diagnose(first, log.joint)
+    validations = [validate(last, joint) for joint in (log.joint, diagnosis.extended)]
+    causes = ", ".join(f"{c.name.replace('_', ' ')} {c.confidence:.2f}" for c in diagnosis.causes)
+    found = []
+    for one in said:
+        if one.channel not in validations[0].recordings[0].simulated:
+            continue
+        errors: list[list[np.ndarray]] = [[], [], []]
+        for i, r in enumerate(last.recordings):
+            moving = _moving(r)
+            simulated = [v.recordings[i].simulated[one.channel] for v in validations]
+            predicted = [simulated[0], one.predict(r, log.joint), simulated[1]]
+            for error, x in zip(errors, predicted, strict=True):
+                left = (r[one.channel] - x)[moving]
+                error.append(left[np.isfinite(left)])
+        described, regression, diagnosed = (float(np.sqrt(np.mean(np.concatenate(e) ** 2))) for e in errors)
+        found.append(
+            Outcome(
+                log.name, one.channel, one.unit, described, regression, diagnosed, diagnosis.verdict, causes
+            )
+        )  # fmt: skip
+    return found
+
+
+def _moving(recording: Recording) -> np.ndarray:
+    position = "link_position" if "link_position" in recording else "motor_position"
+    width = max(round(0.1 / recording.interval), 1)
+    speed = np.abs(np.gradient(np.convolve(recording[position], np.ones(width) / width, "same"), recording.time))
+    inside = (recording.time > recording.time[0] + PAUSE) & (recording.time < recording.time[-1] - PAUSE)
+    return inside & (speed > MOVING * np.quantile(speed[inside], 0.98))
+
+
+def main(words: Sequence[str] = ()) -> None:
+    """Print the table, and write it into the page."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks real_logs", description=__doc__)
+    parser.add_argument("--shared", type=Path, default=Path(__file__).parents[2] / "shared" / "data")
+    parser.add_argument(
+        "--logs", nargs="*", default=[one.__name__ for one in LOGS], help="some of the logs; the page stays"
+    )
+    arguments = parser.parse_args(words)
+    head = "| log | channel | description | regression | diagnosis | diagnosis / regression | verdict | causes (confidence) |"
+    rows = [head, "|---|---|---:|---:|---:|---:|---|---|"]
+    print("\n".join(rows))
+    with tempfile.TemporaryDirectory() as folder:
+        for one in LOGS:
+            if one.__name__ in arguments.logs:
+                for log in one(arguments.shared, Path(folder)):
+                    for outcome in outcomes(log):
+                        rows.append(outcome.row)
+                        print(outcome.row, flush=True)
+    if len(arguments.logs) == len(LOGS):
+        text = PAGE.read_text(encoding="utf-8")
+        table = "<!-- begin real logs -->\n" + "\n".join(rows) + "\n<!-- end real logs -->"
+        PAGE.write_text(
+            re.sub("<!-- begin real logs -->.*<!-- end real logs -->", table, text, flags=re.S), encoding="utf-8"
+        )
