@@ -26,6 +26,10 @@ from .segments import DECIMATION, SETTINGS, STEP, undisturbed
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
+SLOWEST = 10.0
+"""Rate [Hz] of a log below which nothing can show."""
+TORSION_RATE, INERTIA_RATE = 50.0, 20.0
+"""Rates [Hz] below which a log shows no torsion and no resonance, and no inertia: their passband is a quarter."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
 _AGREED = 0.05  # by which a drive's torque may differ from its torque constant times the current
 _ABOVE_NOISE = 3.0  # noises of the current above which it is held against the drive's torque
@@ -175,8 +179,12 @@ def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
 
 
 def too_little(measurement: Measurement, joint: Joint) -> str | None:
-    """Why nothing at all can show: no part is long enough for a diagnosis, or nothing moves in any that is; None where it can."""
+    """Why nothing at all can show: the log is too slow, no part is long enough for a diagnosis, or nothing moves in any that is;
+    None where it can."""
     samples, seconds = SETTINGS.shortest
+    fastest = 1 / min(r.interval for r in measurement.recordings)
+    if fastest < SLOWEST:
+        return f"the log is slower than {SLOWEST:g} Hz ({fastest:.2g} samples a second), too slow for a diagnosis"
     parts = [
         (recording, part)
         for recording in measurement.recordings
@@ -241,12 +249,28 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
       link_measured: whether some recording has both encoders.
     """
     columns = {column for r in measurement.recordings for column in r.columns}
-    return shows_in(causes.get(name), columns, link_measured)
+    cause = causes.get(name)
+    return shows_in(cause, columns, link_measured) and next(_too_slow(cause, _rate(measurement)), None) is None
 
 
 def shows_in(cause: Cause, columns: Set[str], both_encoders: bool) -> bool:
     """Whether a cause can show in these channels, both encoders in one recording or not."""
     return next(_hidden_from(cause, columns, both_encoders), None) is None
+
+
+def _rate(measurement: Measurement) -> float:
+    """Of its fastest recording [Hz]."""
+    return 1 / min(r.interval for r in measurement.recordings)
+
+
+def _too_slow(cause: Cause, rate: float, passband: float = np.inf) -> Iterator[str]:
+    """Why a cause cannot show in a log of a rate [Hz] whose motion is known up to a passband [Hz]; nothing where it can."""
+    if cause.resonance and passband < TORSION_RATE / 4:
+        yield f"the motion is known up to {passband:.2g} Hz, no resonance is slower"
+    if (cause.torsion or cause.resonance) and rate < TORSION_RATE:
+        yield f"{rate:.3g} samples a second do not show torsion, it takes {TORSION_RATE:g}"
+    if {"Jm", "Jl"} & {*cause.sets.values(), *cause.scales} and rate < INERTIA_RATE:
+        yield f"{rate:.3g} samples a second do not show inertia, it takes {INERTIA_RATE:g}"
 
 
 def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterator[str]:
@@ -267,6 +291,8 @@ class _Extent:
     """How far a measurement goes in what causes require (`models.causes.base.Requirements`), over all its recordings."""
 
     joint: Joint
+    rate: float
+    passband: float
     columns: frozenset[str]
     both_encoders: bool
     sliding: float
@@ -291,6 +317,8 @@ class _Extent:
         known = [r for r in recordings if r.external != "unmeasured" and r.load is None]
         return cls(
             joint=joint,
+            rate=_rate(measurement),
+            passband=max(s.passband for s in summaries),
             columns=frozenset(name for r in recordings for name in r.columns),
             both_encoders=any(all(name in r for name in POSITIONS) for r in recordings),
             sliding=sum(s.sliding * s.duration for s in summaries),
@@ -312,6 +340,7 @@ def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]
     yield from _hidden_from(cause, found.columns, found.both_encoders)
     if nothing is not None:
         yield nothing
+    yield from _too_slow(cause, found.rate, found.passband)
     if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint, found.both_encoders):
         yield "it shows in what the drive needs alone, and there is no motor current"
     if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in found.columns:
