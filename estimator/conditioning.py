@@ -27,7 +27,7 @@ from ..models.recording import Recording
 from ..models.signals import CHANNELS, POSITIONS
 from .motion import CUTOFF, SHARE
 from .passband import highest
-from .stamps import Clock, clock_times, off_motion, read_stamps
+from .stamps import Clock, clock_times, off_motion, read_stamps, stretches
 
 READ = ("motor_position", "link_position", "motor_current", "joint_torque", "external_torque")
 """Channels whose repeats and noise are looked at."""
@@ -108,10 +108,11 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
     parts = [part for part in recording.segments if part.stop - part.start > 4]
     news: dict[str, np.ndarray] = {}
     repeated = dict.fromkeys(columns, 0.0)
+    looked_at = stretches(parts)
     for name in (n for n in READ if n in columns):
-        fresh, share = news_of(columns[name], parts)
-        if share > _REPEATED:
-            news[name], repeated[name] = fresh, share
+        if news_of(columns[name], looked_at)[1] > _REPEATED:
+            news[name], repeated[name] = news_of(columns[name], parts)
+            share = repeated[name]
             done.append(
                 f"{name}: {100 * share:.2g} % of the samples in motion repeat an older reading; they are filled in"
             )
@@ -207,7 +208,9 @@ def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str
         if min(steps) > max(_COARSER * described, least):
             found.append(Coarse(name, "step", min(steps), described))
         if isinstance(spec, EncoderSpec) or spec.noise:  # without noise a reading may well stay the same
-            shares = [news_of(r[name], r.segments)[1] for r in there if np.count_nonzero(np.diff(r[name])) > FEWEST]
+            shares = [
+                news_of(r[name], stretches(r.segments))[1] for r in there if np.count_nonzero(np.diff(r[name])) > FEWEST
+            ]
             rates = [(1 - share) / r.interval for share, r in zip(shares, there, strict=False)]
             if rates and min(shares) > _REPEATED and max(rates) < _SLOWER * spec.rate:
                 found.append(Coarse(name, "rate", max(rates), spec.rate))
@@ -216,7 +219,8 @@ def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str
 
 def step_of(reading: np.ndarray) -> float:
     """Step of a reading, shape (n,), of which all its changes are whole numbers, in its unit; 0 where it comes in none."""
-    change = np.abs(np.diff(reading))
+    parts = stretches([slice(0, len(reading))])
+    change = np.abs(np.concatenate([np.diff(reading[part]) for part in parts]))
     change = change[change > 1e-12 * max(float(np.ptp(reading)), 1e-300)]
     if len(change) < FEWEST:
         return 0.0
@@ -306,7 +310,7 @@ def _noise(recording: Recording, name: str, parts: Sequence[slice]) -> float:
     """Standard deviation of a channel's white noise where an encoder moves."""
     position = next(n for n in POSITIONS if n in recording)
     found = []
-    for part in parts:
+    for part in stretches(parts):
         off, _ = off_motion(recording.time[part], recording[name][part])
         speed = np.abs(np.gradient(recording[position][part], recording.time[part])[2:-2])
         found.append(off[speed > _MOVING * np.sqrt(np.mean(speed**2))])
@@ -314,4 +318,4 @@ def _noise(recording: Recording, name: str, parts: Sequence[slice]) -> float:
     if not len(off):
         return 0.0
     off **= 2
-    return float(np.sqrt(np.mean(np.minimum(off, 36 * np.median(off) + 1e-300)) if len(off) else 0.0))
+    return float(np.sqrt(np.mean(np.minimum(off, 36 * np.median(off) + 1e-300))))
