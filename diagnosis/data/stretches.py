@@ -78,8 +78,8 @@ def _covered(recordings: Sequence[Recording], pieces: Sequence[tuple[int, slice]
 
 
 def _quantities(recording: Recording, step: int) -> tuple[np.ndarray, np.ndarray]:
-    """Angle, speed, size of the acceleration, torque or current, temperature, age and where it last turned back, of every so many-th
-    sample, shape (7, n); and whether it goes forward, shape (n,)."""
+    """Angle, speed, size of the acceleration, torque or current, temperature, age and where it last turned back, of some
+    samples, shape (7, n); and whether it goes forward, shape (n,)."""
     time = recording.time[::step]
     x = recording[next(name for name in POSITIONS if name in recording)][::step]
     drive = recording[next(name for name in DRIVING if name in recording)][::step]
