@@ -13,7 +13,7 @@ import numpy as np
 from ...models.recording import Measurement, Recording
 from ...models.signals import DRIVING, POSITIONS
 
-LONGEST = 150.0
+LONGEST = 100.0
 """Seconds of a measurement that a diagnosis takes."""
 _PIECE = 5.0  # s
 _COARSE = 0.02  # s between the samples that are looked at
