@@ -39,6 +39,7 @@ _COARSER = 1.5  # times the described step
 _SLOWER = 0.75  # of the described rate
 _WENT_ON = 1.5  # steps a sample by which a motion goes on, of which no fresh reading would repeat itself
 _CREEPS = 0.25  # of the usual change of a sample: less of it is rest
+_REGULAR = 0.9  # of the times between changes that are whole numbers of one, where a reading is held for so long
 _REPEATED = 0.02  # share of the samples in motion from which on repeats count
 _MOVING = 0.2  # of the rms speed
 
@@ -236,7 +237,7 @@ def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, fl
     A reading stays the same at rest, and between two counts of a slow motion. Where it then goes on by more than a step for every
     sample that it stayed, these samples were old.
     """
-    fresh, step, moving, old = np.ones(len(reading), bool), step_of(reading), 0, 0
+    fresh, step = np.ones(len(reading), bool), step_of(reading)
     runs = []
     for part in parts:
         at = np.flatnonzero(np.diff(reading[part])) + 1  # first sample of each run
@@ -251,6 +252,13 @@ def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, fl
     for first, count in zip(begin[stale].tolist(), length[stale].tolist(), strict=True):
         fresh[first + 1 : first + count] = False
     moving, old = int(length[went_on].sum()), int((length[stale] - 1).sum())
+    every = max(int(np.percentile(length[went_on], 5)), 1)
+    if every > 1 and np.mean(length % every == 0) > _REGULAR:  # read anew at regular times, also where it hardly moves
+        for part in parts:
+            first = begin[(begin >= part.start) & (begin < part.stop)]
+            if len(first):
+                fresh[part] = (np.arange(part.start, part.stop) - first[0]) % every == 0
+                fresh[part.start] = True
     return fresh, old / max(moving, 1)
 
 
@@ -286,8 +294,9 @@ def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _floors(joint: Joint, encoders: Sequence[str], columns: Mapping[str, np.ndarray]) -> list[float]:
     """Noise [rad rms] that each encoder has in motion whatever the clock: of its counts, and as described."""
     found = []
+    specs = {"motor_position": joint.sensors.motor_encoder, "link_position": joint.sensors.link_encoder}
     for name in encoders:
-        spec = joint.sensors.of(CHANNELS[name])
+        spec = specs[name]
         found.append(float(np.hypot(max(step_of(columns[name]), spec.resolution) / np.sqrt(12), spec.noise)))
     return found
 

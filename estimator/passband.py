@@ -69,7 +69,9 @@ def highest(
         if len(floors) == len(POSITIONS):
             white = floor * np.sqrt(2 * recording.interval) * (2 * np.pi) ** 2 * _WIDTH * tried**2.5
             passed = np.sqrt(2 * tried * recording.interval)
-            loud = np.max([shaken * inertia / (noise[y] * passed + 1e-300) for y, inertia in held.items()], axis=0, initial=0.0)
+            loud = np.max(
+                [shaken * inertia / (noise[y] * passed + 1e-300) for y, inertia in held.items()], axis=0, initial=0.0
+            )
             good |= (loud <= QUIET) | (loud <= KNOWN) & (shaken <= _BEYOND * white)
         for y, inertia in held.items():
             possible = inertia * whole <= _DESCRIBED_WRONG * np.sqrt(np.mean(recording[y] ** 2))
