@@ -248,6 +248,8 @@ def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, fl
     begin, length, jump = (np.concatenate(x) for x in zip(*runs, strict=True))
     went = jump / length
     went_on = went > (_WENT_ON * step if step else _CREEPS * float(np.median(went)))
+    if not went_on.any():
+        return fresh, 0.0
     stale = went_on & (length > 1)
     for first, count in zip(begin[stale].tolist(), length[stale].tolist(), strict=True):
         fresh[first + 1 : first + count] = False
