@@ -35,6 +35,9 @@ def command(
     from rich.text import Text
 
     from ..diagnosis.data.coverage import (
+        INERTIA_RATE,
+        SLOWEST,
+        TORSION_RATE,
         balances,
         missing_columns,
         summarise,
@@ -49,7 +52,6 @@ def command(
     from ..models.command_lines import mending
     from ..models.files import json_text
     from ..models.memory import give_back_large_arrays
-    from ..models.recording import GAP
     from ._console import console
     from ._mistakes import print_mistakes
 
@@ -105,13 +107,18 @@ def command(
     for recording, s in zip(data.recordings, summaries, strict=True):
         if recording.sparse:
             terminal.print(
-                f"{s.name}: samples are {s.interval:.3g} s apart, and more than {GAP:.2g} s is a gap: what happens between them "
-                "is unknown; record at 50 Hz at least, 250 Hz and more serve"
+                f"{s.name}: {len(s.gaps)} gaps of more than {recording.gap:.2g} s among {s.samples} samples: what happens in "
+                "them is unknown; record at 50 Hz at least, 250 Hz and more serve"
             )
         else:
             for begin, end in s.gaps:
                 text = f"{s.name}: gap of {end - begin:.3f} s at {begin:.3f} s, the recording is split there"
                 terminal.print(text)
+        for line in s.done:
+            terminal.print(Text(f"{s.name}: {line}"))
+        if SLOWEST <= 1 / s.interval < TORSION_RATE:
+            unseen = "torsion, friction at a reversal" + (", inertia" if 1 / s.interval < INERTIA_RATE else "")
+            terminal.print(f"{s.name}: {1 / s.interval:.3g} Hz do not show {unseen}")
         if s.clipped:
             terminal.print(f"{s.name}: current at its limit in {100 * s.clipped:.2g} % of the samples")
     for one in coarse:
@@ -167,7 +174,8 @@ def _rows(recordings: Sequence[Recording], summaries: Sequence[RecordingSummary]
     yield row("jitter of the intervals [ms rms]", lambda s: f"{1e3 * s.jitter:.3f}")
     yield row("time stamps wrong by [ms rms]", lambda s: f"{1e3 * s.late:.2f}" if s.late else "not seen")
     yield row("single samples missing", lambda s: f"{s.missing}")
-    yield row("gaps > 0.1 s", lambda s: f"{len(s.gaps)}")
+    yield row("gaps", lambda s: f"{len(s.gaps)}")
+    yield row("motion known up to [Hz]", lambda s: f"{s.passband:.3g}")
     for name, channel in CHANNELS.items():
         if name != "time" and any(name in s.ranges for s in summaries):
             yield row(f"{name} [{channel.unit}]", extent(name))

@@ -56,7 +56,6 @@ def command(
     from ..models.files import json_text
     from ..models.memory import give_back_free_pages, give_back_large_arrays
     from ..models.output import check_output, made_from, output_folder
-    from ..models.recording import GAP
     from ._console import console
 
     give_back_large_arrays()
@@ -74,7 +73,8 @@ def command(
     if all(map(too_short, data.recordings)):
         got = "none: too short to estimate"
         if all(recording.sparse for recording in data.recordings):
-            got = f"samples that are {data.recordings[0].interval:.3g} s apart, and more than {GAP:.2g} s is a gap"
+            one = data.recordings[0]
+            got = f"{len(one.gaps)} gaps of more than {one.gap:.2g} s among {len(one.time)} samples"
         raise InputError(f"{measurement}: expected a part without gaps of {SHORTEST} samples at least, got {got}")
     for recording in data.recordings:
         for name, why in lacking(recording, filter_ or ()).items():

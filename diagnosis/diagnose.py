@@ -17,6 +17,7 @@ from .conclusion import ANSWER, Conclusion
 from .data import coverage
 from .data.mistakes import find_mistakes
 from .data.segments import pushed, segments
+from .data.stretches import most_telling
 from .extension import extended
 from .findings import explains_nothing
 from .fit import tare
@@ -72,6 +73,7 @@ def diagnose(
     mistakes = find_mistakes(measurement, joint)
     if any(m.severe for m in mistakes):
         return meaningless(joint, mistakes, time.monotonic() - begin)
+    measurement = most_telling(measurement)
     joint = as_logged(joint, measurement.recordings)
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
     missing = coverage.undetermined(measurement, joint)

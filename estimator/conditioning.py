@@ -27,7 +27,7 @@ from ..models.recording import Recording
 from ..models.signals import CHANNELS, POSITIONS
 from .motion import CUTOFF, SHARE
 from .passband import highest
-from .stamps import Clock, clock_times, off_motion, read_stamps
+from .stamps import Clock, clock_times, off_motion, read_stamps, stretches
 
 READ = ("motor_position", "link_position", "motor_current", "joint_torque", "external_torque")
 """Channels whose repeats and noise are looked at."""
@@ -39,6 +39,7 @@ _COARSER = 1.5  # times the described step
 _SLOWER = 0.75  # of the described rate
 _WENT_ON = 1.5  # steps a sample by which a motion goes on, of which no fresh reading would repeat itself
 _CREEPS = 0.25  # of the usual change of a sample: less of it is rest
+_REGULAR = 0.9  # of the times between changes that are whole numbers of one, where a reading is held for so long
 _REPEATED = 0.02  # share of the samples in motion from which on repeats count
 _MOVING = 0.2  # of the rms speed
 
@@ -108,10 +109,11 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
     parts = [part for part in recording.segments if part.stop - part.start > 4]
     news: dict[str, np.ndarray] = {}
     repeated = dict.fromkeys(columns, 0.0)
+    looked_at = stretches(parts)
     for name in (n for n in READ if n in columns):
-        fresh, share = news_of(columns[name], parts)
-        if share > _REPEATED:
-            news[name], repeated[name] = fresh, share
+        if news_of(columns[name], looked_at)[1] > _REPEATED:
+            news[name], repeated[name] = news_of(columns[name], parts)
+            share = repeated[name]
             done.append(
                 f"{name}: {100 * share:.2g} % of the samples in motion repeat an older reading; they are filled in"
             )
@@ -207,7 +209,9 @@ def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str
         if min(steps) > max(_COARSER * described, least):
             found.append(Coarse(name, "step", min(steps), described))
         if isinstance(spec, EncoderSpec) or spec.noise:  # without noise a reading may well stay the same
-            shares = [news_of(r[name], r.segments)[1] for r in there if np.count_nonzero(np.diff(r[name])) > FEWEST]
+            shares = [
+                news_of(r[name], stretches(r.segments))[1] for r in there if np.count_nonzero(np.diff(r[name])) > FEWEST
+            ]
             rates = [(1 - share) / r.interval for share, r in zip(shares, there, strict=False)]
             if rates and min(shares) > _REPEATED and max(rates) < _SLOWER * spec.rate:
                 found.append(Coarse(name, "rate", max(rates), spec.rate))
@@ -216,7 +220,8 @@ def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str
 
 def step_of(reading: np.ndarray) -> float:
     """Step of a reading, shape (n,), of which all its changes are whole numbers, in its unit; 0 where it comes in none."""
-    change = np.abs(np.diff(reading))
+    parts = stretches([slice(0, len(reading))])
+    change = np.abs(np.concatenate([np.diff(reading[part]) for part in parts]))
     change = change[change > 1e-12 * max(float(np.ptp(reading)), 1e-300)]
     if len(change) < FEWEST:
         return 0.0
@@ -232,7 +237,7 @@ def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, fl
     A reading stays the same at rest, and between two counts of a slow motion. Where it then goes on by more than a step for every
     sample that it stayed, these samples were old.
     """
-    fresh, step, moving, old = np.ones(len(reading), bool), step_of(reading), 0, 0
+    fresh, step = np.ones(len(reading), bool), step_of(reading)
     runs = []
     for part in parts:
         at = np.flatnonzero(np.diff(reading[part])) + 1  # first sample of each run
@@ -243,10 +248,19 @@ def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, fl
     begin, length, jump = (np.concatenate(x) for x in zip(*runs, strict=True))
     went = jump / length
     went_on = went > (_WENT_ON * step if step else _CREEPS * float(np.median(went)))
+    if not went_on.any():
+        return fresh, 0.0
     stale = went_on & (length > 1)
     for first, count in zip(begin[stale].tolist(), length[stale].tolist(), strict=True):
         fresh[first + 1 : first + count] = False
     moving, old = int(length[went_on].sum()), int((length[stale] - 1).sum())
+    every = max(int(np.percentile(length[went_on], 5)), 1)
+    if every > 1 and np.mean(length % every == 0) > _REGULAR:  # read anew at regular times, also where it hardly moves
+        for part in parts:
+            first = begin[(begin >= part.start) & (begin < part.stop)]
+            if len(first):
+                fresh[part] = (np.arange(part.start, part.stop) - first[0]) % every == 0
+                fresh[part.start] = True
     return fresh, old / max(moving, 1)
 
 
@@ -282,8 +296,9 @@ def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
 def _floors(joint: Joint, encoders: Sequence[str], columns: Mapping[str, np.ndarray]) -> list[float]:
     """Noise [rad rms] that each encoder has in motion whatever the clock: of its counts, and as described."""
     found = []
+    specs = {"motor_position": joint.sensors.motor_encoder, "link_position": joint.sensors.link_encoder}
     for name in encoders:
-        spec = joint.sensors.of(CHANNELS[name])
+        spec = specs[name]
         found.append(float(np.hypot(max(step_of(columns[name]), spec.resolution) / np.sqrt(12), spec.noise)))
     return found
 
@@ -306,7 +321,7 @@ def _noise(recording: Recording, name: str, parts: Sequence[slice]) -> float:
     """Standard deviation of a channel's white noise where an encoder moves."""
     position = next(n for n in POSITIONS if n in recording)
     found = []
-    for part in parts:
+    for part in stretches(parts):
         off, _ = off_motion(recording.time[part], recording[name][part])
         speed = np.abs(np.gradient(recording[position][part], recording.time[part])[2:-2])
         found.append(off[speed > _MOVING * np.sqrt(np.mean(speed**2))])
@@ -314,4 +329,4 @@ def _noise(recording: Recording, name: str, parts: Sequence[slice]) -> float:
     if not len(off):
         return 0.0
     off **= 2
-    return float(np.sqrt(np.mean(np.minimum(off, 36 * np.median(off) + 1e-300)) if len(off) else 0.0))
+    return float(np.sqrt(np.mean(np.minimum(off, 36 * np.median(off) + 1e-300))))

@@ -21,6 +21,8 @@ NOISY = 0.02
 KNOWN = 8.0
 """Noise of the acceleration as a torque over that of what it is held against, up to which fits of two encoders count it: where
 it is that of the sensor as it is described."""
+QUIET = 1.0
+"""The same, up to which it does no harm with two encoders."""
 _BEYOND = 2.0  # times the described noise, up to which it is that
 _DESCRIBED_WRONG = 3.0  # times too small an inertia may be described
 _AS_GOOD = 1.005  # of the least residual of a regression
@@ -28,7 +30,7 @@ _LEAST, _STEPS = 0.5, 32  # passbands that are tried: from so many Hz, so many
 _LOWER = 4.0  # times less than the noise allows, down to which a regression chooses
 _WINDOW = 4.0  # s of a spectrum
 _LONGEST, _SHORTEST, _WINDOWS = 1 << 15, 32, 48  # samples of a window, windows of a long log
-_REGRESSED = 1 << 16  # samples, most
+_REGRESSED = 1 << 15  # samples, most
 _ABOVE = (1.5, 4.0)  # times a passband: where its noise is read off
 _WIDTH = 0.418  # what passes the smoother of white noise, twice differentiated: the root of ∫ x⁴/(1+x⁶)² dx
 _FOLDS, _BLOCKS, _BLOCK = 6, 24, 0.5  # folds, blocks at least, s
@@ -55,7 +57,7 @@ def highest(
       Passband [Hz], and the encoder whose noise sets it; empty where none does.
     """
     limit = min(CUTOFF, limit)
-    found, loud = limit, ""
+    found, loudest = limit, ""
     tried = np.geomspace(min(_LEAST, limit), limit, _STEPS)
     for name, floor in floors.items():
         spectrum = _spectrum(recording, name, parts)
@@ -67,19 +69,21 @@ def highest(
         if len(floors) == len(POSITIONS):
             white = floor * np.sqrt(2 * recording.interval) * (2 * np.pi) ** 2 * _WIDTH * tried**2.5
             passed = np.sqrt(2 * tried * recording.interval)
-            counted = np.all([shaken * inertia <= KNOWN * noise[y] * passed for y, inertia in held.items()], axis=0)
-            good |= counted & (shaken <= _BEYOND * white)
+            loud = np.max(
+                [shaken * inertia / (noise[y] * passed + 1e-300) for y, inertia in held.items()], axis=0, initial=0.0
+            )
+            good |= (loud <= QUIET) | (loud <= KNOWN) & (shaken <= _BEYOND * white)
         for y, inertia in held.items():
             possible = inertia * whole <= _DESCRIBED_WRONG * np.sqrt(np.mean(recording[y] ** 2))
             good &= possible | ~possible.any()  # of a column in another unit nothing is
         own = float(tried[good].max()) if good.any() else float(tried[0])
-        if held and (own < limit or len(floors) == 1):
+        if held and len(floors) == 1:
             own = _regressed(
                 recording, name, next(iter(held)), parts, tried[(tried <= own) & (tried >= own / _LOWER)], float(p["N"])
             )
         if own < found:
-            found, loud = own, name
-    return found, loud
+            found, loudest = own, name
+    return found, loudest
 
 
 def _held_against(recording: Recording, name: str, p: np.void) -> dict[str, float]:

@@ -14,6 +14,8 @@ import numpy as np
 
 _BLOCK = 1 << 16
 """Samples that are looked at together, for an hour to fit into memory."""
+_LOOKED_AT, _STRETCH = 1 << 18, 1 << 14
+"""Samples of a long log that are looked at, so many of them together."""
 FEWEST = 50
 """Samples in motion below which nothing is said."""
 LEAST = 2e-3
@@ -64,6 +66,16 @@ class Clock:
         )
 
 
+def stretches(parts: Sequence[slice]) -> list[slice]:
+    """What is looked at of parts without gaps: all, or of a long log stretches that are evenly spread over it."""
+    total = sum(part.stop - part.start for part in parts)
+    if total <= _LOOKED_AT:
+        return list(parts)
+    apart = total * _STRETCH // _LOOKED_AT
+    begins = (range(part.start, max(part.stop - _STRETCH, part.start + 1), apart) for part in parts)
+    return [slice(b, min(b + _STRETCH, p.stop)) for p, some in zip(parts, begins, strict=True) for b in some]
+
+
 def read_stamps(
     time: np.ndarray, encoders: Sequence[np.ndarray], parts: Sequence[slice], floors: Sequence[float]
 ) -> Clock:
@@ -73,6 +85,7 @@ def read_stamps(
       time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad], the motor's first; parts: without gaps.
       floors: noise of each in motion, whatever the clock [rad].
     """
+    parts = stretches(parts)
     if not parts:
         return Clock("exact", 0.0)
     error = max(timing_error(time[k], [x[k] for x in encoders], floors) for k in parts)

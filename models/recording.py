@@ -218,7 +218,7 @@ class Recording:
     @cached_property
     def interval(self) -> float:
         """Median time between samples [s]."""
-        return float(np.median(np.diff(self.time)))
+        return float(np.median(np.diff(self.time), overwrite_input=True))
 
     @property
     def gap(self) -> float:

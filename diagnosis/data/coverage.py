@@ -26,11 +26,15 @@ from .segments import DECIMATION, SETTINGS, STEP, undisturbed
 
 SLIDING = 2.5
 """Stribeck velocities above which the mesh slides."""
+SLOWEST = 10.0
+"""Rate [Hz] of a log below which nothing can show."""
+TORSION_RATE, INERTIA_RATE = 50.0, 20.0
+"""Rates [Hz] below which a log shows no torsion and no resonance, and no inertia: their passband is a quarter."""
 _REVERSAL = 0.6  # rad of the rotor that a change of direction must last to count
 _AGREED = 0.05  # by which a drive's torque may differ from its torque constant times the current
 _ABOVE_NOISE = 3.0  # noises of the current above which it is held against the drive's torque
 _CLIPPED = 0.995  # of the current limit
-_BLOCK = 1 << 16  # samples that are made Python's numbers at a time
+_BLOCK = 1 << 16  # samples that are smoothed, or made Python's numbers, at a time
 _RESTING = 0.04  # s before and after, in which a rotor that is at rest stays where it is
 _FEWEST = 10  # samples of a segment whose motion can be smoothed
 _TURN = 2 * np.pi
@@ -98,18 +102,18 @@ def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
     """Sum up a recording of a joint, whatever its channels."""
     time = recording.time
     conditioned = condition(recording, joint)
-    steps = np.diff(time)
     interval = recording.interval
-    inside = steps[steps <= recording.gap]
-    regular = inside[inside < 1.6 * interval]
+    inside, there, jitter = _steps(time, interval, recording.gap)
     N = joint.numbers["N"].value
     rotor, link = _positions(recording, N)
-    w, v = _velocity(recording, rotor), _velocity(recording, link)
-    sliding = np.abs(w) > SLIDING * joint.numbers["vs"].value
-    load = _load(recording, joint)
+    w = np.abs(_velocity(recording, rotor))
+    motor_speed, sliding = float(w.max()), float(np.mean(w > SLIDING * joint.numbers["vs"].value))
+    del w  # of an hour, 30 MB
+    link_speed = float(np.abs(_velocity(recording, link)).max())
+    load = np.percentile(_load(recording, joint), (0.5, 99.5))
     # What happens within a gap is unknown.
     turns = [_turning_points(rotor[part]) for part in recording.segments]
-    travel = np.concatenate([np.diff(rotor[part]) for part in recording.segments])
+    travel = [np.diff(rotor[part]) for part in recording.segments]
     current = recording.columns.get("motor_current")
     limit = joint.numbers["current_limit"].value
     return RecordingSummary(
@@ -117,23 +121,35 @@ def summarise(recording: Recording, joint: Joint) -> RecordingSummary:
         samples=len(time),
         duration=float(time[-1] - time[0]),
         interval=interval,
-        jitter=float(np.sqrt(np.mean((regular - interval) ** 2))) if len(regular) else 0.0,
+        jitter=jitter,
         late=max(conditioned.stamps.found, conditioned.stamps.error),
         passband=conditioned.passband,
         done=conditioned.done,
-        missing=max(round(float(inside.sum()) / interval) - len(inside), 0),
+        missing=max(round(inside / interval) - there, 0),
         gaps=recording.gaps,
         ranges={name: (float(x.min()), float(x.max())) for name, x in recording.columns.items()},
-        motor_speed=float(np.abs(w).max()),
-        link_speed=float(np.abs(v).max()),
-        sliding=float(np.mean(sliding)),
+        motor_speed=motor_speed,
+        link_speed=link_speed,
+        sliding=sliding,
         reversals=sum(max(len(points) - 2, 0) for points in turns),
-        forward=float(travel[travel > 0].sum()),
-        backward=float(-travel[travel < 0].sum()),
-        load=(float(np.percentile(load, 0.5)), float(np.percentile(load, 99.5))),
+        forward=float(sum(x[x > 0].sum() for x in travel)),
+        backward=float(sum(-x[x < 0].sum() for x in travel)),
+        load=(float(load[0]), float(load[1])),
         load_measured="joint_torque" in recording,
         clipped=None if current is None else float(np.mean(np.abs(current) >= _CLIPPED * limit)),
     )
+
+
+def _steps(time: np.ndarray, interval: float, gap: float) -> tuple[float, int, float]:
+    """Of the times between samples that are no gaps: their sum [s] and number, and the rms by which those that miss no sample
+    differ from the interval [s]."""
+    steps = np.diff(time)
+    steps = steps[steps <= gap]
+    whole, count = float(steps.sum()), len(steps)
+    steps = steps[steps < 1.6 * interval]
+    steps -= interval
+    steps *= steps
+    return whole, count, float(np.sqrt(np.mean(steps))) if len(steps) else 0.0
 
 
 def missing_columns(measurement: Measurement) -> list[str]:
@@ -175,8 +191,12 @@ def _balances(recording: Recording) -> Iterator[tuple[str, str]]:
 
 
 def too_little(measurement: Measurement, joint: Joint) -> str | None:
-    """Why nothing at all can show: no part is long enough for a diagnosis, or nothing moves in any that is; None where it can."""
+    """Why nothing at all can show: the log is too slow, no part is long enough for a diagnosis, or nothing moves in any that is;
+    None where it can."""
     samples, seconds = SETTINGS.shortest
+    fastest = 1 / min(r.interval for r in measurement.recordings)
+    if fastest < SLOWEST:
+        return f"the log is slower than {SLOWEST:g} Hz ({fastest:.2g} samples a second), too slow for a diagnosis"
     parts = [
         (recording, part)
         for recording in measurement.recordings
@@ -241,12 +261,28 @@ def can_show(name: str, measurement: Measurement, link_measured: bool) -> bool:
       link_measured: whether some recording has both encoders.
     """
     columns = {column for r in measurement.recordings for column in r.columns}
-    return shows_in(causes.get(name), columns, link_measured)
+    cause = causes.get(name)
+    return shows_in(cause, columns, link_measured) and next(_too_slow(cause, _rate(measurement)), None) is None
 
 
 def shows_in(cause: Cause, columns: Set[str], both_encoders: bool) -> bool:
     """Whether a cause can show in these channels, both encoders in one recording or not."""
     return next(_hidden_from(cause, columns, both_encoders), None) is None
+
+
+def _rate(measurement: Measurement) -> float:
+    """Of its fastest recording [Hz]."""
+    return 1 / min(r.interval for r in measurement.recordings)
+
+
+def _too_slow(cause: Cause, rate: float, passband: float = np.inf) -> Iterator[str]:
+    """Why a cause cannot show in a log of a rate [Hz] whose motion is known up to a passband [Hz]; nothing where it can."""
+    if cause.resonance and passband < TORSION_RATE / 4:
+        yield f"the motion is known up to {passband:.2g} Hz, no resonance is slower"
+    if (cause.torsion or cause.resonance) and rate < TORSION_RATE:
+        yield f"{rate:.3g} samples a second do not show torsion, it takes {TORSION_RATE:g}"
+    if {"Jm", "Jl"} & {*cause.sets.values(), *cause.scales} and rate < INERTIA_RATE:
+        yield f"{rate:.3g} samples a second do not show inertia, it takes {INERTIA_RATE:g}"
 
 
 def _hidden_from(cause: Cause, columns: Set[str], both_encoders: bool) -> Iterator[str]:
@@ -267,6 +303,8 @@ class _Extent:
     """How far a measurement goes in what causes require (`models.causes.base.Requirements`), over all its recordings."""
 
     joint: Joint
+    rate: float
+    passband: float
     columns: frozenset[str]
     both_encoders: bool
     sliding: float
@@ -291,6 +329,8 @@ class _Extent:
         known = [r for r in recordings if r.external != "unmeasured" and r.load is None]
         return cls(
             joint=joint,
+            rate=_rate(measurement),
+            passband=max(s.passband for s in summaries),
             columns=frozenset(name for r in recordings for name in r.columns),
             both_encoders=any(all(name in r for name in POSITIONS) for r in recordings),
             sliding=sum(s.sliding * s.duration for s in summaries),
@@ -312,6 +352,7 @@ def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]
     yield from _hidden_from(cause, found.columns, found.both_encoders)
     if nothing is not None:
         yield nothing
+    yield from _too_slow(cause, found.rate, found.passband)
     if not found.columns.intersection(_DRIVE) and in_drive_alone(cause, found.joint, found.both_encoders):
         yield "it shows in what the drive needs alone, and there is no motor current"
     if "Jm" in {*cause.sets.values(), *cause.scales} and "motor_position" in found.columns:
@@ -456,7 +497,12 @@ def _load(recording: Recording, joint: Joint) -> np.ndarray:
 def _velocity(recording: Recording, position: np.ndarray) -> np.ndarray:
     """Velocity of a position at the samples, shape (n,) [rad/s]; of segments too short to be smoothed, zero."""
     v = np.zeros(len(position))
-    for part in recording.segments:
+    pieces = (
+        slice(b, min(b + _BLOCK, part.stop))
+        for part in recording.segments
+        for b in range(part.start, part.stop, _BLOCK)
+    )
+    for part in pieces:
         if part.stop - part.start < _FEWEST:
             continue
         time = recording.time[part]

@@ -303,7 +303,9 @@ def _segment(
     )  # fmt: skip
     # Above its passband a motion says nothing, and what friction does there is in the simulation alone.
     block = int(np.clip(0.5 / (STEP * DECIMATION * cutoff), 1, settings.block)) if one.rotor_measured else 1
-    if link_measured:
+    if link_measured and conditioned.stamps.error:
+        block = settings.block  # no replicate knows what wrong times make of a motion
+    elif link_measured:
         block = max(block, _block((rotor, link), (rotor_noise, link_noise), settings))
         # The drive acts on the counts, which no replicate knows. To have less of what they make of a heavy rotor's acceleration
         # a fit makes the rotor light and the motor strong. That noise falls with the power 5/2 of the frequency.
