@@ -26,6 +26,7 @@ QUIET = 1.0
 _BEYOND = 2.0  # times the described noise, up to which it is that
 _DESCRIBED_WRONG = 3.0  # times too small an inertia may be described
 _AS_GOOD = 1.005  # of the least residual of a regression
+_PLAINLY = 0.8  # of the residual below the noise's limit: less of it above shows motion there
 _LEAST, _STEPS = 0.5, 32  # passbands that are tried: from so many Hz, so many
 _LOWER = 4.0  # times less than the noise allows, down to which a regression chooses
 _WINDOW = 4.0  # s of a spectrum
@@ -78,9 +79,7 @@ def highest(
             good &= possible | ~possible.any()  # of a column in another unit nothing is
         own = float(tried[good].max()) if good.any() else float(tried[0])
         if held and len(floors) == 1:
-            own = _regressed(
-                recording, name, next(iter(held)), parts, tried[(tried <= own) & (tried >= own / _LOWER)], float(p["N"])
-            )
+            own = _regressed(recording, name, next(iter(held)), parts, tried[tried >= own / _LOWER], own, float(p["N"]))
         if own < found:
             found, loudest = own, name
     return found, loudest
@@ -143,33 +142,43 @@ def _noise_share(frequency: np.ndarray, power: np.ndarray, cutoff: float) -> tup
     return noise / max(whole, 1e-300), float(np.sqrt(noise)), float(np.sqrt(whole))
 
 
-def _regressed(recording: Recording, name: str, y: str, parts: Sequence[slice], tried: np.ndarray, N: float) -> float:
+def _regressed(
+    recording: Recording, name: str, y: str, parts: Sequence[slice], tried: np.ndarray, own: float, N: float
+) -> float:
     """The highest of some passbands [Hz] at which a regression of a channel on an encoder's motion predicts blocks that it has
-    not seen about as well as at any."""
+    not seen about as well as at any.
+
+    Args:
+      own: the highest that the noise allows. What lies above is chosen only where it plainly predicts better: then it is motion.
+    """
     longest = max(part.stop - part.start for part in parts)
     size = min(longest, _REGRESSED)
     begins = _windows(recording, name, parts, size, max(_REGRESSED // size, 1), size)
     block_time = min(_BLOCK, float(recording.time[-1] - recording.time[0]) / _BLOCKS)
-    left, ratio = [], 1.0 if name == "link_position" else 1 / N
+    left, ratio, arm = [], 1.0 if name == "link_position" else 1 / N, recording.load is not None
     for cutoff in tried:
         columns, values, block = [], [], []
         for b in begins:
             time = recording.time[b : b + size]
             s = smooth(time, recording[name][b : b + size, None], recording.interval, float(cutoff))
             x, v, a = (np.interp(time, s.time, z[:, 0]) for z in (s.value, s.rate, s.acceleration))
-            columns.append(np.column_stack([x * ratio, v, a]))
+            known = (
+                [recording.load.torque[b : b + size], recording.load.inertia[b : b + size] * a * ratio] if arm else []
+            )
+            columns.append(np.column_stack([x * ratio, v, a, *known]))
             values.append(recording[y][b : b + size])
             block.append(np.floor((time - recording.time[0]) / block_time).astype(int))
         left.append(_left(np.concatenate(columns), np.concatenate(values), np.concatenate(block) % _FOLDS))
-    least = np.array(left)
-    return float(tried[least <= _AS_GOOD * least.min()].max())
+    found, below = np.array(left), tried <= own
+    good = below if found.min() > _PLAINLY * found[below].min() else np.ones(len(tried), bool)
+    return float(tried[good & (found <= _AS_GOOD * found[good].min())].max())
 
 
 def _left(motion: np.ndarray, y: np.ndarray, fold: np.ndarray) -> float:
     """RMS that is left of y, shape (n,), in folds that a regression on gravity, inertia, friction and an offset has not seen."""
-    x, v, a = motion.T
+    (x, v, a), known = motion.T[:3], motion.T[3:]
     crawling = _CRAWLING * np.sqrt(np.mean(v**2)) + 1e-300
-    columns = np.column_stack([np.sin(x), np.cos(x), a, v, np.tanh(v / crawling), np.ones(len(x))])
+    columns = np.column_stack([np.sin(x), np.cos(x), a, v, np.tanh(v / crawling), np.ones(len(x)), *known])
     columns /= np.sqrt(np.mean(columns**2, axis=0)) + 1e-300
     total = 0.0
     gram = [(columns[k].T @ columns[k], columns[k].T @ y[k]) for k in (fold == i for i in range(_FOLDS))]
