@@ -96,7 +96,16 @@ def reading_parquet(path: Path) -> Iterator[None]:
 
     try:
         yield
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+    except InputError:
+        raise
+    except (
+        OSError,
+        pa.ArrowException,
+        ValueError,
+        LookupError,
+        OverflowError,
+        TypeError,
+    ) as error:  # of a damaged footer
         raise InputError(f"{path}: not a readable Parquet file: {first_line(error)}") from error
 
 

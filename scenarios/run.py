@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +20,7 @@ from ..models.arm_dynamics import Arm
 from ..models.errors import InputError
 from ..models.joint import Joint, beyond_sentence
 from ..models.notebook import html_table, paragraph
+from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
@@ -328,6 +329,7 @@ def notes_of(
             f"the drive is at its limit of {run.joint.numbers['current_limit'].value:g} A for {100 * limited / samples:.2g} % of "
             f"the time: the motion asks for more than it gives, and the link is up to {off:.2g} rad off its command"
         )
+    found += _idle(run)
     for name, count in missing.items():
         if count:
             found.append(f"{name} gives no estimate for {count} of {samples} samples and is not measured")
@@ -336,6 +338,19 @@ def notes_of(
     if run.beyond:
         found.append(beyond_sentence(run.beyond))
     return tuple(found)
+
+
+def _idle(run: Run) -> Iterator[str]:
+    """What a scenario states and nothing in its run depends on."""
+    scenario, at = run.scenario, run.scenario.temperature
+    coefficients = (joint.record()["friction_temperature"][0] for joint in (run.joint, run.known_joint))
+    if (at.start, at.end) != (REFERENCE_TEMPERATURE,) * 2 and not any(coefficients):
+        yield f"temperature acts on nothing: {run.joint.name} states no friction that depends on it"
+    if scenario.locked_rotor and len({way.position for way in scenario.trajectory}) > 1:
+        yield "trajectory acts on nothing: the rotor is locked"
+    if isinstance(scenario.sensors, dict) and not any(name.startswith("force") for name in scenario.record):
+        for name in {"wrench", "force"} & scenario.sensors.keys():
+            yield f"sensors.{name} acts on nothing: the scenario records no force"
 
 
 def reference_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shlex
 from collections.abc import Sequence
@@ -40,10 +41,10 @@ def runs_html(runs: Sequence[tuple[Run, Path]], arm: Path | None = None) -> str:
 
 
 def line_kinds(names: Sequence[str]) -> dict[str, str]:
-    """Class of each filter's lines in the style sheet; the paper's have the same on every page."""
+    """Classes of each filter's lines in the style sheet, 32 of them different; the paper's have the same on every page."""
     own = {name: f"s{i}" for i, name in enumerate(FILTERS)}
-    spare = [name for name in names if name not in own]
-    return {name: own.get(name) or f"s{4 + spare.index(name) % 4}" for name in names}
+    spare = itertools.cycle(f"s{i}" for i in range(len(own), 32))
+    return own | {name: next(spare) for name in names if name not in own}
 
 
 def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, Any]:
