@@ -26,7 +26,7 @@ from flexspline.scenarios.studies.study import Study
 from flexspline.views import contact_views
 from flexspline.views.contact_views import write_curves
 from flexspline.views.pages.contact import contact_html, read_answer, read_curves
-from flexspline.views.pages.rendering import TEMPLATES
+from flexspline.views.pages.rendering import TEMPLATES, number
 from flexspline.views.pages.run import line_kinds, runs_html
 from flexspline.views.pages.sweep import sweep_html
 from flexspline.views.pages.two_diagnoses import read_diagnosis, two_html
@@ -275,6 +275,31 @@ def test_a_comparison_names_the_closest_and_what_to_type(run_page, pushed, bare)
             assert f"{measures['rms']:.3f}" in text
     assert "flexspline view 'runs/external push'" in text
     assert "exactly as it is simulated" in text
+
+
+def headline(runs: list[tuple[Run, Path]], arm: Path | None = None) -> str:
+    return text_of(re.search(r"<h1>(.*?)</h1>", runs_html(runs, arm), flags=re.DOTALL).group(1))
+
+
+def test_estimators_are_ranked_where_all_are_present(pushed, bare):
+    """One that is in a single joint is not called the closest, nor are those of others dropped for it."""
+    best = min(pushed.estimates, key=lambda name: pushed.metrics["filters"][name]["rms"])
+    alone = replace(bare, estimates={best: bare.estimates[best]})
+    both = [(pushed, Path("arm/shoulder")), (alone, Path("arm/elbow"))]
+    error = pushed.metrics["filters"][best]["rms"]
+    assert f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS, in shoulder: the other joints lack" in (
+        headline(both, Path("arm"))
+    )
+    assert f"in {pushed.name}: the other scenarios lack" in headline(both)
+    other = next(name for name in pushed.estimates if name != best)
+    apart = replace(pushed, estimates={other: pushed.estimates[other]})
+    told = headline([(apart, Path("arm/shoulder")), (alone, Path("arm/elbow"))], Path("arm"))
+    assert f"None of these joints has all estimators; closest to the true joint torque is in shoulder {other} with" in told
+    assert f"in elbow {best} with" in told
+    nothing = replace(alone.estimates[best], mean=np.full(len(bare.time), np.nan))
+    diverged = replace(bare, estimates={**bare.estimates, "never": nothing})
+    assert "lack" not in headline([(pushed, Path("a/x")), (diverged, Path("a/y"))])
+    assert headline([(replace(alone, estimates={best: nothing}), Path("a"))]) == "No estimator has an error in any of these scenarios."
 
 
 def otherwise(tmp_path: Path, **changes) -> Path:

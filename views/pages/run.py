@@ -58,7 +58,8 @@ def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, An
         "joints": list(dict.fromkeys(run.joint.name for run, _ in runs)),
         "sentence": _verdict(runs, names, "scenarios" if arm is None else "joints"),
         "scenarios": scenarios,
-        "means": _means(runs, names) if len(runs) > 1 else [],
+        "means": _means(_common(runs, names), names) if len(runs) > 1 else [],
+        "common": len(_common(runs, names)),
         "seeds": sorted({run.scenario.seed for run, _ in runs}),
         "told": _told(scenarios, runs, arm is not None),
         "honest": _honest(scenarios, runs),
@@ -79,24 +80,42 @@ def _error(run: Run, name: str) -> float:
     return float(value) if value is not None else math.nan
 
 
+def _common(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[Run, Path]]:
+    """The runs in which every estimator that has an error in any of them has one: over others nothing can be compared."""
+    there = [name for name in names if any(_error(run, name) > 0 for run, _ in runs)]
+    return [one for one in runs if there and all(_error(one[0], name) > 0 for name in there)]
+
+
 def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, float]]:
     """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first; of those that are in all."""
     found = []
     for name in names:
         errors = np.array([_error(run, name) for run, _ in runs])
-        if np.all(np.isfinite(errors)) and np.all(errors > 0):
+        if len(errors) and np.all(np.isfinite(errors)) and np.all(errors > 0):
             found.append((name, float(np.exp(np.mean(np.log(errors))))))
     return sorted(found, key=lambda one: one[1])
 
 
 def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) -> str:
-    """Which estimator is closest, in a sentence."""
-    ranked = _means(runs, names)
-    if not ranked:
-        return f"No estimator has an error in all of these {of}."
-    (best, error), rest = ranked[0], ranked[1:]
-    over = f" (geometric mean over {len(runs)} {of})" if len(runs) > 1 else ""
-    text = f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS{over}"
+    """Which estimator is closest, in a sentence: over the runs that have all of them, or in each."""
+
+    def name_of(run: Run, folder: Path) -> str:
+        return folder.name if of == "joints" else run.name
+
+    common = _common(runs, names)
+    if not common:
+        each = [(name_of(run, folder), _means([(run, folder)], names)) for run, folder in runs]
+        best = [f"in {name} {rank[0][0]} with {number(rank[0][1], 2)} N·m RMS" for name, rank in each if rank]
+        if not best:
+            return f"No estimator has an error in any of these {of}."
+        return f"None of these {of} has all estimators; closest to the true joint torque is {', '.join(best)}."
+    ranked = _means(common, names)
+    (best_name, error), rest = ranked[0], ranked[1:]
+    over = f" (geometric mean over {len(common)} {of})" if len(common) > 1 else ""
+    if len(common) < len(runs):
+        where = listed([name_of(*one) for one in common])
+        over += f", in {where}: the other {of} lack estimators"
+    text = f"{best_name} is closest to the true joint torque: {number(error, 2)} N·m RMS{over}"
     near = [name for name, other in rest if other < _NEAR * error]
     if near:
         text += f", {', '.join(near)} as good on a single run"
@@ -149,7 +168,7 @@ def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tu
     """Command lines to go on with, and what they do."""
     folder = runs[0][1]
     place = shlex.quote(folder.as_posix())
-    best = (_means(runs, names) or [(names[0], 0.0)])[0][0] if names else "RAREKF"
+    best = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
     scenario = f"{place}/scenario.yaml"
     return [
         (f"flexspline view {place}", "looks at it: the joint in motion, estimates, innovations"),
