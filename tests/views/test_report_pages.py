@@ -287,19 +287,25 @@ def test_estimators_are_ranked_where_all_are_present(pushed, bare):
     alone = replace(bare, estimates={best: bare.estimates[best]})
     both = [(pushed, Path("arm/shoulder")), (alone, Path("arm/elbow"))]
     error = pushed.metrics["filters"][best]["rms"]
-    assert f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS, in shoulder: the other joints lack" in (
-        headline(both, Path("arm"))
+    assert (
+        f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS, in shoulder: the other joints lack"
+        in (headline(both, Path("arm")))
     )
     assert f"in {pushed.name}: the other scenarios lack" in headline(both)
     other = next(name for name in pushed.estimates if name != best)
     apart = replace(pushed, estimates={other: pushed.estimates[other]})
     told = headline([(apart, Path("arm/shoulder")), (alone, Path("arm/elbow"))], Path("arm"))
-    assert f"None of these joints has all estimators; closest to the true joint torque is in shoulder {other} with" in told
+    assert (
+        f"None of these joints has all estimators; closest to the true joint torque is in shoulder {other} with" in told
+    )
     assert f"in elbow {best} with" in told
     nothing = replace(alone.estimates[best], mean=np.full(len(bare.time), np.nan))
     diverged = replace(bare, estimates={**bare.estimates, "never": nothing})
     assert "lack" not in headline([(pushed, Path("a/x")), (diverged, Path("a/y"))])
-    assert headline([(replace(alone, estimates={best: nothing}), Path("a"))]) == "No estimator has an error in any of these scenarios."
+    assert (
+        headline([(replace(alone, estimates={best: nothing}), Path("a"))])
+        == "No estimator has an error in any of these scenarios."
+    )
 
 
 def otherwise(tmp_path: Path, **changes) -> Path:
