@@ -137,11 +137,32 @@ def _load(name: str, folder: str = "") -> Any:
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
+        _need_room()
         function(**{key: _usable(value, key) for key, value in options.items()})
 
     examples = "\n\n".join(("**Examples**", *(f"    {line}" for line in loaded.EXAMPLES)))
     alone.command(name, epilog=examples, context_settings=_CONTEXT)(command)
     return typer.main.get_command(alone)
+
+
+_ROOM = 1_200_000_000
+"""Bytes of address space that the libraries take: with less their own code aborts, or spins and hears no signal."""
+
+
+def _need_room() -> None:
+    """Refuse to begin in too small an address space.
+
+    Raises:
+      InputError: less than `_ROOM`.
+    """
+    with contextlib.suppress(ImportError):  # not on Windows
+        import resource
+
+        soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if soft != resource.RLIM_INFINITY and soft < _ROOM:
+            raise InputError(
+                f"out of memory: expected {_ROOM // 10**6} MB of address space (`ulimit -v`), got {soft // 10**6}"
+            )
 
 
 def _usable(value: Any, key: str) -> Any:
@@ -248,7 +269,7 @@ def _run() -> NoReturn:
     except MemoryError:
         _refuse(InputError("out of memory"))
     except KeyboardInterrupt:
-        _leave(130)
+        _interrupted()
     except SystemExit as stop:
         if stop.code in (130, 143):  # Ctrl-C and SIGTERM
             _leave(stop.code)
@@ -260,7 +281,7 @@ def _run() -> NoReturn:
     finally:
         _ending.append(True)
     if code == 130:  # Ctrl-C, as Typer passes it on
-        _leave(130)
+        _interrupted()
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -366,6 +387,11 @@ def _end_unasked() -> None:
     if output is not None:
         output.abandon()
     os._exit(128 + _asked[-1])
+
+
+def _interrupted() -> NoReturn:
+    print("flexspline: interrupted, nothing is half-written", file=sys.stderr)
+    _leave(130)
 
 
 def _leave(code: Any) -> NoReturn:

@@ -18,7 +18,7 @@ from flexspline.models import files
 from flexspline.models.errors import InputError
 from flexspline.models.joint import known_joints
 from flexspline.models.recording import read_recording
-from flexspline.models.tables import TableParts, read_table
+from flexspline.models.tables import TableParts, read_table, write_table
 
 SCENARIO = "name: s\nduration: 3\ntrajectory: [{time: 0, position: 0}, {time: 2, position: 1}]\n"
 FROZEN = Path(__file__).resolve().parents[1] / "frozen"
@@ -228,19 +228,25 @@ def test_an_estimator_that_diverges_leaves_the_others(flexspline, tmp_path):
     assert not (tmp_path / "alone").exists()
 
 
-LITTLE = """
-import sys
-sys.path[:0] = {path!r}
-sys.argv = ["flexspline", *{words!r}]
-from flexspline.commands import main
-main()
-"""
-
-
-def limited(words: tuple[object, ...], kilobytes: int, timeout: float) -> subprocess.CompletedProcess[str]:
-    """A command in a process of its own with so much address space."""
-    code = LITTLE.format(path=[str(Path(__file__).resolve().parents[2])], words=[str(word) for word in words])
-    return subprocess.run(
-        ["sh", "-c", f"ulimit -v {kilobytes}; exec \"$0\" -c \"$1\"", sys.executable, code],
-        capture_output=True, text=True, timeout=timeout, env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="another ulimit")
+@pytest.mark.parametrize("words", [("report", "."), ("joints",), ("run", "no_load"), ("check", ".")])
+@pytest.mark.parametrize("kilobytes", [300_000, 400_000, 1_000_000])
+def test_little_memory_is_one_line_at_once(words, kilobytes, tmp_path):
+    limited = f'ulimit -v {kilobytes}; exec "$0" -m flexspline {" ".join(words)}'
+    done = subprocess.run(
+        ["sh", "-c", limited, sys.executable], capture_output=True, text=True, timeout=120, cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
     )  # fmt: skip
+    assert done.returncode == 2 and done.stderr.count("\n") == 1 and "out of memory: expected" in done.stderr, (
+        done.stderr
+    )
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_names_the_file(tmp_path):
+    path = tmp_path / "full.parquet"
+    path.symlink_to("/dev/full")
+    rows = {"a": np.random.default_rng(1).standard_normal(200_000)}
+    with pytest.raises(OSError, match="No space left on device") as refusal:
+        write_table(path, rows, {"a": "1"})
+    assert refusal.value.filename == str(path)
