@@ -1,21 +1,26 @@
-"""Plausible wrong inputs, and whether they are answered: silent nonsense is a number that cannot be right, without a word.
+"""Plausible wrong inputs, and whether they are answered: silent nonsense is a number that cannot be right, and no word of it.
 
-A sound measurement of two recordings is simulated on a drawn joint (free, then with a load or pushes), and one thing in it is made
-wrong: another joint's description, a load that is not stated, a clock, time that runs backwards, swapped recordings, a
-damaged sensor, a number of the description. `check` and `diagnose` answer by a mistake by name or an inconclusive verdict,
-`estimate` by a refusal or a warning. An input is made of its seed and number alone: `one(7, 12)` makes it again.
+A sound measurement of two recordings is simulated on a drawn joint, free and with pushes, and one thing in it is made wrong:
+another joint's description, a load, the clock, the direction of time, swapped recordings, a damaged sensor, a number of the
+description. `check` answers by a mistake by name, `estimate` by a refusal or a warning. What neither answers goes to `diagnose`
+where there is time for that, which may find the data inconclusive. An input is made of its seed and number alone: `one(7, 12)`
+makes it again.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import json
+import multiprocessing
 import sys
 import tempfile
 import time
 import warnings
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -39,22 +44,25 @@ class Answered:
 
     Attributes:
       kind, what: of the input.
-      mistakes: named by `check`. verdict: of `diagnose`, empty where mistakes make it needless; `unfinished` without an answer in time.
+      mistakes: named by `check`.
       estimate: how `estimate` answered: refused, warned or silent.
+      verdict: of `diagnose`; empty where it was not asked, `unfinished` where its time was up.
       seconds: that it took.
     """
 
     kind: str
     what: str
     mistakes: tuple[str, ...]
-    verdict: str
     estimate: str
+    verdict: str
     seconds: float
 
     @property
     def silent(self) -> bool:
-        """Whether `check` and `diagnose` give a sure answer to it."""
-        return not self.mistakes and self.verdict not in ("", "inconclusive", "unfinished")
+        """Whether nothing says that it is wrong."""
+        return (
+            self.kind != "sound" and not self.mistakes and self.estimate == "silent" and self.verdict != "inconclusive"
+        )
 
 
 def _sound(rng: np.random.Generator, name: str) -> Pair:
@@ -90,6 +98,11 @@ def _loaded(r: Recording, inertia: float, moment: float) -> Recording:
     link: Mounting = r.link
     update = {"inertia": max(inertia * link.inertia, 1e-6), "gravity_moment": moment * link.gravity_moment}
     return replace(r, link=link.model_copy(update=update))
+
+
+def sound(rng: np.random.Generator, pair: Pair, name: str) -> tuple[str, Pair, Joint]:
+    """Nothing wrong: what is answered here is a false alarm."""
+    return "as simulated", pair, load_joint(name)
 
 
 def wrong_joint(rng: np.random.Generator, pair: Pair, name: str) -> tuple[str, Pair, Joint]:
@@ -166,11 +179,11 @@ def wrong_number(rng: np.random.Generator, pair: Pair, name: str) -> tuple[str, 
     return f"{symbol} × {factor:g}", pair, joint.model_copy(update={"numbers": numbers})
 
 
-KINDS = (wrong_joint, wrong_load, wrong_clock, reversed_time, swapped, damaged, wrong_number)
+KINDS = (sound, wrong_joint, wrong_load, wrong_clock, reversed_time, swapped, damaged, wrong_number)
 
 
-def one(seed: int, number: int, seconds: float = 20.0) -> Answered:
-    """Make an input and look how it is answered; `seconds`: that diagnosis may take."""
+def one(seed: int, number: int, seconds: float = 0.0) -> Answered:
+    """Make an input and look how it is answered; `seconds`: that the search of a diagnosis may take, which is not asked for 0."""
     begin = time.monotonic()
     rng = np.random.default_rng((seed, number))
     name, make = str(rng.choice(JOINTS)), KINDS[number % len(KINDS)]
@@ -185,37 +198,48 @@ def one(seed: int, number: int, seconds: float = 20.0) -> Answered:
             measurement = read_measurement(path / "m")
             joint = load_joint(path / "joint.yaml")
             mistakes = tuple(sorted({m.name for m in find_mistakes(measurement, joint)}))
-            if not mistakes:
+            estimate = _estimated(path)
+            if not mistakes and estimate == "silent" and seconds > 0:
                 found = diagnose(measurement, joint, seconds=seconds)
                 verdict = found.verdict if found.complete else "unfinished"
-            estimate = _estimated(path)
         except InputError as error:
             mistakes, estimate = (f"refused: {error}",), "refused"
-    return Answered(make.__name__, f"{name}: {what}", mistakes, verdict, estimate, time.monotonic() - begin)
+    return Answered(make.__name__, f"{name}: {what}", mistakes, estimate, verdict, time.monotonic() - begin)
 
 
 def _estimated(path: Path) -> str:
+    """How `estimate` answers. Where there were pushes external torques are small, and hard for some of any joint: what it says of
+    these is said of sound measurements, too, and does not count."""
     from flexspline.commands.estimate import command
 
-    said = io.StringIO()
     try:
-        with contextlib.redirect_stdout(said):
+        with contextlib.redirect_stdout(io.StringIO()):
             command(measurement=path / "m", out=path / "e", joint=str(path / "joint.yaml"), filter_=_FILTERS)
     except InputError:
         return "refused"
-    return "warned" if "are no estimates" in " ".join(said.getvalue().split()) else "silent"
+    found = json.loads((path / "e" / "metrics.json").read_text(encoding="utf-8"))
+    marked = {(name, what) for name, one in found.items() for what in one["no_estimates"]}
+    return "warned" if marked - {("pushed", "external_torque")} else "silent"
 
 
-def main() -> None:
-    """Answer the inputs `begin` to `end` of a seed, a line each: for processes that share them."""
-    seed, begin, step, end, until = map(int, sys.argv[1:])
-    for number in range(begin, end, step):
-        if time.time() > until:
-            break
-        a = one(seed, number)
-        line = (str(number), a.kind, a.what, ", ".join(a.mistakes), a.verdict, a.estimate, f"{a.seconds:.0f}")
-        print("\t".join(line), flush=True)
+def nonsense(count: int, seed: int, processes: int, until: float, seconds: float = 0.0) -> list[Answered]:
+    """Answer so many inputs of a seed in processes of their own, as many as there is time for.
+
+    Args:
+      count, seed: of the inputs.
+      processes: that share them.
+      until: when no further one begins, as of `time.time`.
+      seconds: as of `one`.
+    """
+    found = []
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        for answered in pool.map(partial(_in_time, seed, until, seconds), range(count)):
+            if answered is not None:
+                found.append(answered)
+                if answered.silent:
+                    print(f"  silent: {answered.kind}, {answered.what} {answered.verdict}", file=sys.stderr, flush=True)
+    return found
 
 
-if __name__ == "__main__":
-    main()
+def _in_time(seed: int, until: float, seconds: float, number: int) -> Answered | None:
+    return one(seed, number, seconds) if time.time() < until else None

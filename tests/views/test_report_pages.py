@@ -213,6 +213,65 @@ def test_contact_states_what_the_json_has(contact_page, contact_folder):
     assert all(f".{kind}{{" in contact_page for kind in kinds)
 
 
+def every(data) -> list[float]:
+    """All numbers of JSON, however deep."""
+    if isinstance(data, dict):
+        data = list(data.values())
+    if isinstance(data, (list, tuple)):
+        return [number for one in data for number in every(one)]
+    return [float(data)] if isinstance(data, (int, float)) and not isinstance(data, bool) else []
+
+
+def strangers(page: str, data) -> list[str]:
+    """Numbers in the cells of a page's tables, of two digits or more, that are the rounding of none in the data: in its unit,
+    in percent, in thousandths or in degrees."""
+    known = np.abs(every(data))
+    scaled = np.concatenate([scale * known for scale in (1.0, 100.0, 1e3, 180 / np.pi)])
+    found = []
+    for cells in cells_of(page):
+        for cell in cells[1:]:
+            for text in re.findall(r"\d+\.\d+", "" if "·10" in cell else cell):
+                digits = text.partition(".")[2]
+                if len(text.replace(".", "").lstrip("0")) >= 2 and not np.any(
+                    np.abs(scaled - float(text)) <= 0.5001 * 10.0 ** -len(digits)
+                ):
+                    found.append(f"{cells[0]}: {text}")
+    return found
+
+
+def test_every_number_of_a_page_is_in_its_json(run_page, sweep_page, repair, repair_page, contact_page, contact_folder, tmp_path, pushed, bare):  # fmt: skip
+    """Of a run, a comparison, an arm, a validation, a sweep, two diagnoses and contact; a changed JSON is noticed."""
+    metrics = json.loads(json.dumps({run.name: run.metrics for run in (pushed, bare)}))
+    arm = runs_html([(pushed, Path("arm/shoulder")), (bare, Path("arm/elbow"))], Path("arm"))
+    path = validated(tmp_path / "v", 0.5)
+    answers = [json.loads((folder / "diagnosis.json").read_text()) for folder in repair]
+    numbers = [{k: n.value for k, n in load_joint(folder / "joint.yaml").numbers.items()} for folder in repair]
+    deviations = [{k: n.std for k, n in load_joint(folder / "joint.yaml").numbers.items()} for folder in repair]
+    moved = [  # in standard deviations of both
+        (numbers[1][k] - numbers[0][k]) / np.hypot(deviations[0][k], deviations[1][k])
+        for k in numbers[0]
+        if deviations[0][k] and deviations[1][k]
+    ]
+
+    class Of:
+        study = STUDY
+
+    rows = list(summary_rows(found(), Of))
+    halves = [[v.half for v in one.values.values()] for one in found()]
+    pages = {
+        "run": (runs_html([(pushed, Path("runs/a"))]), metrics[pushed.name]),
+        "comparison": (run_page, metrics),
+        "arm": (arm, metrics),
+        "validation": (validation_html(read_validation(path)), json.loads((path / "validation.json").read_text())),
+        "sweep": (sweep_page, [rows, halves]),
+        "two diagnoses": (repair_page, [answers, numbers, deviations, moved]),
+        "contact": (contact_page, json.loads((contact_folder / "contact.json").read_text())),
+    }
+    for kind, (page, data) in pages.items():
+        assert strangers(page, data) == [], kind
+        assert len(strangers(page, [])) > 0, kind
+
+
 @pytest.mark.parametrize(
     "spoil",
     [
