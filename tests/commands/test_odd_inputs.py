@@ -110,7 +110,7 @@ WORDS = (
     ("diagnose", "MEASUREMENT", "--joint", BYTES, "--out", "x"),
     ("estimate", "MEASUREMENT", "--joint", BYTES, "--out", "x"),
     ("estimate", "MEASUREMENT", "--filter", BYTES, "--out", "x"), ("joint", "show", BYTES), ("joint", "check", BYTES),
-    ("sweep", BYTES, "--out", "x"), ("import", BYTES, "log.csv", "--out", "x"), ("report", BYTES), ("contact", BYTES), ("plan", BYTES),
+    ("sweep", BYTES, "--out", "x"), ("import", BYTES, "log.csv", "--out", "x"), ("report", BYTES), ("contact", BYTES),
 )  # fmt: skip
 
 

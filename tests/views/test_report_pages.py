@@ -239,7 +239,9 @@ def strangers(page: str, data) -> list[str]:
     return found
 
 
-def test_every_number_of_a_page_is_in_its_json(run_page, sweep_page, repair, repair_page, contact_page, contact_folder, tmp_path, pushed, bare):  # fmt: skip
+def test_every_number_of_a_page_is_in_its_json(
+    run_page, sweep_page, repair, repair_page, contact_page, contact_folder, tmp_path, pushed, bare
+):
     """Of a run, a comparison, an arm, a validation, a sweep, two diagnoses and contact; a changed JSON is noticed."""
     metrics = json.loads(json.dumps({run.name: run.metrics for run in (pushed, bare)}))
     arm = runs_html([(pushed, Path("arm/shoulder")), (bare, Path("arm/elbow"))], Path("arm"))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...estimator.estimator import KnownJoint
+from ...models import plugins
 from ...models.parameters import as_floats
 from ..report import listed
 from ..style import FILTERS
@@ -169,11 +170,11 @@ def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tu
     folder = runs[0][1]
     place = shlex.quote(folder.as_posix())
     best = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
-    scenario = f"{place}/scenario.yaml"
+    scenario, own = f"{place}/scenario.yaml", plugins.options()
     return [
         (f"flexspline view {place}", "looks at it: the joint in motion, estimates, innovations"),
-        (f"flexspline bound {scenario} --seeds 10", "says with intervals over ten seeds how far each is from what is possible"),
-        (f"flexspline tune {scenario} --filter {best} --out tuned", f"tunes {best} for this motion"),
+        (f"flexspline bound {scenario} --seeds 10{own}", "says with intervals how far each is from what is possible"),
+        (f"flexspline tune {scenario} --filter {best} --out tuned{own}", f"tunes {best} for this motion"),
     ]  # fmt: skip
 
 
@@ -181,11 +182,11 @@ def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str
     """Likewise of an arm: with the other joints moving, which its joints' scenarios alone would not do."""
     places = [shlex.quote(folder.as_posix()) for _, folder in runs]
     own = shlex.quote((runs[-1][1] / f"{runs[-1][0].name}.yaml").as_posix())
-    again = shlex.quote((arm / "arm.yaml").as_posix())
+    again, more = shlex.quote((arm / "arm.yaml").as_posix()), plugins.options()
     return [
         (f"flexspline view {' '.join(places)}", "looks at it: every joint's motion, estimates, innovations"),
-        (f"flexspline run {again} --seed 2 --out again", "moves the same arm with other noise"),
-        (f"flexspline diagnose {own} --out diagnosis", f"diagnoses {runs[-1][1].name} from what its own sensors read in the arm"),
+        (f"flexspline run {again} --seed 2 --out again{more}", "moves the same arm with other noise"),
+        (f"flexspline diagnose {own} --out diagnosis{more}", f"diagnoses {runs[-1][1].name} from its own sensors in the arm"),
     ]  # fmt: skip
 
 
