@@ -45,7 +45,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         changes = [] if sensors == "ideal" else ["sensors=realistic"]
         scenario, folder = load_scenario("collision", changes)
         found = contact.assess(scenario, folder, estimators(DEFAULT), asked.hours, tolerance, asked.threads)
-        points = {one.name: contact.at(one, one.threshold(RATE)) for one in found}
+        points = contact_views.as_data({one.name: contact.at(one, one.threshold(RATE)) for one in found}, tolerance)
         parts += [f"**{label(sensors, tolerance).capitalize()}**", contact_views.contact_markdown(points)]
         curves = [
             {"sensors": sensors, **row} for row in (row for one in found for row in contact.curve(one, tolerance))

@@ -1,12 +1,14 @@
-"""Reliability in numbers: inputs made at random, processes killed, disks that fill up, memory over long recordings.
+"""Reliability in numbers: inputs made at random, plausible wrong inputs, processes killed, disks that fill up, memory.
 
-`python -m benchmarks.reliability` runs all of it (an hour), with names of parts (fuzz, exchanges, kills, disk, memory) these;
-`--inputs`, `--kills` and `--seed` say how much of it. Exit code 1 where anything failed. docs/reliability.md has the figures.
+`python -m benchmarks.reliability` runs as much of every part as `--minutes` allow (10); with names of parts (fuzz, nonsense,
+exchanges, kills, disk, memory) these. `--inputs`, `--wrong`, `--kills` and `--seed` say how much of it at most; what was done is
+counted. Exit code 1 where anything failed. docs/reliability.md has the figures.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import random
 import select
@@ -29,11 +31,13 @@ from flexspline.models.recording import write_recording
 
 from .full_disk import full_disk
 from .jobs import Job, content, jobs, recording
+from .nonsense import nonsense
 
 HANG = 60.0
 """Seconds of a processor after which an input counts as one that hangs, compiling included."""
-_BATCH = 200
-PARTS = ["fuzz", "exchanges", "kills", "disk", "memory"]
+_BATCH = 50
+PARTS = {"fuzz": 0.2, "nonsense": 0.45, "exchanges": 0.05, "kills": 0.15, "disk": 0.1, "memory": 0.05}
+"""Parts, and the share of the time that each may take where all are run."""
 
 
 # --- inputs -----------------------------------------------------------------------------------------------------------
@@ -47,13 +51,14 @@ class Fuzzed:
     failures: list[str]
 
 
-def fuzz(count: int, seed: int, processes: int = 2) -> Fuzzed:
-    """Use `count` inputs in processes of their own, so that one that hangs or takes its process down is seen."""
+def fuzz(count: int, seed: int, processes: int = 2, until: float = math.inf) -> Fuzzed:
+    """Use `count` inputs in processes of their own, so that one that hangs or takes its process down is seen; `until`: when no
+    further batch begins, as of `time.time`."""
     spans = [(begin, min(begin + _BATCH, count)) for begin in range(0, count, _BATCH)]
     outcomes: Counter[tuple[str, str]] = Counter()
     failures: list[str] = []
     with ThreadPoolExecutor(processes) as pool:
-        for lines in pool.map(lambda span: list(_batch(seed, *span)), spans):
+        for lines in pool.map(lambda span: list(_batch(seed, *span)) if time.time() < until else [], spans):
             for kind, became, failure in lines:
                 outcomes[kind, became] += 1
                 failures += [failure] if failure else []
@@ -119,19 +124,22 @@ main()
 """The command line, killed before the n-th time that it moves something into place."""
 
 
-def kills(random_moments: int, chosen: int, seed: int) -> tuple[Counter[str], list[str]]:
+def kills(random_moments: int, chosen: int, seed: int, until: float = math.inf) -> tuple[Counter[str], list[str]]:
     """Kill commands while they replace earlier output; what was done, and what was torn, refused or left.
 
     Args:
       random_moments: kills (SIGKILL, SIGTERM, SIGINT) at moments drawn over a command's duration.
       chosen: kills at most before each time that something is moved into place, one command after the other.
       seed: of the moments.
+      until: when no further one begins, as of `time.time`.
     """
     rng, done, wrong = random.Random(seed), Counter[str](), []
     with _folder() as folder:
         every = [job for job in jobs(folder) if job.repeats]
         complete = {job.name: _outputs(job, folder) for job in every}
         for number in range(random_moments):
+            if time.time() > until:
+                break
             job = every[number % len(every)]
             name = rng.choice(["SIGKILL", "SIGTERM", "SIGINT"])
             at = rng.uniform(0.05, 1.15) * complete[job.name][2]
@@ -139,6 +147,8 @@ def kills(random_moments: int, chosen: int, seed: int) -> tuple[Counter[str], li
             wrong += _killed(job, complete[job.name], folder, [], getattr(signal, name), at)
         for job in every:
             for step in range(chosen):
+                if time.time() > until:
+                    break
                 before = len(wrong)
                 wrong += _killed(job, complete[job.name], folder, [str(step)], None, 0.0)
                 if _ran_through:
@@ -217,7 +227,7 @@ def _call(words: list[str]) -> tuple[int, str]:
     return done.returncode, done.stderr.strip()
 
 
-def exchanges(count: int, seed: int) -> tuple[Counter[str], list[str]]:
+def exchanges(count: int, seed: int, until: float = math.inf) -> tuple[Counter[str], list[str]]:
     """Kill processes that do nothing but replace a folder's files, over and over: the part of a command that matters here.
 
     Every generation has other names and other content; after each kill there must be exactly one generation.
@@ -228,6 +238,8 @@ def exchanges(count: int, seed: int) -> tuple[Counter[str], list[str]]:
         _generation(out, 0)
         (out / "mine.txt").write_text("a person's own")
         for number in range(count):
+            if time.time() > until:
+                break
             process = os.fork()
             if process == 0:
                 with suppress(BaseException):
@@ -331,26 +343,49 @@ def main() -> None:
     """Run what is asked and print its figures."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reliability", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="part", help=f"any of {', '.join(PARTS)}; all by default")
-    parser.add_argument("--inputs", type=int, default=12_000)
+    parser.add_argument("--minutes", type=float, default=10.0, help="that all of it may take, but for what has begun")
+    parser.add_argument("--inputs", type=int, default=12_000, help="made at random, at most")
+    parser.add_argument("--wrong", type=int, default=200, help="plausible wrong inputs, at most")
+    parser.add_argument(
+        "--diagnose", type=float, default=0.0, metavar="SECONDS", help="of search for what nothing else answers"
+    )
     parser.add_argument("--kills", type=int, default=100, help="at random moments")
     parser.add_argument("--chosen", type=int, default=12, help="moments of each command, at most")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--hours", type=float, default=1.0, help="of recordings and runs whose memory is measured")
+    parser.add_argument("--hours", type=float, default=0.1, help="of recordings and runs whose memory is measured")
     parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="that use inputs at a time")
     asked = parser.parse_args()
-    parts = asked.parts or PARTS
+    parts = asked.parts or list(PARTS)
+    whole = sum(PARTS[part] for part in parts)
+
+    def until(part: str) -> float:
+        return time.time() + 60 * asked.minutes * PARTS[part] / whole
+
     failed = False
     if "fuzz" in parts:
-        found = fuzz(asked.inputs, asked.seed, asked.processes)
+        found = fuzz(asked.inputs, asked.seed, asked.processes, until("fuzz"))
         print(f"inputs, seed {asked.seed}: {sum(found.outcomes.values())}, failed: {len(found.failures)}")
         for (kind, became), count in sorted(found.outcomes.items()):
             print(f"  {kind:10} {became:8} {count}")
         print(*(f"  {line}" for line in found.failures), sep="\n")
         failed |= bool(found.failures)
+    if "nonsense" in parts:
+        answers = nonsense(asked.wrong, asked.seed, asked.processes, until("nonsense"), asked.diagnose)
+        silent = Counter(a.kind for a in answers if a.silent)
+        wrong = sum(a.kind != "sound" for a in answers)
+        print(f"silent nonsense, seed {asked.seed}: {silent.total()} of {wrong} wrong inputs")
+        for kind, count in sorted(Counter(a.kind for a in answers).items()):
+            own = [a for a in answers if a.kind == kind]
+            named, warned = sum(bool(a.mistakes) for a in own), sum(a.estimate != "silent" for a in own)
+            print(f"  {kind:14} {silent[kind]:3} of {count:3} silent; by check {named}, by estimate {warned}")
+        failed |= silent.total() > 0.05 * wrong
     for part, result in (
-        ("exchanges", lambda: exchanges(20 * asked.kills, asked.seed)),
-        ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed)),
-        ("disk", full_disk),
+        ("exchanges", lambda: exchanges(20 * asked.kills, asked.seed, until("exchanges"))),
+        ("kills", lambda: kills(asked.kills, asked.chosen, asked.seed, until("kills"))),
+        (
+            "disk",
+            lambda: full_disk(None if asked.minutes > 60 else ["import", "estimate"], 1 if asked.minutes > 60 else 10),
+        ),
     ):
         if part in parts:
             answer = result()

@@ -137,31 +137,60 @@ def _load(name: str, folder: str = "") -> Any:
 
     @functools.wraps(function)
     def command(**options: Any) -> None:
-        function(**{key: _home(value) for key, value in options.items()})
+        _need_room()
+        function(**{key: _usable(value, key) for key, value in options.items()})
 
     examples = "\n\n".join(("**Examples**", *(f"    {line}" for line in loaded.EXAMPLES)))
     alone.command(name, epilog=examples, context_settings=_CONTEXT)(command)
     return typer.main.get_command(alone)
 
 
-def _home(value: Any) -> Any:
-    """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; anything else as it is.
+_ROOM = 1_200_000_000
+"""Bytes of address space that the libraries take: with less their own code aborts, or spins and hears no signal."""
+
+
+def _need_room() -> None:
+    """Refuse to begin in too small an address space.
 
     Raises:
-      InputError: no home folder, a name that is not UTF-8, a link that leads to itself.
+      InputError: less than `_ROOM`.
     """
-    if not isinstance(value, Path):
+    with contextlib.suppress(ImportError):  # not on Windows
+        import resource
+
+        soft, _ = resource.getrlimit(resource.RLIMIT_AS)
+        if soft != resource.RLIM_INFINITY and soft < _ROOM:
+            raise InputError(
+                f"out of memory: expected {_ROOM // 10**6} MB of address space (`ulimit -v`), got {soft // 10**6}"
+            )
+
+
+def _usable(value: Any, key: str) -> Any:
+    """A path with its `~` for the home folder, which a shell leaves alone in `--out=~/runs`; any other value as it is, where its
+    text can be written and its numbers can be used.
+
+    Raises:
+      InputError: a number that is none or next to none, no home folder, text that is not UTF-8, a link that leads to itself.
+    """
+    if isinstance(value, float) and not (value == 0.0 or 1e-100 < abs(value) < 1e100):
+        raise InputError(f"{key.replace('_', '-')}: expected 0 or a number from 1e-100 to 1e100, got {value:g}")
+    if isinstance(value, (list, tuple)):
+        return [_usable(one, key) for one in value]
+    if not isinstance(value, (str, Path)):
+        return value
+    try:
+        str(value).encode()
+    except UnicodeEncodeError as error:
+        raise InputError(
+            f"{str(value).encode(errors='replace').decode()}: expected text in UTF-8, got bytes that are none; "
+            "LC_ALL=C.UTF-8 shows names that are"
+        ) from error
+    if isinstance(value, str):
         return value
     try:
         found = value.expanduser()
     except RuntimeError as error:
         raise InputError(f"{value}: expected a home folder for ~, found none") from error
-    try:
-        str(found).encode()
-    except UnicodeEncodeError as error:
-        raise InputError(
-            f"{str(found).encode(errors='replace').decode()}: expected a name in UTF-8, got one that LC_ALL=C.UTF-8 would show"
-        ) from error
     try:
         found.resolve()
     except (RuntimeError, OSError) as error:  # of links that lead to each other; Python 3.13 says nothing
@@ -240,7 +269,7 @@ def _run() -> NoReturn:
     except MemoryError:
         _refuse(InputError("out of memory"))
     except KeyboardInterrupt:
-        _leave(130)
+        _interrupted()
     except SystemExit as stop:
         if stop.code in (130, 143):  # Ctrl-C and SIGTERM
             _leave(stop.code)
@@ -252,7 +281,7 @@ def _run() -> NoReturn:
     finally:
         _ending.append(True)
     if code == 130:  # Ctrl-C, as Typer passes it on
-        _leave(130)
+        _interrupted()
     sys.exit(code if isinstance(code, int) else 0)
 
 
@@ -358,6 +387,11 @@ def _end_unasked() -> None:
     if output is not None:
         output.abandon()
     os._exit(128 + _asked[-1])
+
+
+def _interrupted() -> NoReturn:
+    print("flexspline: interrupted, nothing is half-written", file=sys.stderr)
+    _leave(130)
 
 
 def _leave(code: Any) -> NoReturn:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-import warnings
 from pathlib import Path
 from typing import Annotated
 
@@ -39,10 +37,12 @@ def command(
         typer.Option("--filter", help=f"An estimator by its name; repeatable. By default {', '.join(DEFAULT)}."),
     ] = None,
     rate: Annotated[
-        float, typer.Option(min=0.01, max=1e6, help="False alarms per hour at which they are compared.")
+        float, typer.Option(min=0.01, max=3000, help="False alarms per hour at which they are compared.")
     ] = 10.0,
     threads: Annotated[int, typer.Option(min=1, help="Runs at a time; the result does not depend on it.")] = 1,
-    out: Annotated[Path | None, typer.Option(help="Folder for contact.csv (curves), contact.md, contact.png.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for contact.json, contact.md, contact.csv (curves), contact.png.")
+    ] = None,
     changes: Changes = None,
     as_json: AsJson = False,
 ) -> None:
@@ -51,7 +51,9 @@ def command(
     Thresholds come from runs without contact, false alarms from others of them, delay and the smallest push from runs with drawn
     pushes. Every run is another joint within tolerance, another motion and another noise.
     """
-    from ..models.errors import InputError, InputWarning
+    from ..models import plugins
+    from ..models.errors import InputError
+    from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import contact
     from ..scenarios.filters import estimators
@@ -64,15 +66,10 @@ def command(
         raise InputError(f"--tolerance: expected each share once, got {shares}")
     chosen = estimators(filter_ or DEFAULT)
     loaded, folder = load_scenario(scenario, changes)
-    contact.check(loaded, chosen)
+    contact.check(loaded, chosen, hours, rate)
     if out is not None:
-        check_output(out, "contact", writes=("contact.csv", "contact.md", "contact.png"))
-    seconds = contact.runs_of(loaded, hours) / 2 * (loaded.duration - loaded.transient)
-    if rate * seconds < 3600.0:
-        asked = f"for thresholds of {rate:g} false alarms an hour"
-        text = f"--hours: expected at least {2 / rate:.2g} {asked}, got {hours:g}: curves alone"
-        warnings.warn(text, InputWarning, stacklevel=2)
-    terminal, rows, texts, points = console(), [], [], {}
+        check_output(out, "contact", writes=("contact.csv", "contact.json", "contact.md", "contact.png"))
+    terminal, curves, detectors = console(), [], []
     with progress() as bar:
         for share in shares:
             task = bar.add_task(f"tolerance ×{share:g}", total=contact.runs_of(loaded, hours))
@@ -85,33 +82,48 @@ def command(
                 threads,
                 lambda task=task: bar.advance(task),  # type: ignore[misc]
             )
-            at_rate = {one.name: contact.at(one, one.threshold(rate)) for one in found}
-            points[share] = at_rate
-            rows += [row for one in found for row in contact.curve(one, share)]
-            title = (
-                f"{loaded.name}, joint within tolerance ×{share:g}: thresholds for {rate:g} false alarms per hour, "
-                f"{found[0].hours:.2g} h counted"
-            )
-            texts.append((title, at_rate))
-    if not as_json:
-        for title, at_rate in texts:
-            terminal.print(contact_views.contact_table(at_rate, title))
-        if any(math.isnan(point.threshold) for _, at_rate in texts for point in at_rate.values()):
-            terminal.print(
-                f"–: too few seconds for a threshold of {rate:g} false alarms per hour: half of --hours gives it, which takes "
-                f"at least {2 / rate:.2g} h, and runs that do not diverge"
-            )
+            detectors += contact_views.as_data({d.name: contact.at(d, d.threshold(rate)) for d in found}, share)
+            curves += [row for one in found for row in contact.curve(one, share)]
+    given = {
+        "--tolerance": shares,
+        "--filter": chosen,
+        "--rate": [rate],
+        "--set": changes or [],
+        "--plugin": plugins.files(),
+    }
+    answer = {
+        "format": 1,
+        "scenario": loaded.name,
+        "joint": loaded.load_joint(folder)[0].name,
+        "rate": rate,
+        "hours": hours,
+        "hours_counted": found[0].hours,
+        "runs": len(found[0].quiet),
+        "arguments": [scenario, *(word for o, values in given.items() for v in values for word in (o, _word(v)))],
+        "detectors": detectors,
+    }
     if out is not None:
         with output_folder(out, "contact") as new:
-            contact_views.write_curves(rows, new / "contact.csv")
-            text = "".join(f"## {title}\n\n{contact_views.contact_markdown(p)}\n\n" for title, p in texts)
+            (new / "contact.json").write_text(json_text(answer), encoding="utf-8")
+            contact_views.write_curves(curves, new / "contact.csv")
+            text = "".join(
+                f"## {title}\n\n{contact_views.contact_markdown(own)}\n\n"
+                for title, own in contact_views.titles(answer)
+            )
             (new / "contact.md").write_text(text, encoding="utf-8")
             from ..views.limit_figures import save_figure
 
-            save_figure(contact_views.contact_figure(rows, loaded.name), new / "contact.png")
-        if not as_json:
-            terminal.print(f"{out / 'contact.csv'}, contact.md, contact.png")
+            save_figure(contact_views.contact_figure(curves, loaded.name), new / "contact.png")
     if as_json:
-        from ..models.files import json_text
+        print(json_text(answer))
+        return
+    for title, own in contact_views.titles(answer):
+        terminal.print(contact_views.contact_table(own, title))
+        for reason in contact_views.reasons(own):
+            terminal.print(reason, style="yellow")
+    if out is not None:
+        terminal.print(f"{out / 'contact.json'}, contact.md, contact.csv, contact.png")
 
-        print(json_text(contact_views.as_data(points)))
+
+def _word(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import shlex
-import sys
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -76,39 +75,35 @@ def command(
     def in_time() -> bool:
         return time.monotonic() - begin < budget
 
-    try:
-        with stages(f"diagnosing {data.name}") as stage:
-            from ..diagnosis.diagnose import diagnose
-            from ..diagnosis.improvement import improvement, with_improvement
-            from ..diagnosis.planning import plan
+    with stages(f"diagnosing {data.name}") as stage:
+        from ..diagnosis.diagnose import diagnose
+        from ..diagnosis.improvement import improvement, with_improvement
+        from ..diagnosis.planning import plan
 
-            found = diagnose(
-                data, described, progress=lambda name, done: stage(name, 0.7 * done), seconds=_SEARCHING * budget
-            )
-            gained = None
-            if in_time():
-                stage("estimating torque before and after", 0.7)
-                gained = improvement(data, found)
-                found = with_improvement(found, gained)
-            if in_time():
-                stage("what to measure next", 0.85)
-                found = replace(found, plan=plan(data, found))
-            stage("writing", 0.95)
-            with output_folder(out, "diagnose", whole=True) as folder:
-                answer = json_text({"format": 1, **found.to_json()})
-                (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
-                found.extended.write(folder / "joint.yaml")
-                if report:
-                    from ..views.pages import write_report
-                    from ..views.report import Report
-                    from ..views.rerun import write_rerun_report
+        found = diagnose(
+            data, described, progress=lambda name, done: stage(name, 0.7 * done), seconds=_SEARCHING * budget
+        )
+        gained = None
+        if in_time():
+            stage("estimating torque before and after", 0.7)
+            gained = improvement(data, found)
+            found = with_improvement(found, gained)
+        if in_time():
+            stage("what to measure next", 0.85)
+            found = replace(found, plan=plan(data, found))
+        stage("writing", 0.95)
+        with output_folder(out, "diagnose", whole=True) as folder:
+            answer = json_text({"format": 1, **found.to_json()})
+            (folder / "diagnosis.json").write_text(answer + "\n", encoding="utf-8")
+            found.extended.write(folder / "joint.yaml")
+            if report:
+                from ..views.pages import write_report
+                from ..views.report import Report
+                from ..views.rerun import write_rerun_report
 
-                    shown = Report(data, described, found, gained, found.plan, out)
-                    write_report(shown, folder / "report.html")
-                    write_rerun_report(shown, folder / "report.rrd")
-    except KeyboardInterrupt:
-        print("flexspline: interrupted, nothing was written", file=sys.stderr)
-        raise
+                shown = Report(data, described, found, gained, found.plan, out)
+                write_report(shown, folder / "report.html")
+                write_rerun_report(shown, folder / "report.rrd")
     if as_json:
         print(answer)
         return

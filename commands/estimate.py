@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from ..estimator.offline import Score
+    from ..estimator.offline import Estimates, Score
+    from ..models.joint import Joint
     from ..models.recording import Recording
 
 EXAMPLES = (
@@ -81,7 +82,7 @@ def command(
             raise _left_out(recording, name, why)
     report: dict[str, dict[str, Any]] = {}
     tables: dict[str, tuple[Path, Table | None]] = {}
-    poor: dict[str, dict[str, tuple[float, dict[str, float]]]] = {}
+    poor: dict[str, dict[str, tuple[str, dict[str, float]]]] = {}
     bands = described.uncertainty is not None
     with output_folder(out, maker) as folder, tempfile.TemporaryDirectory(dir=folder, prefix=".estimates") as spool:
         for recording in data.recordings:
@@ -97,7 +98,10 @@ def command(
                     f"{recording.name}: {column}: {what}: nothing is scored against it", InputWarning, stacklevel=2
                 )
             scores = {k: v for k, v in score(recording, found, described).items() if k not in wrong}
-            poor[recording.name] = useless(recording, scores)
+            poor[recording.name] = {
+                what: (f"{what.replace('_', ' ')} is {own:.3g} N·m (RMS)", worse)
+                for what, (own, worse) in useless(recording, scores).items()
+            } | _imagined(recording, described, found, scores)
             report[recording.name] = {
                 "joint": described.name,
                 "notes": found.notes,
@@ -122,21 +126,38 @@ def command(
     terminal.print(f"{out / 'metrics.json'}")
 
 
+def _imagined(
+    recording: Recording, joint: Joint, found: Estimates, scores: dict[str, dict[str, Score]]
+) -> dict[str, tuple[str, dict[str, float]]]:
+    """Estimators whose external torque is more than half of the joint torque where there was none: what that joint torque is, and
+    their errors; as a joint torque counts a tenth of the rated one at least."""
+    import numpy as np
+
+    if recording.external != "none" or not found.torque:
+        return {}
+    torques = [recording["joint_torque"]] if "joint_torque" in recording else list(found.torque.values())
+    own = float(np.median([np.sqrt(np.nanmean(np.square(torque))) for torque in torques]))
+    least = max(own, 0.1 * joint.numbers["rated_torque"].value)
+    worse = {name: s.rms for name, s in scores.get("external_torque", {}).items() if s.rms > 0.5 * least}
+    text = f"there was no external torque, and the joint torque is {own:.3g} N·m (RMS)"
+    return {"external_torque": (text, worse)} if worse else {}
+
+
 def _left_out(recording: Recording, name: str, why: str) -> InputError:
     """The error of a named estimator that there is none of for a recording."""
     return InputError(f"{recording.source or recording.name}: filter {name!r}: {why}")
 
 
 def _remarks(
-    terminal: Console, name: str, poor: dict[str, tuple[float, dict[str, float]]], report: dict[str, Any]
+    terminal: Console, name: str, poor: dict[str, tuple[str, dict[str, float]]], report: dict[str, Any]
 ) -> None:
     """Print what is to be said of a recording's estimates: which are none, what is extrapolated, what is left out."""
     from ..models.joint import beyond_sentence
 
-    for what, (own, worse) in poor.items():
+    for text, worse in poor.values():
         listed = ", ".join(f"{estimator} {error:.3g}" for estimator, error in worse.items())
         terminal.print(
-            f"{name}: {what.replace('_', ' ')} is {own:.3g} N·m (RMS); errors of more than half of that are "
+            f"{name}: {text}; errors of more than half of that are "
             f"no estimates: the joint, its load or the sampling is not what these estimators take it for: {listed}",
             style="yellow",
         )

@@ -92,9 +92,9 @@ def _page(folders: list[Path]) -> str:
     if (folder / "study.json").is_file():
         return _sweep(folder)
     if (folder / "contact.csv").is_file():
-        from ..views.pages.contact import contact_html, read_curves
+        from ..views.pages.contact import contact_html, read_answer, read_curves
 
-        return contact_html(read_curves(folder / "contact.csv"), folder)
+        return contact_html(read_answer(folder / "contact.json"), read_curves(folder / "contact.csv"), folder)
     if (folder / "scenario.yaml").is_file():
         return _runs([folder])
     found = sorted(path.parent for path in folder.glob("*/scenario.yaml"))

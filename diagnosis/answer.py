@@ -55,6 +55,13 @@ class Finding:
     depends_on: tuple[str, ...] = ()
     estimation: float = float("nan")
 
+    @property
+    def determined(self) -> bool:
+        """Whether its parameters state anything: phases within a quarter of a turn, a size above its standard deviation."""
+        sizes = [p for name, p in self.parameters.items() if name not in ("phase", "order")]
+        phase = self.parameters.get("phase")
+        return (phase is None or phase.std < math.pi / 2) and (not sizes or any(abs(p.value) > p.std for p in sizes))
+
     def to_json(self) -> dict[str, Any]:
         """As it stands in `diagnosis.json`."""
         entry: dict[str, Any] = {

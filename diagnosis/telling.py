@@ -50,7 +50,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
         unlikely = (conclusion.behind or crowded) and not (weighed and _acts_on_the_link(f))
         return replace(f, confidence=min(f.confidence, surest, ANSWER.behind if unlikely else 1.0))
 
-    findings, minor = ([told(f) for f in fs] for fs in (findings, minor))
+    findings, minor = ([told(f) for f in fs if f.determined] for fs in (findings, minor))
     slight = [f for f in findings if _explains_nothing(f, conclusion)]
     findings, minor = [f for f in findings if f not in slight], [*minor, *slight]
     if conclusion.nearly_all:

@@ -58,7 +58,8 @@ _NAME = re.compile(r"[^\s./\\:][^/\\:]{0,99}")
 
 _SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C where there is one: eight times as fast
 _SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
-_LIST = "tag:yaml.org,2002:seq"
+_TAG = "tag:yaml.org,2002:"
+_LIST = f"{_TAG}seq"
 _DEEPEST, _LARGEST = 40, 1_000_000
 """Levels and values of a YAML file; what people write has ten levels and a few hundred values."""
 
@@ -83,7 +84,7 @@ class _Loader(_SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_INT, _FLOAT, _BOOL = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float", "tag:yaml.org,2002:bool"
+_INT, _FLOAT, _BOOL = f"{_TAG}int", f"{_TAG}float", f"{_TAG}bool"
 _Loader.yaml_implicit_resolvers = {
     first: [(tag, pattern) for tag, pattern in known if tag not in (_INT, _FLOAT, _BOOL)]
     for first, known in yaml.SafeLoader.yaml_implicit_resolvers.items()
@@ -98,6 +99,24 @@ _Loader.add_implicit_resolver(
     ),
     list("-+0123456789."),
 )
+
+
+def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
+    """A number that arithmetic can use: what is divided by 1e-320 is infinite, and 10⁴⁰⁰ is no floating-point number."""
+    text = node.value.replace("_", "")
+    if text.lstrip("+-").lower() in (".inf", ".nan"):
+        return float(text.replace(".", ""))
+    value = int(text) if node.tag == _INT and len(text) < _DIGITS else float(text)
+    if (value and abs(value) < _SMALLEST) or len(text) > _DIGITS:
+        came = f"{text[:20]}…" if len(text) > _DIGITS else text
+        problem = f"expected 0 or a number from {_SMALLEST:g} on with at most {_DIGITS} digits, got {came}"
+        raise yaml.constructor.ConstructorError(None, None, problem, node.start_mark)
+    return value
+
+
+_DIGITS, _SMALLEST = 100, 1e-100
+_Loader.add_constructor(_INT, _number)
+_Loader.add_constructor(_FLOAT, _number)
 
 
 def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
@@ -139,7 +158,7 @@ def read_json(path: Path, what: str, largest: int = LARGEST_TEXT) -> Any:
     """
     text = read_text(path, what, largest)
     try:
-        return json.loads(text, parse_constant=_finite_number, parse_float=_finite_number)
+        return json.loads(text, parse_constant=_finite_number, parse_float=_finite_number, parse_int=_integer)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: expected {what}, got something else: not JSON") from error
 
@@ -151,6 +170,13 @@ def _finite_number(text: str) -> float:
     return value
 
 
+def _integer(text: str) -> int:
+    """A whole number; `ValueError` for one that is no floating-point number."""
+    if len(text) > 300:
+        raise ValueError(f"expected a number up to 1e300, got one of {len(text)} characters")
+    return int(text)
+
+
 def _loaded(text: str) -> Any:
     depth = 0
     event: Any
@@ -159,6 +185,11 @@ def _loaded(text: str) -> Any:
         if depth > _DEEPEST:
             raise yaml.MarkedYAMLError(
                 problem=f"expected at most {_DEEPEST} levels, got more", problem_mark=event.start_mark
+            )
+        if getattr(event, "tag", None) is not None:  # the loader fails in many ways where a value is not of its tag
+            raise yaml.MarkedYAMLError(
+                problem=f"expected a value without a tag, got {event.tag.replace(_TAG, '!!')}",
+                problem_mark=event.start_mark,
             )
     data = yaml.load(text, Loader=_Loader)
     if _size(data, {}) > _LARGEST:

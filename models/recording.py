@@ -526,6 +526,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         file = pa.parquet.ParquetFile(path, memory_map=False, pre_buffer=False)
         # Names are decoded when they are asked for.
         fields = [one for one in file.schema_arrow if not one.name.startswith("__index_level")]
+        stated = {one.name: one.metadata[b"unit"].decode() for one in fields if b"unit" in (one.metadata or {})}
     _check_header(path, [one.name for one in fields])
     columns = {}
     for one in fields:  # one at a time: of an hour, 30 MB each
@@ -533,7 +534,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
         if not (pa.types.is_floating(kind) or pa.types.is_integer(kind)):
             raise InputError(f"{path}: column {one.name!r}: expected numbers, got {kind}")
         expected = _unit(one.name)
-        unit = (one.metadata or {}).get(b"unit", expected.encode()).decode()
+        unit = stated.get(one.name, expected)
         if not units.same(unit, expected):
             raise InputError(f"{path}: column {one.name!r}: expected unit {expected!r}, got {unit!r}")
         columns[one.name] = _parquet_column(path, file, one.name)
@@ -543,8 +544,9 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
 
 def _parquet_column(path: Path, file: pa.parquet.ParquetFile, name: str) -> np.ndarray:
     """A column of numbers, shape (n,), read in batches: what Arrow has once taken it does not give back."""
-    found, begin = np.empty(file.metadata.num_rows), 0
+    begin = 0
     with reading_parquet(path):
+        found = np.empty(file.metadata.num_rows)
         for batch in file.iter_batches(BLOCK, columns=[name]):
             column = batch.column(0)
             if column.null_count:
@@ -552,6 +554,8 @@ def _parquet_column(path: Path, file: pa.parquet.ParquetFile, name: str) -> np.n
                 raise InputError(f"{path}: column {name!r}, {_row(str(path), i)}: expected a number, got none")
             found[begin : begin + len(column)] = column.to_numpy()
             begin += len(column)
+        if begin < len(found):
+            raise ValueError(f"expected {len(found)} rows, as its footer states, got {begin}")
     return found
 
 

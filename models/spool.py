@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from . import streams
+from .tables import naming
 
 
 class Spool(Mapping[str, np.ndarray]):
@@ -25,13 +26,14 @@ class Spool(Mapping[str, np.ndarray]):
         with self._lock:
             new = name not in self._files
             path = self._files.setdefault(name, self._folder / f"{self._stem}_{len(self._files)}")
-        if new:
-            with path.open("wb") as file:
-                for blank in streams.parts(self._n):
-                    np.full(blank.stop - blank.start, np.nan).tofile(file)
-        with path.open("r+b") as file:
-            file.seek(8 * part.start)
-            np.ascontiguousarray(values, dtype=np.float64).tofile(file)
+        with naming(path):
+            if new:
+                with path.open("wb") as file:
+                    for blank in streams.parts(self._n):
+                        file.write(np.full(blank.stop - blank.start, np.nan).data)
+            with path.open("r+b") as file:
+                file.seek(8 * part.start)
+                file.write(np.ascontiguousarray(values, dtype=np.float64).data)
 
     def keep(self, names: Sequence[str]) -> None:
         """Have the columns of these names, in their order; one that was never written is NaN."""

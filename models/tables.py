@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -54,22 +56,25 @@ class TableWriter:
             pa.field(name, pa.float64(), nullable=False, metadata={"unit": unit, **(notes or {}).get(name, {})})
             for name, unit in units.items()
         ]
-        self._schema = pa.schema(fields, dict(metadata or {}))
+        self._path, self._schema = path, pa.schema(fields, dict(metadata or {}))
         # Measured numbers hardly repeat: a dictionary of them costs time and saves nothing.
-        self._writer = pq.ParquetWriter(path, self._schema, compression="zstd", use_dictionary=False)
+        with naming(path):
+            self._writer = pq.ParquetWriter(path, self._schema, compression="zstd", use_dictionary=False)
 
     def write(self, columns: Mapping[str, np.ndarray]) -> None:
         """Write the next rows; columns by name, shape (n,) each."""
         import pyarrow as pa
 
         arrays = [arrow_column(columns[name]) for name in self._schema.names]
-        self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
+        with naming(self._path):
+            self._writer.write_table(pa.Table.from_arrays(arrays, schema=self._schema))
 
     def __enter__(self) -> TableWriter:
         return self
 
     def __exit__(self, *raised: object) -> None:
-        self._writer.close()
+        with naming(self._path):
+            self._writer.close()
 
 
 def write_table(
@@ -85,6 +90,18 @@ def write_table(
 
 
 @contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name the file in what the system refuses within, a full disk for one: Arrow and NumPy do not."""
+    try:
+        yield
+    except OSError as error:
+        number = error.errno or next((n for n in (errno.ENOSPC, errno.EDQUOT) if os.strerror(n) in str(error)), 0)
+        if error.filename or not number:
+            raise
+        raise OSError(number, os.strerror(number), str(path)) from error
+
+
+@contextmanager
 def reading_parquet(path: Path) -> Iterator[None]:
     """Say in one line what is wrong with a Parquet file that is read within.
 
@@ -95,7 +112,16 @@ def reading_parquet(path: Path) -> Iterator[None]:
 
     try:
         yield
-    except (OSError, pa.ArrowException, UnicodeDecodeError) as error:
+    except InputError:
+        raise
+    except (
+        OSError,
+        pa.ArrowException,
+        ValueError,
+        LookupError,
+        OverflowError,
+        TypeError,
+    ) as error:  # of a damaged footer
         raise InputError(f"{path}: not a readable Parquet file: {first_line(error)}") from error
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -14,7 +15,7 @@ import numpy as np
 from ..estimator.errors import FilterDiverged
 from ..estimator.estimator import Estimator, KnownJoint, Posterior
 from ..models import own_sensors
-from ..models.errors import InputError
+from ..models.errors import InputError, InputWarning
 from ..models.joint import Joint, Mounting
 from ..models.signals import CHANNELS, SENSED, Signals
 from ..models.step import CompiledStep
@@ -209,18 +210,34 @@ def estimate(
 ) -> dict[str, Posterior]:
     """What every estimator says of signals, by name; to the bit the same for any number of threads.
 
+    One that diverges leaves the others as they are: it has no estimate at any sample (NaN), and a warning says why.
+
     Args:
       estimators: by name. signals: channels. known: of the joint.
       threads: estimators at a time; compiled ones hold no lock.
 
     Raises:
-      InputError: a channel that is missing. FilterDiverged: an estimate that is no longer finite; names filter and time.
+      InputError: a channel that is missing. FilterDiverged: no estimate is finite; names filter and time of the first.
     """
-    if threads <= 1 or len(estimators) <= 1:
-        return {name: one.estimate(signals, known) for name, one in estimators.items()}
-    with ThreadPoolExecutor(min(threads, len(estimators)), thread_name_prefix="estimate") as pool:
-        found = pool.map(lambda one: one.estimate(signals, known), estimators.values())
-        return dict(zip(estimators, found, strict=True))
+
+    def one(name: str) -> Posterior | FilterDiverged:
+        try:
+            return estimators[name].estimate(signals, known)
+        except FilterDiverged as error:
+            return error
+
+    with ThreadPoolExecutor(max(min(threads, len(estimators)), 1), thread_name_prefix="estimate") as pool:
+        found = dict(zip(estimators, pool.map(one, estimators), strict=True))
+    diverged = {name: error for name, error in found.items() if isinstance(error, FilterDiverged)}
+    if diverged and len(diverged) == len(found):
+        raise next(iter(diverged.values()))
+    for error in diverged.values():
+        warnings.warn(f"{error}: it has no estimate", InputWarning, stacklevel=2)
+    nothing = np.full(len(signals.time), np.nan)
+    return {
+        name: Posterior(name, signals.time, nothing) if isinstance(one, FilterDiverged) else one
+        for name, one in found.items()
+    }
 
 
 def _loaded(mounting: Mounting, load: float) -> Mounting:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +19,7 @@ from ..models.arm_dynamics import Arm
 from ..models.errors import InputError
 from ..models.joint import Joint, beyond_sentence
 from ..models.notebook import html_table, paragraph
+from ..models.parameters import REFERENCE_TEMPERATURE
 from ..models.recording import Recording
 from ..models.signals import Signals
 from ..sim.loop import CONTROL_PERIOD, Simulation
@@ -173,6 +175,7 @@ class Run:
                 f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: the motion asks for more than "
                 f"it gives, and the link is up to {off:.2g} rad off its command"
             )
+        found += _idle(self)
         for name, one in self.estimates.items():
             count = int(np.sum(~np.isfinite(one.mean)))
             if count:
@@ -254,6 +257,19 @@ class Run:
             recording.time, self.reading("link_position"), arm.positions, recording.segments
         )
         return replace(recording, link=link, load=load, arm=arm)
+
+
+def _idle(run: Run) -> Iterator[str]:
+    """What a scenario states and nothing in its run depends on."""
+    scenario, at = run.scenario, run.scenario.temperature
+    coefficients = (joint.record()["friction_temperature"][0] for joint in (run.joint, run.known_joint))
+    if (at.start, at.end) != (REFERENCE_TEMPERATURE,) * 2 and not any(coefficients):
+        yield f"temperature acts on nothing: {run.joint.name} states no friction that depends on it"
+    if scenario.locked_rotor and len({way.position for way in scenario.trajectory}) > 1:
+        yield "trajectory acts on nothing: the rotor is locked"
+    if isinstance(scenario.sensors, dict) and not any(name.startswith("force") for name in scenario.record):
+        for name in {"wrench", "force"} & scenario.sensors.keys():
+            yield f"sensors.{name} acts on nothing: the scenario records no force"
 
 
 def reference_of(

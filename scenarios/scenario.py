@@ -27,6 +27,7 @@ from ..sim.sensors import realistic, stream
 from .filters import PAPER, FilterEntry, paper_entries
 
 _LONGEST = 3600.0  # s: four filters over it take 4 GB
+_DEEPEST = 20  # dots of a key; the longest has five
 LAGGING = Controller().lagging(2e-3)
 """The drive where `sensors: realistic` and none is stated."""
 
@@ -413,7 +414,14 @@ def read_scenario(
     data = read_yaml(path, "a scenario")
     if not isinstance(data, dict):
         raise InputError(f"{path}: expected a mapping of keys, got {kind_of(data)}")
-    for change in changes or []:
+    changes = changes or []
+    for i, change in enumerate(changes):
+        key = change.partition("=")[0]
+        lost = next((before for before in changes[:i] if before.startswith(f"{key}.")), None)
+        if lost is not None:
+            raise InputError(
+                f"--set {change}: it replaces --set {lost}, which is inside it: expected the wider key first"
+            )
         _override(data, change)
     if seed is not None:
         data["seed"] = seed
@@ -458,6 +466,8 @@ def _override(data: dict[str, Any], change: str) -> None:
 def put(data: dict[str, Any], key: str, value: Any, where: str) -> None:
     """Set a dotted key inside a scenario's data, in place (`filters.2.k`, `sensors.link_encoder.noise`)."""
     *path, last = key.split(".")
+    if len(path) > _DEEPEST:
+        raise InputError(f"{where}: expected a key of at most {_DEEPEST} dots, got {len(path)}")
     if path[:1] == ["filters"] and "filters" not in data:
         data["filters"] = list(PAPER)
     place: Any = data

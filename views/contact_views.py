@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
@@ -21,41 +22,53 @@ from .tables import narrow_table
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.contact import OperatingPoint
-    from ..scenarios.evaluation.intervals import Interval
-
 HEADS = ("estimator", "threshold [N·m]", "false alarms / h", "smallest push [N·m]", "found of 2 N·m [%]", "delay [ms]")
 """Columns of `contact_rows`."""
 
 
-def told(value: Interval, digits: int, scale: float = 1.0) -> str:
-    """A value with its interval where it has one; `none` where it is infinite."""
-    if math.isinf(value.mean):
-        return "none"
-    if math.isnan(value.mean):
-        return "–"
-    text = f"{scale * value.mean:.{digits}f}"
-    if math.isnan(value.low):
+def told(row: Mapping[str, Any], measure: str, digits: int, scale: float = 1.0) -> str:
+    """A measure of a row of `as_data` with its interval where it has one; `none` where no push is found."""
+    value, low, high = (row[f"{measure}{end}"] for end in ("", "_low", "_high"))
+    if value is None:
+        return "none" if measure == "smallest_push" and row["threshold"] is not None else "–"
+    text = f"{scale * value:.{digits}f}"
+    if low is None:
         return text
-    high = "∞" if math.isinf(value.high) else f"{scale * value.high:.{digits}f}"
-    return f"{text} [{scale * value.low:.{digits}f}, {high}]"
+    return f"{text} [{scale * low:.{digits}f}, {'∞' if high is None else f'{scale * high:.{digits}f}'}]"
 
 
-def contact_rows(points: Mapping[str, OperatingPoint]) -> Iterator[tuple[str, ...]]:
-    """A row of text per estimator, `HEADS`; the smallest push first."""
-    for name, point in sorted(points.items(), key=lambda item: item[1].smallest.mean):
-        threshold = "–" if math.isnan(point.threshold) else f"{point.threshold:.3f}"
+def contact_rows(detectors: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, ...]]:
+    """A row of text per row of `as_data`, `HEADS`."""
+    for row in detectors:
+        threshold = "–" if row["threshold"] is None else f"{row['threshold']:.3f}"
         yield (
-            name, threshold, told(point.alarms, 1), told(point.smallest, 2), told(point.share, 0, 100.0),
-            told(point.delay, 0, 1e3),
+            row["estimator"], threshold, told(row, "false_alarms_per_hour", 1), told(row, "smallest_push", 2),
+            told(row, "found_of_large", 0, 100.0), told(row, "delay", 0, 1e3),
         )  # fmt: skip
 
 
-def contact_markdown(points: Mapping[str, OperatingPoint]) -> str:
-    """Detectors at their thresholds, in Markdown."""
-    return markdown(HEADS, list(contact_rows(points)))
+def reasons(detectors: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Why detectors have no threshold or find no push, and whose estimates diverged."""
+    return [f"{row['estimator']}: {row['reason']}" for row in detectors if row["reason"]]
 
 
-def contact_table(points: Mapping[str, OperatingPoint], title: str) -> Table:
+def titles(answer: Mapping[str, Any]) -> Iterator[tuple[str, list[Mapping[str, Any]]]]:
+    """A title and the detectors for each tolerance of an answer, as `contact.json` has it."""
+    for share in dict.fromkeys(row["tolerance"] for row in answer["detectors"]):
+        joint = f"{answer['joint']} within tolerance ×{share:g}" if share else f"{answer['joint']} known exactly"
+        yield (
+            f"{answer['scenario']}, {joint}: thresholds for {answer['rate']:g} false alarms per hour, "
+            f"{answer['hours_counted']:.2g} h counted",
+            [row for row in answer["detectors"] if row["tolerance"] == share],
+        )
+
+
+def contact_markdown(detectors: Sequence[Mapping[str, Any]]) -> str:
+    """Detectors, rows of `as_data`, at their thresholds in Markdown, with the reasons of those that have none."""
+    return "\n\n".join([markdown(HEADS, list(contact_rows(detectors))), *reasons(detectors)])
+
+
+def contact_table(detectors: Sequence[Mapping[str, Any]], title: str) -> Table:
     """Detectors at their thresholds, for the terminal."""
     table = narrow_table(
         title,
@@ -67,14 +80,14 @@ def contact_table(points: Mapping[str, OperatingPoint], title: str) -> Table:
         table.add_column(
             Text(f"{words}\n[{unit}" if unit else words), justify="right" if i else "left", overflow="fold"
         )
-    for row in contact_rows(points):
+    for row in contact_rows(detectors):
         table.add_row(*(Text(cell.replace(" [", "\n[")) for cell in row))
     return table
 
 
-def as_data(points: Mapping[float, Mapping[str, OperatingPoint]]) -> list[dict[str, Any]]:
-    """A row per tolerance and estimator: threshold [N·m], and every measure with the ends of its interval; none where there is
-    none."""
+def as_data(points: Mapping[str, OperatingPoint], tolerance: float) -> list[dict[str, Any]]:
+    """A row per estimator, the smallest push first: threshold [N·m], every measure with the ends of its interval, and why one has
+    none; None where there is none."""
     names = {
         "alarms": "false_alarms_per_hour",
         "smallest": "smallest_push",
@@ -82,17 +95,16 @@ def as_data(points: Mapping[float, Mapping[str, OperatingPoint]]) -> list[dict[s
         "delay": "delay",
     }
     rows = []
-    for tolerance, at_rate in points.items():
-        for name, point in at_rate.items():
-            row: dict[str, Any] = {"tolerance": tolerance, "estimator": name, "threshold": _finite(point.threshold)}
-            for field, label in names.items():
-                value = getattr(point, field)
-                row |= {
-                    label: _finite(value.mean),
-                    f"{label}_low": _finite(value.low),
-                    f"{label}_high": _finite(value.high),
-                }
-            rows.append(row)
+    for name, point in sorted(points.items(), key=lambda one: np.nan_to_num(one[1].smallest.mean, nan=np.inf)):
+        row: dict[str, Any] = {"tolerance": tolerance, "estimator": name, "threshold": _finite(point.threshold)}
+        for field, label in names.items():
+            value = getattr(point, field)
+            row |= {
+                label: _finite(value.mean),
+                f"{label}_low": _finite(value.low),
+                f"{label}_high": _finite(value.high),
+            }
+        rows.append(row | {"reason": point.reason})
     return rows
 
 
@@ -114,6 +126,12 @@ def contact_figure(rows: Sequence[Mapping[str, Any]], scenario: str) -> Figure:
     tolerances = sorted({r["tolerance"] for r in rows})
     names = list(dict.fromkeys(r["estimator"] for r in rows))
     hours = max(r["hours"] for r in rows)
+    kinds: dict[str, tuple[str, str]] = {}
+    for name in names:  # of one colour a line of another kind each
+        color = SENSOR if name == "torque sensor" else contender_color(name.partition(",")[0])
+        kinds[name] = next(
+            ((color, d) for d in ("-", ":", "--", "-.") if (color, d) not in kinds.values()), (color, "-")
+        )
     caption = (
         f"{scenario}. A detector is a threshold on |external torque|; along a curve it falls. Thresholds from every other of the "
         f"runs without contact, false alarms counted on the others ({hours:.2g} h), pushes in runs of their own; every run is "
@@ -134,8 +152,7 @@ def contact_figure(rows: Sequence[Mapping[str, Any]], scenario: str) -> Figure:
                     for r in own
                     if r[key] is not None and r["false_alarms_per_hour"]
                 ]
-                color = SENSOR if name == "torque sensor" else contender_color(name.partition(",")[0])
-                dashes = "--" if name == "torque sensor" else ":" if "," in name else "-"
+                color, dashes = kinds[name]
                 axes.plot(*zip(*found, strict=True) if found else ([], []), color=color, ls=dashes, label=name)
             axes.set(xscale="log", xlabel="false alarms per hour", ylabel=label)
             axes.set_title(f"joint within tolerance ×{tolerance:g}" if tolerance else "joint known exactly")

@@ -14,7 +14,7 @@ from rich.text import Text
 
 from .style import filter_colors
 
-_SHORT = 7  # characters of a heading's line
+_SHORT, _NAME, _NUMBER = 7, 15, 6  # characters of a line of a heading, of a name, and of a number
 RAW_MODEL = "raw model"
 """How the compliance model without any filter is called in a table."""
 
@@ -36,11 +36,13 @@ class Column:
         return f"{self.heading} [{self.unit}]" if self.unit else self.heading
 
     def text(self, metrics: Mapping) -> str:
-        """The value as text; `–` where there is none."""
+        """The value as text of at most six characters; `–` where there is none."""
         value = metrics.get(self.key)
         if value is None or not math.isfinite(value):
             return "–"
-        return f"{round(value * self.scale, self.decimals) + 0.0:.{self.decimals}f}"
+        value *= self.scale
+        fixed = (f"{round(value, d) + 0.0:.{d}f}" for d in range(self.decimals, -1, -1))
+        return next((text for text in fixed if len(text) <= _NUMBER), f"{value:.0e}")
 
 
 COLUMNS = (
@@ -91,7 +93,7 @@ def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque 
     colors = filter_colors(dict.fromkeys(name for _, name, *_ in rows if name != RAW_MODEL))
     for i, (scenario, name, *cells) in enumerate(rows):
         if i == 0 or rows[i - 1][0] != scenario:
-            table.add_row(Text(scenario, style="bold"))
+            table.add_row(Text(_folded(scenario, ""), style="bold"))
         last = i + 1 == len(rows) or rows[i + 1][0] != scenario
         best = _smallest([row for row in rows if row[0] == scenario and row[1] != RAW_MODEL])
         shown = [
@@ -99,8 +101,15 @@ def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque 
             for k, cell in enumerate(cells)
             if COLUMNS[k] in IN_TERMINAL
         ]
-        table.add_row(Text(f" {name}", style=colors.get(name, "dim")), *shown, end_section=last)
+        table.add_row(Text(_folded(name), style=colors.get(name, "dim")), *shown, end_section=last)
     return table
+
+
+def _folded(name: str, indent: str = " ") -> str:
+    """A name in lines that 80 columns have room for, broken behind underscores where it has any."""
+    width = _NAME - 2 * len(indent)
+    lines = textwrap.wrap(name.replace("_", "_ "), width) if len(name) > width else [name]
+    return "\n".join(indent + line.replace("_ ", "_") for line in lines)
 
 
 def narrow_table(title: str, caption: str) -> Table:

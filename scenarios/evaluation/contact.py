@@ -81,11 +81,16 @@ class Detector:
     def _counted(self) -> np.ndarray:
         return self.quiet[1::2]
 
+    @property
+    def diverged(self) -> int:
+        """Runs without contact in which the estimate diverged."""
+        return int(np.count_nonzero(np.isinf(self.quiet).any(axis=1)))
+
     def threshold(self, rate: float) -> float:
         """Threshold [N·m] that is exceeded `rate` seconds an hour without contact in every other run; NaN where their time is
-        too short to tell."""
+        too short, infinite where the estimate diverged for longer."""
         seconds = np.sort(self.quiet[::2].reshape(-1))[::-1]
-        exceeded = rate * len(seconds) * _SECOND / 3600.0
+        exceeded = _exceeded(rate, len(seconds))
         return float(seconds[round(exceeded)]) if 1.0 <= exceeded < len(seconds) - 0.5 else math.nan
 
     def thresholds(self, points: int = 40) -> np.ndarray:
@@ -113,10 +118,11 @@ class OperatingPoint:
     """A detector at a threshold.
 
     Attributes:
-        threshold: [N·m].
+        threshold: [N·m]; NaN or infinite where there is none, and then all measures are NaN.
         alarms: false alarms per hour, counted on other runs than those that gave the threshold.
         smallest: size of which 90 % are found [N·m]; infinite where none is.
         share, delay: of the large pushes the share that is found, and the median delay of those [s].
+        diverged, runs: in how many of the runs without contact the estimate diverged.
     """
 
     threshold: float
@@ -124,12 +130,28 @@ class OperatingPoint:
     smallest: Interval
     share: Interval
     delay: Interval
+    diverged: int
+    runs: int
+
+    @property
+    def reason(self) -> str:
+        """Why it has no threshold or finds no push, and whether its estimate diverged; empty where all is well."""
+        reasons = (
+            [f"its estimate diverged in {self.diverged} of {self.runs} runs without contact"] if self.diverged else []
+        )
+        if not math.isfinite(self.threshold):
+            reasons.append("no threshold has so few false alarms")
+        elif math.isinf(self.smallest.mean):
+            reasons.append(f"it finds fewer than {SHARE:.0%} of the pushes of any size".replace("%", " %"))
+        return "; ".join(reasons)
 
 
 def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0) -> OperatingPoint:
-    """A detector at a threshold, with 95 % bootstrap intervals over runs; none with `resamples` 0. All is NaN where that is."""
-    if math.isnan(threshold):
-        return OperatingPoint(threshold, *(Interval(math.nan, math.nan, math.nan, 0) for _ in range(4)))
+    """A detector at a threshold, with 95 % bootstrap intervals over runs; none with `resamples` 0."""
+    diverged, runs = detector.diverged, len(detector.quiet)
+    if not math.isfinite(threshold):
+        none = Interval(math.nan, math.nan, math.nan, 0)
+        return OperatingPoint(threshold, none, none, none, none, diverged, runs)
     alarms, found, delays = detector.alarms(threshold), detector.found(threshold), detector.delays(threshold)
     large = detector.size >= LARGE
     rng = np.random.default_rng(seed)
@@ -152,7 +174,8 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
     if resamples:
         ends = [tuple(_quantiles(column)) for column in drawn.T]
     counts = (n, m, m, m)
-    return OperatingPoint(threshold, *(Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)))
+    each = [Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)]
+    return OperatingPoint(threshold, each[0], each[1], each[2], each[3], diverged, runs)
 
 
 def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
@@ -241,8 +264,14 @@ def external(
     return {name: by_link} if found.external is None else {name: found.external, f"{name}{BY_LINK}": by_link}
 
 
-def check(scenario: Scenario, estimators: Mapping[str, Estimator]) -> None:
+def check(scenario: Scenario, estimators: Mapping[str, Estimator], hours: float, rate: float | None = None) -> None:
     """Refuse what `assess` cannot use.
+
+    Args:
+        scenario: its motion.
+        estimators: by name.
+        hours: without contact in all.
+        rate: false alarms per hour at which thresholds are asked for, if any.
 
     Raises:
         InputError: an estimator that looks ahead, torque feedback, or too little time.
@@ -256,11 +285,24 @@ def check(scenario: Scenario, estimators: Mapping[str, Estimator]) -> None:
         raise InputError(
             f"contact: scenario {scenario.name}: duration: expected room for a push, got {scenario.duration:g} s"
         )
+    if rate is not None and _exceeded(rate, runs_of(scenario, hours) // 2 * _seconds_of(scenario)) < 1.0:
+        raise InputError(
+            f"--hours: expected at least {2 / rate:.2g} for thresholds of {rate:g} false alarms per hour, got {hours:g}"
+        )
 
 
 def runs_of(scenario: Scenario, hours: float) -> int:
-    """How many runs without contact `assess` makes, an even number: so long a time after their transients, four at least."""
-    return max(2 * math.ceil(hours * 3600.0 / (2.0 * (scenario.duration - scenario.transient))), 4)
+    """How many runs without contact `assess` makes, an even number, four at least: of whole seconds after their transients."""
+    return max(2 * math.ceil(hours * 1800.0 / _seconds_of(scenario)), 4)
+
+
+def _seconds_of(scenario: Scenario) -> int:
+    return max(math.floor((scenario.duration - scenario.transient) / _SECOND + 1e-9), 1)
+
+
+def _exceeded(rate: float, seconds: int) -> float:
+    """How many of the seconds without contact exceed a threshold of that rate."""
+    return rate * seconds * _SECOND / 3600.0
 
 
 def assess(
@@ -286,7 +328,7 @@ def assess(
     Raises:
         InputError: as `check`.
     """
-    check(scenario, estimators)
+    check(scenario, estimators, hours)
     scenario = scenario.model_copy(update={"disturbances": []})
     every: dict[str, Estimator | None] = {SENSOR: None, **estimators}
 

@@ -79,7 +79,7 @@ def test_ctrl_c_in_the_first_second_is_silent(tmp_path, after):
 
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="no process groups")
 @pytest.mark.parametrize("after", [0.2, 0.5, 0.9, 1.3])
-def test_ctrl_c_of_a_terminal_is_silent(tmp_path, after):
+def test_ctrl_c_of_a_terminal_is_a_line_at_most(tmp_path, after):
     """It goes to all processes of the command, also to those that draw and may be loading still."""
     process = subprocess.Popen(
         [*PROGRAM, *(word for word in RUN if not word.startswith("--no-")), "--out", str(tmp_path / "o")],
@@ -88,7 +88,8 @@ def test_ctrl_c_of_a_terminal_is_silent(tmp_path, after):
     time.sleep(after)
     os.killpg(process.pid, signal.SIGINT)
     _, err = process.communicate(timeout=60)
-    assert err == b"" and process.returncode in (130, -signal.SIGINT, 0)
+    assert err in (b"", b"flexspline: interrupted, nothing is half-written\n")
+    assert process.returncode in (130, -signal.SIGINT, 0)
 
 
 @pytest.mark.parametrize(

@@ -27,20 +27,24 @@ def test_tables_curves_and_figure(flexspline, tmp_path):
 
 
 @pytest.mark.slow
-def test_as_json_with_realistic_sensors(flexspline):
-    code, out, err = flexspline("contact", *QUICK, "--tolerance", 0.2, "--set", "sensors=realistic", "--json")
+def test_terminal_page_and_json_have_the_same_numbers(flexspline, tmp_path):
+    """With another joint, sensors and rate; the page proposes the same command for longer, into another folder."""
+    words = (*QUICK, "--tolerance", 0.2, "--set", "sensors=realistic", "--set", "joint=csg-14-100-ec45")
+    out = tmp_path / "found"
+    code, text, err = flexspline("contact", *words, "--out", out)
     assert code == 0, err
-    rows = {row["estimator"]: row for row in json.loads(out)}
-    assert set(rows) == {"torque sensor", "RAREKF"}
+    answer = json.loads((out / "contact.json").read_text(encoding="utf-8"))
+    rows = {row["estimator"]: row for row in answer["detectors"]}
+    assert set(rows) == {"torque sensor", "RAREKF"} and answer["joint"] == "csg-14-100-ec45"
     assert rows["RAREKF"]["tolerance"] == 0.2 and rows["RAREKF"]["threshold"] > 0.0
-
-
-@pytest.mark.slow
-def test_too_little_time_for_a_threshold_is_said(flexspline):
-    code, out, err = flexspline("contact", *QUICK[:-1], 10, "--tolerance", 0)
-    assert code == 0, err
-    assert "nan" not in out and "which takes at least 0.2 h" in " ".join(out.split())
-    assert "--hours: expected at least 0.2 for thresholds of 10 false alarms an hour, got 0.05" in err  # before it runs
+    assert flexspline("report", out, "--out", tmp_path / "page.html")[0] == 0
+    page, note = ((tmp_path / name).read_text(encoding="utf-8") for name in ("page.html", "found/contact.md"))
+    for row in rows.values():
+        shown = f"{row['threshold']:.3f}"
+        assert shown in text and shown in page and shown in note
+        assert f"{row['smallest_push']:.2f}" in text and f"{row['smallest_push']:.2f}" in page
+    assert "csg-14-100-ec45" in text and "csg-14-100-ec45 within 0.2 times" in page
+    assert f"--rate 400 --set sensors=realistic --set joint=csg-14-100-ec45 --hours 0.2 --out {out}-0.2h" in page
 
 
 @pytest.mark.parametrize(
@@ -50,6 +54,7 @@ def test_too_little_time_for_a_threshold_is_said(flexspline):
         (("--set", "feedback=RAREKF"), "feedback"),
         (("--tolerance", "1", "--tolerance", "1"), "--tolerance"),
         (("--set", "duration=6"), "duration"),
+        ((), "--hours: expected at least 0.2 for thresholds of 10 false alarms per hour, got 0.05"),
     ],
 )
 def test_mistakes(flexspline, words, said):

@@ -203,7 +203,7 @@ def test_interrupted_it_says_so_in_a_line_and_writes_nothing(flexspline, measure
             patched.setattr(f"flexspline.{where}", stop)
             code, text, err = flexspline("diagnose", measurement, "--out", out, "--no-report")
         assert code == 130 and text == ""
-        assert err.splitlines()[-1] == "flexspline: interrupted, nothing was written"
+        assert err.splitlines()[-1] == "flexspline: interrupted, nothing is half-written"
         assert "Traceback" not in err
         assert {p.name: p.read_bytes() for p in out.iterdir()} == before
 

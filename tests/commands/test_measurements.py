@@ -81,6 +81,29 @@ def test_what_a_run_wrote_beside_its_recording_is_no_table_that_was_forgotten(fl
     assert (code, err) == (0, "")
 
 
+@pytest.mark.parametrize(("inertia", "moment", "told"), [(1.0, 1.0, False), (100.0, 1.0, True), (1.0, 0.0, True)])
+def test_an_external_torque_where_there_was_none_is_told(flexspline, sweep, tmp_path, inertia, moment, told):
+    """A load that is not the stated one becomes an external torque: estimates of it are marked, or the data refused."""
+    link = replace_link(sweep.link, inertia, moment)
+    write_recording(replace(sweep, link=link), tmp_path / "m")
+    code, out, err = flexspline(
+        "estimate", tmp_path / "m", "--out", tmp_path / "e", "--filter", "current", "--filter", "RAREKF"
+    )
+    if code == 2:
+        assert told and err.count("\n") == 1
+        return
+    assert code == 0 and ("there was no external torque, and the joint torque is" in " ".join(out.split())) == told, out
+    found = json.loads((tmp_path / "e" / "metrics.json").read_text())["slow"]
+    assert found["no_estimates"] == ({"external_torque": ["RAREKF", "current"]} if told else {})
+    errors = found["external_torque"]
+    assert all((errors[name]["rms"] > 1.0) == told for name in ("RAREKF", "current"))
+
+
+def replace_link(link: Mounting, inertia: float, moment: float) -> Mounting:
+    """A mounting with other shares of its inertia and gravity moment."""
+    return link.model_copy(update={"inertia": inertia * link.inertia, "gravity_moment": moment * link.gravity_moment})
+
+
 def test_check_says_where_it_does_not_look_for_mistakes(flexspline, sweep, tmp_path):
     columns = sweep.columns | {"link_position": np.zeros(len(sweep.time))}
     bench = Mounting(inertia=LOCKED, gravity_moment=0.0)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
 import re
+import shlex
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
@@ -18,13 +18,15 @@ from flexspline.models.errors import InputError
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import write_recording
 from flexspline.models.tables import read_table, write_table
+from flexspline.scenarios.evaluation import contact
 from flexspline.scenarios.run import Run
 from flexspline.scenarios.run_folder import save_run
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
+from flexspline.views import contact_views
 from flexspline.views.contact_views import write_curves
-from flexspline.views.pages.contact import contact_html, read_curves
-from flexspline.views.pages.rendering import TEMPLATES
+from flexspline.views.pages.contact import contact_html, read_answer, read_curves
+from flexspline.views.pages.rendering import TEMPLATES, number
 from flexspline.views.pages.run import line_kinds, runs_html
 from flexspline.views.pages.sweep import sweep_html
 from flexspline.views.pages.two_diagnoses import read_diagnosis, two_html
@@ -124,21 +126,37 @@ def repair_page(repair) -> str:
     return two_html(*(read_diagnosis(folder) for folder in repair))
 
 
+def heard(name: str, worse: float, rng: np.random.Generator) -> contact.Detector:
+    """A detector of noise, so many times as loud as that of the others."""
+    size = np.exp(rng.uniform(np.log(0.3), np.log(8.0), (20, 10)))
+    ramp = np.minimum(np.arange(300) / 200.0, 1.0)
+    quiet = worse * np.abs(rng.standard_normal((20, 60)))
+    return contact.Detector(
+        name, quiet, size, np.zeros_like(size), np.maximum.accumulate(size[:, :, None] * ramp, axis=2)
+    )
+
+
+DETECTORS = (("torque sensor", 0.1), ("augmented", 0.2), ("augmented, by the link", 0.5), ("current", 9.0), ("mine", np.inf),
+             *((f"other{i}", 1.0) for i in range(9)))  # fmt: skip
+"""Names with their noise; one finds no push, one has no threshold."""
+
+
 @pytest.fixture(scope="module")
 def contact_folder(tmp_path_factory) -> Path:
-    """Curves of two detectors, of which the second finds less; without a value where nothing is found."""
-    folder = tmp_path_factory.mktemp("contact")
-    grid = itertools.product((0.0, 1.0), (("augmented", 1.5), ("RAREKF", 4.0)), (0.1, 0.4, 0.8, 1.2))
-    rows = [
-        {
-            "tolerance": tolerance, "estimator": name, "threshold": threshold,
-            "false_alarms_per_hour": 900 * 0.1 ** (threshold / 0.2),
-            "smallest_push": None if threshold > 0.9 else worse * threshold, "found_of_large": 0.9,
-            "delay_ms": 20 * threshold, "hours": 0.2, "runs": 12,
-        }
-        for tolerance, (name, worse), threshold in grid
-    ]  # fmt: skip
-    write_curves(rows, folder / "contact.csv")
+    """What `flexspline contact` writes of drawn detectors."""
+    folder, rng = tmp_path_factory.mktemp("contact"), np.random.default_rng(7)
+    detectors, curves = [], []
+    for tolerance in (0.0, 1.0):
+        found = [heard(name, (1 + tolerance) * worse, rng) for name, worse in DETECTORS]
+        detectors += contact_views.as_data({d.name: contact.at(d, d.threshold(50.0)) for d in found}, tolerance)
+        curves += [row for d in found for row in contact.curve(d, tolerance)]
+    answer = {
+        "format": 1, "scenario": "collision", "joint": "my joint", "rate": 50.0, "hours": 0.3, "hours_counted": found[0].hours,
+        "runs": 20, "arguments": ["collision", "--tolerance", "0", "--tolerance", "1", "--filter", "augmented", "--set",
+        "joint=my joint.yaml", "--plugin", "mine.py"], "detectors": detectors,
+    }  # fmt: skip
+    (folder / "contact.json").write_text(json.dumps(answer), encoding="utf-8")
+    write_curves(curves, folder / "contact.csv")
     return folder
 
 
@@ -149,26 +167,131 @@ def validation_page(tmp_path_factory) -> str:
 
 @pytest.fixture(scope="module")
 def contact_page(contact_folder) -> str:
-    return contact_html(read_curves(contact_folder / "contact.csv"), contact_folder)
-
-
-def test_contact_proposes_the_same_for_longer(contact_page):
-    assert "flexspline contact --hours 0.8 --filter" in contact_page and "by the link --" not in contact_page
-
-
-def test_contact_names_the_most_sensitive_at_few_false_alarms(contact_page, contact_folder, flexspline, tmp_path):
-    text = text_of(contact_page)
-    assert (
-        "augmented finds the smallest push, 0.6 N·m, at 10 false alarms per hour or fewer, on joints within 1 times"
-        in text
+    return contact_html(
+        read_answer(contact_folder / "contact.json"), read_curves(contact_folder / "contact.csv"), contact_folder
     )
-    assert "a joint known exactly: augmented 0.6, RAREKF 1.6 N·m" in text
-    assert contact_page.count('<svg class="chart"') == 4
-    code, _, err = flexspline("report", contact_folder, "--out", tmp_path / "page.html")
-    assert code == 0, err
-    (tmp_path / "contact.csv").write_text("a,b\n1,2\n")
+
+
+def test_contact_proposes_the_same_for_longer_elsewhere(contact_page, contact_folder, typed):
+    (line,) = typed(contact_page)
+    words = shlex.split(line)
+    answer = json.loads((contact_folder / "contact.json").read_text())
+    assert words[: 2 + len(answer["arguments"])] == ["flexspline", "contact", *answer["arguments"]]
+    assert words[-4:] == ["--hours", "1.2", "--out", f"{contact_folder}-1.2h"]
+
+
+def cells_of(page: str) -> list[list[str]]:
+    """Cells of every row of every table of a page."""
+    rows = re.findall(r"<tr>(.*?)</tr>", page, flags=re.DOTALL)
+    return [[text_of(cell) for cell in re.findall(r"<t[hd].*?</t[hd]>", row, flags=re.DOTALL)] for row in rows]
+
+
+def test_contact_states_what_the_json_has(contact_page, contact_folder):
+    """Every detector at every tolerance, with the same numbers as the terminal's table, and why one has none; each line has
+    a look of its own."""
+    answer, text = json.loads((contact_folder / "contact.json").read_text()), text_of(contact_page)
+    rows = [row for row in cells_of(contact_page) if row[0] != "estimator"]
+    assert [row[0] for row in rows] == [d["estimator"] for d in answer["detectors"]]
+    assert len(rows) == 2 * len(DETECTORS)
+    for cells, d in zip(rows, answer["detectors"], strict=True):
+        assert tuple(cells) == next(contact_views.contact_rows([d]))
+        for cell, measure, scale in zip(
+            cells[2:],
+            ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay"),
+            (1, 1, 100, 1e3),
+            strict=True,
+        ):
+            for stated, end in zip(re.findall(r"[\d.]+", cell), ("", "_low", "_high"), strict=False):
+                assert float(stated) == pytest.approx(
+                    scale * d[f"{measure}{end}"], abs=0.51 * 10 ** -len(stated.partition(".")[2])
+                )
+    assert "torque sensor finds the smallest push" in text and "on my joint within 1 times its tolerances" in text
+    assert "Mine: its estimate diverged in 20 of 20 runs without contact; no threshold has so few false alarms." in text
+    assert "Current: it finds fewer than 90 % of the pushes of any size." in text
+    kinds = re.findall(r'<i class="(\w+)"></i>', contact_page)
+    assert len(set(kinds)) == len(kinds) == len(DETECTORS)
+    assert all(f".{kind}{{" in contact_page for kind in kinds)
+
+
+def every(data) -> list[float]:
+    """All numbers of JSON, however deep."""
+    if isinstance(data, dict):
+        data = list(data.values())
+    if isinstance(data, (list, tuple)):
+        return [number for one in data for number in every(one)]
+    return [float(data)] if isinstance(data, (int, float)) and not isinstance(data, bool) else []
+
+
+def strangers(page: str, data) -> list[str]:
+    """Numbers in the cells of a page's tables, of two digits or more, that are the rounding of none in the data: in its unit,
+    in percent, in thousandths or in degrees."""
+    known = np.abs(every(data))
+    scaled = np.concatenate([scale * known for scale in (1.0, 100.0, 1e3, 180 / np.pi)])
+    found = []
+    for cells in cells_of(page):
+        for cell in cells[1:]:
+            for text in re.findall(r"\d+\.\d+", "" if "·10" in cell else cell):
+                digits = text.partition(".")[2]
+                if len(text.replace(".", "").lstrip("0")) >= 2 and not np.any(
+                    np.abs(scaled - float(text)) <= 0.5001 * 10.0 ** -len(digits)
+                ):
+                    found.append(f"{cells[0]}: {text}")
+    return found
+
+
+def test_every_number_of_a_page_is_in_its_json(
+    run_page, sweep_page, repair, repair_page, contact_page, contact_folder, tmp_path, pushed, bare
+):
+    """Of a run, a comparison, an arm, a validation, a sweep, two diagnoses and contact; a changed JSON is noticed."""
+    metrics = json.loads(json.dumps({run.name: run.metrics for run in (pushed, bare)}))
+    arm = runs_html([(pushed, Path("arm/shoulder")), (bare, Path("arm/elbow"))], Path("arm"))
+    path = validated(tmp_path / "v", 0.5)
+    answers = [json.loads((folder / "diagnosis.json").read_text()) for folder in repair]
+    numbers = [{k: n.value for k, n in load_joint(folder / "joint.yaml").numbers.items()} for folder in repair]
+    deviations = [{k: n.std for k, n in load_joint(folder / "joint.yaml").numbers.items()} for folder in repair]
+    moved = [  # in standard deviations of both
+        (numbers[1][k] - numbers[0][k]) / np.hypot(deviations[0][k], deviations[1][k])
+        for k in numbers[0]
+        if deviations[0][k] and deviations[1][k]
+    ]
+
+    class Of:
+        study = STUDY
+
+    rows = list(summary_rows(found(), Of))
+    halves = [[v.half for v in one.values.values()] for one in found()]
+    pages = {
+        "run": (runs_html([(pushed, Path("runs/a"))]), metrics[pushed.name]),
+        "comparison": (run_page, metrics),
+        "arm": (arm, metrics),
+        "validation": (validation_html(read_validation(path)), json.loads((path / "validation.json").read_text())),
+        "sweep": (sweep_page, [rows, halves]),
+        "two diagnoses": (repair_page, [answers, numbers, deviations, moved]),
+        "contact": (contact_page, json.loads((contact_folder / "contact.json").read_text())),
+    }
+    for kind, (page, data) in pages.items():
+        assert strangers(page, data) == [], kind
+        assert len(strangers(page, [])) > 0, kind
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda a: a.pop("detectors"), lambda a: a.update(detectors=[]), lambda a: a["detectors"][0].update(delay="1"),
+        lambda a: a.update(rate=None), lambda a: a["detectors"][1].update(reason=3), lambda a: a.update(format=2),
+        lambda a: a.update(arguments=[1]), lambda a: a.update(hours=10**400),
+    ],
+)  # fmt: skip
+def test_an_answer_of_contact_that_is_none_is_one_line(contact_folder, flexspline, tmp_path, spoil):
+    answer = json.loads((contact_folder / "contact.json").read_text())
+    spoil(answer)
+    (tmp_path / "contact.json").write_text(json.dumps(answer))
+    (tmp_path / "contact.csv").write_bytes((contact_folder / "contact.csv").read_bytes())
     code, _, err = flexspline("report", tmp_path, "--out", tmp_path / "page.html")
-    assert code == 2 and "expected the curves of flexspline contact" in err
+    assert code == 2 and err.count("\n") == 1 and "contact.json: " in err
+    (tmp_path / "contact.json").unlink()
+    code, _, err = flexspline("report", tmp_path, "--out", tmp_path / "page.html")
+    assert code == 2 and err.count("\n") == 1 and "contact.json: cannot read" in err
 
 
 @pytest.mark.parametrize(
@@ -179,6 +302,7 @@ def test_curves_with_a_number_that_is_none_are_one_line(contact_folder, flexspli
     rows = list(csv.DictReader((contact_folder / "contact.csv").read_text().splitlines()))
     rows[1][column] = cell
     write_curves(rows, tmp_path / "contact.csv")
+    (tmp_path / "contact.json").write_bytes((contact_folder / "contact.json").read_bytes())
     code, _, err = flexspline("report", tmp_path, "--out", tmp_path / "page.html")
     assert code == 2 and err.count("\n") == 1 and f"row 1: {column}: expected a finite number" in err
     assert not (tmp_path / "page.html").exists()
@@ -212,6 +336,37 @@ def test_a_comparison_names_the_closest_and_what_to_type(run_page, pushed, bare)
             assert f"{measures['rms']:.3f}" in text
     assert "flexspline view 'runs/external push'" in text
     assert "exactly as it is simulated" in text
+
+
+def headline(runs: list[tuple[Run, Path]], arm: Path | None = None) -> str:
+    return text_of(re.search(r"<h1>(.*?)</h1>", runs_html(runs, arm), flags=re.DOTALL).group(1))
+
+
+def test_estimators_are_ranked_where_all_are_present(pushed, bare):
+    """One that is in a single joint is not called the closest, nor are those of others dropped for it."""
+    best = min(pushed.estimates, key=lambda name: pushed.metrics["filters"][name]["rms"])
+    alone = replace(bare, estimates={best: bare.estimates[best]})
+    both = [(pushed, Path("arm/shoulder")), (alone, Path("arm/elbow"))]
+    error = pushed.metrics["filters"][best]["rms"]
+    assert (
+        f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS, in shoulder: the other joints lack"
+        in (headline(both, Path("arm")))
+    )
+    assert f"in {pushed.name}: the other scenarios lack" in headline(both)
+    other = next(name for name in pushed.estimates if name != best)
+    apart = replace(pushed, estimates={other: pushed.estimates[other]})
+    told = headline([(apart, Path("arm/shoulder")), (alone, Path("arm/elbow"))], Path("arm"))
+    assert (
+        f"None of these joints has all estimators; closest to the true joint torque is in shoulder {other} with" in told
+    )
+    assert f"in elbow {best} with" in told
+    nothing = replace(alone.estimates[best], mean=np.full(len(bare.time), np.nan))
+    diverged = replace(bare, estimates={**bare.estimates, "never": nothing})
+    assert "lack" not in headline([(pushed, Path("a/x")), (diverged, Path("a/y"))])
+    assert (
+        headline([(replace(alone, estimates={best: nothing}), Path("a"))])
+        == "No estimator has an error in any of these scenarios."
+    )
 
 
 def otherwise(tmp_path: Path, **changes) -> Path:

@@ -88,3 +88,18 @@ def test_the_best_of_a_scenario_is_marked():
     table = comparison_table(METRICS)
     cells = {str(cell): str(cell.style) for cell in table.columns[1].cells if str(cell)}
     assert cells == {"1.000": "", "0.500": "", "0.250": "bold", "0.100": ""}  # not where there is nothing to compare
+
+
+def test_large_numbers_and_long_names_keep_the_table_whole():
+    """No number is longer than six characters, and a name is broken behind an underscore, if at all."""
+    names = ("dynamics_ekf", "lowpass_first_order", "an_estimator_of_somebody_with_a_long_name")
+    for size in (0.0, 9.9996, 999.9996, 17084.2, 123089.21, 4.5e7, 1.7e300, -4.2e4):
+        values = {column.key: size for column in COLUMNS}
+        assert all(len(column.text(values)) <= 6 for column in COLUMNS), size
+        table = comparison_table({"hysteresis_loop": {"filters": dict.fromkeys(names, values), "model": values}})
+        text = rendered(table)
+        assert "dynamics_ekf" in text and "lowpass_" in text and "first_order" in text
+        assert all(
+            word in names[2] for line in text.splitlines() for word in line.split()[:1] if word.startswith("an_")
+        )
+    assert COLUMNS[0].text({"rms": 1234.5678}) == "1234.6" and COLUMNS[0].text({"rms": 123089.21}) == "123089"

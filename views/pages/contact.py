@@ -13,13 +13,15 @@ from typing import Any
 import numpy as np
 
 from ...models.errors import InputError
+from ...models.files import check_format, read_json
+from ..contact_views import HEADS, contact_rows, reasons, titles, told
 from .chart import Chart, limits
 from .provenance import file_digest, now
-from .rendering import number, render, squeezed
+from .rendering import render, squeezed
 from .run import line_kinds
 
-RATE = 10.0
-"""False alarms per hour at which detectors are compared."""
+MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")
+"""Of a detector, each with the ends of its interval."""
 _NUMBERS = (
     "tolerance", "threshold", "false_alarms_per_hour", "smallest_push", "found_of_large", "delay_ms", "hours", "runs",
 )  # fmt: skip
@@ -27,8 +29,8 @@ _STATED = ("tolerance", "hours", "runs")
 """Numbers of every row; the others are measures, which may not be defined."""
 _DECADES = (0.1, 1, 10, 100, 1000, 10_000)
 
-_SENSOR = "torque sensor"
-"""A detector that is no estimator; nor are those whose name has more after a comma."""
+SENSOR = "torque sensor"
+"""A detector that is no estimator."""
 
 Row = Mapping[str, Any]
 
@@ -57,61 +59,89 @@ def read_curves(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def contact_html(rows: Sequence[Row], folder: Path) -> str:
+def read_answer(path: Path) -> dict[str, Any]:
+    """`contact.json`.
+
+    Raises:
+      InputError: a file that is none.
+    """
+    answer = read_json(path, "the answer of flexspline contact")
+    check_format(answer, path)
+    try:
+        for row in answer["detectors"]:
+            numbers = [row[f"{name}{end}"] for name in MEASURES for end in ("", "_low", "_high")]
+            numbers += [row["tolerance"] + 0.0, row["threshold"]]
+            if not all(n is None or (isinstance(n, (int, float)) and math.isfinite(n)) for n in numbers):
+                raise ValueError
+            str.strip(row["estimator"]), str.strip(row["reason"])
+        for key in ("rate", "hours", "hours_counted", "runs"):
+            if not 0.0 < answer[key] < math.inf:
+                raise ValueError
+        list(map(str.strip, (answer["scenario"], answer["joint"], *answer["arguments"])))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: expected the answer of flexspline contact, got something else") from error
+    if not answer["detectors"]:
+        raise InputError(f"{path}: expected detectors, got none")
+    return answer
+
+
+def contact_html(answer: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> str:
     """The page as text: one file that refers to nothing outside itself.
 
     Args:
-      rows: of `read_curves`.
-      folder: that holds `contact.csv`.
+      answer: of `read_answer`, whose numbers the page states.
+      rows: of `read_curves`, which it draws.
+      folder: that holds both.
     """
-    names = list(dict.fromkeys(str(row["estimator"]) for row in rows))
-    kinds = line_kinds(names)
-    tables = [(tolerance, _ranked(rows, tolerance)) for tolerance in sorted({row["tolerance"] for row in rows})]
-    worst, ranked = tables[-1]
-    found = [row for row in ranked if math.isfinite(row["smallest_push"])]
-    sentence = "No detector finds nine pushes in ten at so few false alarms."
-    if found:
+    names = list(dict.fromkeys(str(row["estimator"]) for row in answer["detectors"]))
+    kinds = line_kinds([name for name in names if name != SENSOR]) | {SENSOR: "measured"}
+    parts = list(titles(answer))
+    _, worst = parts[-1]
+    best, joint = worst[0], _joint(answer, worst[0]["tolerance"])
+    sentence = f"No detector finds nine pushes in ten at {answer['rate']:g} false alarms per hour or fewer, on {joint}."
+    if best["smallest_push"] is not None:
         sentence = (
-            f"{found[0]['estimator']} finds the smallest push, {number(found[0]['smallest_push'], 2)} N·m, at "
-            f"{RATE:g} false alarms per hour or fewer, on {_joint(worst)}."
+            f"{best['estimator']} finds the smallest push, {told(best, 'smallest_push', 2)} N·m, at "
+            f"{answer['rate']:g} false alarms per hour, on {joint}."
         )
+    longer = min(4 * answer["hours"], 100.0)
     context = {
         "sentence": sentence,
-        "rate": RATE,
-        "tables": [(_joint(t), own) for t, own in tables],
-        "hours": max(row["hours"] for row in rows),
-        "runs": int(max(row["runs"] for row in rows)),
+        "answer": answer,
+        "heads": HEADS,
+        "tables": [(_joint(answer, d[0]["tolerance"]), list(contact_rows(d)), reasons(d)) for _, d in parts],
         "entries": [(kinds[name], name) for name in names],
-        "charts": [_charts(rows, tolerance, names, kinds) for tolerance, _ in tables],
-        "filters": "".join(f" --filter {shlex.quote(name)}" for name in names if name != _SENSOR and "," not in name),
-        "place": shlex.quote(folder.as_posix()),
+        "charts": [_charts(rows, d[0]["tolerance"], names, kinds, _joint(answer, d[0]["tolerance"])) for _, d in parts],
+        "command": shlex.join(
+            [
+                "flexspline",
+                "contact",
+                *answer["arguments"],
+                "--hours",
+                f"{longer:g}",
+                "--out",
+                f"{folder.as_posix()}-{longer:g}h",
+            ]
+        ),
         "folder": str(folder),
-        "digest": file_digest(folder / "contact.csv"),
+        "digest": file_digest(folder / "contact.json"),
         "written": now(),
         "version": metadata.version("flexspline"),
     }
     return squeezed(render("contact.html.j2", context))
 
 
-def _joint(tolerance: float) -> str:
-    return f"joints within {tolerance:g} times their tolerance" if tolerance else "a joint known exactly"
-
-
-def _ranked(rows: Sequence[Row], tolerance: float) -> list[Row]:
-    """Of each estimator the most sensitive threshold with no more false alarms than `RATE`; the smallest push first."""
-    best: dict[str, Row] = {}
-    for row in rows:
-        name = str(row["estimator"])
-        if row["tolerance"] != tolerance or not row["false_alarms_per_hour"] <= RATE:
-            continue
-        if name not in best or row["threshold"] < best[name]["threshold"]:
-            best[name] = row
-    return sorted(
-        best.values(), key=lambda row: row["smallest_push"] if math.isfinite(row["smallest_push"]) else math.inf
+def _joint(answer: Mapping[str, Any], tolerance: float) -> str:
+    return (
+        f"{answer['joint']} within {tolerance:g} times its tolerances"
+        if tolerance
+        else f"{answer['joint']} known exactly"
     )
 
 
-def _charts(rows: Sequence[Row], tolerance: float, names: Sequence[str], kinds: Mapping[str, str]) -> list[Chart]:
+def _charts(
+    rows: Sequence[Row], tolerance: float, names: Sequence[str], kinds: Mapping[str, str], title: str
+) -> list[Chart]:
     """Smallest push and delay over the false alarms, whose axis is logarithmic."""
     here = [row for row in rows if row["tolerance"] == tolerance]
     labels = tuple((math.log10(v), f"{v:g}") for v in _DECADES)
@@ -119,7 +149,7 @@ def _charts(rows: Sequence[Row], tolerance: float, names: Sequence[str], kinds: 
     for key, what in (("smallest_push", "smallest push [N·m]"), ("delay_ms", "delay [ms]")):
         values = np.array([row[key] for row in here])
         chart = Chart(
-            (-1.0, 4.3), limits(np.append(values, 0.0), 4.0), _joint(tolerance), "false alarms per hour", what,
+            (-1.0, 4.3), limits(np.append(values, 0.0), 4.0), title, "false alarms per hour", what,
             labels=labels, width=540, height=240,
         )  # fmt: skip
         for name in names:

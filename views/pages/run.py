@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shlex
 from collections.abc import Sequence
@@ -11,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...estimator.estimator import KnownJoint
+from ...models import plugins
 from ...models.parameters import as_floats
 from ..report import listed
 from ..style import FILTERS
@@ -40,10 +42,10 @@ def runs_html(runs: Sequence[tuple[Run, Path]], arm: Path | None = None) -> str:
 
 
 def line_kinds(names: Sequence[str]) -> dict[str, str]:
-    """Class of each filter's lines in the style sheet; the paper's have the same on every page."""
+    """Classes of each filter's lines in the style sheet, 32 of them different; the paper's have the same on every page."""
     own = {name: f"s{i}" for i, name in enumerate(FILTERS)}
-    spare = [name for name in names if name not in own]
-    return {name: own.get(name) or f"s{4 + spare.index(name) % 4}" for name in names}
+    spare = itertools.cycle(f"s{i}" for i in range(len(own), 32))
+    return own | {name: next(spare) for name in names if name not in own}
 
 
 def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, Any]:
@@ -57,7 +59,8 @@ def _context(runs: Sequence[tuple[Run, Path]], arm: Path | None) -> dict[str, An
         "joints": list(dict.fromkeys(run.joint.name for run, _ in runs)),
         "sentence": _verdict(runs, names, "scenarios" if arm is None else "joints"),
         "scenarios": scenarios,
-        "means": _means(runs, names) if len(runs) > 1 else [],
+        "means": _means(_common(runs, names), names) if len(runs) > 1 else [],
+        "common": len(_common(runs, names)),
         "seeds": sorted({run.scenario.seed for run, _ in runs}),
         "told": _told(scenarios, runs, arm is not None),
         "honest": _honest(scenarios, runs),
@@ -78,24 +81,42 @@ def _error(run: Run, name: str) -> float:
     return float(value) if value is not None else math.nan
 
 
+def _common(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[Run, Path]]:
+    """The runs in which every estimator that has an error in any of them has one: over others nothing can be compared."""
+    there = [name for name in names if any(_error(run, name) > 0 for run, _ in runs)]
+    return [one for one in runs if there and all(_error(one[0], name) > 0 for name in there)]
+
+
 def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, float]]:
     """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first; of those that are in all."""
     found = []
     for name in names:
         errors = np.array([_error(run, name) for run, _ in runs])
-        if np.all(np.isfinite(errors)) and np.all(errors > 0):
+        if len(errors) and np.all(np.isfinite(errors)) and np.all(errors > 0):
             found.append((name, float(np.exp(np.mean(np.log(errors))))))
     return sorted(found, key=lambda one: one[1])
 
 
 def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) -> str:
-    """Which estimator is closest, in a sentence."""
-    ranked = _means(runs, names)
-    if not ranked:
-        return f"No estimator has an error in all of these {of}."
-    (best, error), rest = ranked[0], ranked[1:]
-    over = f" (geometric mean over {len(runs)} {of})" if len(runs) > 1 else ""
-    text = f"{best} is closest to the true joint torque: {number(error, 2)} N·m RMS{over}"
+    """Which estimator is closest, in a sentence: over the runs that have all of them, or in each."""
+
+    def name_of(run: Run, folder: Path) -> str:
+        return folder.name if of == "joints" else run.name
+
+    common = _common(runs, names)
+    if not common:
+        each = [(name_of(run, folder), _means([(run, folder)], names)) for run, folder in runs]
+        best = [f"in {name} {rank[0][0]} with {number(rank[0][1], 2)} N·m RMS" for name, rank in each if rank]
+        if not best:
+            return f"No estimator has an error in any of these {of}."
+        return f"None of these {of} has all estimators; closest to the true joint torque is {', '.join(best)}."
+    ranked = _means(common, names)
+    (best_name, error), rest = ranked[0], ranked[1:]
+    over = f" (geometric mean over {len(common)} {of})" if len(common) > 1 else ""
+    if len(common) < len(runs):
+        where = listed([name_of(*one) for one in common])
+        over += f", in {where}: the other {of} lack estimators"
+    text = f"{best_name} is closest to the true joint torque: {number(error, 2)} N·m RMS{over}"
     near = [name for name, other in rest if other < _NEAR * error]
     if near:
         text += f", {', '.join(near)} as good on a single run"
@@ -148,12 +169,12 @@ def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tu
     """Command lines to go on with, and what they do."""
     folder = runs[0][1]
     place = shlex.quote(folder.as_posix())
-    best = (_means(runs, names) or [(names[0], 0.0)])[0][0] if names else "RAREKF"
-    scenario = f"{place}/scenario.yaml"
+    best = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
+    scenario, own = f"{place}/scenario.yaml", plugins.options()
     return [
         (f"flexspline view {place}", "looks at it: the joint in motion, estimates, innovations"),
-        (f"flexspline bound {scenario} --seeds 10", "says with intervals over ten seeds how far each is from what is possible"),
-        (f"flexspline tune {scenario} --filter {best} --out tuned", f"tunes {best} for this motion"),
+        (f"flexspline bound {scenario} --seeds 10{own}", "says with intervals how far each is from what is possible"),
+        (f"flexspline tune {scenario} --filter {best} --out tuned{own}", f"tunes {best} for this motion"),
     ]  # fmt: skip
 
 
@@ -161,11 +182,11 @@ def _arm_commands(runs: Sequence[tuple[Run, Path]], arm: Path) -> list[tuple[str
     """Likewise of an arm: with the other joints moving, which its joints' scenarios alone would not do."""
     places = [shlex.quote(folder.as_posix()) for _, folder in runs]
     own = shlex.quote((runs[-1][1] / f"{runs[-1][0].name}.yaml").as_posix())
-    again = shlex.quote((arm / "arm.yaml").as_posix())
+    again, more = shlex.quote((arm / "arm.yaml").as_posix()), plugins.options()
     return [
         (f"flexspline view {' '.join(places)}", "looks at it: every joint's motion, estimates, innovations"),
-        (f"flexspline run {again} --seed 2 --out again", "moves the same arm with other noise"),
-        (f"flexspline diagnose {own} --out diagnosis", f"diagnoses {runs[-1][1].name} from what its own sensors read in the arm"),
+        (f"flexspline run {again} --seed 2 --out again{more}", "moves the same arm with other noise"),
+        (f"flexspline diagnose {own} --out diagnosis{more}", f"diagnoses {runs[-1][1].name} from its own sensors in the arm"),
     ]  # fmt: skip
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ...models import plugins
 from ..sweep_figures import layout, place_of
 from ..sweep_tables import cell, metric_column, sign_of, sweep_rows, value_text
 from .chart import Chart, limits
@@ -60,7 +61,9 @@ def sweep_html(
         "tables": [_table(study, found, m) for m in study.metrics],
         "axes": [titles.get(name, name) for name in found[0].columns],
         "filters": study.names,
-        "commands": [f"flexspline sweep {shlex.quote(source or f'{study.name}.yaml')}{more} --out {place}"],
+        "commands": [
+            f"flexspline sweep {shlex.quote(source or f'{study.name}.yaml')}{more} --out {place}{plugins.options()}"
+        ],
         "listed": listed,
         "unknown": not source,
         "folder": str(folder),

@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from ...models import causes
+from ...models import causes, plugins
 from ...models.calibration import slots
 from ...models.errors import InputError
 from ...models.files import check_format, read_json
@@ -167,7 +167,7 @@ def _context(before: Diagnosed, after: Diagnosed) -> dict[str, Any]:
         "residuals": _residuals(before, after),
         "errors": _errors(before, after),
         "commands": [
-            f"flexspline validate NEW_MEASUREMENT --joint {place}/joint.yaml --out check",
+            f"flexspline validate NEW_MEASUREMENT --joint {place}/joint.yaml --out check{plugins.options()}",
             f"flexspline plan {place}",
         ],
         "written": now(),
