@@ -23,8 +23,8 @@ from numba import carray, cfunc, types
 from flexspline.models.joint import Joint, Mounting, load_joint
 from flexspline.models.parameters import SIZE, as_floats
 from flexspline.models.pointers import floats_at, record_at, word_at
-from flexspline.sim import callbacks, native, plant, verify
-from flexspline.sim.callbacks import transmission_at
+from flexspline.sim import native, plant, verify
+from flexspline.sim.plugin import transmission_at
 
 STEPS = (1e-3, 5e-4, 2.5e-4, 2e-4, 1e-4, 5e-5)
 CHANNELS = ("torsion", "joint_torque", "motor_current")
@@ -174,7 +174,6 @@ def main() -> None:
     if not folder.is_dir():
         print(f"convergence: no reference solutions at {folder}; set FLEXSPLINE_SHARED")
         return
-    callbacks.install()
     print("RMS difference relative to the reference's standard deviation, %: torsion, joint torque, current of")
     print(", ".join(verify.CLOSED_LOOP))
     ours, others = {}, {}
