@@ -25,8 +25,8 @@ from ..models.pointers import call_estimator, call_step, floats_at, ints_at, wor
 from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
-from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
 from .drive import control
+from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
 from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001
@@ -59,8 +59,8 @@ _ADDRESSES = np.dtype(
         )
     ]
 )  # fmt: skip
-"""Where things of a joint lie: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: there is none), what the
-laws remember in the plugin state, sensors in `sensordata`, the numbers of the link's body, the first coordinate and the motor."""
+"""Where things of a joint lie: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: there is none),
+`plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body, the first coordinate, the motor."""
 
 
 @dataclass(frozen=True)

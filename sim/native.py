@@ -143,7 +143,7 @@ def offsets() -> dict[str, int]:
         '<tendon><fixed><joint joint="j" coef="1"/></fixed></tendon></mujoco>'
     )
     data = mujoco.MjData(model)
-    found = {}
+    found: dict[str, int] = {}
     for struct, instance, first, known in (("mjModel", model, "qpos0", "body_ipos"), ("mjData", data, "qpos", "qvel")):
         names = [field.name for field in structs.STRUCTS[struct].fields]
         begin = find(instance._address, getattr(instance, known).ctypes.data) - names.index(known)

@@ -132,8 +132,8 @@ _TIME, _QPOS, _QVEL, _PASSIVE, _STATE, _DATA = (
 _JOINT = 1  # mjWRAP_JOINT
 _COUNTS = np.array([int(np.prod(PARAMETERS[name].shape, dtype=np.int64)) for name in PARAMETERS.names or ()])
 
-_allocate = types.ExternalFunction("flexspline_allocate", types.intp(types.intp))
-_free = types.ExternalFunction("flexspline_free", types.void(types.intp))
+_allocate: Any = types.ExternalFunction("flexspline_allocate", types.intp(types.intp))
+_free: Any = types.ExternalFunction("flexspline_free", types.void(types.intp))
 
 
 @kernel
@@ -246,9 +246,10 @@ def _copy(to, m, d, instance):
 
 
 def _reset(m, state, block, instance):
+    numbers = floats_at(state)
     for k in range(STATES):
-        floats_at(state)[k] = 0.0
-    floats_at(state)[TEMPERATURE] = REFERENCE_TEMPERATURE
+        numbers[k] = 0.0
+    numbers[TEMPERATURE] = REFERENCE_TEMPERATURE
 
 
 def _states(m, instance):
