@@ -24,6 +24,7 @@ from scipy.optimize import lsq_linear
 
 from ..models import laws
 from ..models.errors import InputError
+from ..models.friction_map import friction, steady
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
 from ..models.uncertainty import independent_changes, moved
@@ -133,6 +134,29 @@ def collapse(measurement: Measurement, joint: Joint, structure: str, draws: int 
 
 
 @dataclass(frozen=True)
+class FeedForwardError:
+    """RMS error of the current [A] on held-out motion, of inertia, load and friction, and of inertia and load alone."""
+
+    with_friction: float
+    without: float
+    samples: int
+
+    def to_json(self) -> dict[str, Any]:
+        """As `flexspline joint friction --json` prints it."""
+        return {"with": self.with_friction, "without": self.without, "unit": "A", "samples": self.samples}
+
+
+def feed_forward_error(measurement: Measurement, joint: Joint) -> FeedForwardError:
+    """How well the friction map of a joint (`models.friction_map`) says the current of a measured motion.
+
+    Raises:
+      InputError: a measurement without current, or without motion in held-out blocks.
+    """
+    motion = _Motion(measurement, as_logged(joint, measurement.recordings))
+    return motion.feed_forward_error(joint)
+
+
+@dataclass(frozen=True)
 class _Fitted:
     """Currents on held-out motion, shape (k,) [A], and the motion: speed [rad/s], load [N·m], angle [rad] at the output."""
 
@@ -167,12 +191,9 @@ class _Motion:
         replayed = parallel(_replayed, list(zip(self.segments, records, strict=True)))
         full = np.concatenate([current for current, _ in replayed])
         link = np.concatenate([motion for _, motion in replayed])
-        q, v, accelerated = link.T
+        q, v, _ = link.T
         p = records[0][0]
-        inertia, moment = (
-            np.repeat([r[0][n] for r in records], [len(s.at) for s in self.segments]) for n in ("Jl", "Mg")
-        )
-        load = inertia * accelerated + moment * np.sin(q + p["gravity_angle"]) - self._external
+        load = self._load(link, records)
         if structure == "two_bodies":
             columns, known = _two_bodies(self._rotor, load + p["bl"] * v, p)
         else:
@@ -197,6 +218,27 @@ class _Motion:
             named(fit, p, structure, visited) | limits, self._measured[held], full[held], written[held],
             v[held], load[held], q[held],
         )  # fmt: skip
+
+    def feed_forward_error(self, joint: Joint) -> FeedForwardError:
+        records = [joint.record(s.mounting) for s in self.segments]
+        link = np.concatenate(
+            [motion for _, motion in parallel(_replayed, list(zip(self.segments, records, strict=True)))]
+        )
+        held, p = self._held, steady(records[0])[0]
+        load = self._load(link, records) + p["bl"] * link[:, 1]
+        temperature = np.concatenate([decimate(s.temperature) for s in self.segments])
+        _, w, a = self._rotor.T
+        rest = (self._measured - p["current_offset"] - ((p["Jm"] + p["Jw"]) * a + load / p["N"]) / p["Kt"])[held]
+        points = np.column_stack([w / p["N"], load, temperature])[held]
+        forward = np.array([friction(*point, p) for point in points]) / p["Kt"]
+        return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
+
+    def _load(self, link: np.ndarray, records: Sequence[np.ndarray]) -> np.ndarray:
+        """What inertia, weight and external torque ask of the joint [N·m], shape (k,)."""
+        inertia, moment = (
+            np.repeat([r[0][n] for r in records], [len(s.at) for s in self.segments]) for n in ("Jl", "Mg")
+        )
+        return inertia * link[:, 2] + moment * np.sin(link[:, 0] + records[0][0]["gravity_angle"]) - self._external
 
     def drawn(self, joint: Joint, structure: str, draws: int, seed: int) -> list[dict[str, Any]]:
         """Parameters of joints drawn from what is not known of one, to first order, cut at 2.5 standard deviations."""

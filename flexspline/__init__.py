@@ -265,16 +265,20 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: str | Path | Joint) -> A
     return attach_joint(spec, joint_name, joint if isinstance(joint, Joint) else load_joint(joint))
 
 
-def align(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+def align(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
     """Turn the rotors and wave generators of attached joints to where their links are, after a change of `data.qpos`.
 
     Args:
-      model, data: of a model with attached joints; positions [rad] and velocities [rad/s] of the motor sides are set, to
-        N times the links', without torsion.
+      model: with attached joints.
+      data: of that model; changed in place.
+
+    Returns:
+      The same data: positions [rad] and velocities [rad/s] of the motor sides are N times the links', without torsion.
     """
     from .sim.attach import align as align_joints
 
     align_joints(model, data)
+    return data
 
 
 def estimate(
