@@ -41,7 +41,7 @@ MADE = {
     "joint.yaml", "diagnosis/joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv",
     "diagnosis.json", "DIR/NAME.yaml", "study.yaml", "cause.py", "models/causes/NAME.py", "my_filter.py",
     "my_cause.py", "arm.yaml", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml", "my_push.yaml",
-    "my_study.yaml", "my_arm.yaml", "my_log.yaml", "my_log.csv",
+    "my_study.yaml", "my_arm.yaml", "my_log.yaml", "my_log.csv", "friction.csv",
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 BUILT = re.compile(r"(?:reference/\w+|examples)\.md")
