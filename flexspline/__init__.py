@@ -47,6 +47,7 @@ __version__ = "0.1.0"
 
 _ELSEWHERE = {
     "ArmScenario": "scenarios.arms.arm_scenario",
+    "Attached": "sim.attach",
     "Diagnosis": "diagnosis.diagnose",
     "Estimator": "estimator.estimator",
     "FilterDiverged": "estimator.errors",
@@ -63,6 +64,7 @@ _ELSEWHERE = {
 }
 __all__ = [
     "ArmScenario",
+    "Attached",
     "Diagnosis",
     "Estimator",
     "FilterDiverged",
@@ -274,6 +276,9 @@ def align(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
 
     Returns:
       The same data: positions [rad] and velocities [rad/s] of the motor sides are N times the links', without torsion.
+
+    Raises:
+      InputError: a model without attached joints.
     """
     from .sim.attach import align as align_joints
 

@@ -15,7 +15,7 @@ from ..models.files import Strict
 _FADE = 1.0  # s, at most a tenth of the duration: over which an oscillation begins and ends
 
 
-class Motion(Strict):
+class AddedMotion(Strict):
     """A motion of the link added to the waypoints. Oscillations begin and end evenly, within a tenth of the duration and 1 s."""
 
     kind: Literal["sine", "chirp", "multisine", "file"]
@@ -34,7 +34,7 @@ class Motion(Strict):
     file: Annotated[str | None, Field(description="CSV or Parquet with columns `time` [s] and `position` [rad]")] = None
 
     @model_validator(mode="after")
-    def _complete(self) -> Motion:
+    def _complete(self) -> AddedMotion:
         wanted = {"sine": ("duration", "frequency"), "file": ("file",)}.get(
             self.kind, ("duration", "frequency", "end_frequency")
         )
@@ -47,7 +47,7 @@ class Motion(Strict):
             raise ValueError(f"end_frequency: expected more than {self.frequency:g} Hz, got {self.end_frequency:g} Hz")
         return self
 
-    def beside(self, folder: Path) -> Motion:
+    def beside(self, folder: Path) -> AddedMotion:
         """The same with the path of its file from a folder on."""
         if self.file is None or Path(self.file).is_absolute():
             return self

@@ -25,7 +25,7 @@ from ..sim.loop import CONTROL_PERIOD
 from ..sim.plant import TIMESTEP
 from ..sim.sensors import realistic, stream
 from .filters import PAPER, FilterEntry, paper_entries
-from .motion import Motion
+from .motion import AddedMotion
 
 LAGGING = Controller().lagging(2e-3)
 """The drive where `sensors: realistic` and none is stated."""
@@ -155,7 +155,7 @@ class Scenario(Strict):
     """Hold the rotor still: the output is turned by the disturbances alone."""
     trajectory: Annotated[list[Waypoint], Field(min_length=1)]
     """Where the link is commanded to be."""
-    motions: list[Motion] = []
+    motions: list[AddedMotion] = []
     """Added to the trajectory."""
     disturbances: list[Disturbance] = []
     """Forces at the link."""

@@ -189,11 +189,14 @@ def _keys(
 
 def align(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     """Turn rotors and wave generators to where their links are; see `flexspline.align`."""
-    for i in range(model.nplugin):
-        if model.plugin[i] == plugin.slot():
-            (positions, velocities), record = plugin.instance(data, i)
-            p, link = record[0], plugin.LINK
-            data.qpos[positions[:link]] = wave_generator_position(data.qpos[positions[link]], p)
-            data.qvel[velocities[:link]] = p["N"] * data.qvel[velocities[link]]
-            memory = data.plugin_state[model.plugin_stateadr[i] :]
-            memory[plugin.MEMORY : plugin.MEMORY + 3] = data.qvel[velocities]
+    plugin.register()
+    gears = [i for i in range(model.nplugin) if model.plugin[i] == plugin.slot()]
+    if not gears:
+        raise InputError("model: expected one with attached joints, got one without")
+    for i in gears:
+        (positions, velocities), record = plugin.instance(data, i)
+        p, link = record[0], plugin.LINK
+        data.qpos[positions[:link]] = wave_generator_position(data.qpos[positions[link]], p)
+        data.qvel[velocities[:link]] = p["N"] * data.qvel[velocities[link]]
+        memory = data.plugin_state[model.plugin_stateadr[i] :]
+        memory[plugin.MEMORY : plugin.MEMORY + 3] = data.qvel[velocities]

@@ -121,8 +121,10 @@ def snippets(page: Path, language: str) -> list[str]:
 
 
 def test_scenario_and_study_are_read():
-    scenario, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
-    parse(scenario, Scenario, "the scenario")
+    *scenarios, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
+    assert len(scenarios) == 2
+    for scenario in scenarios:
+        parse(scenario, Scenario, "the scenario")
     parse(study, Study, "the study")
 
 

@@ -10,7 +10,7 @@ import yaml
 import flexspline as fs
 from flexspline.models.errors import InputError
 from flexspline.models.files import parse
-from flexspline.scenarios.motion import Motion
+from flexspline.scenarios.motion import AddedMotion
 from flexspline.scenarios.scenario import Scenario, load_scenario
 
 KINDS = [
@@ -75,7 +75,7 @@ def test_a_file_of_positions(tmp_path, ending):
 )
 def test_what_a_motion_lacks_is_one_line(motion, message):
     with pytest.raises(InputError, match=message) as error:
-        parse(motion, Motion, "here")
+        parse(motion, AddedMotion, "here")
     assert "\n" not in str(error.value)
 
 
@@ -93,4 +93,4 @@ def test_what_is_wrong_with_a_file_is_one_line(tmp_path, text, message):
     if text is not None:
         path.write_text(text)
     with pytest.raises(InputError, match=message):
-        Motion(kind="file", file=str(path)).signal(np.arange(3.0))
+        AddedMotion(kind="file", file=str(path)).signal(np.arange(3.0))
