@@ -7,9 +7,10 @@ Structures, each linear in what is fitted, for the current that a motion takes:
 * `two_bodies`: Kt i = J θm'' + b θm' + s g(θm') sgn(θm') − cogging + load/N. Rotor and link with a spring between them, whose
   torque is a polynomial of the torsion; g is the joint's Stribeck curve without load.
 
-The load is the link's inertia, weight and external torque, which the target has as bodies of its own. Parameters are fitted to
-the current that the *joint's own laws* ask for on the rotor's motion (`fit.replay`), in the blocks that every fit takes. Errors
-are against the *measured* current in the blocks kept from every fit (`SegmentSettings.held_out_every`).
+The load is what the link asks of the joint (inertia, weight, external torque). The target has bodies of its own for it; here the
+joint's own laws say it. Parameters are fitted to the current that the *joint's own laws* ask for on the motion (`fit.replay`), in
+the blocks that every fit takes. Errors are against the *measured* current in the blocks kept from every fit
+(`SegmentSettings.held_out_every`).
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -112,7 +114,7 @@ def collapse(measurement: Measurement, joint: Joint, structure: str, draws: int 
       InputError: a measurement without current, or without motion in held-out blocks.
     """
     joint = as_logged(joint, measurement.recordings)
-    motion = _Motion(measurement, joint)
+    motion = _motion(measurement, joint)
     one = motion.fitted([joint.record(s.mounting) for s in motion.segments], structure)
     before = measurement.load_joint() if measurement.recordings[0].joint else joint
     nominal = None
@@ -152,8 +154,7 @@ def feed_forward_error(measurement: Measurement, joint: Joint) -> FeedForwardErr
     Raises:
       InputError: a measurement without current, or without motion in held-out blocks.
     """
-    motion = _Motion(measurement, as_logged(joint, measurement.recordings))
-    return motion.feed_forward_error(joint)
+    return _motion(measurement, as_logged(joint, measurement.recordings)).feed_forward_error(joint)
 
 
 @dataclass(frozen=True)
@@ -172,18 +173,17 @@ class _Fitted:
 class _Motion:
     """Segments of a measurement whose current is known."""
 
-    def __init__(self, measurement: Measurement, joint: Joint):
-        found, _ = segments([_of_one_end(recording) for recording in measurement.recordings], joint)
+    def __init__(self, recordings: Sequence[Recording], joint: Joint, path: Path):
+        found, _ = segments(list(recordings), joint)
         self.segments = [s for s in found if s.balances[CURRENT]]
         if not self.segments:
-            raise InputError(f"{measurement.path}: expected a motion with motor_current or motor_torque, got none")
+            raise InputError(f"{path}: expected a motion with motor_current or motor_torque, got none")
         kept = [~s.at_rest & s.usable[:, CURRENT] for s in self.segments]
         held = [~s.at_rest & s.held_out[:, CURRENT] for s in self.segments]
         if not (sum(map(np.sum, kept)) and sum(map(np.sum, held))):
-            raise InputError(f"{measurement.path}: expected more than three seconds in motion, got less")
+            raise InputError(f"{path}: expected more than three seconds in motion, got less")
         self._kept, self._held = np.concatenate(kept), np.concatenate(held)
         self._rotor = np.concatenate([decimate(s.rotor) for s in self.segments])
-        self._external = np.concatenate([decimate(s.external) for s in self.segments])
         self._measured = np.concatenate([s.measured[:, CURRENT] for s in self.segments])
 
     def fitted(self, records: Sequence[np.ndarray], structure: str) -> _Fitted:
@@ -191,13 +191,12 @@ class _Motion:
         replayed = parallel(_replayed, list(zip(self.segments, records, strict=True)))
         full = np.concatenate([current for current, _ in replayed])
         link = np.concatenate([motion for _, motion in replayed])
-        q, v, _ = link.T
+        q, v, _, load = link.T
         p = records[0][0]
-        load = self._load(link, records)
         if structure == "two_bodies":
             columns, known = _two_bodies(self._rotor, load + p["bl"] * v, p)
         else:
-            columns, known = _hinge(link, p, structure), load / p["N"] / p["Kt"]
+            columns, known = _hinge(link[:, :3], p, structure), load / p["N"] / p["Kt"]
         X = np.stack(columns, axis=1)
         free = np.arange(X.shape[1]) == 4  # the spring's rest angle times its stiffness has either sign
         y = full - known - p["current_offset"]
@@ -219,26 +218,25 @@ class _Motion:
             v[held], load[held], q[held],
         )  # fmt: skip
 
+    def full_error(self, joint: Joint) -> float:
+        """RMS error [A] of the current by the joint's own laws on held-out motion."""
+        records = [joint.record(s.mounting) for s in self.segments]
+        current = np.concatenate([x for x, _ in parallel(_replayed, list(zip(self.segments, records, strict=True)))])
+        return _rms((current - self._measured)[self._held])
+
     def feed_forward_error(self, joint: Joint) -> FeedForwardError:
         records = [joint.record(s.mounting) for s in self.segments]
         link = np.concatenate(
             [motion for _, motion in parallel(_replayed, list(zip(self.segments, records, strict=True)))]
         )
         held, p = self._held, steady(records[0])[0]
-        load = self._load(link, records) + p["bl"] * link[:, 1]
+        load = link[:, 3] + p["bl"] * link[:, 1]
         temperature = np.concatenate([decimate(s.temperature) for s in self.segments])
         _, w, a = self._rotor.T
         rest = (self._measured - p["current_offset"] - ((p["Jm"] + p["Jw"]) * a + load / p["N"]) / p["Kt"])[held]
         points = np.column_stack([w / p["N"], load, temperature])[held]
         forward = np.array([friction(*point, p) for point in points]) / p["Kt"]
         return FeedForwardError(_rms(rest - forward), _rms(rest), len(rest))
-
-    def _load(self, link: np.ndarray, records: Sequence[np.ndarray]) -> np.ndarray:
-        """What inertia, weight and external torque ask of the joint [N·m], shape (k,)."""
-        inertia, moment = (
-            np.repeat([r[0][n] for r in records], [len(s.at) for s in self.segments]) for n in ("Jl", "Mg")
-        )
-        return inertia * link[:, 2] + moment * np.sin(link[:, 0] + records[0][0]["gravity_angle"]) - self._external
 
     def drawn(self, joint: Joint, structure: str, draws: int, seed: int) -> list[dict[str, Any]]:
         """Parameters of joints drawn from what is not known of one, to first order, cut at 2.5 standard deviations."""
@@ -257,20 +255,27 @@ class _Motion:
         return found
 
 
-def _of_one_end(recording: Recording) -> Recording:
-    """With the rotor's motion alone, where it is there and all that acts on the link is known: the link moves as the joint's laws
-    say. Driven at both ends, a joint that is drawn would be wound up by its own error."""
-    both = {"motor_position", "link_position"} <= set(recording.columns)
-    return recording.without("link_position") if both and recording.external != "unmeasured" else recording
+def _motion(measurement: Measurement, joint: Joint) -> _Motion:
+    """A measurement's motion, driven at both ends, or by the rotor alone where the joint's laws then predict the current best."""
+    recordings = list(measurement.recordings)
+    both = [{"motor_position", "link_position"} <= set(r.columns) and r.external != "unmeasured" for r in recordings]
+    ways = [recordings]
+    if any(both):
+        ways.append([r.without("link_position") if alone else r for r, alone in zip(recordings, both, strict=True)])
+    motions = [_Motion(way, joint, measurement.path) for way in ways]
+    return min(motions, key=lambda motion: motion.full_error(joint))
 
 
 def _replayed(task: tuple[Segment, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Current [A], shape (k,), and the link's angle, velocity and acceleration, shape (k, 3), as a joint's laws have them."""
+    """Current [A], shape (k,), and the link's angle, velocity, acceleration and what it asks of the joint [N·m] without cable and
+    stop, shape (k, 4), as a joint's laws have them."""
     segment, record = task
+    p = record[0]
     inner = transmission(segment, record)
-    motion = decimate(
-        np.column_stack([inner[name] for name in ("link_position", "link_velocity", "link_acceleration")])
-    )
+    q, v = inner["link_position"], inner["link_velocity"]
+    cable = np.array([laws.link_torque(angle, p) for angle in q])
+    load = inner["flexspline_torque"] - p["bl"] * v + cable
+    motion = decimate(np.column_stack([q, v, inner["link_acceleration"], load]))
     return replay(segment, record, inner)[:, CURRENT], motion
 
 

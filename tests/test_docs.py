@@ -264,6 +264,13 @@ def place(tmp_path_factory, shared):
     for name in ("mine.yaml", "my_motion.yaml"):
         (here / name).write_text(yaml.safe_dump(motion), encoding="utf-8")
     run = fs.simulate(here / "mine.yaml", joint=worn, known_joint="test-joint")
+    (here / "robot.xml").write_text(
+        '<mujoco><worldbody><body><joint name="elbow"/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    (here / "robot.urdf").write_text(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="elbow" type="revolute"><parent link="a"/>'
+        '<child link="b"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
     for name in ("MEASUREMENT", "measurement"):
         (here / name).mkdir()
         write_recording(run.as_recording(), here / name)
