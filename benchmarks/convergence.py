@@ -74,7 +74,12 @@ def springs() -> Any:
 def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float) -> None:
     """Put a record's numbers into a joint's MJCF without the plant's corrections: dampings as they are."""
     plant.set_numbers(spec, p, timestep, ideal_current=True)
-    plant.set_friction(spec, p)
+    error = spec.actuator("mesh_friction").set_to_dcmotor(
+        motorconst=[0.0, 0.0], resistance=1.0, lugre=[float(p[name]) for name in ("s0", "s1", "Fc", "Fs", "vs")],
+        ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
+    )  # fmt: skip
+    if error:
+        raise ValueError(error)
     for name, symbol in (("rotor", "bm"), ("link", "bl")):
         spec.joint(name).damping = [p[symbol], 0, 0]
     for name, symbol in (("flexspline", "df"), ("wave_generator", "dw")):
