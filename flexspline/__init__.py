@@ -134,7 +134,12 @@ class _WithMujoco(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 def _register() -> None:
     from .sim.plugin import register
 
-    register()
+    try:
+        register()
+    except (RuntimeError, OSError) as error:  # a MuJoCo of another layout works without the plugin
+        import warnings
+
+        warnings.warn(f"MuJoCo's plugin flexspline.joint is not available: {error}", RuntimeWarning, stacklevel=3)
 
 
 if "mujoco" in sys.modules:

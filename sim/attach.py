@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 
 from ..models import laws
 from ..models.dynamics import wave_generator_position
-from ..models.errors import InputError
+from ..models.errors import InputError, InputWarning
 from ..models.joint import Joint
 from . import native, plant, plugin
 
@@ -48,7 +49,11 @@ def attach(spec: mujoco.MjSpec, joint_name: str, joint: Joint) -> Attached:
     plugin.register()
     record = joint.record()
     p = record[0]
-    _check_hinge(spec, joint_name, p)
+    _check_hinge(spec, joint_name)
+    if p["flexible_share"] > 0:
+        p["flexible_share"] = 0.0
+        text = f"joint {joint_name!r}: the flexible part of its link is left out, as the model has bodies of its own"
+        warnings.warn(text, InputWarning, stacklevel=3)
     _check_timestep(spec, joint_name, p)
     before = _compiled(spec)
     hinge = _hinge(before, joint_name)
@@ -83,7 +88,7 @@ def _compiled(spec: mujoco.MjSpec, keys: bool = True) -> mujoco.MjModel:
         raise InputError(f"the model does not compile: {' '.join(str(error).split())}") from error
 
 
-def _check_hinge(spec: mujoco.MjSpec, name: str, p: np.void) -> None:
+def _check_hinge(spec: mujoco.MjSpec, name: str) -> None:
     joint = spec.joint(name)
     hinges = [one.name for one in spec.joints if one.type == mujoco.mjtJoint.mjJNT_HINGE]
     if joint is None or joint.type != mujoco.mjtJoint.mjJNT_HINGE:
@@ -92,10 +97,6 @@ def _check_hinge(spec: mujoco.MjSpec, name: str, p: np.void) -> None:
         raise InputError(f"joint {name!r}: expected a hinge without a gear, got one that has {name}_rotor")
     if len(joint.parent.joints) > 1:
         raise InputError(f"joint {name!r}: expected a body with one joint, got {len(joint.parent.joints)}")
-    if p["flexible_share"] > 0:
-        raise InputError(
-            f"joint {name!r}: a flexible link is part of the model's own bodies: expected a joint without one"
-        )
 
 
 def _hinge(model: mujoco.MjModel, name: str) -> _Hinge:

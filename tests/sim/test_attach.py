@@ -14,7 +14,7 @@ import pytest
 from driving import JOINT, record_of
 
 import flexspline as fs
-from flexspline.models.errors import InputError
+from flexspline.models.errors import InputError, InputWarning
 from flexspline.sim import native, plant, plugin
 from flexspline.sim.energy import energy_of
 
@@ -258,6 +258,26 @@ def test_what_cannot_be_attached_is_one_line_and_changes_nothing(text, name, mes
         fs.attach(spec, name, "test-joint")
     assert "\n" not in str(error.value)
     assert [one.name for one in spec.bodies] == before
+
+
+def test_urdf_and_a_flexible_link():
+    """Any axis; of a joint with a flexible link the link's own part is left out, and that is said."""
+    text = """<robot name="r"><link name="base"/><link name="a"><inertial><origin xyz="0 0 0.2"/><mass value="2"/>
+      <inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link>
+      <joint name="j1" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0.6 0.8"/>
+      <limit lower="-1" upper="1" effort="10" velocity="1"/><dynamics damping="1" friction="2"/></joint></robot>"""
+    spec = mujoco.MjSpec.from_string(text)
+    spec.option.timestep = 1e-4
+    with pytest.warns(InputWarning, match="joint 'j1': the flexible part of its link is left out"):
+        fs.attach(spec, "j1", "ur3e-shoulder")
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    data.joint("j1").qpos[0] = 0.3
+    fs.align(model, data)
+    mujoco.mj_step(model, data, nstep=2000)
+    ratio = fs.load_joint("ur3e-shoulder").numbers["N"].value
+    assert np.isfinite(data.qpos).all()
+    assert data.joint("j1_rotor").qpos[0] / ratio == pytest.approx(data.joint("j1").qpos[0], abs=2e-3)
 
 
 def test_a_second_gear_on_a_hinge_is_refused():
