@@ -53,9 +53,9 @@ def main() -> None:
     names = ", ".join(f.name for f in scenario.filters)
     print(f"no_load, {SECONDS:g} s, {names} over its signals, {steps} steps of {scenario.timestep * 1e3:g} ms")
     notes = {
-        "MuJoCo, the same model": f": mj_step(m, d, {steps}), the joint's laws as its callback",
+        "MuJoCo, the same model": f": mj_step(m, d, {steps}), the joint's laws as its plugin",
         "the same without its clock": ": `mjcb_time` stands still, as in the closed loop",
-        "MuJoCo, the shipped MJCF": ": linear springs, no callback",
+        "MuJoCo, the shipped MJCF": ": linear springs, no plugin",
     }
     for name, timing in t.items():
         print(f"  {name:27s} {timing}{notes.get(name, '')}")

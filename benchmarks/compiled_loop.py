@@ -12,9 +12,9 @@ from flexspline.models.step import SAMPLE
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim import native, plant, sensors
-from flexspline.sim.callbacks import transmission_at
 from flexspline.sim.drive import control
 from flexspline.sim.loop import CONTROL_PERIOD
+from flexspline.sim.plugin import transmission_at
 
 from .convergence import callback
 from .timing import measure

@@ -23,8 +23,8 @@ from numba import carray, cfunc, types
 from flexspline.models.joint import Joint, Mounting, load_joint
 from flexspline.models.parameters import SIZE, as_floats
 from flexspline.models.pointers import floats_at, record_at, word_at
-from flexspline.sim import callbacks, native, plant, verify
-from flexspline.sim.callbacks import transmission_at
+from flexspline.sim import native, plant, verify
+from flexspline.sim.plugin import transmission_at
 
 STEPS = (1e-3, 5e-4, 2.5e-4, 2e-4, 1e-4, 5e-5)
 CHANNELS = ("torsion", "joint_torque", "motor_current")
@@ -74,7 +74,12 @@ def springs() -> Any:
 def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float) -> None:
     """Put a record's numbers into a joint's MJCF without the plant's corrections: dampings as they are."""
     plant.set_numbers(spec, p, timestep, ideal_current=True)
-    plant.set_friction(spec, p)
+    error = spec.actuator("mesh_friction").set_to_dcmotor(
+        motorconst=[0.0, 0.0], resistance=1.0, lugre=[float(p[name]) for name in ("s0", "s1", "Fc", "Fs", "vs")],
+        ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
+    )  # fmt: skip
+    if error:
+        raise ValueError(error)
     for name, symbol in (("rotor", "bm"), ("link", "bl")):
         spec.joint(name).damping = [p[symbol], 0, 0]
     for name, symbol in (("flexspline", "df"), ("wave_generator", "dw")):
@@ -174,7 +179,6 @@ def main() -> None:
     if not folder.is_dir():
         print(f"convergence: no reference solutions at {folder}; set FLEXSPLINE_SHARED")
         return
-    callbacks.install()
     print("RMS difference relative to the reference's standard deviation, %: torsion, joint torque, current of")
     print(", ".join(verify.CLOSED_LOOP))
     ours, others = {}, {}

@@ -1,8 +1,8 @@
 """Logs of real joints: what the description, a plain regression and a diagnosis predict of seconds that none of them has seen.
 
 Each log is cut in time. The regression and the diagnosis see the first part. The error is that of the current or torque in the
-last part, sample by sample, in motion (faster than 5 % of the usual largest speed). `python -m benchmarks real_logs` writes the table
-of docs/real_logs.md. The recordings are no part of this project: `--shared` says where they are.
+last part, sample by sample, in motion (faster than 5 % of the usual largest speed). `python -m benchmarks real_logs` writes the
+table of docs/real_logs.md. The recordings are no part of this project: `--shared` says where they are.
 """
 
 from __future__ import annotations
@@ -164,6 +164,7 @@ def _mjcf(urdf: Path) -> str:
         if inertial is not None and float(inertial.find("mass").get("value")) < 0.05:  # type: ignore[union-attr, arg-type]
             link.remove(inertial)
     spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, encoding="unicode"))
+    spec.compiler.balanceinertia = True
     spec.compile()
     return spec.to_xml()
 

@@ -46,7 +46,7 @@ from flexspline.models.joint import load_joint
 from flexspline.models.parameters import as_floats
 from flexspline.models.pointers import floats_at, word_at
 from flexspline.models.recording import Recording
-from flexspline.sim import callbacks, native, structure
+from flexspline.sim import native, structure
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
@@ -370,7 +370,6 @@ def _drive():
 @contextmanager
 def described_laws() -> Iterator[None]:
     """Within, models that carry a record get the described laws' torques from a callback, and nothing of the plant's."""
-    callbacks.install()
     with (
         callback("mjcb_passive", springs().address),
         callback("mjcb_control", _drive().address),

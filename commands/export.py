@@ -1,29 +1,61 @@
-"""`flexspline export`: recordings for other programs."""
+"""`flexspline export`: recordings for other programs, joints for other simulators."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ._listing import AsJson
-from ._measurement import measurement_at
-from ._options import MeasurementPath, with_plugins
+from ._measurement import measurement_at, parted_measurement
+from ._options import with_plugins
 
-EXAMPLES = ("flexspline export measurement --out mcap",)
+if TYPE_CHECKING:
+    from ..models.joint import Joint
+
+EXAMPLES = (
+    "flexspline export measurement --out mcap",
+    "flexspline export diagnosis --measurement measurement --to mjcf --out joint.xml",
+    "flexspline export test-joint --to mjlab --hinge elbow --out elbow.py",
+)
 
 
 @with_plugins
 def command(
-    measurement: MeasurementPath,
-    out: Annotated[Path, typer.Option(help="folder that the files are written to")],
+    source: Annotated[
+        str, typer.Argument(help="a measurement; with `--to` a joint, its file, or the folder of a diagnosis")
+    ],
+    out: Annotated[Path, typer.Option(help="folder of the recordings; with `--to` the file to write")],
+    to: Annotated[str | None, typer.Option(help="simulator: mjcf, urdf, mjlab or isaac")] = None,
+    measurement: Annotated[
+        Path | None, typer.Option(help="measurement whose motion counts; by default a standard motion is simulated")
+    ] = None,
+    into: Annotated[
+        Path | None, typer.Option(help="MJCF or URDF of yours: change one joint's numbers in a copy")
+    ] = None,
+    hinge: Annotated[
+        str | None, typer.Option(help="name of the joint in the simulator; the joint's own by default")
+    ] = None,
+    rigid: Annotated[bool, typer.Option("--rigid", help="one hinge instead of rotor, spring and link (mjcf)")] = False,
+    draws: Annotated[int, typer.Option(min=0, help="joints drawn from the uncertainty, written to OUT.draws.json")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="of the draws")] = 1,
     as_json: AsJson = False,
 ) -> None:
-    """Write recordings as MCAP, a file each: ROS 2 messages for Foxglove, PlotJuggler and `ros2 bag`.
+    """Write recordings as MCAP, or a joint for another simulator with what its simpler structure costs.
 
-    `flexspline import` reads them back with a mapping of their topics; docs/importing.md has one.
+    Without `--to`: a file per recording, ROS 2 messages for Foxglove, PlotJuggler and `ros2 bag`. `flexspline import` reads them
+    back with a mapping of their topics; docs/importing.md has one.
+
+    With `--to`: the numbers are fitted to the joint's own behaviour over the visited motion. See docs/export.md.
     """
+    if to is None:
+        _recordings(Path(source), out, as_json)
+    else:
+        _joint(source, to, measurement, into, hinge, rigid, draws, seed, out, as_json)
+
+
+def _recordings(measurement: Path, out: Path, as_json: bool) -> None:
     from ..diagnosis.data.exporting import write_mcap
     from ..models.output import check_output, made_from, output_folder
     from ._console import console
@@ -42,3 +74,82 @@ def command(
     terminal = console()
     for name in names:
         terminal.print(f"{out / name}")
+
+
+def _joint(
+    source: str,
+    to: str,
+    measurement: Path | None,
+    into: Path | None,
+    hinge: str | None,
+    rigid: bool,
+    draws: int,
+    seed: int,
+    out: Path,
+    as_json: bool,
+) -> None:
+    from ..models.errors import InputError
+    from ..models.files import json_text
+    from ..models.joint import load_joint
+    from ..models.output import write_whole
+    from ..views.simulator_files import TARGETS, heading, put_into, written
+
+    if to not in TARGETS:
+        raise InputError(f"--to: expected one of {', '.join(TARGETS)}, got {to!r}")
+    if into is not None and to not in ("mjcf", "urdf"):
+        raise InputError(f"--into: expected --to mjcf or urdf, got {to}")
+    if out.is_dir():
+        raise InputError(f"{out}: expected a file to write to, got a folder")
+    path = Path(source)
+    joint: Joint = load_joint(path / "joint.yaml" if path.is_dir() else source)
+    text = _read(into) if into is not None else ""
+    if into is not None and out.exists() and out.samefile(into):
+        raise InputError(f"--out: expected another file than {into}")
+    if measurement is None:
+        from ..scenarios.standard_motion import standard_motion
+
+        data, motion = standard_motion(joint), "a simulated standard motion"
+    else:
+        data, motion = (
+            parted_measurement(measurement, str(path / "joint.yaml") if path.is_dir() else source)[0],
+            f"{measurement}",
+        )
+
+    from ..diagnosis.collapse import collapse
+    from ..sim.plant import link_mass
+
+    structure = (
+        "hinge_without_armature" if to == "urdf" else "two_bodies" if to == "mjcf" and not (rigid or into) else "hinge"
+    )
+    found = collapse(data, joint, structure, draws, seed)
+    name = hinge or joint.name
+    notes = heading(found, joint.name, motion)
+    p = joint.record(data.recordings[0].link)[0]
+    mass, lever = link_mass(p)
+    if into is None:
+        link = {"inertia": float(p["Jl"]), "mass": mass, "lever": lever, "angle": float(p["gravity_angle"])}
+        text = written(found, to, name, notes, link)
+    else:
+        text = put_into(text, found, name, notes, str(into))
+    drawn = out.with_name(f"{out.name}.draws.json")
+    with write_whole(out) as file:
+        file.write_text(text, encoding="utf-8")
+    if draws:
+        with write_whole(drawn) as file:
+            file.write_text(json_text({"format": 1, "seed": seed, "draws": list(found.draws)}) + "\n", encoding="utf-8")
+    if as_json:
+        print(json_text(found.to_json() | {"file": str(out)} | ({"draws": str(drawn)} if draws else {})))
+        return
+    from ._console import console
+
+    for line in [*notes, str(out), *([str(drawn)] if draws else [])]:
+        console().print(line, soft_wrap=True, markup=False, highlight=False)
+
+
+def _read(path: Path) -> str:
+    from ..models.errors import InputError
+
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read: {type(error).__name__}") from error

@@ -155,7 +155,7 @@ def _regressed(
     size = min(longest, _REGRESSED)
     begins = _windows(recording, name, parts, size, max(_REGRESSED // size, 1), size)
     block_time = min(_BLOCK, float(recording.time[-1] - recording.time[0]) / _BLOCKS)
-    left, ratio, arm = [], 1.0 if name == "link_position" else 1 / N, recording.load is not None
+    left, ratio, load = [], 1.0 if name == "link_position" else 1 / N, recording.load
     for cutoff in tried:
         columns, values, block = [], [], []
         for b in begins:

@@ -16,11 +16,15 @@ message is one line. Everything is imported when it is first used.
 from __future__ import annotations
 
 import importlib
+import importlib.abc
+import importlib.util
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
+    import mujoco
     import pandas as pd
 
     from .diagnosis.answer import Diagnosis
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
     from .scenarios.arms.arm_scenario import ArmScenario
     from .scenarios.run import Run
     from .scenarios.scenario import Scenario
+    from .sim.attach import Attached
 
 Measured: TypeAlias = "str | Path | Recording | Measurement | Run | Sequence[Recording | Run]"
 """A recording, a run, several of them, or the path of a recording or of a folder of several."""
@@ -42,6 +47,7 @@ __version__ = "0.1.0"
 
 _ELSEWHERE = {
     "ArmScenario": "scenarios.arms.arm_scenario",
+    "Attached": "sim.attach",
     "Diagnosis": "diagnosis.diagnose",
     "Estimator": "estimator.estimator",
     "FilterDiverged": "estimator.errors",
@@ -58,6 +64,7 @@ _ELSEWHERE = {
 }
 __all__ = [
     "ArmScenario",
+    "Attached",
     "Diagnosis",
     "Estimator",
     "FilterDiverged",
@@ -71,6 +78,8 @@ __all__ = [
     "Scenario",
     "Validation",
     "__version__",
+    "align",
+    "attach",
     "causes",
     "compare",
     "diagnose",
@@ -99,6 +108,44 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
+
+
+class _WithMujoco(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+    """Registers the plugin `flexspline.joint` as soon as MuJoCo is imported, so that models with it compile."""
+
+    def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> Any:
+        if fullname != "mujoco":
+            return None
+        sys.meta_path.remove(self)
+        spec = importlib.util.find_spec(fullname)
+        if spec is not None and spec.loader is not None:
+            self._loader, spec.loader = spec.loader, self
+        return spec
+
+    def create_module(self, spec: Any) -> Any:
+        return self._loader.create_module(spec)
+
+    def exec_module(self, module: Any) -> None:
+        module.__spec__.loader = module.__loader__ = self._loader
+        self._loader.exec_module(module)
+        _register()
+
+
+def _register() -> None:
+    from .sim.plugin import register
+
+    try:
+        register()
+    except (RuntimeError, OSError) as error:  # a MuJoCo of another layout works without the plugin
+        import warnings
+
+        warnings.warn(f"MuJoCo's plugin flexspline.joint is not available: {error}", RuntimeWarning, stacklevel=3)
+
+
+if "mujoco" in sys.modules:
+    _register()
+else:
+    sys.meta_path.insert(0, _WithMujoco())
 
 
 def load_recording(source: str | Path) -> Recording:
@@ -197,6 +244,51 @@ def simulate_arm(scenario: str | Path | ArmScenario, seed: int | None = None, **
     else:
         found, folder = load_arm(scenario, seed, dotted)
     return run_arm(found.with_joints(at_hand), folder, threads=_cores())
+
+
+def attach(spec: mujoco.MjSpec, joint_name: str, joint: str | Path | Joint) -> Attached:
+    """Put a joint's laws on a hinge of a MuJoCo model: torsion, wave generator, friction, kinematic error, all effects.
+
+    A rotor and a wave generator with their inertias are added to the body that carries the hinge, and an engine plugin acts
+    between them and the link. Actuators on the hinge then turn the rotor through 1/N: their controls, gains and limits keep
+    their meaning at the output. Where there is none, a motor `<joint_name>_motor` with winding is added, whose control is the
+    motor's torque [N·m, motor side]. The hinge's own damping, armature and friction loss are replaced. Keyframes are extended;
+    the integrator becomes `implicitfast` unless it is `implicit`. The joint's mounting is left out: the model's bodies are.
+
+    Args:
+      spec: the model, before it is compiled; changed in place.
+      joint_name: of the hinge; alone on its body.
+      joint: name of a shipped joint, path of a description (such as a diagnosis's `joint.yaml`), or a `Joint`.
+
+    Returns:
+      Names in the model: `rotor`, `wave_generator` (joints), `actuators` that turn the rotor.
+
+    Raises:
+      InputError: no such hinge; a model that does not compile; a timestep that is too long for the gear, with the limit.
+    """
+    from .models.joint import Joint, load_joint
+    from .sim.attach import attach as attach_joint
+
+    return attach_joint(spec, joint_name, joint if isinstance(joint, Joint) else load_joint(joint))
+
+
+def align(model: mujoco.MjModel, data: mujoco.MjData) -> mujoco.MjData:
+    """Turn the rotors and wave generators of attached joints to where their links are, after a change of `data.qpos`.
+
+    Args:
+      model: with attached joints.
+      data: of that model; changed in place.
+
+    Returns:
+      The same data: positions [rad] and velocities [rad/s] of the motor sides are N times the links', without torsion.
+
+    Raises:
+      InputError: a model without attached joints.
+    """
+    from .sim.attach import align as align_joints
+
+    align_joints(model, data)
+    return data
 
 
 def estimate(

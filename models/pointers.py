@@ -15,24 +15,27 @@ from .parameters import PARAMETERS
 intrinsic: Any = numba_intrinsic  # what it makes takes no typing context, unlike its function
 
 
-@intrinsic
-def floats_at(typingctx, address):
-    """Pointer to float64 at an integer address."""
+def _array_of(numba_type: Any, llvm_type: Any) -> Any:
+    """Return a compiled function: integer address → pointer to numbers of a type."""
 
-    def codegen(context, builder, signature, args):
-        return builder.inttoptr(args[0], ir.DoubleType().as_pointer())
+    @intrinsic
+    def pointer(typingctx, address):
+        def codegen(context, builder, signature, args):
+            return builder.inttoptr(args[0], llvm_type.as_pointer())
 
-    return types.CPointer(types.float64)(types.intp), codegen
+        return types.CPointer(numba_type)(types.intp), codegen
+
+    return pointer
 
 
-@intrinsic
-def ints_at(typingctx, address):
-    """Pointer to int32 at an integer address."""
-
-    def codegen(context, builder, signature, args):
-        return builder.inttoptr(args[0], ir.IntType(32).as_pointer())
-
-    return types.CPointer(types.int32)(types.intp), codegen
+floats_at = _array_of(types.float64, ir.DoubleType())
+"""Pointer to float64 at an integer address."""
+ints_at = _array_of(types.int32, ir.IntType(32))
+"""Pointer to int32 at an integer address."""
+words_at = _array_of(types.int64, ir.IntType(64))
+"""Pointer to int64 (sizes, addresses) at an integer address."""
+bytes_at = _array_of(types.uint8, ir.IntType(8))
+"""Pointer to bytes at an integer address."""
 
 
 def pointer_to(dtype: np.dtype) -> Any:

@@ -89,7 +89,6 @@ class Experiment:
             timestep=self.scenario.timestep,
             record=self.record if record is None else record,
             locked_rotor=self.scenario.locked_rotor,
-            temperature=float(self.temperature[0]),
         )
 
     def simulate(

@@ -25,6 +25,7 @@ from ..sim.loop import CONTROL_PERIOD
 from ..sim.plant import TIMESTEP
 from ..sim.sensors import realistic, stream
 from .filters import PAPER, FilterEntry, paper_entries
+from .motion import AddedMotion
 
 _LONGEST = 3600.0  # s: four filters over it take 4 GB
 _DEEPEST = 20  # dots of a key; the longest has five
@@ -143,6 +144,8 @@ class Scenario(Strict):
     """Hold the rotor still: the output is turned by the disturbances alone."""
     trajectory: Annotated[list[Waypoint], Field(min_length=1)]
     """Where the link is commanded to be."""
+    motions: list[AddedMotion] = []
+    """Added to the trajectory."""
     disturbances: list[Disturbance] = []
     """Forces at the link."""
     sensors: Annotated[
@@ -238,7 +241,7 @@ class Scenario(Strict):
 
     def commands(self, time: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Commanded link position [rad] and velocity [rad/s] at all control instants, or at times [s], increasing, shape (n,):
-        held before and after the waypoints."""
+        held before and after the waypoints, with the motions."""
         time = self.time if time is None else time
         position = np.full_like(time, self.trajectory[0].position)
         velocity = np.zeros_like(time)
@@ -254,6 +257,9 @@ class Scenario(Strict):
                 s, ds = u**3 * (10 - 15 * u + 6 * u**2), 30 * u**2 * (1 - u) ** 2
             position = np.where(time >= a.time, a.position + A * s, position)
             velocity = np.where(inside, A * ds / T, velocity)
+        for motion in self.motions:
+            further, rate = motion.signal(time)
+            position, velocity = position + further, velocity + rate
         return position, velocity
 
     @property
@@ -378,7 +384,8 @@ def load_scenario(
         raise InputError(
             f"{path}: arm: expected the scenario of a joint, got that of an arm: `flexspline run` takes one"
         )
-    return parse_changed(data, Scenario, path, changes), path.parent
+    found = parse_changed(data, Scenario, path, changes)
+    return found.model_copy(update={"motions": [m.beside(path.parent) for m in found.motions]}), path.parent
 
 
 def parse_changed(data: dict[str, Any], model: type[M], path: Path, changes: list[str] | None) -> M:

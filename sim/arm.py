@@ -21,7 +21,7 @@ import numpy as np
 
 from ..models.errors import InputError
 from ..models.joint import Joint
-from ..models.parameters import GRAVITY, REFERENCE_TEMPERATURE
+from ..models.parameters import GRAVITY
 from . import native, plant
 
 _MASSLESS = 1e-9  # kg: MuJoCo wants every body to have some
@@ -86,10 +86,7 @@ def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_cu
             raise InputError(f"{one.joint.mjcf}: cannot be part of an arm: {' '.join(str(error).split())}") from error
         at = arm.body(one.prefix + "link")
     with native.quiet():
-        model = arm.compile()
-    for one in joints:
-        plant.complete(model, one.record, REFERENCE_TEMPERATURE, one.prefix)
-    return model
+        return arm.compile()
 
 
 def rigid(joints: Sequence[ArmJoint]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from ..models import laws
 from ..models.laws import LOGARITHM_END
 from . import plant
-from .callbacks import FLEXIBLE, LINK, ROTOR, WAVE_GENERATOR
+from .plugin import BRISTLE, DAHL, FLEXIBLE, LINK, MEMORY, ROTOR, WAVE_GENERATOR
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,13 @@ def energy(model: mujoco.MjModel, data: mujoco.MjData, record: np.ndarray) -> En
       model, data: of `plant.build`, at least one step after `plant.start`.
       record: the parameter record that the model was built with, shape (1,).
     """
-    memory = plant.activation(model, "rotor_velocity")
-    has_dahl = any(model.actuator(i).name == "hysteresis" for i in range(model.nactuator))
+    memory = plant.memory(model, data)
     return energy_of(
         record,
         data.qpos - model.opt.timestep * data.qvel,
-        0.5 * (data.act[memory : memory + model.nv] + data.qvel),
-        float(data.act[plant.activation(model, "mesh_friction")]),
-        float(data.act[plant.activation(model, "hysteresis")]) if has_dahl else 0.0,
+        0.5 * (memory[MEMORY : MEMORY + model.nv] + data.qvel),
+        float(memory[BRISTLE]),
+        float(memory[DAHL]),
     )
 
 

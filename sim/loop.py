@@ -25,8 +25,8 @@ from ..models.pointers import call_estimator, call_step, floats_at, ints_at, wor
 from ..models.signals import READINGS, SENSED, WRENCH
 from ..models.step import SAMPLE, CompiledStep
 from . import native, plant
-from .callbacks import LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
 from .drive import control
+from .plugin import BRISTLE, DAHL, LINK, ROTOR, TEMPERATURE, WAVE_GENERATOR, state_of
 from .sensors import distort, low_pass, sample
 
 CONTROL_PERIOD = 0.001
@@ -50,17 +50,17 @@ _WRENCH_AT = SENSED.index(WRENCH[0])
 _JOINT_AXIS = SENSED.index("torque_y")
 
 
-_FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "disableflags")
+_FIELDS = ("qpos", "qvel", "act", "ctrl", "xfrc_applied", "sensordata", "plugin_state", "disableflags")
 _ADDRESSES = np.dtype(
     [
         (name, np.int64)
         for name in (
-            *_FIELDS, "current", "bristle", "dahl", "force", "torque", "link_body", "coordinate", "motor", "numeric",
+            *_FIELDS, "current", "memory", "force", "torque", "link_body", "coordinate", "motor",
         )
     ]
 )  # fmt: skip
-"""Where things of a joint lie: fields in MuJoCo's structures (`native.offsets`), activations in `act`, sensors in `sensordata`
-(−1: there is none), the numbers of the link's body, of the joint's first coordinate and of its motor, its numeric field."""
+"""Where things of a joint lie: fields in MuJoCo's structures (`native.offsets`), the current in `act` (−1: there is none),
+`plant.memory` in the plugin state, sensors in `sensordata`, the numbers of the link's body, the first coordinate, the motor."""
 
 
 @dataclass(frozen=True)
@@ -188,8 +188,9 @@ class ClosedLoop:
         self._step = substeps * timestep
         model = copy.copy(model)
         given = _Given.of(joints, 0, self._step)
-        plant.set_temperature(model, given.temperature[:, 0])
         data = mujoco.MjData(model)
+        for one, temperature in zip(joints, given.temperature, strict=True):
+            plant.memory(model, data, one.prefix)[TEMPERATURE] = temperature[0]
         start = np.array([one.position[0] for one in joints])
         gear = np.array([one.record[0]["N"] for one in joints])
         plant.start(model, data, np.stack([start * gear, start * gear, start], axis=1))
@@ -213,7 +214,7 @@ class ClosedLoop:
         self._alive = model, data, steps, kept  # whose memory compiled code reads by address
         self._constant = (
             native.function_address("mj_step"), model._address, data._address,
-            np.concatenate([_addresses(model, one.prefix) for one in joints]), model.numeric_data, substeps, timestep,
+            np.concatenate([_addresses(model, one.prefix) for one in joints]), substeps, timestep,
             np.concatenate([one.record for one in joints]), sensors, controller, estimators, told,
             np.zeros(sensors.shape), drive, given.stamps[:, 0].copy(), crosstalk,
         )  # fmt: skip
@@ -351,15 +352,12 @@ def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
     for name in _FIELDS:
         at[name] = native.offsets()[name]
     motor = model.actuator(prefix + "motor").id
-    has_dahl = any(model.actuator(i).name == prefix + "hysteresis" for i in range(model.nactuator))
     at["current"] = plant.activation(model, prefix + "motor") if model.actuator_actnum[motor] else -1
-    at["bristle"] = plant.activation(model, prefix + "mesh_friction")
-    at["dahl"] = plant.activation(model, prefix + "hysteresis") if has_dahl else -1
+    at["memory"] = model.plugin_stateadr[plant.instance(model, prefix)]
     at["force"], at["torque"] = (model.sensor(prefix + name).adr[0] for name in ("force", "torque"))
     at["link_body"] = model.body(prefix + "link").id
     at["coordinate"] = model.joint(prefix + "rotor").dofadr[0]
     at["motor"] = model.actuator_ctrladr[motor]
-    at["numeric"] = model.numeric_adr[model.numeric(prefix + "joint").id]
     return at
 
 
@@ -394,7 +392,7 @@ def _input(command, j, step, delay, substeps, origin, Kt):
 
 @kernel
 def _loop(
-    step, model, data, addresses, numeric, substeps, h, record, sensors, controller, estimators, commanded, raw, drive,
+    step, model, data, addresses, substeps, h, record, sensors, controller, estimators, commanded, raw, drive,
     began, crosstalk, position, velocity, external, temperature, noise, noise_of, tip_force, stamps, truth, readings,
     reading_of, command, seen, failed, origin, begin, end,
 ):  # fmt: skip
@@ -405,6 +403,7 @@ def _loop(
     sensordata = floats_at(word_at(data + 8 * at.sensordata))
     qpos, qvel = floats_at(word_at(data + 8 * at.qpos)), floats_at(word_at(data + 8 * at.qvel))
     applied = floats_at(word_at(data + 8 * at.xfrc_applied))
+    memory = floats_at(word_at(data + 8 * at.plugin_state))
     disabled = ints_at(model + 4 * at.disableflags)
 
     joints = len(position)
@@ -438,15 +437,15 @@ def _loop(
             )
             for s in range(3):
                 angle[s], speed[s] = qpos[at.coordinate + s], qvel[at.coordinate + s]
-            numeric[at.numeric + TEMPERATURE] = temperature[j, k]
+            memory[at.memory + TEMPERATURE] = temperature[j, k]
             if at.current >= 0:
                 current[j] = act[at.current]
             else:
                 current[j] = _in_force(command, j, first - 1, delay[j], substeps, origin)
-            dahl = act[at.dahl] if at.dahl >= 0 else 0.0
 
             # The sensors that read the state itself, at this instant.
-            state = state_of(angle, speed, act[at.bristle], dahl, current[j], time, temperature[j, k])
+            bristle, dahl = memory[at.memory + BRISTLE], memory[at.memory + DAHL]
+            state = state_of(angle, speed, bristle, dahl, current[j], time, temperature[j, k])
             dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
             for s in range(channels):
                 if sensor[s].at_step == 0.0:
@@ -494,8 +493,8 @@ def _loop(
             angle, raw_of, seen_of, sensor, its_noise = theta[j], raw[j], seen[j], sensors[j], noise_of[j]
             for s in range(3):
                 omega[s] = 0.5 * (before[j, s] + qvel[at.coordinate + s])
-            dahl = act[at.dahl] if at.dahl >= 0 else 0.0
-            state = state_of(angle, omega, act[at.bristle], dahl, current[j], time, temperature[j, k])
+            bristle, dahl = memory[at.memory + BRISTLE], memory[at.memory + DAHL]
+            state = state_of(angle, omega, bristle, dahl, current[j], time, temperature[j, k])
             b = dynamics.balance(state, p)
             t = truth[j, k]
             t.motor_position, t.wave_generator_position, t.link_position = (

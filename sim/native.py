@@ -1,7 +1,8 @@
 """MuJoCo's C structures and functions: where their fields lie, what their addresses are.
 
 Compiled code gets the addresses of an mjModel and an mjData. Where a field lies inside them is found once per
-process, by looking for the address that Python's view of the field reports, so that it holds for any build.
+process, by looking for the address that Python's view of the field reports, so that it holds for any build. MuJoCo is imported
+where it is used: `import mujoco` itself may run this (`flexspline.__init__`).
 """
 
 from __future__ import annotations
@@ -14,7 +15,6 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import mujoco
 import numpy as np
 from numba import types
 
@@ -27,6 +27,8 @@ _AT_ONCE = 64  # words
 @cache
 def library() -> ctypes.CDLL:
     """MuJoCo's shared library, the one that the Python bindings use."""
+    import mujoco
+
     folder = Path(mujoco.__file__).parent
     found = sorted([*folder.glob("libmujoco.so*"), *folder.glob("libmujoco*.dylib"), *folder.glob("mujoco.dll")])
     return ctypes.CDLL(str(found[0]))
@@ -110,7 +112,13 @@ def _clock_stopped() -> Any:
     return c_function(types.float64(), _no_time)
 
 
-_untimed = _Replacement("mjcb_time", lambda: int(_clock_stopped().address), lambda: mujoco.get_mjcb_time() is None)
+def _no_own_clock() -> bool:
+    import mujoco
+
+    return mujoco.get_mjcb_time() is None
+
+
+_untimed = _Replacement("mjcb_time", lambda: int(_clock_stopped().address), _no_own_clock)
 
 
 def untimed() -> AbstractContextManager[None]:
@@ -124,38 +132,35 @@ def untimed() -> AbstractContextManager[None]:
 
 @cache
 def offsets() -> dict[str, int]:
-    """Offsets, in words of 8 bytes, of the fields that compiled code reads.
-
-    Keys: `numeric_data`, `nnumericdata` of mjModel and, in words of 4 bytes, its `disableflags`; `time`, `qpos`, `qvel`, `act`,
-    `ctrl`, `qfrc_passive`, `xfrc_applied`, `sensordata` of mjData.
+    """Offsets, in words of 8 bytes, of the fields that compiled code reads: sizes and arrays of mjModel and mjData by name,
+    `timestep` of mjModel's options, `time` of mjData and, in words of 4 bytes, `disableflags` of mjModel's options.
     """
-    model = mujoco.MjModel.from_xml_string(
-        '<mujoco><custom><numeric name="n" data="1 2 3"/></custom><worldbody><body><joint name="j"/>'
-        '<geom size="1"/></body></worldbody><actuator><dcmotor joint="j" motorconst="1 1" resistance="1"'
-        ' inductance="1 0"/></actuator><sensor><jointpos joint="j"/></sensor></mujoco>'
-    )
-    data = mujoco.MjData(model)
-    model.opt.disableflags = 0x5C3A6E17
-    found = {
-        "numeric_data": find(model._address, model.numeric_data.ctypes.data),
-        "disableflags": find(model._address, model.opt.disableflags, ctypes.c_uint32),
-    }
-    model.opt.disableflags = 0
-    names = [field.name for field in _model_fields()]
-    found["nnumericdata"] = names.index("nnumericdata")  # the sizes stand first, one word each
-    if ctypes.c_int64.from_address(model._address + 8 * found["nnumericdata"]).value != 3:
-        raise RuntimeError(f"MuJoCo {mujoco.__version__}: mjModel is laid out in an unknown way")
-    for name in ("qpos", "qvel", "act", "ctrl", "qfrc_passive", "xfrc_applied", "sensordata"):
-        found[name] = find(data._address, getattr(data, name).ctypes.data)
-    data.time = 1.2345678e-77
-    found["time"] = find(data._address, int(np.float64(data.time).view(np.uint64)))
-    return found
-
-
-def _model_fields() -> tuple[Any, ...]:
+    import mujoco
     from mujoco.introspect import structs
 
-    return tuple(structs.STRUCTS["mjModel"].fields)
+    model = mujoco.MjModel.from_xml_string(
+        '<mujoco><worldbody><body><joint name="j"/><geom size="1"/></body></worldbody>'
+        '<tendon><fixed><joint joint="j" coef="1"/></fixed></tendon></mujoco>'
+    )
+    data = mujoco.MjData(model)
+    found: dict[str, int] = {}
+    for struct, instance, first, known in (("mjModel", model, "qpos0", "body_ipos"), ("mjData", data, "qpos", "qvel")):
+        names = [field.name for field in structs.STRUCTS[struct].fields]
+        begin = find(instance._address, getattr(instance, known).ctypes.data) - names.index(known)
+        found |= {name: begin + i for i, name in enumerate(names) if i >= names.index(first)}  # one pointer each
+    names = [field.name for field in structs.STRUCTS["mjModel"].fields]
+    found |= {name: i for i, name in enumerate(names[: names.index("opt")])}  # the sizes stand first, one word each
+    for name, instance, expected in (
+        ("wrap_prm", model, model.wrap_prm.ctypes.data), ("qfrc_passive", data, data.qfrc_passive.ctypes.data),
+        ("ntendon", model, 1),
+    ):  # fmt: skip
+        if ctypes.c_uint64.from_address(instance._address + 8 * found[name]).value != expected:
+            raise RuntimeError(f"MuJoCo {mujoco.__version__}: its structures are laid out in an unknown way")
+    model.opt.disableflags, model.opt.timestep, data.time = 0x5C3A6E17, 2.3456781e-77, 1.2345678e-77
+    found["disableflags"] = find(model._address, model.opt.disableflags, ctypes.c_uint32)
+    found["timestep"] = find(model._address, int(np.float64(model.opt.timestep).view(np.uint64)))
+    found["time"] = find(data._address, int(np.float64(data.time).view(np.uint64)))
+    return found
 
 
 def find(address: int, value: int, word: type[ctypes.c_uint64] | type[ctypes.c_uint32] = ctypes.c_uint64) -> int:
@@ -166,4 +171,4 @@ def find(address: int, value: int, word: type[ctypes.c_uint64] | type[ctypes.c_u
         found = np.flatnonzero(words == value)
         if len(found):
             return begin + int(found[0])
-    raise RuntimeError(f"MuJoCo {mujoco.__version__}: a structure is laid out in an unknown way")
+    raise RuntimeError("MuJoCo: a structure is laid out in an unknown way")

@@ -10,8 +10,8 @@ import numpy as np
 from ..models import laws
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
-from ..models.parameters import GRAVITY, PARAMETERS, REFERENCE_TEMPERATURE
-from . import callbacks, native, structure
+from ..models.parameters import GRAVITY
+from . import native, plugin, structure
 
 TIMESTEP = 0.0002
 """Default timestep [s], chosen by the convergence study in docs/convergence.md."""
@@ -26,7 +26,6 @@ def build(
     record: np.ndarray | None = None,
     ideal_current: bool = False,
     locked_rotor: bool = False,
-    temperature: float = REFERENCE_TEMPERATURE,
 ) -> mujoco.MjModel:
     """Build the MuJoCo model of a joint.
 
@@ -38,16 +37,15 @@ def build(
       ideal_current: the motor's control is torque without the winding's dynamics and voltage limit, as the
         independent reference solutions assume.
       locked_rotor: the rotor cannot turn.
-      temperature: of the gear [°C]; `set_temperature` changes it.
 
     Returns:
       The model. Coordinates: rotor, wave generator, link, and what hangs on the link by a spring (where the link is not rigid).
-      Activations: motor current [A] (unless ideal), bristle, Dahl state (where the joint has hysteresis).
+      Activation: motor current [A] (unless ideal). What the laws remember is plugin state (`plugin.STATES`).
 
     Raises:
       InputError: an MJCF that cannot be read or is not a joint's.
     """
-    callbacks.install()
+    plugin.register()
     record = joint.record(mounting) if record is None else record
     try:
         spec = describe(joint, record, timestep, ideal_current, locked_rotor)
@@ -55,8 +53,6 @@ def build(
             model = spec.compile()
     except (ValueError, KeyError, AttributeError) as error:
         raise InputError(f"{joint.mjcf}: not the MJCF of a joint: {' '.join(str(error).split())}") from error
-    structure.check_tendons(model, joint.mjcf)
-    complete(model, record, temperature)
     structure.check_motion(model, record, joint.mjcf, _LOCKED if locked_rotor else 0.0)
     return model
 
@@ -64,7 +60,7 @@ def build(
 def describe(
     joint: Joint, record: np.ndarray, timestep: float, ideal_current: bool = False, locked_rotor: bool = False
 ) -> mujoco.MjSpec:
-    """A joint's MJCF with the numbers of a record, before it is compiled; `complete` says what is left to do then.
+    """A joint's MJCF with the numbers of a record, before it is compiled.
 
     Raises:
       InputError, ValueError, KeyError, AttributeError: an MJCF that cannot be read or is not a joint's.
@@ -72,70 +68,61 @@ def describe(
     p = record[0]
     spec = structure.read(joint.mjcf)
     set_numbers(spec, p, timestep, ideal_current)
-    set_friction(spec, p)
-    joints: tuple[str, ...] = structure.JOINTS
+    spec.delete(spec.actuator("mesh_friction"))  # the plugin's
     if p["flexible_share"] > 0:
         _hang_flexibly(spec, p)
-        joints = (*structure.JOINTS, "flexible")
-    for name in joints:
-        _add_state(spec, f"{name}_velocity", joint=name)
-    if p["hysteresis_torque"] != 0:
-        _add_state(spec, "hysteresis")
     if locked_rotor:
         spec.joint("rotor").armature = _LOCKED
-    spec.add_numeric(name="joint", size=callbacks.NUMERIC_SIZE, data=[0.0])
+    put_laws(spec, record)
     return spec
 
 
-def complete(
-    model: mujoco.MjModel, record: np.ndarray, temperature: float = REFERENCE_TEMPERATURE, prefix: str = ""
-) -> None:
-    """Put into a compiled model what MJCF cannot say of a joint, in place.
+def put_laws(spec: mujoco.MjSpec, record: np.ndarray, prefix: str = "", link: str = "link") -> None:
+    """Put a joint's laws on its rotor, wave generator, link and the two tendons between them, by names with a prefix.
 
     Args:
-      model: of `describe`; record: the joint's, shape (1,); temperature: of its gear [°C].
-      prefix: of its names, where the model has several joints.
+      spec: not compiled yet; its timestep and integrator are those that it will run with.
+      record: the joint's, shape (1,).
+      prefix: of all names; link: the link's joint.
     """
-    p, h = record[0], float(model.opt.timestep)
-    flexspline, wave_generator = (model.tendon(prefix + name).id for name in ("flexspline", "wave_generator"))
-    _correct_to_fourth_order(model, flexspline, p, h)
-    model.wrap_prm[model.tendon_adr[flexspline]] = 1.0 / p["N"]
-    model.tendon_stiffness[[flexspline, wave_generator]] = 0.0  # the laws in the callback replace the linear springs
-    # Implicit damping of half of s1 (see the callback): MuJoCo's own LuGre has s1 already.
-    native_friction = _plain_friction(p)
-    model.actuator_damping[model.actuator(prefix + "mesh_friction").id] = 0.5 * (
-        p["bw"] + (-p["s1"] if native_friction else p["s1"])
-    )
-    has_dahl = p["hysteresis_torque"] != 0
-    header = (
-        activation(model, prefix + "mesh_friction"),
-        activation(model, prefix + "rotor_velocity"),
-        activation(model, prefix + "hysteresis") if has_dahl else -1,
-        native_friction,
-        model.actuator(prefix + "rotor_velocity").id,
-        model.actuator(prefix + "hysteresis").id if has_dahl else -1,
-        model.joint(prefix + "rotor").dofadr[0],
-        model.actuator(prefix + "motor").id,
-        temperature,
-    )
-    at = model.numeric_adr[model.numeric(prefix + "joint").id]
-    model.numeric_data[at : at + callbacks.NUMERIC_SIZE] = callbacks.numeric(record, h, header)
+    p, h = record[0], float(spec.option.timestep)
+    # Half of every linear damping is MuJoCo's, implicit; half the plugin's.
+    spec.joint(prefix + "rotor").damping = [0.5 * p["bm"], 0, 0]
+    spec.joint(prefix + "wave_generator").damping = [0.5 * (p["bw"] + p["s1"]), 0, 0]
+    # The laws replace the linear springs.
+    for name, joints, damping in (
+        ("flexspline", {prefix + "wave_generator": 1.0 / p["N"], link: -1.0}, p["df"]),
+        ("wave_generator", {prefix + "rotor": 1.0, prefix + "wave_generator": -1.0}, p["dw"]),
+    ):
+        if spec.tendon(prefix + name) is not None:
+            spec.delete(spec.tendon(prefix + name))
+        tendon = spec.add_tendon(name=prefix + name)
+        tendon.damping, tendon.stiffness, tendon.frictionloss = [0.5 * damping, 0, 0], [0.0] * 3, 0.0
+        tendon.limited = tendon.actfrclimited = mujoco.mjtLimited.mjLIMITED_FALSE
+        for one, coefficient in joints.items():
+            tendon.wrap_joint(one, float(coefficient))
+    # Cancels the h² error that the trapezoidal leapfrog makes in the flexspline's mode, its fastest at no load. For
+    # M q'' + D q' + K q = 0 the scheme solves an equation that differs by h²/12 ((K + D²/M) q'' + (D K/M) q'). An inertia
+    # across the flexspline, here, and a damping, in the plugin, give it back (Störmer and Numerov's idea, with damping). Both
+    # vanish with h²: at the default timestep 1e-4 of a link's inertia (docs/convergence.md).
+    spec.tendon(prefix + "flexspline").armature = h**2 / 12 * (p["K1"] + p["df"] ** 2 / plugin.reduced_inertia(p))
+    spec.activate_plugin(plugin.NAME)
+    instance = spec.add_plugin(name=prefix + "joint", plugin_name=plugin.NAME, active=True)
+    instance.config = plugin.config(record)
+    spec.body(prefix + "rotor").plugin = instance
+    if spec.body(prefix + "flexible") is not None:
+        spec.body(prefix + "flexible").plugin = instance
 
 
-def _correct_to_fourth_order(model: mujoco.MjModel, tendon: int, p: np.void, h: float) -> None:
-    """Cancel the h² error that the trapezoidal leapfrog makes in the flexspline's mode, its fastest at no load.
-
-    For M q'' + D q' + K q = 0 the scheme solves an equation that differs by h²/12 ((K + D²/M) q'' + (D K/M) q'). An
-    inertia across the flexspline, here, and a damping, in the callback, give it back (Störmer and Numerov's idea, with
-    damping). Both vanish with h²: at the default timestep 1e-4 of a link's inertia (docs/convergence.md).
-    """
-    reduced = callbacks.reduced_inertia(p)
-    model.tendon_armature[tendon] = h**2 / 12 * (p["K1"] + p["df"] ** 2 / reduced)
+def instance(model: mujoco.MjModel, prefix: str = "") -> int:
+    """Number of a joint's plugin instance."""
+    return int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_PLUGIN, prefix + "joint"))
 
 
-def set_temperature(model: mujoco.MjModel, temperature: float | np.ndarray) -> None:
-    """Change the temperature [°C] of a joint's gear; of several joints, one each or one for all."""
-    model.numeric_data[callbacks.TEMPERATURE :: callbacks.NUMERIC_SIZE] = temperature
+def memory(model: mujoco.MjModel, data: mujoco.MjData, prefix: str = "") -> np.ndarray:
+    """What a joint's laws remember: its plugin state, shape (plugin.STATES,); a view."""
+    at = model.plugin_stateadr[instance(model, prefix)]
+    return data.plugin_state[at : at + plugin.STATES]
 
 
 def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | None = None) -> None:
@@ -147,32 +134,30 @@ def start(model: mujoco.MjModel, data: mujoco.MjData, position: np.ndarray | Non
       position: shape (3,), or (joints, 3).
     """
     h = model.opt.timestep
-    blocks = model.numeric_data.reshape(-1, callbacks.NUMERIC_SIZE)
-    given = np.zeros((len(blocks), 3)) if position is None else np.reshape(position, (len(blocks), 3))
-    first = [int(block[callbacks.COORDINATE]) for block in blocks]
-    for at, angles in zip(first, given, strict=True):
-        data.qpos[at : at + 3] = angles
+    joints = model.nplugin
+    given = np.zeros((joints, 3)) if position is None else np.reshape(position, (joints, 3))
+    held = [plugin.instance(data, i) for i in range(joints)]
+    for (at, _), angles in zip(held, given, strict=True):
+        data.qpos[at[0]] = angles
     data.qvel[:] = 0.0
     data.act[:] = 0.0
     with native.quiet():
         mujoco.mj_forward(model, data)
     data.qvel[:] = -0.5 * h * data.qacc
-    for block, at, end in zip(blocks, first, [*first[1:], model.nv], strict=True):
-        memory = int(block[callbacks.MEMORY])
-        data.act[memory : memory + end - at] = -1.5 * h * data.qacc[at:end]
-        velocity = data.qvel[at : at + 3].copy()
-        data.act[int(block[callbacks.BRISTLE])] = -h * velocity[callbacks.WAVE_GENERATOR]
-        p = block[callbacks.HEADER :].copy().view(PARAMETERS)[0]
+    for i, ((at, _), record) in enumerate(held):
+        state = data.plugin_state[model.plugin_stateadr[i] :][: plugin.STATES]
+        state[plugin.MEMORY : plugin.MEMORY + 3] = -1.5 * h * data.qacc[at]
+        velocity, p = data.qvel[at], record[0]
+        state[plugin.BRISTLE] = -h * velocity[plugin.WAVE_GENERATOR]
         if p["hysteresis_torque"] != 0:  # what the first step takes to zero (laws.dahl_step)
-            rate = callbacks.transmission_at(data.qpos[at : at + 3].copy(), velocity, 0.0, p).torsion_rate
+            rate = plugin.transmission_at(data.qpos[at], velocity, 0.0, p).torsion_rate
             x = p["hysteresis_extent"]
-            data.act[int(block[callbacks.DAHL])] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
+            state[plugin.DAHL] = -np.sign(rate) * x * np.expm1(abs(rate) * h / x)
 
 
 def activation(model: mujoco.MjModel, actuator: str) -> int:
-    """Address of an actuator's activation (its last one: MuJoCo's bristle stands behind the current)."""
-    i = model.actuator(actuator).id
-    return int(model.actuator_actadr[i] + model.actuator_actnum[i] - 1)
+    """Address of an actuator's activation."""
+    return int(model.actuator_actadr[model.actuator(actuator).id])
 
 
 def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current: bool) -> None:
@@ -186,27 +171,29 @@ def set_numbers(spec: mujoco.MjSpec, p: np.void, timestep: float, ideal_current:
         body = spec.body(name)
         body.explicitinertial = True
         body.ipos, body.inertia = [0.0] * 3, [inertia] * 3
-    spec.joint("rotor").damping = [0.5 * p["bm"], 0, 0]
     spec.joint("link").damping = [0.5 * p["bl"], 0, 0]
-    spec.tendon("flexspline").damping = [0.5 * p["df"], 0, 0]
-    spec.tendon("wave_generator").damping = [0.5 * p["dw"], 0, 0]
     _set_link(spec, p)
     motor = spec.actuator("motor")
-    Kt = float(p["Kt"])
     if ideal_current:
         motor.set_to_motor()
         motor.forcelimited = False
     else:
-        error = motor.set_to_dcmotor(
-            motorconst=[Kt, Kt],
-            resistance=float(p["R"]),
-            inductance=[float(p["L"]), 0.0],
-            saturation=[0.0, float(p["current_limit"]), 0.0],
-            controller=[0, 0, 0, 0, 0, float(p["supply_voltage"])],
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_FF),
-        )
-        if error:
-            raise ValueError(error)
+        set_motor(motor, p)
+
+
+def set_motor(actuator: Any, p: np.void) -> None:
+    """Make an actuator the motor with its winding: its control is the torque that the current controller is asked for [N·m]."""
+    Kt = float(p["Kt"])
+    error = actuator.set_to_dcmotor(
+        motorconst=[Kt, Kt],
+        resistance=float(p["R"]),
+        inductance=[float(p["L"]), 0.0],
+        saturation=[0.0, float(p["current_limit"]), 0.0],
+        controller=[0, 0, 0, 0, 0, float(p["supply_voltage"])],
+        ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_FF),
+    )
+    if error:
+        raise ValueError(error)
 
 
 def link_mass(p: np.void) -> tuple[float, float]:
@@ -243,47 +230,3 @@ def _hang_flexibly(spec: mujoco.MjSpec, p: np.void) -> None:
     joint = body.add_joint(name="flexible", type=mujoco.mjtJoint.mjJNT_HINGE, axis=spec.joint("link").axis)
     joint.stiffness = [laws.flexible_torque(1.0, 0.0, p), 0, 0]
     joint.damping = [0.5 * laws.flexible_torque(0.0, 1.0, p), 0, 0]
-
-
-def _plain_friction(p: np.void) -> bool:
-    """Whether the sliding friction is a function of velocity alone, which MuJoCo's own LuGre can be."""
-    return bool(
-        p["friction_asymmetry"] == 0
-        and p["friction_load"] == 0
-        and p["drift_amplitude"] == 0
-        and p["friction_temperature"] == 0
-        and not np.any(p["friction_amplitude"])
-    )
-
-
-def set_friction(spec: mujoco.MjSpec, p: np.void) -> None:
-    """MuJoCo's own LuGre where the sliding friction is a function of velocity alone; the callback's otherwise."""
-    friction = spec.actuator("mesh_friction")
-    if _plain_friction(p):
-        error = friction.set_to_dcmotor(
-            motorconst=[0.0, 0.0],
-            resistance=1.0,
-            lugre=[float(p[name]) for name in ("s0", "s1", "Fc", "Fs", "vs")],
-            ctrlspec=int(mujoco.mjtCtrlInput.mjINPUT_NONE),
-        )
-        if error:
-            raise ValueError(error)
-    else:
-        spec.delete(friction)
-        friction = _add_state(spec, "mesh_friction", joint="wave_generator")
-    friction.damping = [
-        1.0,
-        0,
-        0,
-    ]  # set by `complete`, where it may be negative; zero here would leave it out altogether
-
-
-def _add_state(spec: mujoco.MjSpec, name: str, joint: str = "link") -> Any:
-    """An actuator that exerts nothing and holds one activation, whose rate the callback gives."""
-    actuator = spec.add_actuator(name=name, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.dyntype = mujoco.mjtDyn.mjDYN_USER
-    actuator.actdim = 1
-    actuator.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-    actuator.gainprm[0] = 0.0
-    actuator.biastype = mujoco.mjtBias.mjBIAS_NONE
-    return actuator

@@ -20,11 +20,10 @@ from ..models.errors import InputError
 from ..models.mjcf import check_mjcf
 from ..models.parameters import GRAVITY
 from . import native
-from .callbacks import (
+from .plugin import (
     BRISTLE,
     DAHL,
     FLEXIBLE,
-    HEADER,
     LINK,
     MEMORY,
     TEMPERATURE,
@@ -81,6 +80,7 @@ def _check_structure(spec: mujoco.MjSpec, path: Path) -> None:
             raise InputError(
                 f"{path}: expected the {what}s {' and '.join(expected)} alone, in this order, got {', '.join(found) or 'none'}"
             )
+    _check_tendons(spec, path)
     for name in ("rotor", "wave_generator", "flange", "link"):
         if spec.body(name) is None:
             raise InputError(f"{path}: expected a body {name!r}, got none")
@@ -149,25 +149,22 @@ def _shown(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
 
 
-def check_tendons(model: mujoco.MjModel, path: Path) -> None:
-    """Raise where the tendons of a compiled model are not the torsions of flexspline and wave generator, Eq. (1)."""
+def _check_tendons(spec: mujoco.MjSpec, path: Path) -> None:
+    """Raise where the tendons are not the torsions of flexspline and wave generator, Eq. (1)."""
     for name, joints, coefficients in (
         ("flexspline", ("wave_generator", "link"), (None, -1.0)),
         ("wave_generator", ("rotor", "wave_generator"), (1.0, -1.0)),
     ):
-        tendon = model.tendon(name).id
-        at = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
-        fixed = [i for i in at if model.wrap_type[i] == mujoco.mjtWrap.mjWRAP_JOINT]
-        found = tuple(model.joint(model.wrap_objid[i]).name for i in fixed)
-        if len(fixed) != len(at) or found != joints:
+        wraps = list(spec.tendon(name).path)
+        found = tuple(one.target.name if one.type == mujoco.mjtWrap.mjWRAP_JOINT else "" for one in wraps)
+        if found != joints:
             raise InputError(
                 f"{path}: tendon {name}: expected the joints {' and '.join(joints)}, got {', '.join(found)}"
             )
-        for i, expected in zip(fixed, coefficients, strict=True):
-            if expected is not None and model.wrap_prm[i] != expected:
+        for one, expected in zip(wraps, coefficients, strict=True):
+            if expected is not None and one.coef != expected:
                 raise InputError(
-                    f"{path}: tendon {name}: expected the coefficient {expected:g} of "
-                    f"{model.joint(model.wrap_objid[i]).name}, got {model.wrap_prm[i]:g}"
+                    f"{path}: tendon {name}: expected the coefficient {expected:g} of {one.target.name}, got {one.coef:g}"
                 )
 
 
@@ -191,9 +188,9 @@ def check_motion(model: mujoco.MjModel, record: np.ndarray, path: Path, locked: 
         locks the rotor [kg·m²].
     """
     p = record[0]
-    h, header = model.opt.timestep, model.numeric_data[:HEADER]
+    h = model.opt.timestep
     data = mujoco.MjData(model)
-    memory, dahl_at = int(header[MEMORY]), int(header[DAHL])
+    memory = data.plugin_state
     current_at = int(model.actuator_actadr[model.actuator("motor").id])
     torque_at = int(model.sensor("torque").adr[0])
     for numbers in _STATES:
@@ -204,18 +201,17 @@ def check_motion(model: mujoco.MjModel, record: np.ndarray, path: Path, locked: 
         data.qpos[:3], data.qvel[:3], data.act[:] = theta, velocity, 0.0
         if model.nv > FLEXIBLE:
             data.qpos[FLEXIBLE], data.qvel[FLEXIBLE] = 1e-3, 0.02
-        data.act[memory : memory + model.nv] = data.qvel
-        data.act[int(header[BRISTLE])] = bristle
-        if dahl_at >= 0:
+        memory[MEMORY : MEMORY + model.nv] = data.qvel
+        if p["hysteresis_torque"] != 0:
             dahl = 0.3 * p["hysteresis_extent"]
-            data.act[dahl_at] = dahl
+        memory[BRISTLE], memory[DAHL] = bristle, dahl
         if current_at >= 0:
             data.act[current_at], data.ctrl[0] = current, 0.0
         else:
             data.ctrl[0] = p["Kt"] * current
         with native.quiet():
             mujoco.mj_forward(model, data)
-        state, t, g = at_positions(theta, velocity, velocity, bristle, dahl, 0.0, h, header[TEMPERATURE], p)
+        state, t, g = at_positions(theta, velocity, velocity, bristle, dahl, 0.0, h, memory[TEMPERATURE], p)
         b = dynamics.balance_with(state, t, g, p)
         drive = float(data.actuator_force[model.actuator("motor").id])  # its current, within a step, is MuJoCo's own
         force, inertia = _expected(b, drive, data, p, h, locked)

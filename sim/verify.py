@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 from ..models.errors import InputError
 from ..models.joint import Joint, Mounting
 from . import native, plant
-from .callbacks import LINK, transmission_at
+from .plugin import LINK, MEMORY, transmission_at
 
 CLOSED_LOOP = {"no_load": "no_load", "link_sweep": "link", "external_push": "link"}
 """Reference file: the mounting that it was made with."""
@@ -108,14 +108,14 @@ def closed_loop(
     position, velocity, external = (reference[k] for k in ("position_command", "velocity_command", "external_torque"))
     n = len(position)
     theta, omega, current = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros(n)
-    memory = plant.activation(model, "rotor_velocity")
+    memory = plant.memory(model, data)
     body = model.body("link").id
     last_current = last_external = 0.0
     for k in range(n):
         theta[k] = data.qpos
         before = data.qvel.copy()
         # Velocities belong to the middle of the steps: the controller's is extrapolated by half a step.
-        now = 1.5 * before[0] - 0.5 * data.act[memory]
+        now = 1.5 * before[0] - 0.5 * memory[MEMORY]
         i = _GAIN * (p["N"] * position[k] - theta[k, 0]) + _DAMPING * (p["N"] * velocity[k] - now)
         current[k] = min(max(i, -p["current_limit"]), p["current_limit"])
         data.ctrl[0] = p["Kt"] * 0.5 * (current[k] + last_current)

@@ -41,7 +41,7 @@ MADE = {
     "joint.yaml", "diagnosis/joint.yaml", "known_joint.yaml", "tuned.yaml", "summary.md", "summary.csv",
     "diagnosis.json", "DIR/NAME.yaml", "study.yaml", "cause.py", "models/causes/NAME.py", "my_filter.py",
     "my_cause.py", "arm.yaml", "my_sensor.py", "bench.yaml", "my_motion.yaml", "my_joint.yaml", "worn.yaml", "my_push.yaml",
-    "my_study.yaml", "my_arm.yaml", "my_log.yaml", "my_log.csv",
+    "my_study.yaml", "my_arm.yaml", "my_log.yaml", "my_log.csv", "friction.csv",
 }  # fmt: skip
 """Files that commands or people make, and patterns."""
 BUILT = re.compile(r"(?:reference/\w+|examples)\.md")
@@ -121,8 +121,10 @@ def snippets(page: Path, language: str) -> list[str]:
 
 
 def test_scenario_and_study_are_read():
-    scenario, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
-    parse(scenario, Scenario, "the scenario")
+    *scenarios, study = (yaml.safe_load(text) for text in snippets(ROOT / "docs" / "scenarios.md", "yaml"))
+    assert len(scenarios) == 2
+    for scenario in scenarios:
+        parse(scenario, Scenario, "the scenario")
     parse(study, Study, "the study")
 
 
@@ -262,6 +264,13 @@ def place(tmp_path_factory, shared):
     for name in ("mine.yaml", "my_motion.yaml"):
         (here / name).write_text(yaml.safe_dump(motion), encoding="utf-8")
     run = fs.simulate(here / "mine.yaml", joint=worn, known_joint="test-joint")
+    (here / "robot.xml").write_text(
+        '<mujoco><worldbody><body><joint name="elbow"/><geom size="0.1"/></body></worldbody></mujoco>'
+    )
+    (here / "robot.urdf").write_text(
+        '<robot name="r"><link name="a"/><link name="b"/><joint name="elbow" type="revolute"><parent link="a"/>'
+        '<child link="b"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
     for name in ("MEASUREMENT", "measurement"):
         (here / name).mkdir()
         write_recording(run.as_recording(), here / name)

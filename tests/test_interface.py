@@ -8,6 +8,7 @@ import re
 import typing
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pandas as pd
 import pytest
@@ -182,7 +183,7 @@ def test_annotations_are_real():
 
     names = {name: getattr(fs, name) for name in fs.__all__ if isinstance(getattr(fs, name), type)}
     for name in FUNCTIONS:
-        typing.get_type_hints(getattr(fs, name), {**vars(fs), **names, "pd": pd})
+        typing.get_type_hints(getattr(fs, name), {**vars(fs), **names, "pd": pd, "mujoco": mujoco})
 
 
 def test_results_show_themselves_in_a_notebook(run):

@@ -7,7 +7,7 @@ import numpy as np
 
 from flexspline.models.joint import load_joint
 from flexspline.sim import plant
-from flexspline.sim.callbacks import transmission_at
+from flexspline.sim.plugin import DAHL, TEMPERATURE, transmission_at
 
 JOINT = load_joint("test-joint")
 PIECES = [(0.15, 0.06, 0.0), (0.15, -0.06, 3.0), (0.15, 0.03, -4.0), (0.05, 0.0, 0.0)]
@@ -38,13 +38,13 @@ def drive(record, pieces=PIECES, timestep=plant.TIMESTEP, period=1e-3, start=Non
     substeps = round(period / timestep)
     body = model.body("link").id
     sensor = int(model.sensor("torque").adr[0])
-    dahl = plant.activation(model, "hysteresis") if p["hysteresis_torque"] else -1
+    memory = plant.memory(model, data)
     theta, omega, torque, wrench = [], [], [], []
     last = (0.0, 0.0)
     for duration, motor, external in pieces:
         for _ in range(round(duration / period)):
             if temperature is not None:
-                plant.set_temperature(model, temperature(len(theta) * period))
+                memory[TEMPERATURE] = temperature(len(theta) * period)
             theta.append(data.qpos.copy())
             before = data.qvel.copy()
             data.ctrl[0] = 0.5 * (motor + last[0])
@@ -52,9 +52,9 @@ def drive(record, pieces=PIECES, timestep=plant.TIMESTEP, period=1e-3, start=Non
             mujoco.mj_step(model, data)
             omega.append(0.5 * (before + data.qvel))
             wrench.append(data.sensordata[sensor : sensor + 3].copy())
-            z = data.act[dahl] if dahl >= 0 else 0.0
             torque.append(
-                transmission_at(theta[-1][:3], omega[-1][:3], z, p).flexspline_torque - p["bl"] * omega[-1][2]
+                transmission_at(theta[-1][:3], omega[-1][:3], memory[DAHL], p).flexspline_torque
+                - p["bl"] * omega[-1][2]
             )
             data.ctrl[0] = motor
             data.xfrc_applied[body, 4] = -external

@@ -14,7 +14,7 @@ from flexspline.models import dynamics, laws
 from flexspline.models.arm import ArmSpec
 from flexspline.models.arm_dynamics import Arm
 from flexspline.models.joint import EncoderSpec, Mounting
-from flexspline.sim import arm, callbacks, plant
+from flexspline.sim import arm, plant, plugin
 from flexspline.sim.arm import ArmJoint
 from flexspline.sim.drive import Controller
 from flexspline.sim.energy import flexspline_energy, wave_generator_energy
@@ -101,10 +101,9 @@ def test_accelerations_in_any_state(rng):
         M = np.zeros((6, 6))
         for k, one in enumerate(joints):
             p, at = one.record[0], slice(3 * k, 3 * k + 3)
-            memory = plant.activation(model, one.prefix + "rotor_velocity")
-            data.act[memory : memory + 3] = data.qvel[at]
+            plant.memory(model, data, one.prefix)[plugin.MEMORY : plugin.MEMORY + 3] = data.qvel[at]
             theta, velocity = data.qpos[at].copy(), data.qvel[at].copy()
-            state, t, g = callbacks.at_positions(theta, velocity, velocity, 0.0, 0.0, 0.0, 1e-6, 25.0, p)
+            state, t, g = plugin.at_positions(theta, velocity, velocity, 0.0, 0.0, 0.0, 1e-6, 25.0, p)
             b = dynamics.balance_with(state, t, g, p)
             force[at] = b.on_rotor, b.on_wave_generator, b.on_link - b.gravity
             for inertia, own in ((p["Jm"], 0), (p["Jw"], 1)):  # ½ J (own rate + the carrier's rate)²

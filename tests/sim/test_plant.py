@@ -10,7 +10,7 @@ from driving import JOINT, PIECES, drive, record_of, relative
 from independent import solve, torques
 
 from flexspline.models.joint import Mounting
-from flexspline.sim import plant
+from flexspline.sim import plant, plugin
 from flexspline.sim.verify import LIMITS, closed_loop, locked_rotor, loop_width, verify
 
 
@@ -283,28 +283,12 @@ def test_hidden_states_begin_at_zero():
     data = mujoco.MjData(model)
     plant.start(model, data, np.array([0.03, 0.02, -1e-3]))
     mujoco.mj_step(model, data)
-    assert abs(data.act[plant.activation(model, "mesh_friction")]) < 1e-2 * 0.018 / 10
-    assert abs(data.act[plant.activation(model, "hysteresis")]) < 1e-3 * 8e-5
+    memory = plant.memory(model, data)
+    assert abs(memory[plugin.BRISTLE]) < 1e-2 * 0.018 / 10
+    assert abs(memory[plugin.DAHL]) < 1e-3 * 8e-5
 
 
 # --- closed forms ----------------------------------------------------------------------------------------------
-
-
-def test_own_bristle_is_mujocos_lugre():
-    """An asymmetry of 1e-12 makes the callback hold the bristle instead of MuJoCo: the same motion."""
-    native, own = drive(record_of()), drive(record_of(friction_asymmetry=1e-12))
-    assert relative(torsion(own[0]), torsion(native[0])) < 1e-8
-    assert relative(own[2], native[2]) < 1e-7
-
-
-def test_who_holds_the_bristle():
-    def header(record):
-        model = plant.build(JOINT, JOINT.mount("link"), record=record)
-        return bool(model.numeric_data[5])
-
-    assert header(record_of())
-    for changes in (EFFECTS["friction_asymmetry"], EFFECTS["load_dependent_friction"], EFFECTS["friction_drift"]):
-        assert not header(record_of(**changes))
 
 
 def test_dahl_loop_area():

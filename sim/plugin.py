@@ -1,0 +1,382 @@
+"""The laws of `models.laws` as a MuJoCo engine plugin, `flexspline.joint`: what MJCF cannot say, compiled, no Python per step.
+
+An instance is a gear on one hinge. The rotor's body names it; a fixed tendon leads from the rotor to the wave generator and
+another from there to the hinge, so that no name has to be looked up. Its configuration is the joint's parameter record: each
+field of `models.parameters.PARAMETERS` that differs from `neutral()`. What the laws remember is plugin state: MuJoCo resets,
+copies, saves and restores it.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import threading
+from typing import Any
+
+import numpy as np
+from llvmlite import binding
+from numba import carray, types
+
+from ..models import dynamics, laws
+from ..models.dynamics import State
+from ..models.kernels import c_function, kernel
+from ..models.parameters import PARAMETERS, REFERENCE_TEMPERATURE, SIZE, as_floats, neutral
+from ..models.pointers import bytes_at, floats_at, ints_at, record_at, word_at, words_at
+from . import native
+
+NAME = "flexspline.joint"
+"""Of the plugin."""
+STATES = 13
+"""Numbers of an instance's plugin state: bristle, Dahl state, velocities of the gear's coordinates a step before (four),
+temperature; then the first six as the step under way leaves them."""
+BRISTLE, DAHL, MEMORY, TEMPERATURE, _NEXT = 0, 1, 2, 6, 7
+"""Places in the plugin state. Temperature [°C]: change it at will."""
+
+ROTOR, WAVE_GENERATOR, LINK, FLEXIBLE = 0, 1, 2, 3
+"""Order of a gear's coordinates; the fourth, against the link, where part of the link is on a spring."""
+
+_HEADER = 7  # words before an instance's record: places of three positions and four velocities
+_BLANK = as_floats(neutral())
+
+
+@kernel
+def state_of(theta, velocity, bristle, dahl, current, time, temperature):
+    """A `State` from coordinates and velocities, shape (3,) each: rotor, wave generator, link."""
+    return State(
+        theta[0], velocity[0], theta[1], velocity[1], theta[2], velocity[2], bristle, dahl, current, time, temperature
+    )
+
+
+@kernel
+def _mixed(a, x, b, y):
+    return a * x[0] + b * y[0], a * x[1] + b * y[1], a * x[2] + b * y[2]
+
+
+@kernel
+def transmission_at(theta, velocity, dahl, p):
+    """`dynamics.transmission` at coordinates and velocities, shape (3,) each: rotor, wave generator, link."""
+    return dynamics.transmission(state_of(theta, velocity, 0.0, dahl, 0.0, 0.0, 0.0), p)
+
+
+@kernel
+def reduced_inertia(p):
+    """Inertia [kg·m², output side] that wave generator and (what is rigid of) the link oppose to the flexspline."""
+    return 1.0 / (1.0 / (p.Jl - laws.flexible_inertia(p)) + 1.0 / (p.N * p.N * p.Jw))
+
+
+@kernel
+def bristle_under_load(z, w, g_before, g, h, p):
+    """Bristle deflection after a time `h` [s] at constant velocity while sliding friction goes from `g_before` to `g`.
+
+    Exact for a deflection g/s0 that changes evenly and the rate at the mean of both: at speed the bristle follows the load
+    within a step, and a friction that is constant over it would lose s1 z'.
+    """
+    decay = 2.0 * p.s0 * abs(w) / (g_before + g) * h
+    if decay < 1e-12:
+        return z + w * h
+    sign = 1.0 if w > 0.0 else -1.0
+    before, after = sign * g_before / p.s0, sign * g / p.s0
+    return after + (z - before) * math.exp(-decay) + (after - before) * math.expm1(-decay) / decay
+
+
+@kernel
+def at_positions(theta, velocity, previous, bristle, dahl, time, h, temperature, p):
+    """State, transmission and sliding friction at the instant of the positions; bristle and Dahl state, a step behind, are
+    brought up.
+
+    Args:
+      theta: positions; velocity: half a step before; previous: one and a half steps before; three each.
+      bristle, dahl: at the last instant; time, h: of now, of a step [s]; temperature [°C]; p: parameter record.
+
+    Returns:
+      `State` (without current), `Transmission`, g(w).
+    """
+    dahl_before = dahl
+    if p.hysteresis_torque != 0.0:
+        rough = dynamics.transmission(state_of(theta, velocity, bristle, 0.0, 0.0, time, temperature), p)
+        dahl = laws.dahl_step(dahl, rough.torsion_rate, h, p)
+    state = state_of(theta, velocity, bristle, dahl, 0.0, time, temperature)
+    t = dynamics.transmission(state, p)
+    w = velocity[1]
+    if p.friction_load == 0.0:
+        g = dynamics.sliding_friction(state, t.load, p)
+        up = laws.bristle_step(bristle, w, g, h, p)
+    else:
+        # The load changes within a step: friction at both its ends, with the flexspline's damping at these instants.
+        now, before = _mixed(1.5, velocity, -0.5, previous), _mixed(0.5, velocity, 0.5, previous)
+        back = _mixed(1.0, theta, -h, velocity)
+        ahead = dynamics.transmission(state_of(theta, now, bristle, dahl, 0.0, time, temperature), p)
+        g = dynamics.sliding_friction(state, ahead.load, p)
+        earlier = state_of(back, before, bristle, dahl_before, 0.0, time - h, temperature)
+        behind = dynamics.transmission(earlier, p)
+        at_before = state_of(back, velocity, bristle, dahl_before, 0.0, time - h, temperature)
+        g_before = dynamics.sliding_friction(at_before, behind.load, p)
+        up = bristle_under_load(bristle, w, g_before, g, h, p)
+    return state_of(theta, velocity, up, dahl, 0.0, time, temperature), t, g
+
+
+# Where MuJoCo keeps what the plugin reads, in 8-byte words. Compiled code takes them as constants.
+_AT = native.offsets()
+_BODIES, _TENDONS, _TIMESTEP, _ATTRIBUTES, _ATTRIBUTE, _STATE_AT = (
+    _AT[name] for name in ("nbody", "ntendon", "timestep", "plugin_attr", "plugin_attradr", "plugin_stateadr")
+)
+_BODY_PLUGIN, _BODY_JOINT, _JOINT_QPOS, _JOINT_DOF, _PATH, _PATH_LENGTH, _PATH_KIND, _PATH_JOINT = (
+    _AT[name]
+    for name in (
+        "body_plugin", "body_jntadr", "jnt_qposadr", "jnt_dofadr", "tendon_adr", "tendon_num", "wrap_type", "wrap_objid",
+    )
+)  # fmt: skip
+_TIME, _QPOS, _QVEL, _PASSIVE, _STATE, _DATA = (
+    _AT[name] for name in ("time", "qpos", "qvel", "qfrc_passive", "plugin_state", "plugin_data")
+)
+_JOINT = 1  # mjWRAP_JOINT
+_COUNTS = np.array([int(np.prod(PARAMETERS[name].shape, dtype=np.int64)) for name in PARAMETERS.names or ()])
+
+_allocate: Any = types.ExternalFunction("flexspline_allocate", types.intp(types.intp))
+_free: Any = types.ExternalFunction("flexspline_free", types.void(types.intp))
+
+
+@kernel
+def _numbers(text, i, out, at, count):
+    """Read numbers, all or none of `count`, of a text from place i into out[at:]; the place behind its end, −1 if malformed."""
+    n = 0
+    while True:
+        while text[i] == 32:
+            i += 1
+        if text[i] == 0:
+            return i + 1 if n == 0 or n == count else -1
+        if n == count:
+            return -1
+        sign = -1.0 if text[i] == 45 else 1.0
+        if text[i] == 45 or text[i] == 43:
+            i += 1
+        mantissa, digits, exponent, point = 0.0, 0, 0, 0
+        while 48 <= text[i] <= 57 or (text[i] == 46 and point == 0):
+            if text[i] == 46:
+                point = 1
+            else:
+                mantissa = 10.0 * mantissa + (text[i] - 48)
+                exponent -= point
+                digits += 1
+            i += 1
+        if digits == 0:
+            return -1
+        if text[i] == 101 or text[i] == 69:
+            i += 1
+            direction = -1 if text[i] == 45 else 1
+            if text[i] == 45 or text[i] == 43:
+                i += 1
+            if not 48 <= text[i] <= 57:
+                return -1
+            power = 0
+            while 48 <= text[i] <= 57:
+                power = 10 * power + (text[i] - 48)
+                i += 1
+            exponent += direction * power
+        scale = 10.0 ** abs(exponent)
+        out[at + n] = sign * (mantissa * scale if exponent >= 0 else mantissa / scale)
+        n += 1
+        if text[i] != 32 and text[i] != 0:
+            return -1
+
+
+@kernel
+def _ints(m, field):
+    return ints_at(word_at(m + 8 * field))
+
+
+@kernel
+def _next_joint(m, joint):
+    """The joint at the other end of the fixed tendon of two joints that begins at a joint; −1: there is none."""
+    for k in range(word_at(m + 8 * _TENDONS)):
+        at = _ints(m, _PATH)[k]
+        kind, joints = _ints(m, _PATH_KIND), _ints(m, _PATH_JOINT)
+        if _ints(m, _PATH_LENGTH)[k] == 2 and kind[at] == _JOINT and joints[at] == joint:
+            return np.int64(joints[at + 1])
+    return -1
+
+
+def _init(m, d, instance):
+    block = _allocate(8 * (_HEADER + SIZE))
+    words_at(word_at(d + 8 * _DATA))[instance] = block
+    header, record = floats_at(block), floats_at(block + 8 * _HEADER)
+    for k in range(SIZE):
+        record[k] = _BLANK[k]
+    text, i, at = bytes_at(word_at(m + 8 * _ATTRIBUTES)), np.int64(_ints(m, _ATTRIBUTE)[instance]), 0
+    for k in range(len(_COUNTS)):
+        i = _numbers(text, i, record, at, _COUNTS[k])
+        if i < 0:
+            return -1
+        at += _COUNTS[k]
+    header[3 + FLEXIBLE] = -1.0
+    found = 0
+    for body in range(word_at(m + 8 * _BODIES)):
+        joint = np.int64(_ints(m, _BODY_JOINT)[body])
+        if _ints(m, _BODY_PLUGIN)[body] != instance or joint < 0:
+            continue
+        wave_generator = _next_joint(m, joint)
+        if wave_generator < 0:
+            header[3 + FLEXIBLE] = _ints(m, _JOINT_DOF)[joint]
+            continue
+        link = _next_joint(m, wave_generator)
+        if link < 0:
+            return -1
+        for k, one in enumerate((joint, wave_generator, link)):
+            header[k], header[3 + k] = _ints(m, _JOINT_QPOS)[one], _ints(m, _JOINT_DOF)[one]
+        found += 1
+    p = carray(record_at(block + 8 * _HEADER), 1)[0]
+    return 0 if found == 1 and p.N > 0.0 and p.Jw > 0.0 and p.Jl > 0.0 and p.vs > 0.0 else -1
+
+
+@kernel
+def _block(d, instance):
+    """Address of an instance's header and record."""
+    return word_at(word_at(d + 8 * _DATA) + 8 * instance)
+
+
+def _destroy(d, instance):
+    _free(_block(d, instance))
+
+
+def _copy(to, m, d, instance):
+    new = floats_at(_block(to, instance))
+    old = floats_at(_block(d, instance))
+    for k in range(_HEADER + SIZE):
+        new[k] = old[k]
+
+
+def _reset(m, state, block, instance):
+    numbers = floats_at(state)
+    for k in range(STATES):
+        numbers[k] = 0.0
+    numbers[TEMPERATURE] = REFERENCE_TEMPERATURE
+
+
+def _states(m, instance):
+    return STATES
+
+
+def _advance(m, d, instance):
+    state = floats_at(word_at(d + 8 * _STATE) + 8 * _ints(m, _STATE_AT)[instance])
+    for k in range(TEMPERATURE):
+        state[k] = state[_NEXT + k]
+
+
+def _compute(m, d, instance, capability):
+    block = _block(d, instance)
+    header = floats_at(block)
+    p = carray(record_at(block + 8 * _HEADER), 1)[0]
+    memory = floats_at(word_at(d + 8 * _STATE) + 8 * _ints(m, _STATE_AT)[instance])
+    qpos, qvel = floats_at(word_at(d + 8 * _QPOS)), floats_at(word_at(d + 8 * _QVEL))
+    rotor, wave_generator, link = int(header[3 + ROTOR]), int(header[3 + WAVE_GENERATOR]), int(header[3 + LINK])
+    theta = qpos[int(header[ROTOR])], qpos[int(header[WAVE_GENERATOR])], qpos[int(header[LINK])]
+    velocity = qvel[rotor], qvel[wave_generator], qvel[link]
+    previous = memory[MEMORY + ROTOR], memory[MEMORY + WAVE_GENERATOR], memory[MEMORY + LINK]
+    time, h = floats_at(d + 8 * _TIME)[0], floats_at(m + 8 * _TIMESTEP)[0]
+    state, t, g = at_positions(
+        theta, velocity, previous, memory[BRISTLE], memory[DAHL], time, h, memory[TEMPERATURE], p
+    )
+    b = dynamics.balance_with(state, t, g, p)
+    memory[_NEXT + BRISTLE], memory[_NEXT + DAHL] = state.bristle, state.dahl
+    for k in range(3):
+        memory[_NEXT + MEMORY + k] = velocity[k]
+    w = velocity[WAVE_GENERATOR]
+
+    # All that the equations of motion say, less what MuJoCo adds itself: gravity, and half of every linear damping, which it
+    # takes implicitly. The other half is explicit. Together that is the trapezoidal rule, second order
+    # (docs/convergence.md).
+    damper = 0.5 * p.df * (w / p.N - velocity[LINK])
+    Tw_damping = 0.5 * p.dw * (velocity[ROTOR] - w)
+    on_rotor = b.on_rotor + Tw_damping + 0.5 * p.bm * velocity[ROTOR]
+    on_wave_generator = b.on_wave_generator - Tw_damping + damper / p.N + 0.5 * p.bw * w
+    on_link = b.on_link - b.gravity - damper + 0.5 * p.bl * velocity[LINK]
+    more = h * h / 12.0 * p.K1 / reduced_inertia(p) * p.df * b.torsion_rate  # see plant._correct_to_fourth_order
+    on_wave_generator -= more * b.ratio
+    on_link += more
+
+    # Half of s1 is implicit, which is the trapezoidal rule while sticking; while sliding, the last change stands for the next.
+    sliding = p.s0 * state.bristle / g if w > 0.0 else -p.s0 * state.bristle / g
+    change = w - previous[WAVE_GENERATOR]
+    on_wave_generator += 0.5 * p.s1 * (w + sliding * change)
+
+    # Implicit in MuJoCo is each body's own damping, not what it owes to the other body's change of velocity: bodies
+    # of different branches have no common entry in its matrices. The last change stands for the next there, too.
+    rotor_change, link_change = velocity[ROTOR] - previous[ROTOR], velocity[LINK] - previous[LINK]
+    on_rotor += 0.5 * p.dw * change
+    on_wave_generator += 0.5 * p.dw * rotor_change + 0.5 * p.df / p.N * link_change
+    on_link += 0.5 * p.df / p.N * change
+
+    force = floats_at(word_at(d + 8 * _PASSIVE))
+    force[rotor] += on_rotor
+    force[wave_generator] += on_wave_generator
+    force[link] += on_link
+    flexible = int(header[3 + FLEXIBLE])
+    if flexible >= 0:
+        memory[_NEXT + MEMORY + FLEXIBLE] = qvel[flexible]
+        # The spring and half of the damping are MuJoCo's own; this is the explicit half.
+        force[flexible] -= 0.5 * laws.flexible_torque(0.0, qvel[flexible], p)
+
+
+class _Plugin(ctypes.Structure):
+    """`mjpPlugin`."""
+
+    _fields_ = (
+        ("name", ctypes.c_char_p), ("nattribute", ctypes.c_int), ("attributes", ctypes.POINTER(ctypes.c_char_p)),
+        ("capabilities", ctypes.c_int), ("needstage", ctypes.c_int),
+        *((name, ctypes.c_void_p) for name in (
+            "nstate", "nsensordata", "init", "destroy", "copy", "reset", "compute", "advance", "visualize",
+            "actuator_act_dot", "sdf_distance", "sdf_gradient", "sdf_staticdistance", "sdf_attribute", "sdf_aabb",
+        )),
+    )  # fmt: skip
+
+
+_PASSIVE_FORCES = 1 << 2  # mjPLUGIN_PASSIVE
+_registering = threading.Lock()
+_registered: list[Any] = []
+
+
+def register() -> None:
+    """Make the plugin known to MuJoCo: compile its functions and register them; once per process."""
+    with _registering:
+        if _registered:
+            return
+        for symbol, name in (("flexspline_allocate", "mju_malloc"), ("flexspline_free", "mju_free")):
+            binding.add_symbol(symbol, native.function_address(name))
+        at, i = types.intp, types.int32
+        functions = {
+            "nstate": c_function(i(at, i), _states),
+            "init": c_function(i(at, at, i), _init),
+            "destroy": c_function(types.void(at, i), _destroy),
+            "copy": c_function(types.void(at, at, at, i), _copy),
+            "reset": c_function(types.void(at, at, at, i), _reset),
+            "compute": c_function(types.void(at, at, i, i), _compute),
+            "advance": c_function(types.void(at, at, i), _advance),
+        }
+        names = [name.encode() for name in PARAMETERS.names or ()]
+        attributes = (ctypes.c_char_p * len(names))(*names)
+        plugin = _Plugin(NAME.encode(), len(names), attributes, _PASSIVE_FORCES, 0)
+        for name, function in functions.items():
+            setattr(plugin, name, function.address)
+        _registered.extend((native.library().mjp_registerPlugin(ctypes.byref(plugin)), functions, attributes))
+
+
+def config(record: np.ndarray) -> dict[str, str]:
+    """An instance's configuration of a parameter record, shape (1,): the fields that are not neutral, as text."""
+    blank = neutral()[0]
+    return {
+        name: " ".join(repr(float(x)) for x in np.ravel(record[0][name]))
+        for name in PARAMETERS.names or ()
+        if not np.array_equal(record[0][name], blank[name])
+    }
+
+
+def slot() -> int:
+    """Number under which MuJoCo knows the plugin: of an instance, `mjModel.plugin` says it."""
+    return int(_registered[0])
+
+
+def instance(data: Any, i: int) -> tuple[np.ndarray, np.ndarray]:
+    """What instance i of a model holds: places in qpos and in qvel of rotor, wave generator and link, shape (2, 3), and its
+    parameter record, shape (1,); copies."""
+    block = np.array((ctypes.c_double * (_HEADER + SIZE)).from_address(int(data.plugin_data[i])))
+    return block[:6].astype(int).reshape(2, 3), block[_HEADER:].view(PARAMETERS)
