@@ -16,10 +16,10 @@ import numpy as np
 from scipy.ndimage import minimum_filter1d
 from scipy.signal import csd, find_peaks
 
+from ..estimator.conditioning import as_logged
 from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.recording import Measurement
-from .data.counts import as_logged
 from .data.segments import CURRENT, STEP, Segment, segments
 from .fit.replay import readings
 

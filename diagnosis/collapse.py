@@ -24,13 +24,13 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from ..estimator.conditioning import as_logged
 from ..models import laws
 from ..models.errors import InputError
 from ..models.friction_map import friction, steady
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
 from ..models.uncertainty import independent_changes, moved
-from .data.counts import as_logged
 from .data.segments import CURRENT, Segment, decimate, segments
 from .fit.replay import parallel, replay, transmission
 

@@ -162,9 +162,7 @@ def _regressed(
             time = recording.time[b : b + size]
             s = smooth(time, recording[name][b : b + size, None], recording.interval, float(cutoff))
             x, v, a = (np.interp(time, s.time, z[:, 0]) for z in (s.value, s.rate, s.acceleration))
-            known = (
-                [recording.load.torque[b : b + size], recording.load.inertia[b : b + size] * a * ratio] if arm else []
-            )
+            known = [] if load is None else [load.torque[b : b + size], load.inertia[b : b + size] * a * ratio]
             columns.append(np.column_stack([x * ratio, v, a, *known]))
             values.append(recording[y][b : b + size])
             block.append(np.floor((time - recording.time[0]) / block_time).astype(int))
