@@ -42,7 +42,7 @@ from .search.acceptance import (
 )
 from .search.described import as_described
 from .search.identifiability import limits
-from .search.plain import as_rivals, held_out_square, plain_fit
+from .search.plain import as_rivals, held_out_square, least_squares, plain_fit
 from .search.settle import is_calibration, why_needed, without_cancelling, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, likeliest_first, search
@@ -126,9 +126,15 @@ def diagnose(
     else:
         problem, final = _corrected(problem, with_dispersion(problem, unknown.fit))
         judged = final = _inflated(problem, final)
-    if plain is not None and held_out_square(problem, plain) < held_out_square(problem, judged):
-        found, unknown = replace(found, chosen=plain, rivals=as_rivals(problem, plain)), None
-        judged = final = _inflated(problem, with_dispersion(problem, plain))
+    if plain is not None:
+        known = tuple(h for h in judged.model if h.free)
+        again = least_squares(fitter, known, judged.theta[: problem.size + sum(h.size for h in known)])
+        fits: list[Fit] = [judged, plain, again]
+        best = fits[int(np.argmin([held_out_square(problem, f) for f in fits]))]
+        if best is not judged:
+            rivals = as_rivals(problem, plain) if best is plain else found.rivals[: len(known)]
+            found, unknown = replace(found, chosen=best, rivals=rivals), None
+            judged = final = _inflated(problem, with_dispersion(problem, best))
     progress("regions that a fit has not seen", 0.97)
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))

@@ -15,8 +15,8 @@ import numpy as np
 from ..data.segments import Segment
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
-from ..fit.residual import Problem
-from ..fit.solver import Fit, Fitter, with_dispersion
+from ..fit.residual import Model, Problem
+from ..fit.solver import Fit, Fitter, covariances, with_dispersion
 from ..regression import MOVING, Regression
 from .acceptance import Rivals, significance
 
@@ -34,6 +34,8 @@ CAUSES = {
 BEYOND = 3.0
 """Standard deviations, of tolerance and regression together, from which on a number starts in the model."""
 _ITERATIONS = 12
+_TOLD = 0.1
+"""Variance of an unknown over its prior's below which the data say something of it."""
 
 
 def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Regression]) -> Fit:
@@ -56,8 +58,22 @@ def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Reg
             value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)
             started[name] = h, h.confine(h.coordinates({q.name: value for q in h.cause.parameters}))
     model = tuple(h for h, _ in started.values())
-    start = np.concatenate([problem.start(None, ()), *(u for _, u in started.values())])
-    return Fitter(in_motion(problem), fitter.settings, EVEN).fit(model, start, None, _ITERATIONS)
+    return least_squares(fitter, model, np.concatenate([problem.start(None, ()), *(u for _, u in started.values())]))
+
+
+def least_squares(fitter: Fitter, model: Model, start: np.ndarray) -> Fit:
+    """A model by least squares in motion, tempered.
+
+    Residuals within one second are not independent, as the noise of least squares takes them to be. By how much less the data
+    therefore say, the scatter of the score over such pieces says; the noise is made that much louder, so that tolerances hold
+    the numbers of which the data say little (a coarsened posterior: Miller and Dunson, 2019).
+    """
+    moving = Fitter(in_motion(fitter.problem), fitter.settings, EVEN)
+    f = moving.fit(model, start, None, _ITERATIONS)
+    independent, scattered = (np.diag(c) for c in covariances(moving.problem, f))
+    told = independent < _TOLD * moving.problem.spread(model) ** 2
+    less = float(np.sqrt(np.median((scattered / independent)[told]))) if told.any() else 1.0
+    return moving.settle(replace(f, noise=f.noise.louder(max(less, 1.0))), _ITERATIONS)
 
 
 def in_motion(problem: Problem) -> Problem:
