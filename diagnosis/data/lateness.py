@@ -65,7 +65,9 @@ class LatenessSettings:
     travel: float = 0.05  # of the link, below which motion says nothing [rad]
     moving: float = 0.02  # speed over the largest from which on the link goes somewhere
     alone: float = 3.0  # times as much of it, where one encoder alone says so
-    fits: float = 0.08  # residual over spread of a column that fits where it is not late
+    fits: float = (
+        0.08  # residual over spread of a drive's torque that fits where it is not late; of others twice as much
+    )
     alike: float = 0.2  # gain of either encoder's relation over the mean, where a torque is late
     # share of the time that the joint moves at the least, for a drive's torque to be held against its motion
     goes: float = 0.25
@@ -149,7 +151,7 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
     i = int(np.argmin(near))
     gains = [_gain([r], name, best[1]) for r in mine]
     by = [sum(g for g, r in zip(gains, mine, strict=True) if r.first == one) for one in {r.first for r in mine}]
-    if name in DRIVING and min(by) < SETTINGS.alike * sum(by) / len(by):  # of a torque both encoders say so
+    if name in DRIVING[:2] and min(by) < SETTINGS.alike * sum(by) / len(by):  # of a torque both encoders say so
         return None
     said = [r for g, r in zip(gains, mine, strict=True) if g > 0.1 * sum(gains)]
     if not all((r.fits if r.second == name else r.fits[::-1])[i] for r in said):
@@ -243,7 +245,8 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
         count = min(SETTINGS.effective[0] * SETTINGS.step * stride * len(y), SETTINGS.effective[1])
         least = _least_that_counts(joint, second)
         unexplained = _unexplained(whole, y)
-        fits = unexplained < np.maximum((2 * least) ** 2, SETTINGS.fits**2 * np.var(y, axis=0))
+        share = SETTINGS.fits * (1 if second in DRIVING[:2] else 2)
+        fits = unexplained < np.maximum((2 * least) ** 2, share**2 * np.var(y, axis=0))
         found.append(_Relation(first, second, 0.5 * count * np.log(unexplained + least**2), fits))
     return found
 

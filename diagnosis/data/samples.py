@@ -379,6 +379,10 @@ def _power_cycles(time: np.ndarray, columns: Mapping[str, np.ndarray], N: float)
     found = np.flatnonzero((np.abs(off) > max(usual, math.pi)) & (np.abs(turns - np.round(turns)) < SETTINGS.whole))
     if not len(found) or len(found) > 3:
         return np.empty(0, int)
+    # Else one of them was stuck before, but for a gap.
+    before = [slice(max(k - SETTINGS.still[1], 0), k) for k in found]
+    moved = [bool(np.any(np.diff(motor[b])) and np.any(np.diff(link[b]))) for b in before]
+    found = found[np.array(moved, bool) | (np.diff(time)[found] > GAP)]
     apart = motor - N * link
     back = [abs(np.median(apart[k + 1 : k + 10]) - np.median(apart[max(k - 9, 0) : k + 1])) < math.pi for k in found]
     return found[~np.array(back, bool)] + 1
