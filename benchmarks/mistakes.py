@@ -17,10 +17,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from flexspline.diagnosis.data.mistakes import Mistake, find_mistakes
-from flexspline.models.joint import Joint
+from flexspline.diagnosis.data.plausibility import motion_of
+from flexspline.models.joint import Joint, load_joint
 from flexspline.models.recording import Measurement, Recording, read_measurement
+from flexspline.models.signals import DRIVING, POSITIONS
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "shared" / "data" / "examples"
 _EXACT = 0.03
@@ -316,6 +319,311 @@ def drawn(count: int, seed: int) -> Iterator[tuple[Measurement, Joint]]:
         )
 
 
+JOINTS = ("test-joint", "csg-14-100-ec45", "csg-20-50-ec90", "csg-25-100-tbm2g", "ur3e-shoulder", "lara8-joint3")
+
+
+def _moves(rng: np.random.Generator, t: np.ndarray, kind: str) -> tuple[np.ndarray, np.ndarray]:
+    """A link's angle [rad] and its command, shape (n,) each: `sweep`, `moves` from pose to pose, `strokes`, `slips`."""
+    range_, theta, now = rng.uniform(0.5, 1.2), np.zeros(len(t)), 0.0
+    if kind == "sweep":
+        slow, fast = rng.uniform(0.08, 0.3), rng.uniform(0.3, 1.2)
+        part = rng.uniform(0.05, 0.4)
+        theta = range_ * ((1 - part) * np.sin(2 * np.pi * slow * t) + part * np.sin(2 * np.pi * fast * t))
+        return theta, theta
+    command, begin, goal, sign = np.zeros(len(t)), 0.3, 0.0, 1.0
+    while begin < t[-1]:
+        if kind == "slips":  # the command creeps, friction holds, the link jumps after it
+            held, long = rng.uniform(0.3, 1.2), rng.uniform(0.05, 0.15)
+            sign = -sign if abs(now + sign * 0.15) > range_ else sign
+            goal = now + sign * rng.uniform(0.02, 0.15)
+            creep = (t >= begin) & (t < begin + held)
+            command[creep] = now + (goal - now) * (t[creep] - begin) / held
+        else:
+            speed = rng.uniform(0.15, 0.3) if kind == "strokes" else rng.uniform(0.4, 1.6)
+            goal = (range_ if goal <= 0 else -range_) if kind == "strokes" else rng.uniform(-range_, range_)
+            held, long = rng.uniform(0.2, 1.5), max(1.9 * abs(goal - now) / speed, 0.15)
+        move = t >= begin + held
+        s = np.clip((t[move] - begin - held) / long, 0.0, 1.0)
+        shape = s * s * s * (10 - 15 * s + 6 * s * s) if begin % 0.2 < 0.1 or kind == "slips" else s * s * (3 - 2 * s)
+        theta[move] = now + (goal - now) * shape
+        if kind == "slips":
+            command[t >= begin + held] = goal
+        now, begin = goal, begin + held + long
+    return theta, command if kind == "slips" else theta
+
+
+def wide(seed: int, compensated: bool = False) -> tuple[Measurement, Joint]:
+    """A sound log as people have them, by a joint's equations without the dynamics of its springs.
+
+    25 to 1000 Hz, even or not; sweeps, moves from pose to pose, strokes, stick-slip; one encoder or two, coarse or fine; current,
+    drive's torque or a sensor; friction 0.3 to 6 times, inertia and load up to 2 times what is described, or as described.
+
+    Args:
+      compensated: whether the drive takes gravity off what it logs.
+    """
+    rng = np.random.default_rng([48, seed])
+    joint = load_joint(JOINTS[rng.integers(len(JOINTS))])
+    kind = ("sweep", "moves", "strokes", "slips")[rng.choice(4, p=[0.35, 0.35, 0.15, 0.15])]
+    rate, seconds = float(np.exp(rng.uniform(np.log(25), np.log(1000)))), rng.uniform(8.0, 40.0)
+    mounting = max(joint.mountings.values(), key=lambda m: m.gravity_moment)
+    p = joint.record(mounting)[0]
+    N = float(p["N"])
+    fine = np.arange(0.0, seconds, 1e-3)
+    theta, command = _moves(rng, fine, kind)
+    theta = uniform_filter1d(uniform_filter1d(theta, 15, mode="nearest"), 15, mode="nearest")
+    centre = rng.uniform(-0.5, 0.5) - float(p["gravity_angle"]) * (abs(p["gravity_angle"]) > 1)
+    theta, command = theta + centre, command + centre
+    v = np.gradient(theta, 1e-3)
+    a = np.gradient(v, 1e-3)
+
+    def off(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(np.log(low), np.log(high)))) if rng.random() < 0.6 else rng.uniform(0.95, 1.05)
+
+    load, inertia, friction, rotor, viscous = off(0.5, 2), off(0.5, 2), off(0.3, 6), off(0.5, 2), off(0.3, 6)
+    torque = load * p["Mg"] * np.sin(theta + p["gravity_angle"]) + inertia * p["Jl"] * a + p["bl"] * v
+    w, level = N * v, friction * float(p["Fc"])
+    moving = np.abs(w) > 0.5
+    last = np.maximum.accumulate(np.where(moving, np.arange(len(w)), 0))
+    rests = np.exp(-(np.arange(len(w)) - last) * 1e-3 / rng.uniform(0.5, 5.0))
+    sense = np.tanh(w[last] / p["vs"]) * np.where(moving, 1.0, rests)
+    if kind == "slips":  # what the current builds up while friction holds
+        sense = np.clip((command - theta) / 0.1 + np.where(moving, np.sign(w), 0.0), -1.2, 1.2)
+    mesh = level * sense + viscous * (p["bw"] + p["bm"]) * w
+    mesh = (
+        mesh * (1 + 0.15 * rng.random() * np.sin(2 * N * theta + 1.0))
+        + rng.uniform(0.0, 0.15) * np.abs(torque) / N * sense
+    )
+    motor = N * (theta + torque / p["K2"] + 1e-4 * np.sin(2 * N * theta)) + 0.03 * rng.standard_normal()
+    held = load * p["Mg"] * np.sin(theta + p["gravity_angle"]) if compensated else 0.0
+    drive = (torque - held) / N + mesh + rotor * (p["Jm"] + p["Jw"]) * N * a
+    drive = uniform_filter1d(drive, rng.integers(1, 4))
+    stamps = np.arange(0.0, seconds - 0.01, 1 / rate)
+    if rng.random() < 0.3:
+        stamps = stamps + rng.uniform(0.0, 0.3 / rate, len(stamps))
+    Kt, noise = float(p["Kt"]) * off(0.8, 1.25), 10 ** rng.uniform(-3, -1.7)
+
+    def read(x: np.ndarray, noisy: float = 0.0, count: float = 0.0) -> np.ndarray:
+        y = np.interp(stamps, fine, x) + noisy * rng.standard_normal(len(stamps))
+        return count * np.round(y / count) if count else y
+
+    spread = float(np.quantile(np.abs(drive), 0.98))
+    counts = (6e-6, 1e-4, 1.5e-3, 2.9e-3)[rng.integers(4)]
+    columns = {
+        "motor_position": read(motor, count=2 * np.pi / 4096),
+        "link_position": read(theta, count=counts),
+        "motor_current": read(drive / Kt, noise * spread / Kt, (0.0, 0.003 * spread / Kt)[rng.integers(2)]),
+        "motor_torque": read(drive, noise * spread, (0.0, 0.01 * spread)[rng.integers(2)]),
+        "joint_torque": read(torque, 0.005 * np.ptp(torque)),
+        "position_command": np.interp(stamps, fine, command),
+    }
+    angles = (POSITIONS, ("link_position",), ("link_position",), ("motor_position",))[rng.integers(4)]
+    drives = (("motor_current",), ("motor_current",), ("motor_torque",), ("motor_current", "joint_torque"))[
+        rng.integers(4)
+    ]
+    kept = (*angles, *drives, *(("position_command",) if rng.random() < 0.4 else ()))
+    single = rng.random() < 0.3
+    chosen = {n: np.float64(np.float32(x)) if single else x for n, x in columns.items() if n in kept}
+    name = f"wide {seed}: {joint.name} {kind} {rate:.0f} Hz, {' '.join(kept)}"
+    name += f", load {load:.2g}, inertia {inertia:.2g}, friction {friction:.2g}"
+    return Measurement(name, Path(), (Recording("log", stamps, chosen, joint.name, str(seed), link=mounting),)), joint
+
+
+def _column_of(*names: str) -> Callable[[Recording], str | None]:
+    return lambda r: next((n for n in names if n in r), None)
+
+
+def wide_mistakes() -> Iterator[
+    tuple[str, str, Callable[[Recording, Joint, np.random.Generator], tuple[Recording, str] | None]]
+]:
+    """Mistakes to hide in wide logs: label, name, and what makes it of a log and gives the column; None where it cannot be."""
+    drive, angle = _column_of("motor_current", "motor_torque"), _column_of("link_position", "motor_position")
+
+    def scaled(pick, factor):
+        def spoil(r, joint, rng):
+            column = pick(r)
+            if column is None:
+                return None
+            by = factor(joint) if callable(factor) else factor
+            return (_with(r, **{column: by * r[column]}), column) if by is not None else None
+
+        return spoil
+
+    def moved(spoil, pick):
+        def made(r, joint, rng):
+            column = pick(r)
+            return None if column is None else (spoil(column)(r, joint, rng), column)
+
+        return made
+
+    current, sensor = _column_of("motor_current"), _column_of("joint_torque")
+    deg = 180 / math.pi
+    yield "degrees", "unit", scaled(angle, deg)
+    yield "turns", "unit", scaled(angle, 1 / (2 * math.pi))
+    yield "mA", "unit", scaled(current, 1e3)
+    yield "mN·m", "unit", scaled(sensor, 1e3)
+    yield "A as N·m output", "unit", scaled(current, lambda j: _far(j.numbers["N"].value * j.numbers["Kt"].value, 4))
+    yield "drive turned round", "sign", scaled(drive, -1.0)
+    yield "sensor turned round", "sign", scaled(sensor, -1.0)
+    yield "half a turn", "angle_zero", lambda r, j, g: _turned_by(r, j, math.pi)
+    yield "quarter of a turn", "angle_zero", lambda r, j, g: _turned_by(r, j, math.pi / 2)
+    yield "swapped", "swapped", lambda r, j, g: (_exchanged(r, j, g), "") if all(n in r for n in POSITIONS) else None
+    yield (
+        "gear ratio 101",
+        "gear_ratio",
+        lambda r, j, g: (_ratio(1.01)(r, j, g), "motor_position") if all(n in r for n in POSITIONS) else None,
+    )
+    yield (
+        "velocity",
+        "velocity",
+        moved(lambda c: _speed(c, 1.0), lambda r: angle(r) if all(n in r for n in POSITIONS) else None),
+    )
+    yield "no gravity", "no_gravity", _no_gravity
+    yield "effort is a current", "unit", _effort_is_current
+    yield "angle of 16 bits", "wrapped", lambda r, j, g: _register(r, angle(r), 2 * math.pi / 4096, 16)
+    yield "angle of 32 bits", "wrapped", lambda r, j, g: _register(r, angle(r), 2 * math.pi / 2**18, 32)
+    yield (
+        "drive of 16 bits",
+        "wrapped",
+        lambda r, j, g: _register(r, drive(r), float(np.ptp(r[drive(r)])) / 700 if drive(r) else 0, 16),
+    )
+    yield "whole turns", "wrapped", _whole_turns
+    yield (
+        "without sign",
+        "sign",
+        lambda r, j, g: (
+            (_with(r, **{drive(r): np.abs(r[drive(r)])}), drive(r)) if drive(r) and _both_signs(r[drive(r)]) else None
+        ),
+    )
+    yield "clock × 0.5", "unit", lambda r, j, g: _clock(r, 0.5, j)
+    yield "clock × 2", "unit", lambda r, j, g: _clock(r, 2.0, j)
+    yield "time reversed", "sign", _backwards
+    yield "glitch", "glitch", lambda r, j, g: _wide_glitch(r, drive(r), g)
+    yield "glitch of the angle", "glitch", lambda r, j, g: _wide_glitch(r, angle(r), g)
+    yield "clipped", "clipped", moved(lambda c: _clipped(c, 0.6), drive)
+    yield "stuck drive", "stuck", moved(lambda c: _stuck(c, 0.3), drive)
+    yield (
+        "stuck angle",
+        "stuck",
+        moved(lambda c: _stuck(c, 0.3), lambda r: angle(r) if all(n in r for n in POSITIONS) else None),
+    )
+    yield "late drive 60 ms", "late", lambda r, j, g: _late_of(r, j, g, drive(r), 0.06)
+    yield "late angle 60 ms", "late", lambda r, j, g: _late_of(r, j, g, "motor_position", 0.06)
+
+
+def _far(factor: float, by: float) -> float | None:
+    """A factor that no description is off by."""
+    return factor if max(factor, 1 / factor) > by else None
+
+
+def _turned_by(r: Recording, joint: Joint, offset: float) -> tuple[Recording, str]:
+    return _shifted(offset, (*POSITIONS, "position_command"))(_ratioed(r), joint, np.random.default_rng(0)), ""
+
+
+def _ratioed(r: Recording) -> Recording:
+    return r
+
+
+def _both_signs(x: np.ndarray) -> bool:
+    return min(float(np.mean(x > 0.05 * np.abs(x).max())), float(np.mean(x < -0.05 * np.abs(x).max()))) > 0.1
+
+
+def _no_gravity(r: Recording, joint: Joint, rng: np.random.Generator) -> tuple[Recording, str] | None:
+    column = next((n for n in ("motor_current", "motor_torque") if n in r), None)
+    if column is None or "joint_torque" in r:
+        return None
+    without = wide(int(r.description), compensated=True)[0].recordings[0]
+    return _with(r, **{column: without[column]}), column
+
+
+def _effort_is_current(r: Recording, joint: Joint, rng: np.random.Generator) -> tuple[Recording, str] | None:
+    N, Kt = joint.numbers["N"].value, joint.numbers["Kt"].value
+    if "motor_current" not in r or "joint_torque" in r or _far(N * Kt, 4) is None:
+        return None
+    columns = {("joint_torque" if n == "motor_current" else n): x for n, x in r.columns.items()}
+    return replace(r, columns=columns), "joint_torque"
+
+
+def _register(r: Recording, column: str | None, count: float, bits: int) -> tuple[Recording, str] | None:
+    if column is None or not r[column].min() < 0 < r[column].max():
+        return None
+    counts = np.round(r[column] / count)
+    return _with(r, **{column: count * (counts % 2.0**bits)}), column
+
+
+def _whole_turns(r: Recording, joint: Joint, rng: np.random.Generator) -> tuple[Recording, str] | None:
+    if not all(n in r for n in POSITIONS):
+        return None
+    n = len(r.time) // 2
+    off = np.where(np.arange(len(r.time)) < n, 0.0, 2 * math.pi * rng.integers(2, 30))
+    return replace(_with(r, motor_position=r["motor_position"] + off), time=r.time + 2.0 * (off > 0)), "motor_position"
+
+
+def _clock(r: Recording, factor: float, joint: Joint) -> tuple[Recording, str] | None:
+    """Where inertia is much of the torque, as the log has it; else no clock shows."""
+    p, name = joint.record(r.link)[0], next(n for n in reversed(POSITIONS) if n in r)
+    motion = motion_of(replace(r, time=r.time * factor))
+    if motion is None:
+        return None
+    a = motion.channels[name][:, 2] / (p["N"] if name == "motor_position" else 1.0)
+    inertia = p["Jl"] + (0.0 if "joint_torque" in r else p["N"] ** 2 * (p["Jm"] + p["Jw"]))
+    if float(np.std(inertia * a)) < 0.1 * joint.numbers["rated_torque"].value:
+        return None
+    return replace(r, time=r.time * factor), "time"
+
+
+def _backwards(r: Recording, joint: Joint, rng: np.random.Generator) -> tuple[Recording, str]:
+    return replace(r, time=(r.time[-1] - r.time)[::-1], columns={n: x[::-1] for n, x in r.columns.items()}), "time"
+
+
+def _wide_glitch(r: Recording, column: str | None, rng: np.random.Generator) -> tuple[Recording, str] | None:
+    if column is None:
+        return None
+    x = r[column].copy()
+    rows = rng.choice(np.arange(20, len(x) - 20), 2, replace=False)
+    x[rows] += (1.5 if column in DRIVING else 1.0) * np.ptp(x) * rng.choice((-1.0, 1.0), 2)
+    return _with(r, **{column: x}), column
+
+
+def _late_of(r: Recording, joint: Joint, rng: np.random.Generator, column: str | None, seconds: float):
+    if column is None or not all(n in r for n in POSITIONS):
+        return None
+    return _late(column, seconds)(r, joint, rng), column
+
+
+def wide_rates(count: int, seed: int, only: str = "", every: bool = True) -> None:
+    """Print claims in sound wide logs, and of each kind hidden in them how many are named."""
+    logs = [wide(seed + i) for i in range(count)]
+    rng = np.random.default_rng(seed)
+    if only in ("", "sound"):
+        claimed = 0
+        for measurement, joint in logs:
+            found = [m for m in find_mistakes(measurement, joint) if m.confidence > 0.5]
+            claimed += bool(found)
+            if found:
+                print(f"  claimed of {measurement.name}: {', '.join(map(_short, found))}", flush=True)
+        print(f"sound wide logs: claims in {claimed} of {count}", flush=True)
+    for label, name, spoil in wide_mistakes():
+        if only not in label:
+            continue
+        hits, tried, missed = 0, 0, []
+        for measurement, joint in logs[:: 1 if every else 4]:
+            made = spoil(measurement.recordings[0], joint, rng)
+            if made is None:
+                continue
+            found = find_mistakes(replace(measurement, recordings=(made[0],)), joint)
+            named = any(
+                m.name == name and (not made[1] or made[1] in (m.column, *m.also)) for m in found if m.confidence > 0.5
+            )
+            hits, tried = hits + named, tried + 1
+            if not named:
+                missed.append(
+                    f"{measurement.name}: " + (", ".join(f"{_short(m)} {m.confidence:.2f}" for m in found) or "nothing")
+                )
+        print(f"  {label:22s} {hits}/{tried}", flush=True)
+        for line in missed[:4]:
+            print(f"      {line}")
+
+
 def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
     """Print the rates, as the words of a command line ask."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.mistakes")
@@ -326,7 +634,11 @@ def main(words: Sequence[str] = ("--every", "5", "--draws", "10")) -> None:
     parser.add_argument("--draws", type=int, default=40)
     parser.add_argument("--cuts", type=int, default=240, help="sound measurements cut short")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--wide", type=int, default=0, help="wide logs alone, so many")
     arguments = parser.parse_args(words)
+    if arguments.wide:
+        wide_rates(arguments.wide, arguments.seed, arguments.only)
+        return
     rng = np.random.default_rng(arguments.seed)
     print(f"mistakes hidden in the examples, seed {arguments.seed}")
     sound = [(m, m.load_joint(None)) for m in examples(arguments.folder)][:: arguments.every]

@@ -30,6 +30,8 @@ def measurement_at(path: str | Path) -> Measurement:
     from ..models.recording import read_measurement
 
     found = read_measurement(path)
+    for text in found.fixed:
+        print(f"flexspline: {text}", file=sys.stderr)
     ours = manifest(found.folder) if found.passed_over else {}
     for table, why in found.passed_over.items():
         if table.name not in ours:

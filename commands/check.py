@@ -79,6 +79,7 @@ def command(
             "measurement": given.name,
             "joint": described.name,
             "mistakes": [m.to_json() for m in mistakes],
+            "fixed": list(given.fixed),
             "recordings": [asdict(s) for s in summaries],
             "missing": missing,
             "coarser": [asdict(one) for one in coarse],

@@ -65,7 +65,7 @@ def command(
     With `--fix`, what people get wrong (units, signs, columns exchanged or late, …) is named and mended; a measurement in this
     program's own format can be given as well then: `flexspline import MEASUREMENT --fix --out DIR`.
     """
-    from ..diagnosis.data.mistakes import find_mistakes, mended
+    from ..diagnosis.data.mistakes import find_mistakes, fits_no_better, fixed
     from ..models.files import json_text
     from ..models.output import check_output, output_folder
     from ..models.recording import edited, ordered, write_recording
@@ -98,7 +98,13 @@ def command(
         for m in found:
             if not m.sure:
                 warnings.warn(f"{m.where}: not mended: {m.unmended}", InputWarning, stacklevel=2)
-        measurement = mended(measurement, described, mistakes)
+        given, measurement = measurement, fixed(measurement, described, mistakes)
+        if mistakes and fits_no_better(given, measurement, described):
+            changes = ", ".join(f"{m.where}: {m.change}" if m.where else m.change for m in mistakes)
+            raise InputError(
+                f"{given.path}: --fix: expected data that fit the joint {described.name} better, got none by {changes}; "
+                "nothing was written"
+            )
         if not as_json and (mistakes or not found):
             print_mistakes(terminal, mistakes, mended=True)
         if any(m.severe for m in mistakes):  # what mends one column may be another's mistake

@@ -72,14 +72,14 @@ def diagnose(
     progress("looking for mistakes in the data", 0.0)
     mistakes = find_mistakes(measurement, joint)
     if any(m.severe for m in mistakes):
-        return meaningless(joint, mistakes, time.monotonic() - begin)
+        return _noted(meaningless(joint, mistakes, time.monotonic() - begin), measurement)
     measurement = most_telling(measurement)
     joint = as_logged(joint, measurement.recordings)
     problem = Problem(*segments(list(measurement.recordings), joint), joint)
     missing = coverage.undetermined(measurement, joint)
     if not any(s.usable.any() for s in problem.segments):
         why = coverage.too_little(measurement, joint)
-        return nothing_usable(why, joint, mistakes, missing, time.monotonic() - begin)
+        return _noted(nothing_usable(why, joint, mistakes, missing, time.monotonic() - begin), measurement)
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     available = [n for n in causes.of(joint) if coverage.can_show(n, measurement, problem.link_measured)]
     present = {effect.name: effect.values for effect in joint.effects}
@@ -128,8 +128,8 @@ def diagnose(
         judged = final = _inflated(problem, final)
     if plain is not None:
         known = tuple(h for h in judged.model if h.free)
-        again = least_squares(fitter, known, judged.theta[: problem.size + sum(h.size for h in known)])
-        fits: list[Fit] = [judged, plain, again]
+        refitted = least_squares(fitter, known, judged.theta[: problem.size + sum(h.size for h in known)])
+        fits = [judged, plain, refitted]
         best = fits[int(np.argmin([held_out_square(problem, f) for f in fits]))]
         if best is not judged:
             rivals = as_rivals(problem, plain) if best is plain else found.rivals[: len(known)]
@@ -158,8 +158,13 @@ def diagnose(
         most = ANSWER.unsure if drawn.share == 0.0 else 1.0
         found = replace(found, complete=found.complete and not late)
         conclusion = described or replace(conclusion, found=found, surest=min(conclusion.surest, most))
-    answer = answer_of(conclusion, measurement)
-    return replace(answer, mistakes=mistakes, regressions=said, seconds=time.monotonic() - begin)
+    answer = replace(answer_of(conclusion, measurement), mistakes=mistakes, regressions=said)
+    return _noted(replace(answer, seconds=time.monotonic() - begin), measurement)
+
+
+def _noted(found: Diagnosis, measurement: Measurement) -> Diagnosis:
+    """The same, with what `flexspline import --fix` changed in the data among its reasons."""
+    return replace(found, reasons=(*found.reasons, *measurement.fixed))
 
 
 def _zeros(measurement: Measurement, problem: Problem, f: Fit) -> dict[str, float]:

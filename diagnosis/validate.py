@@ -162,6 +162,7 @@ class Validation:
       regions: by angle, speed, load and direction.
       beyond: shares of the samples in motion beyond the joint's range of validity, by variable; empty where there are none.
       mistakes: in the data.
+      fixed: what `flexspline import --fix` changed before.
       recordings: measured and simulated channels.
       untared: whether most of the link position's error is a mean that a link encoder's zero may be, which the description leaves
         open. The joint torque's mean is then of it, too, as torsion is read from both encoders.
@@ -172,6 +173,7 @@ class Validation:
     regions: tuple[ValidationRegion, ...]
     beyond: dict[str, float]
     mistakes: tuple[Mistake, ...] = ()
+    fixed: tuple[str, ...] = ()
     recordings: tuple[Channels, ...] = field(default=(), repr=False)
     untared: bool = False
 
@@ -193,6 +195,7 @@ class Validation:
             "regions": [region.to_json() for region in self.regions],
             "beyond": self.beyond,
             "mistakes": [m.to_json() for m in self.mistakes],
+            "fixed": list(self.fixed),
             "untared": self.untared,
             "recordings": [r.name for r in self.recordings],
         }
@@ -223,6 +226,7 @@ def validate(measurement: Measurement, joint: Joint) -> Validation:
         regions=tuple(_regions(recordings, joint.valid)),
         beyond=_beyond(recordings, joint.valid),
         mistakes=mistakes,
+        fixed=measurement.fixed,
         recordings=recordings,
         untared=_untared(residual.get("link_position"), joint),
     )

@@ -68,6 +68,8 @@ class Sidecar(Strict):
     """The arm that the joint is part of; or else `link`."""
     external_torque: External = "none"
     """Whether the link was pushed, and whether that was measured."""
+    fixed: tuple[str, ...] = ()
+    """What `flexspline import --fix` changed in the table."""
 
     @model_validator(mode="after")
     def _one_load(self) -> Sidecar:
@@ -93,6 +95,7 @@ class Recording:
       logged: time as its table has it [s], shape (n,), where `time` has gaps that it does not show; else None.
       external: whether there was external torque: none, measured (the column) or unmeasured.
       source: where it came from, for messages.
+      fixed: what `flexspline import --fix` changed, for people.
 
     Raises:
       InputError: columns of different length, values that are not finite or beyond `LARGEST`, time that does not
@@ -110,6 +113,7 @@ class Recording:
     arm: ArmRecord | None = None
     load: Load | None = None
     logged: np.ndarray | None = None
+    fixed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         where = self.source or f"recording {self.name!r}"
@@ -259,6 +263,11 @@ class Measurement:
         tables = [Path(recording.source) for recording in self.recordings if recording.source]
         return [file for table in tables for file in (table, table.with_suffix(".yaml"))]
 
+    @property
+    def fixed(self) -> tuple[str, ...]:
+        """What `flexspline import --fix` changed, a line for each recording that has it."""
+        return tuple(f"{r.name}: mended by import --fix: {'; '.join(r.fixed)}" for r in self.recordings if r.fixed)
+
     def _repr_html_(self) -> str:
         rows = [(r.name, float(r.time[-1] - r.time[0]), 1 / r.interval, ", ".join(r.columns)) for r in self.recordings]
         return paragraph(self.name) + html_table(("recording", "duration [s]", "rate [Hz]", "channels"), rows)
@@ -354,6 +363,7 @@ def read_recording(path: str | Path) -> Recording:
         link=sidecar.link if sidecar.link is not None else _LINK,
         external=sidecar.external_torque,
         source=str(path),
+        fixed=sidecar.fixed,
     )
     if sidecar.arm is None:
         if angles:
@@ -438,8 +448,11 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
         link=recording.link if arm is None else None,
         arm=None if arm is None else arm.spec.model_copy(update={"model": f"{recording.name}_arm.xml"}),
         external_torque=recording.external,
+        fixed=recording.fixed,
     )
     data = sidecar.model_dump(mode="json", exclude_none=True)
+    if not recording.fixed:
+        del data["fixed"]
     if sidecar.link is not None:
         data["link"] = sidecar.link.model_dump(mode="json", exclude_defaults=True)
     if arm is not None and sidecar.arm is not None:
@@ -449,7 +462,7 @@ def write_recording(recording: Recording, folder: str | Path) -> Path:
     columns = ordered(recording)
     with write_into_place(path) as temporary:
         units_of = {name: _unit(name) for name in columns}
-        write_table(temporary, columns, units_of, metadata={_WRITTEN: _digest(text)})
+        write_table(temporary, columns, units_of, metadata={_WRITTEN: _digest(text), **_notes(recording)})
     with write_into_place(path.with_suffix(".yaml")) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return path
@@ -466,6 +479,11 @@ def ordered(recording: Recording) -> dict[str, np.ndarray]:
 
 _WRITTEN = "flexspline.yaml"
 """Metadata of a recording's table: what tells the YAML file that was written with it from an edited one."""
+
+
+def _notes(recording: Recording) -> dict[str, str]:
+    """What else a table's metadata say of a recording."""
+    return {"flexspline.fixed": "; ".join(recording.fixed)} if recording.fixed else {}
 
 
 def _digest(text: str) -> str:

@@ -1,749 +1,558 @@
-"""Changes that would mend a measurement, and which of them the agreement of its channels asks for.
+"""What people get wrong, as one table: each entry says what is wrong with a column, and how the column is without.
 
-A change says what is wrong with a column of the file (a unit, a sign, …) and makes the channels as they would be without. Each
-has a price in log likelihood: nobody makes a mistake without need. The search applies the change that gains most, and looks
-again; the last few best are kept, as a first step may only look good.
+An entry is a `Mistake` with a price in log likelihood: nobody makes a mistake without need. Where it has a number (a gear ratio,
+a zero, a clock), the channels themselves give it. What an entry does to channels is written once, in `undone`: for the columns
+of a file and for smoothed ones with their derivatives.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 
-from ...models.errors import InputError
-from ...models.joint import EncoderSpec, Joint
-from ...models.recording import GAP, Recording
+from ...models.joint import Joint
 from ...models.signals import DRIVING, POSITIONS
-from .plausibility import SETTINGS as AGREEMENT
-from .plausibility import Plausibility, RelationFit, SmoothedChannels, motion_of
+from .plausibility import Plausibility, RelationFit, SmoothedChannels
 
 
 @dataclass(frozen=True)
 class ChangeSettings:
-    """What a change costs, and when one is believed; in log likelihood where nothing else is said.
+    """What a change costs in log likelihood, and which numbers are looked at.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-
-    Attributes:
-      price: of a mistake.
-      free: of a number that is free, more.
-      one_of_several: of a mistake that not all recordings have, more.
-      sure: gain beyond its price from which on a change is believed.
-      suspicious: misfit below which a relation is looked into; at_odds: by how much changes may make one of these worse.
-      lasting: of recordings whose misfit says that nothing fits [s].
-      worse: loss in a recording from which on a change is not one of the whole measurement; much_worse: where the recording's
-        channels go together with it, or better than before.
-      kept: states that are kept beside each other.
-      most: changes on top of each other.
-      other_counts: of counts of another encoder than the described one's, or of one that is read four times as fine or coarse,
-        more; not_counts: of another unit where every value is a whole number, and of counts where not every one is, more.
-      slope: by how much the encoders' ratio may be off at the least to be another gear ratio, relative; ratio: how many times as
-        large or small another gear ratio may be.
-      whole: by how much a gear ratio may be off a whole number to be that, relative: torsion under gravity goes with the angle.
-      least_motion: of the link [rad], which angles in another unit must still show.
-      offsets: of the angle's zero, that are tried in a turn.
-      smallest_offset: between the encoders [rad]; smallest_turn: of all angles together, by which way gravity pulls [rad]: less
-        is what a joint's gravity direction, a payload or a stop may make of it, and no mistake.
-      slow: between samples, from which on time may be in other units than seconds [s].
-      smooth: of an angle's second differences to its first ones, over 20 samples: less is sampled much faster than it moves.
-      latest: between which one encoder is late: less may be in sound data, more is nothing of the same motion [s].
     """
 
-    price: float = 9.0
-    free: float = 5.0
-    one_of_several: float = 4.0
-    sure: float = 7.0
-    suspicious: float = -0.15
-    at_odds: float = 0.1
-    lasting: float = 4.0
-    worse: float = -3.0
-    much_worse: float = -9.0
-    kept: int = 3
-    most: int = 3
+    price: float = 9.0  # of a mistake
+    free: float = 5.0  # of a number that is free, more
+    unusual: float = 3.0  # of a unit that hardly anybody logs in, more
+    # of counts of another encoder than the described one's, or of one that is read four times as fine or coarse, more
     other_counts: tuple[float, float] = (8.0, 4.0)
-    not_counts: float = 6.0
-    slope: float = 0.004
-    ratio: float = 10.0
-    whole: float = 1.5e-3
-    least_motion: float = 0.1
-    offsets: int = 24
-    smallest_offset: float = 0.015
+    not_counts: float = (
+        6.0  # of another unit where every value is a whole number, and of counts where not every one is, more
+    )
+    slope: float = 0.004  # by how much the encoders' ratio may be off at the least to be another gear ratio, relative
+    ratio: float = 10.0  # how many times as large or small another gear ratio may be
+    whole: float = 1.5e-3  # by how much it may be off a whole number to be that, relative
+    offsets: int = 24  # of the angle's zero, that are tried in a turn
+    smallest_offset: float = 0.015  # between the encoders [rad]
+    # of all angles together [rad]: less is what a joint's gravity direction, a payload or a stop may make of it, and no mistake
     smallest_turn: float = 0.3
-    slow: float = 0.05
-    smooth: float = 0.3
+    # between which one encoder is late: less may be in sound data, more is nothing of the same motion [s]
     latest: tuple[float, float] = (0.015, 0.3)
+    turns: float = 0.03  # of the motor, by which a counter's whole number of turns may be off
+    # between which a clock's unit is to a second: of less an inertia that is not as described is the reason, and what is more
+    # is none of a clock
+    clock: tuple[float, float] = (1.3, 2.7)
+    least_factor: float = 2.0  # of a unit, or what it makes of a torque, that a wrong description does not
+    folded: float = 40.0  # what a torque that is folded at zero says for a sign that is lost, in log likelihood
+    weight: float = 0.05  # gravity over rated torque, below which a torque without it looks the same
+    none: float = 0.2  # gravity in a torque over the described one, of a torque without it
 
 
 SETTINGS = ChangeSettings()
-_APART = 20  # samples
 _DEGREE, _RPM = math.pi / 180, 2 * math.pi / 60
-_LAST_OF = {"encoders": "motor_position", "command": "position_command"}
-"""Of each relation between angles the one that is in another unit only where the other is as well."""
+_UNSURE = 0.5  # largest confidence where no change makes the channels fit
 GRAVITY = "gravity_angle"
-"""What stands for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
-
-
-@dataclass(frozen=True)
-class ColumnChange:
-    """A change of one column that would mend it.
-
-    Attributes:
-      name, column: of the mistake; description: of it, for people.
-      factor, offset, seconds: as in `mistakes.Mistake`; price: in log likelihood.
-      also: changes of other columns that are the same mistake.
-      ratio: of the gear.
-      counts: whether it takes an encoder's counts for an angle, and then whether these are the described encoder's.
-    """
-
-    name: str
-    column: str
-    description: str
-    factor: float | None = None
-    offset: float | None = None
-    price: float = SETTINGS.price
-    also: tuple[ColumnChange, ...] = ()
-    ratio: float = 1.0
-    seconds: float | None = None
-    counts: bool = False
-    described: bool = False
-
-    def apply(self, motion: SmoothedChannels) -> SmoothedChannels:
-        """The channels without the mistake; the same where the column is not there."""
-        if self.column == GRAVITY:  # all angles less a half turn instead: nothing but gravity knows where they begin
-            return replace(self, name="angle_zero", column="").apply(motion)
-        if self.column in motion or self.name == "swapped":
-            motion = self._own(motion)
-        for one in self.also:
-            motion = one.apply(motion)
-        return motion
-
-    def shrinkage(self, new: dict[str, RelationFit], old: dict[str, RelationFit]) -> float:
-        """What it costs in a recording that smaller torques, or all angles smaller, look like nothing, whatever they are.
-
-        Of angles no more than relations between them alone gain by it: where that is nothing, torques say which motion it was.
-        """
-        smaller = -math.log(abs(self.factor)) if self.name == "unit" and self.factor is not None else 0.0
-        if smaller <= 0.0 or new is old:
-            return 0.0
-        cost = 0.5 * AGREEMENT.effective * smaller
-        if self.column in (*DRIVING, "external_torque"):
-            return cost
-        columns = {one.column for one in self.also}
-        alone = [name for name, last in _LAST_OF.items() if name in new and last in columns]
-        return min(cost, sum(max(new[n].agreement - old[n].agreement, 0.0) for n in alone))
-
-    def leaves_motion(self, mended: Sequence[SmoothedChannels | None], N: float) -> bool:
-        """Whether channels without the mistake still show a motion, where the change makes all angles smaller."""
-        if self.name != "unit" or self.factor is None or abs(self.factor) >= 1.0:
-            return True
-        columns = {self.column, *(one.column for one in self.also)}
-        for motion in mended:
-            there = [name for name in POSITIONS if motion is not None and name in motion]
-            if not there or not columns.issuperset(there):
-                return True
-            assert motion is not None
-            spans = [float(np.ptp(motion.channels[n][:, 0])) / (N if n == "motor_position" else 1.0) for n in there]
-            if max(spans) > SETTINGS.least_motion:
-                return True
-        return False
-
-    def _own(self, motion: SmoothedChannels) -> SmoothedChannels:
-        if self.name == "swapped":
-            return swapped(motion)
-        x = motion.channels[self.column]
-        factor = 1.0 if self.factor is None else self.factor
-        if self.seconds is not None:
-            return motion.with_channels(**{self.column: _earlier(motion.time, x, self.seconds)})
-        if self.name == "velocity":
-            return motion.with_channels(**{self.column: self._position(motion, factor * x)})
-        if self.name == "gear_ratio" and self.column == "motor_position":
-            factor = 1 / factor
-        if self.name == "sign":
-            factor = -1.0
-        x = factor * x
-        if self.offset is not None:
-            x = x + np.array([self.offset, 0.0, 0.0])
-        return motion.with_channels(**{self.column: x})
-
-    def _position(self, motion: SmoothedChannels, velocity: np.ndarray) -> np.ndarray:
-        """The position of a velocity; where another position or the command says it, from there."""
-        x = integrated(motion.time, velocity)
-        for name in (*POSITIONS, "position_command"):
-            if name != self.column and name in motion:
-                sides = [self.ratio if n == "motor_position" else 1.0 for n in (self.column, name)]
-                x[:, 0] += np.median(sides[0] / sides[1] * motion.channels[name][:, 0] - x[:, 0])
-                break
-        return x
-
-
-def _earlier(time: np.ndarray, motion: np.ndarray, seconds: float) -> np.ndarray:
-    """What a position, shape (n, 3) with two derivatives, is some time later; at the end it stands still."""
-    later = time + seconds
-    value = CubicHermiteSpline(time, motion[:, 0], motion[:, 1])(np.minimum(later, time[-1]))
-    return np.column_stack([value, *(np.interp(later, time, motion[:, k]) for k in (1, 2))])
-
-
-def _lag(time: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
-    """By how much position b lags behind a, both of shape (n, 3), at their best offset and slope [s]."""
-    lag = 0.0
-    for _ in range(4):  # what is linear in a small lag is not in a large one
-        now = _earlier(time, b, lag) if lag > 0 else b
-        other = _earlier(time, a, -lag) if lag < 0 else a
-        A = np.column_stack([now[:, 1], np.ones(len(now)), now[:, 0]])
-        lag += float(np.linalg.lstsq(A, other[:, 0] - now[:, 0], rcond=None)[0][0])
-    return lag
-
-
-def swapped(motion: SmoothedChannels) -> SmoothedChannels:
-    """Both positions exchanged; the only one under the other's name."""
-    names = [name for name in POSITIONS if name in motion]
-    others = {name: POSITIONS[1 - POSITIONS.index(name)] for name in names}
-    return motion.without(*names).with_channels(**{others[name]: motion.channels[name] for name in names})
-
-
-def integrated(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-    """Position from zero and two derivatives, shape (n, 3), of a channel that holds a velocity; the mean bridges gaps."""
-    steps = 0.5 * np.diff(time) * (velocity[1:, 0] + velocity[:-1, 0])
-    position = np.concatenate([[0.0], np.cumsum(steps)])
-    return np.column_stack([position, velocity[:, 0], velocity[:, 1]])
-
-
-@dataclass(frozen=True)
-class Found:
-    """A change that a measurement asks for.
-
-    Attributes:
-      change: that mends; recordings: indices of those that have the mistake.
-      confidence: of it.
-    """
-
-    change: ColumnChange
-    recordings: tuple[int, ...]
-    confidence: float
-
-
-@dataclass(frozen=True)
-class _Progress:
-    """Changes made so far, one after the other, and what became of each recording's channels."""
-
-    motions: tuple[SmoothedChannels | None, ...]
-    fits: tuple[dict[str, RelationFit], ...]
-    found: tuple[Found, ...] = ()
-    price: float = 0.0
-
-    @property
-    def score(self) -> float:
-        return sum(_total(fits) for fits in self.fits) - self.price
-
-
-def _mends(new: dict[str, RelationFit], old: dict[str, RelationFit]) -> bool:
-    """Whether channels that do not go together do."""
-    return _suspicious(old) and not _suspicious(new)
-
-
-def _suspicious(fits: dict[str, RelationFit]) -> bool:
-    """Whether a recording's channels do not go together."""
-    return any(fit.misfit < SETTINGS.suspicious for fit in fits.values())
-
-
-def _worst(fits: Sequence[dict[str, RelationFit]]) -> float:
-    """Misfit of the relation that fits worst; 0 where there is none."""
-    return min((fit.misfit for relations in fits for fit in relations.values()), default=0.0)
-
-
-_Fits = Sequence[dict[str, RelationFit]]
-"""Relations of every recording; changes leave the same ones."""
-
-
-def _gained(before: _Fits, after: _Fits, but: str = "") -> float:
-    """By how much better the readings of all relations but one fit, in log likelihood."""
-    return sum(
-        fit.readings - old[name].readings
-        for old, new in zip(before, after, strict=True)
-        for name, fit in new.items()
-        if name != but
-    )
-
-
-def _not_followed(before: _Fits, after: _Fits) -> bool:
-    """Whether changes mend nothing but what the command says, and the link does not follow it all the same: a stop holds it, or
-    the drive's limit does."""
-    commands = [(old["command"], new["command"]) for old, new in zip(before, after, strict=True) if "command" in new]
-    commanded = any(new.misfit < SETTINGS.suspicious and new != old for old, new in commands)
-    return commanded and _gained(before, after, but="command") < SETTINGS.sure
-
-
-def _better(before: _Fits, after: _Fits) -> bool:
-    """Whether readings fit better than before, beside what is known of more of them, and no relation is at odds that was not.
-
-    An angle in turns moves six times as fast: less of it is at rest, where friction may be anything, and of a second in which
-    next to nothing moves that alone once spoke for turns.
-    """
-    at_odds = any(
-        fit.misfit < min(SETTINGS.suspicious, old[name].misfit - SETTINGS.at_odds)
-        for old, new in zip(before, after, strict=True)
-        for name, fit in new.items()
-    )
-    return not at_odds and _gained(before, after) > SETTINGS.sure
-
-
-def _units_told_apart(steps: Sequence[_Progress], column: str, whole: bool) -> list[_Progress]:
-    """Steps of which those that take a column alone for counts, of `whole` numbers for an angle in any unit, are one, as sure as
-    what else it may be lets it be.
-
-    Counts of a coarser encoder are a larger motion, which rests less and of which more is known: that tells a motion from next to
-    none, but not one from another half as large. Of those whose readings fit about as well the described encoder's it is; whole
-    numbers in another unit than counts would be strange.
-    """
-
-    def of_them(change: ColumnChange) -> bool:
-        return change.name == "unit" and change.column == column and not change.also and (change.counts or whole)
-
-    some = [s for s in steps if of_them(s.found[-1].change)]
-    if not some:
-        return list(steps)
-    scores = [sum(fit.readings for fits in s.fits for fit in fits.values()) - s.price for s in some]
-    near = [(x, s) for x, s in zip(scores, some, strict=True) if x > max(scores) - SETTINGS.sure]
-    described = [(x, s) for x, s in near if s.found[-1].change.described]
-    score, best = described[0] if described else max(near, key=lambda found: found[1].score)
-    *before, last = best.found
-    alone = 1.0 / sum(math.exp(min(x - score, 50.0) / 3) for x in scores)
-    if (not described and len(near) > 1) or (whole and not last.change.counts):
-        alone = min(alone, 0.5)
-    last = replace(last, confidence=min(last.confidence, alone))
-    return [*(s for s in steps if not of_them(s.found[-1].change)), replace(best, found=(*before, last))]
-
-
-def _total(fits: dict[str, RelationFit]) -> float:
-    return sum(fit.agreement for fit in fits.values())
-
-
-def time_unit(recordings: Sequence[Recording], joint: Joint) -> float:
-    """What one unit of time is [s]: where samples are too far apart for seconds, the unit that suits the channels."""
-    interval = min(r.interval for r in recordings)
-    if interval < SETTINGS.slow:
-        return 1.0
-    plausible = [Plausibility(joint, r) for r in recordings]
-
-    def score(second: float) -> float:
-        motions = [motion_of(r, second) for r in recordings]
-        fits = [p.agreement(m) for p, m in zip(plausible, motions, strict=True) if m is not None]
-        return sum(map(_total, fits)) if fits else -math.inf
-
-    # Samples with gaps between them all, of a motion that hardly changes from one to the next, are no log in seconds, whatever
-    # else is wrong with it.
-    nothing = interval > GAP and all(_sampled_fast(r) for r in recordings)
-    best, found = -1e9 if nothing else max(score(1.0), -1e9) + SETTINGS.price + SETTINGS.sure, 1.0
-    for unit in (1e-3, 1e-6, 1e-9):
-        if 5e-5 < interval * unit < SETTINGS.slow and (now := score(unit)) > best:
-            best, found = now, unit
-    return found
-
-
-def _sampled_fast(recording: Recording) -> bool:
-    """Whether a recording's angles are sampled much faster than they move."""
-    for name in POSITIONS:
-        x = recording.columns.get(name)
-        if x is not None and len(x) > 4 * _APART:
-            first = x[_APART:] - x[:-_APART]
-            second = first[_APART:] - first[:-_APART]
-            if float(np.std(second)) < SETTINGS.smooth * float(np.std(first)):
-                return True
-    return False
-
-
-def change_in_an_arm(
-    recordings: Sequence[Recording], joint: Joint, mended: Callable[[Found], Sequence[Recording]]
-) -> Found | None:
-    """The unit or sign of a joint's own angle where an arm that moves carries its link: what that puts on the link was taken from
-    the angle as it stands, so that nothing goes together until it is taken from the right one. None where none is asked for.
-
-    Args:
-      mended: the recordings without a change, what the arm puts on the link taken anew.
-    """
-    as_it_is = Suspicions(recordings, joint, depth=0)
-    if not any(map(_suspicious, as_it_is.fits)):
-        return None
-    best: tuple[float, Found] | None = None
-    for change in as_it_is.changes_of_angles():
-        found = Found(change, tuple(range(len(recordings))), 0.99)
-        try:
-            fits = Suspicions(mended(found), joint, depth=0).fits
-        except InputError:
-            continue
-        score = sum(map(_total, fits)) - change.price
-        mends = not any(map(_suspicious, fits)) and _gained(as_it_is.fits, fits) > change.price + SETTINGS.sure
-        if mends and (best is None or score > best[0]):
-            best = score, found
-    return None if best is None else best[1]
-
-
-class Suspicions:
-    """What is wrong with the channels of a measurement as a whole.
-
-    Attributes:
-      found: changes, in the order in which they mend.
-      mends: whether channels fit better when they are made.
-      before: misfit of the relation that fits worst in recordings that last, as in `RelationFit`; misfit: of all when they are
-        made; 0 where there is none.
-      fits: relations of every recording as it is.
-
-    Args:
-      depth: changes on top of each other that are tried.
-    """
-
-    def __init__(self, recordings: Sequence[Recording], joint: Joint, depth: int = SETTINGS.most):
-        self.joint = joint
-        self.recordings = tuple(recordings)
-        self._plausible = [Plausibility(joint, r) for r in recordings]
-        self._whole = {
-            name
-            for name in POSITIONS
-            if all(np.array_equal(r[name], np.round(r[name])) for r in recordings if name in r)
-        }
-        start = self._state()
-        self.fits = start.fits
-        end = self._search(start, depth)
-        if _not_followed(start.fits, end.fits):
-            end = start
-        self.mends = _better(start.fits, end.fits)
-        self.found = end.found
-        lasting = [r.time[-1] - r.time[0] > SETTINGS.lasting for r in recordings]
-        self.before = _worst([fits for fits, there in zip(start.fits, lasting, strict=True) if there])
-        about = {one.column for f in end.found for one in (f.change, *f.change.also)}
-        # A command that a stop or a push keeps the joint from following says nothing of the other columns.
-        ignored = () if "position_command" in about or not self.mends else ("command",)
-        self.misfit = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
-
-    def _state(self) -> _Progress:
-        motions = tuple(motion_of(r) for r in self.recordings)
-        return _Progress(motions, tuple(self._fits(i, m) for i, m in enumerate(motions)))
-
-    def _fits(self, index: int, motion: SmoothedChannels | None) -> dict[str, RelationFit]:
-        return {} if motion is None else self._plausible[index].agreement(motion)
-
-    def changes_of_angles(self) -> Iterator[ColumnChange]:
-        """Units and signs of the joint's own angles, of one alone or of both."""
-        there = {name for r in self.recordings for name in r.columns if name in POSITIONS}
-        yield from self._scales(there)
-        if len(there) > 1:
-            yield replace(_sign("link_position"), also=(_sign("motor_position"),))
-
-    def _search(self, start: _Progress, depth: int) -> _Progress:
-        beam, best = [start], start
-        for _ in range(depth):
-            further: list[_Progress] = []
-            for state in beam:
-                if any(map(_suspicious, state.fits)):
-                    further += self._steps(state)
-            if not further:
-                break
-            beam = sorted(further, key=lambda s: -s.score)[: SETTINGS.kept]
-            if beam[0].score <= best.score + SETTINGS.sure:
-                break
-            best = beam[0]
-        return best
-
-    def _steps(self, state: _Progress) -> list[_Progress]:
-        """All states one change further that are better than this one by more than that change's price."""
-        steps = []
-        for change in self._changes(state):
-            motions = [m if m is None else change.apply(m) for m in state.motions]
-            fits = [
-                f if m is None or m is old else self._plausible[i].agreement(m, old, f)
-                for i, (m, old, f) in enumerate(zip(motions, state.motions, state.fits, strict=True))
-            ]
-            more = [_total(new) - _total(old) for new, old in zip(fits, state.fits, strict=True)]
-            same = [new is old for new, old in zip(fits, state.fits, strict=True)]
-            costs = [change.shrinkage(new, old) for new, old in zip(fits, state.fits, strict=True)]
-            gains = [x - cost for x, cost in zip(more, costs, strict=True)]
-            bears = [
-                SETTINGS.much_worse if not _suspicious(new) or _worst([new]) > _worst([old]) else SETTINGS.worse
-                for new, old in zip(fits, state.fits, strict=True)
-            ]
-            everywhere = all(gain > least for gain, least in zip(gains, bears, strict=True))
-            least = change.price + SETTINGS.sure
-            chosen = [i for i, g in enumerate(gains) if everywhere or g > least]
-            # Where it is so in one recording, that a torque looks like nothing is no reason against it in another whose channels
-            # do not go together as they are.
-            also = [
-                i for i, (new, old) in enumerate(zip(fits, state.fits, strict=True))
-                if chosen and i not in chosen and more[i] > least and _mends(new, old)
-            ]  # fmt: skip
-            chosen = sorted([*chosen, *also])
-            if not change.leaves_motion([motions[i] for i in chosen], self.joint.numbers["N"].value):
-                continue  # a link that hardly moves asks for no torque: that suits any log
-            everywhere = all(i in chosen or unchanged for i, unchanged in enumerate(same))
-            price = change.price if everywhere else (change.price + SETTINGS.one_of_several) * max(len(chosen), 1)
-            gain = sum(gains[i] for i in chosen) - price
-            if not chosen or gain <= 0:
-                continue
-            found = Found(change, tuple(chosen), 1 / (1 + math.exp(-min(gain, 50.0) / 3)))
-            steps.append(
-                _Progress(
-                    tuple(
-                        m if i in chosen else old for i, (m, old) in enumerate(zip(motions, state.motions, strict=True))
-                    ),
-                    tuple(f if i in chosen else old for i, (f, old) in enumerate(zip(fits, state.fits, strict=True))),
-                    (*state.found, found),
-                    state.price + price + sum(costs[i] for i in chosen),
-                )
-            )
-        for column in POSITIONS:
-            steps = _units_told_apart(steps, column, column in self._whole)
-        return steps
-
-    def _changes(self, state: _Progress) -> Iterator[ColumnChange]:
-        """Changes that may mend what is left in a state, each column's once."""
-        there = {name for m in state.motions if m is not None for name in m.channels}
-        done = {(f.change.name, f.change.column) for f in state.found}
-        for change in (*self._scales(there), *self._exchanges(there), *self._fitted(there, state)):
-            if (change.name, change.column) not in done:
-                yield change
-
-    def _scales(self, there: set[str]) -> Iterator[ColumnChange]:
-        """Units and signs."""
-        N, Kt = self.joint.numbers["N"].value, self.joint.numbers["Kt"].value
-        sensors = self.joint.sensors
-        encoders = {"motor_position": sensors.motor_encoder, "link_position": sensors.link_encoder}
-        for column, encoder in encoders.items():
-            if column in there:
-                yield _sign(column)
-                for unit in _angles(column):
-                    unit = replace(unit, price=unit.price + (SETTINGS.not_counts if column in self._whole else 0.0))
-                    yield unit
-                    yield _turned(unit)
-                yield from self._counts(column, encoder)
-        angles = [name for name in ("link_position", "motor_position", "position_command") if name in there]
-        for count in range(2, len(angles) + 1):  # the encoders, or all: nothing between them shows it
-            for first, *others in zip(*map(_angles, angles[:count]), strict=True):
-                yield replace(first, also=tuple(others))
-        if self._whole.issuperset(POSITIONS) and there.issuperset(
-            POSITIONS
-        ):  # in either's alone they make no motion of a joint
-            link, motor = (next(self._counts(name, encoders[name])) for name in ("link_position", "motor_position"))
-            yield replace(link, also=(motor,), price=link.price + SETTINGS.free)
-        if "position_command" in there:
-            yield _sign("position_command")
-            yield from _angles("position_command")
-            yield _unit("position_command", "rad on the motor side", 1 / N)
-        for column in (*DRIVING, "external_torque"):
-            if column in there:
-                yield _sign(column)
-        if "motor_current" in there:
-            yield _unit("motor_current", "mA", 1e-3)
-            if abs(math.log(Kt)) > 0.7:
-                yield _unit("motor_current", "N·m of the motor", 1 / Kt)
-            if abs(math.log(N * Kt)) > 0.7:
-                yield _unit("motor_current", "N·m at the output", 1 / (N * Kt))
-        if "motor_torque" in there:
-            yield _unit("motor_torque", "mN·m", 1e-3)
-            yield _unit("motor_torque", "N·m at the output", 1 / N)
-            if abs(math.log(Kt)) > 0.7:
-                yield _unit("motor_torque", "A", Kt)
-        for column in ("joint_torque", "external_torque"):
-            if column in there:
-                yield _unit(column, "mN·m", 1e-3)
-
-    def _counts(self, column: str, encoder: EncoderSpec) -> Iterator[ColumnChange]:
-        """Counts of the encoder as it is described, or, where every value is a whole number, of any other."""
-        lines = 2 * math.pi / encoder.resolution
-        another, read_otherwise = SETTINGS.other_counts
-
-        def counts(turn: float, more: float, described: bool = False) -> ColumnChange:
-            more += 0.0 if column in self._whole else SETTINGS.not_counts
-            unit = _unit(column, f"counts ({turn:.10g} a turn)", 2 * math.pi / turn, SETTINGS.price + more)
-            return replace(unit, counts=True, described=described)
-
-        yield counts(lines, 0.0, described=True)
-        for times in (4.0, 0.25):
-            yield counts(times * lines, read_otherwise)
-        if column in self._whole:
-            for bits in range(8, 33):
-                if min(abs(bits - math.log2(times * lines)) for times in (0.25, 1.0, 4.0)) > 0.1:
-                    yield counts(float(2**bits), another)
-
-    def _exchanges(self, there: set[str]) -> Iterator[ColumnChange]:
-        """Positions that are something else: the other side's, a velocity."""
-        N = self.joint.numbers["N"].value
-        positions = [name for name in POSITIONS if name in there]
-        if len(positions) == 2:
-            yield ColumnChange("swapped", "", "motor and link position stand under each other's name")
-        else:
-            other = POSITIONS[1 - POSITIONS.index(positions[0])].replace("_", " ")
-            yield ColumnChange("swapped", positions[0], f"what stands here is the {other}")
-        for column in positions:
-            side = 1 / N if column == "link_position" else N
-            for said, factor in (("rad/s", 1.0), ("deg/s", _DEGREE), ("rpm", _RPM), ("rad/s of the other side", side)):
-                yield ColumnChange(
-                    "velocity", column, f"a velocity ({said}) where the position belongs", None if factor == 1.0 else factor,
-                    price=SETTINGS.price + (0.0 if factor == 1.0 else 3.0), ratio=N,
-                )  # fmt: skip
-
-    def _fitted(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
-        """Changes with a number that the channels themselves give: gear ratio, zero of the angle."""
-        if all(name in there for name in POSITIONS):
-            slope = self._slope(state)
-            if slope is not None and abs(slope - 1) > SETTINGS.slope and 1 / SETTINGS.ratio < slope < SETTINGS.ratio:
-                yield self._gear_ratio("motor_position", slope)
-                yield self._gear_ratio("link_position", slope)
-            yield from self._late(state)
-        yield from self._zeros(there, state)
-
-    def _late(self, state: _Progress) -> Iterator[ColumnChange]:
-        """The encoder that lags behind the other, by what suits all recordings, and by what suits each."""
-        N = self.joint.numbers["N"].value
-        found = []
-        for motion in state.motions:
-            if motion is not None and all(name in motion for name in POSITIONS):
-                motor, link = motion.channels["motor_position"] / N, motion.channels["link_position"]
-                found.append(_lag(motion.time, motor, link))
-        tried = [float(np.median(found)), *found] if found else []
-        for lag in {round(x, 2): x for x in tried}.values():
-            if SETTINGS.latest[0] < abs(lag) < SETTINGS.latest[1]:
-                column = POSITIONS[1] if lag > 0 else POSITIONS[0]
-                yield ColumnChange(
-                    "late", column, f"{1e3 * abs(lag):.3g} ms late against the other encoder",
-                    price=SETTINGS.price + SETTINGS.free, seconds=abs(lag),
-                )  # fmt: skip
-
-    def _gear_ratio(self, column: str, slope: float) -> ColumnChange:
-        """Another ratio between the encoders; near N ± 1 the one of the other kind of strain wave gear."""
-        N = round(self.joint.numbers["N"].value)
-        if column == "motor_position":
-            whole, free = round(slope * N), SETTINGS.free
-            if whole and abs(slope * N / whole - 1) < SETTINGS.whole:
-                slope, free = whole / N, 0.0 if whole in (N - 1, N + 1) else free
-            text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N}"
-            return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + free)
-        text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
-        return ColumnChange("gear_ratio", column, text, slope, price=SETTINGS.price + SETTINGS.free + 3)
-
-    def _slope(self, state: _Progress) -> float | None:
-        """Turns of the motor over N times those of the link, of all recordings; None where the link hardly moves."""
-        N = self.joint.numbers["N"].value
-        found, weights = [], []
-        for motion in state.motions:
-            if motion is None or not all(name in motion for name in POSITIONS):
-                continue
-            m, l = (motion.channels[name][:, 0] for name in POSITIONS)
-            if np.ptp(l) > 0.02:
-                l, m = l - l.mean(), m / N - m.mean() / N
-                found.append(float(l @ m / (l @ l)))
-                weights.append(float(l @ l))
-        return float(np.average(found, weights=weights)) if found else None
-
-    def _zeros(self, there: set[str], state: _Progress) -> Iterator[ColumnChange]:
-        """Zeros of the angle, of one encoder or of all angles together."""
-        N = self.joint.numbers["N"].value
-        positions = [name for name in POSITIONS if name in there]
-        between = self._median(state, "motor_position", "link_position")
-        if between is not None and abs(between) > SETTINGS.smallest_offset:
-            yield _zero("link_position", between)
-            yield _zero("motor_position", -N * between)
-        command = self._median(state, "position_command", positions[-1])
-        if command is not None and abs(command) > 0.1:
-            yield _zeros(positions, command, N)
-            yield _zero("position_command", -command)
-        angle = self._hanging(state)
-        if angle is not None:
-            if abs(angle) == math.pi and any(abs(p.p["gravity_angle"]) > 0.3 for p in self._plausible):
-                yield self._gravity(there, angle)
-            yield _zeros(positions, angle, N)
-            if "position_command" in there:
-                yield _zeros([*positions, "position_command"], angle, N)
-
-    def _gravity(self, there: set[str], angle: float) -> ColumnChange:
-        """Gravity's direction turned round, where the description says that it has one."""
-        angles = [n for n in (*POSITIONS, "position_command") if n in there]
-        turned = _zeros(angles, angle, self.joint.numbers["N"].value)
-        text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
-        return ColumnChange("sign", GRAVITY, text, price=SETTINGS.price - 1, also=(turned,))
-
-    def _median(self, state: _Progress, a: str, b: str) -> float | None:
-        """Median of one position less another on the output side [rad], of all recordings that have both."""
-        N = self.joint.numbers["N"].value
-        found = []
-        for motion in state.motions:
-            if motion is not None and a in motion and b in motion and a != b:
-                x, y = (motion.channels[n][:, 0] / (N if n == "motor_position" else 1.0) for n in (a, b))
-                found.append(x - y)
-        return float(np.median(np.concatenate(found))) if found else None
-
-    def _hanging(self, state: _Progress) -> float | None:
-        """What all angles would have to be turned by for gravity to suit them best [rad]; None where it hardly matters."""
-        torques = [i for i, fits in enumerate(state.fits) if any(n in fits for n in DRIVING)]
-        weights = [i for i in torques if self._plausible[i].p["Mg"] > 0]
-        if not weights or not any(
-            fit.misfit < SETTINGS.suspicious for i in weights for n, fit in state.fits[i].items() if n in DRIVING
-        ):
-            return None
-
-        def agreement(angle: float) -> float:
-            total = 0.0
-            for i in weights:
-                motion = state.motions[i]
-                assert motion is not None
-                turned = _zeros([n for n in POSITIONS if n in motion], angle, self.joint.numbers["N"].value).apply(
-                    motion
-                )
-                total += sum(fit.agreement for n, fit in self._plausible[i].torques(turned).items())
-            return total
-
-        tried = 2 * math.pi / SETTINGS.offsets * np.arange(-SETTINGS.offsets // 2 + 1, SETTINGS.offsets // 2 + 1)
-        best = float(tried[int(np.argmax([agreement(x) for x in tried]))])
-        width = 2 * math.pi / SETTINGS.offsets
-        while width > 0.02:
-            width /= 2
-            best = max((best - width, best, best + width), key=agreement)
-        for simple in (0.5 * math.pi, -0.5 * math.pi, math.pi, -math.pi):
-            if abs(best - simple) < 0.2:
-                best = simple
-        return best if abs(best) > SETTINGS.smallest_turn else None
-
-
-def _sign(column: str) -> ColumnChange:
-    return ColumnChange("sign", column, "turned round", price=SETTINGS.price - 1)
-
-
-def _turned(unit: ColumnChange) -> ColumnChange:
-    """A wrong unit whose column is turned round as well: either alone mends nothing."""
-    assert unit.factor is not None
-    text = f"{unit.description}, and turned round"
-    return replace(unit, description=text, factor=-unit.factor, price=unit.price + SETTINGS.price - 1)
-
-
-def _unit(column: str, said: str, factor: float, price: float = SETTINGS.price) -> ColumnChange:
-    return ColumnChange("unit", column, f"{said} taken for {_SI[column]}", factor, price=price)
-
-
+"""What is given for a column where gravity's direction is turned round: the mounting's angle in the recording's YAML."""
+NO_CHANGE = "the channels do not fit this joint, whatever unit, sign or place is changed"
 _SI = {
     "motor_position": "rad", "link_position": "rad", "position_command": "rad", "motor_current": "A",
     "motor_torque": "N·m of the motor", "joint_torque": "N·m", "external_torque": "N·m",
 }  # fmt: skip
 
 
-def _angles(column: str) -> Iterator[ColumnChange]:
-    yield _unit(column, "degrees", _DEGREE)
-    yield _unit(column, "turns", 2 * math.pi)
-    yield _unit(column, "mrad", 1e-3)
+@dataclass(frozen=True)
+class Mistake:
+    """A mistake in the data.
+
+    Attributes:
+      name: `unit`, `sign`, `gear_ratio`, `swapped`, `late`, `wrapped`, `velocity`, `angle_zero`, `no_gravity`, `stuck`, `glitch`,
+        `clipped`.
+      column: that has it; empty where it is no single one's.
+      recording: name of the recording that has it; empty where all have.
+      description: for people.
+      confidence: probability of it.
+      factor: that mends the column (of `gear_ratio`: that mends N); of `wrapped` a whole turn, or the range of a register, in the
+        column's unit.
+      seconds: by which the column is late. offset: that mends it, added.
+      rows: of the table that have it, from 0.
+      also: further columns that the same change mends; an offset of the motor's on its own side of the gear.
+      becomes: the column that it is.
+      severe: whether it makes physics meaningless.
+      lost: whether what was meant cannot be had from the file.
+      price: of it in log likelihood. counts: whether it takes counts for an angle, and then whether the described encoder's.
+    """
+
+    name: str
+    column: str
+    recording: str
+    description: str
+    confidence: float
+    factor: float | None = None
+    seconds: float | None = None
+    offset: float | None = None
+    rows: tuple[int, ...] | None = None
+    also: tuple[str, ...] = ()
+    becomes: str = ""
+    severe: bool = True
+    lost: bool = False
+    price: float = SETTINGS.price
+    counts: bool | None = None
+
+    @property
+    def columns(self) -> str:
+        """All columns that have it, for people; empty where it is no single one's."""
+        return ", ".join(x for x in (self.column, *self.also) if x)
+
+    @property
+    def where(self) -> str:
+        """Recording and columns that have it, for people; empty where it is all and everywhere."""
+        return ": ".join(x for x in (self.recording, self.columns) if x)
+
+    @property
+    def sure(self) -> bool:
+        """Whether its change makes the channels fit the joint; that which only mends most may be something else."""
+        return self.confidence > _UNSURE and not self.lost
+
+    @property
+    def unmended(self) -> str:
+        """What is said of it where it is not sure."""
+        if self.lost:
+            return f"{self.description}; {self.remedy}"
+        return f"{NO_CHANGE}; what would mend most: {self.description}, {self.change}"
+
+    @property
+    def remedy(self) -> str:
+        """What mends it, or what is said where nothing does."""
+        if self.lost:
+            return "nothing in the file mends that"
+        return (
+            f"{'mended by' if self.sure else 'no change makes the channels fit the joint; most would'}: {self.change}"
+        )
+
+    @property
+    def change(self) -> str:
+        """The change that mends it, in a few words."""
+        if self.name == "no_gravity":
+            return "log the whole torque, or state gravity_moment 0"
+        if self.lost:
+            return "to be logged anew"
+        if self.becomes:
+            return f"the column is {self.becomes}" + (
+                "" if self.becomes == "motor_current" else f", × {self.factor:.6g}"
+            )
+        if self.name == "sign":
+            if self.column == "time":
+                return "rows in reverse order"
+            return "gravity_angle + π" if self.column == GRAVITY else "× −1"
+        if self.name == "angle_zero" or (self.name == "wrapped" and self.offset is not None):
+            return f"{self.offset:+.5g} rad" + (", motor side by the gear ratio" if self.also else "")
+        if self.name == "velocity":
+            return "integrated" if self.factor is None else f"integrated, × {self.factor:.6g}"
+        fixed = {
+            "swapped": "columns exchanged", "wrapped": "unwrapped", "glitch": "bridged", "stuck": "left out",
+            "clipped": "left out", "late": f"{1e3 * (self.seconds or 0.0):.4g} ms earlier",
+        }  # fmt: skip
+        if self.name in fixed:
+            return fixed[self.name]
+        words = ["N"] if self.name == "gear_ratio" else []
+        words += [] if self.factor in (None, 1.0) else [f"× {self.factor:.6g}"]
+        return ", ".join([" ".join(words), *([] if self.offset is None else [f"{self.offset:+.6g} K"])]).strip(", ")
+
+    def to_json(self) -> dict[str, Any]:
+        """As it is in `diagnosis.json`."""
+        data: dict[str, Any] = {"name": self.name}
+        data |= {key: getattr(self, key) for key in ("column", "recording", "becomes") if getattr(self, key)}
+        for key in ("factor", "seconds", "offset"):
+            if getattr(self, key) is not None:
+                data[key] = float(f"{getattr(self, key):.6g}")
+        data |= {key: list(getattr(self, key)) for key in ("also", "rows") if getattr(self, key)}
+        return data | {
+            "description": self.description, "confidence": round(self.confidence, 3), "severe": self.severe,
+            "sure": self.sure, "lost": self.lost, "change": self.change,
+        }  # fmt: skip
 
 
-def _zero(column: str, offset: float) -> ColumnChange:
-    return ColumnChange("angle_zero", column, "zero is elsewhere", offset=offset, price=SETTINGS.price + SETTINGS.free)
+Columns = Mapping[str, np.ndarray]
+"""Channels by name: values of shape (n,), or with two derivatives in time of shape (n, 3)."""
 
 
-def _zeros(columns: Sequence[str], offset: float, N: float) -> ColumnChange:
-    """The same turn of several angles, the link's first."""
-    changes = [
-        _zero(column, offset * (N if column == "motor_position" else 1.0))
-        for column in sorted(columns, key=lambda name: name != "link_position")
+def undone(
+    m: Mistake, time: np.ndarray, columns: Columns, N: float, p: np.void
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Time [s], shape (n,), and channels without a mistake that is one of whole columns.
+
+    Args:
+      m: the mistake. time, columns: as they are. N: gear ratio. p: the joint's record.
+    """
+    found = dict(columns)
+    if m.column == "time":
+        if m.name == "sign":
+            return (time[-1] - time)[::-1], {n: _in_time(x[::-1], -1.0) for n, x in found.items()}
+        assert m.factor is not None
+        return m.factor * (time - time[0]), {n: _in_time(x, m.factor) for n, x in found.items()}
+    if m.name == "swapped":  # the only one goes under the other's name
+        given = {name: found.pop(name) for name in POSITIONS if name in found}
+        return time, found | {POSITIONS[1 - POSITIONS.index(name)]: x for name, x in given.items()}
+    if m.column == GRAVITY:  # all angles less a half turn instead: nothing but gravity shows where they begin
+        angles = [n for n in (*POSITIONS, "position_command") if n in found]
+        return time, found | {n: _plus(found[n], math.pi * side(n, "link_position", N)) for n in angles}
+    if m.becomes and m.column in found:
+        found[m.becomes] = (
+            (m.factor or 1.0) * found.pop(m.column) if m.becomes != "motor_current" else found.pop(m.column)
+        )
+        return time, found
+    for column in (m.column, *m.also):
+        if column not in found:
+            continue
+        x, factor = found[column], 1.0 if m.factor is None else m.factor
+        if m.name == "no_gravity":
+            position = next(n for n in reversed(POSITIONS) if n in found)
+            angle = (found[position] if found[position].ndim == 1 else found[position][:, 0]) * side("", position, N)
+            weight = p["Mg"] * np.sin(angle + p["gravity_angle"])
+            weight = weight / (1.0 if column == "joint_torque" else N * (p["Kt"] if column == "motor_current" else 1.0))
+            found[column] = x + weight if x.ndim == 1 else x + weight[:, None] * np.array([1.0, 0.0, 0.0])
+        elif m.name == "late":
+            later = time + (m.seconds or 0.0)
+            found[column] = np.stack([np.interp(later, time, part) for part in np.atleast_2d(x.T)], axis=-1).reshape(
+                x.shape
+            )
+        elif m.name == "velocity":
+            found[column] = _integral(time, factor * x)
+            guide = next((n for n in (*POSITIONS, "position_command") if n in found and n != column), None)
+            if guide is not None:
+                off = side(column, guide, N) * found[guide] - found[column]
+                found[column] = _plus(found[column], float(np.median(off if x.ndim == 1 else off[:, 0])))
+        elif m.name == "sign":
+            found[column] = -x
+        else:
+            factor = 1 / factor if m.name == "gear_ratio" and column == "motor_position" else factor
+            offset = (m.offset or 0.0) * (side(column, m.column, N) if m.also else 1.0)
+            found[column] = _plus((1.0 if m.name == "wrapped" else factor) * x, offset)
+    return time, found
+
+
+def expected_sign(channels: Columns, N: float, p: np.void) -> np.ndarray:
+    """Sign of the drive's torque by the joint's record, shape (n,); `channels`: smoothed, shape (n, 3)."""
+    position = next(n for n in reversed(POSITIONS) if n in channels)
+    theta, v, a = (channels[position] * side("", position, N)).T
+    inertia = p["Jl"] + N * N * (p["Jm"] + p["Jw"])
+    return np.sign(p["Mg"] * np.sin(theta + p["gravity_angle"]) + inertia * a + N * p["Fc"] * np.tanh(N * v / p["vs"]))
+
+
+def side(column: str, other: str, N: float) -> float:
+    """Angle of a column's shaft over that of another's."""
+    return (N if column == "motor_position" else 1.0) / (N if other == "motor_position" else 1.0)
+
+
+def _plus(x: np.ndarray, offset: float) -> np.ndarray:
+    return x + offset if x.ndim == 1 else x + np.array([offset, 0.0, 0.0])
+
+
+def _in_time(x: np.ndarray, factor: float) -> np.ndarray:
+    """Values, and what derivatives become where a unit of time is `factor` seconds."""
+    return x if x.ndim == 1 else x / np.array([1.0, factor, factor**2])
+
+
+def _integral(time: np.ndarray, velocity: np.ndarray) -> np.ndarray:
+    """Position from zero, with derivatives where the velocity has some; the mean bridges gaps."""
+    v = velocity if velocity.ndim == 1 else velocity[:, 0]
+    x = np.concatenate([[0.0], np.cumsum(0.5 * np.diff(time) * (v[1:] + v[:-1]))])
+    return x if velocity.ndim == 1 else np.column_stack([x, velocity[:, 0], velocity[:, 1]])
+
+
+@dataclass(frozen=True)
+class Table:
+    """The mistakes that a measurement may have.
+
+    Attributes:
+      joint: its description; plausible: what each recording is compared with.
+      whole: positions of which all values are whole numbers.
+      unsigned: torques that are folded at zero.
+      still_arm: whether no arm in motion carries the link.
+    """
+
+    joint: Joint
+    plausible: Sequence[Plausibility]
+    whole: frozenset[str]
+    unsigned: frozenset[str]
+    still_arm: bool
+
+    def entries(self, motions: Sequence[SmoothedChannels | None]) -> Iterator[Mistake]:
+        """All entries for channels as they are now, smoothed."""
+        there = {name for motion in motions if motion is not None for name in motion.channels}
+        yield from self._scales(there)
+        yield from self._places(there)
+        yield from self._fitted(there, [(p, m) for p, m in zip(self.plausible, motions, strict=True) if m is not None])
+
+    def _scales(self, there: set[str]) -> Iterator[Mistake]:
+        """Units and signs."""
+        N, Kt = self.joint.numbers["N"].value, self.joint.numbers["Kt"].value
+        price, free = SETTINGS.price, SETTINGS.free
+        angles: list[str] = [name for name in ("link_position", "motor_position", "position_command") if name in there]
+        for column in angles:
+            yield _sign(column)
+            more = SETTINGS.not_counts if column in self.whole else 0.0
+            for unit in _angles(column, price + more):
+                yield unit
+                turned = f"{unit.description}, and turned round"
+                yield replace(unit, description=turned, factor=-(unit.factor or 1.0), price=unit.price + price - 1)
+            yield from self._counts(column)
+        for count in range(2, len(angles) + 1):  # nothing between them shows it
+            yield from (replace(one, also=tuple(angles[1:count])) for one in _angles(angles[0], price))
+        if {"link_position", "motor_position"} <= there:
+            yield replace(_sign("link_position"), also=("motor_position",))
+        if "position_command" in there:
+            yield _unit("position_command", "rad on the motor side", 1 / N)
+        for column in (*DRIVING, "external_torque"):
+            if column in there:  # of one encoder's log, an angle that is turned round is the same, and hardly ever it
+                yield replace(_sign(column), price=price - 2)
+            if column in there & self.unsigned:
+                text = "its magnitude without its sign: it comes down to zero as often as it would cross it, and is never below"
+                yield replace(_sign(column), description=text, lost=True, price=-SETTINGS.folded)
+        units = [
+            ("motor_current", "mA", 1e-3), ("motor_current", "N·m of the motor", 1 / Kt),
+            ("motor_current", "N·m at the output", 1 / (N * Kt)), ("motor_torque", "mN·m", 1e-3),
+            ("motor_torque", "N·m at the output", 1 / N), ("motor_torque", "A", Kt), ("joint_torque", "mN·m", 1e-3),
+            ("external_torque", "mN·m", 1e-3),
+        ]  # fmt: skip
+        for column, said, factor in units:
+            if column in there and abs(math.log(factor)) > math.log(SETTINGS.least_factor):
+                yield _unit(column, said, factor)
+        if "joint_torque" in there and not there & {"motor_current", "motor_torque"}:
+            effort = Mistake("unit", "joint_torque", "", "", 0.99, price=price + free)
+            if abs(math.log(N * Kt)) > math.log(SETTINGS.least_factor):
+                said = "a current in A taken for N·m: the motor's, with its friction"
+                yield replace(effort, description=said, factor=N * Kt, becomes="motor_current")
+            said = "the drive's torque at the output, with its friction, taken for a torque sensor's"
+            yield replace(effort, description=said, factor=1 / N, becomes="motor_torque", price=price + 2 * free)
+
+    def _counts(self, column: str) -> Iterator[Mistake]:
+        """Counts of the encoder as described, or, where every value is a whole number, of any other."""
+        encoders = {
+            "motor_position": self.joint.sensors.motor_encoder,
+            "link_position": self.joint.sensors.link_encoder,
+        }
+        if column not in encoders:
+            return
+        lines = 2 * math.pi / encoders[column].resolution
+        another, read_otherwise = SETTINGS.other_counts
+        tried = [(lines, 0.0), (4 * lines, read_otherwise), (0.25 * lines, read_otherwise)]
+        if column in self.whole:
+            near = [math.log2(times * lines) for times in (0.25, 1.0, 4.0)]
+            tried += [(2.0**bits, another) for bits in range(8, 33) if min(abs(bits - x) for x in near) > 0.1]
+        for turn, more in tried:
+            price = SETTINGS.price + more + (0.0 if column in self.whole else SETTINGS.not_counts)
+            unit = _unit(column, f"counts ({turn:.10g} a turn)", 2 * math.pi / turn, price)
+            yield replace(unit, counts=turn == lines)
+
+    def _places(self, there: set[str]) -> Iterator[Mistake]:
+        """Columns that are something else: the other side's position, a velocity, an effort without gravity; time that runs
+        back."""
+        N = self.joint.numbers["N"].value
+        positions = [name for name in POSITIONS if name in there]
+        if len(positions) == 2:
+            yield _entry("swapped", "", "motor and link position are under each other's name")
+        else:
+            other = POSITIONS[1 - POSITIONS.index(positions[0])].replace("_", " ")
+            yield _entry("swapped", positions[0], f"this is the {other}")
+        for column in positions:
+            ratio = 1 / N if column == "link_position" else N
+            for said, factor in (
+                ("rad/s", None),
+                ("deg/s", _DEGREE),
+                ("rpm", _RPM),
+                ("rad/s of the other side", ratio),
+            ):
+                price = SETTINGS.price + (0.0 if factor is None else SETTINGS.unusual)
+                text = f"a velocity ({said}) where the position belongs"
+                yield _entry("velocity", column, text, price, factor=factor)
+        if self.still_arm:
+            yield _entry(
+                "sign", "time", "time runs backwards: what brakes the joint would drive it", SETTINGS.price + 2
+            )
+
+    def _fitted(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
+        """Entries with a number that the channels themselves give: gear ratio, lateness, zeros, clock."""
+        N = self.joint.numbers["N"].value
+        free = SETTINGS.price + SETTINGS.free
+        positions = [name for name in POSITIONS if name in there]
+        both = [m for _, m in motions if all(name in m for name in POSITIONS)]
+        slope = _slope(both, N)
+        if slope is not None and abs(slope - 1) > SETTINGS.slope and 1 / SETTINGS.ratio < slope < SETTINGS.ratio:
+            near = round(slope * N)
+            more = SETTINGS.free
+            if near and abs(slope * N / near - 1) < SETTINGS.whole:  # N ± 1: the other kind of strain wave gear
+                slope, more = near / N, 0.0 if near in (round(N) - 1, round(N) + 1) else SETTINGS.free
+            text = f"the motor makes {slope * N:.5g} turns for one of the link, not {N:.5g}"
+            yield _entry("gear_ratio", "motor_position", text, SETTINGS.price + more, factor=slope)
+            text = f"the link's angle is {1 / slope:.5g} times what motor and gear ratio say"
+            yield _entry("gear_ratio", "link_position", text, free + 3, factor=slope)
+        lags = [_lag(m, N) for m in both]
+        for lag in {round(x, 2): x for x in [float(np.median(lags)), *lags]}.values() if lags else ():
+            if SETTINGS.latest[0] < abs(lag) < SETTINGS.latest[1]:
+                text = f"{1e3 * abs(lag):.3g} ms late against the other encoder"
+                yield _entry("late", POSITIONS[1] if lag > 0 else POSITIONS[0], text, free, seconds=abs(lag))
+        between = _median(both, "motor_position", "link_position", N)
+        if between is not None and abs(between) > SETTINGS.smallest_offset:
+            yield _zero(("link_position",), between, free)
+            turns = N * between / (2 * math.pi)
+            if round(turns) and abs(turns - round(turns)) < SETTINGS.turns:
+                text = f"{abs(round(turns))} whole turns off against the link's, as after a power cycle"
+                offset = -2 * math.pi * round(turns)
+                yield _entry("wrapped", "motor_position", text, free - 4, factor=2 * math.pi, offset=offset)
+            yield _zero(("motor_position",), -N * between, free)
+        command = _median([m for _, m in motions], "position_command", positions[-1], N)
+        if command is not None and abs(command) > 0.1:
+            yield _zero(_link_first(positions), command * side(_link_first(positions)[0], "link_position", N))
+            yield _zero(("position_command",), -command, free)
+        loads = list(self._of_loads(there, motions))
+        yield from loads
+        # No zero of the angle makes gravity of none.
+        angle = None if any(m.name == "no_gravity" for m in loads) else self._hanging(motions)
+        if angle is not None:
+            if abs(angle) == math.pi and any(abs(p.p["gravity_angle"]) > 0.3 for p in self.plausible):
+                text = "gravity acts the other way: gravity_angle is a half turn off, or all angles are"
+                yield replace(_sign(GRAVITY), description=text, offset=math.pi)
+            for columns in (positions, [*positions, "position_command"]):
+                if there.issuperset(columns):
+                    first = _link_first(columns)
+                    yield _zero(first, angle * side(first[0], "link_position", N))
+
+    def _of_loads(self, there: set[str], motions: list[tuple[Plausibility, SmoothedChannels]]) -> Iterator[Mistake]:
+        """What the gravity and inertia that fit best say: an effort without gravity; a clock that is wrong, with whose square the
+        inertia goes, and gravity does not."""
+        fits = {
+            n: [(p, p.torque(m, n, True).coefficients) for p, m in motions if n in m] for n in DRIVING if n in there
+        }
+        for column, found in fits.items():
+            if all(
+                p.p["Mg"] > SETTINGS.weight * p.rated and math.hypot(c[1], c[2]) < SETTINGS.none * p.p["Mg"]
+                for p, c in found
+            ):
+                text = (
+                    f"holds no gravity: {max(p.p['Mg'] for p, _ in found):.3g} N·m · sin(angle) is missing. Does the drive take "
+                    "gravity off (compensated or external torque), or is the joint's axis vertical?"
+                )
+                yield _entry("no_gravity", column, text, lost=True)
+        inertias = [c[0] for found in fits.values() for _, c in found]
+        if not inertias or not self.still_arm:
+            return
+        ratio = float(np.sqrt(max(np.median(inertias), 1e-6)))
+        if SETTINGS.clock[0] < max(ratio, 1 / ratio) < SETTINGS.clock[1]:
+            text = f"a second of the log is {1 / ratio:.3g} s: inertia is {ratio**2:.3g} times what is described, gravity is not"
+            yield _entry("unit", "time", text, SETTINGS.price + 2 * SETTINGS.free, factor=1 / ratio)
+
+    def _hanging(self, motions: list[tuple[Plausibility, SmoothedChannels]]) -> float | None:
+        """By how much all angles would have to be turned for gravity to suit them best [rad]; None where it hardly matters."""
+        weighed = [(p, m) for p, m in motions if p.p["Mg"] > 0 and any(n in m for n in DRIVING)]
+        fits = [p.torque(m, n) for p, m in weighed for n in DRIVING if n in m]
+        if not any(fit.suspicious or fit.vague for fit in fits):
+            return None
+
+        def agreement(angle: float) -> float:
+            total = 0.0
+            for p, m in weighed:
+                turned = {
+                    n: _plus(x, angle * side(n, "link_position", float(p.p["N"]))) if n in POSITIONS else x
+                    for n, x in m.channels.items()
+                }
+                moved = replace(m, channels=turned)
+                total += sum(p.torque(moved, n).agreement for n in DRIVING if n in m)
+            return total
+
+        width = 2 * math.pi / SETTINGS.offsets
+        tried = width * np.arange(-SETTINGS.offsets // 2 + 1, SETTINGS.offsets // 2 + 1)
+        best = float(tried[int(np.argmax([agreement(x) for x in tried]))])
+        while width > 0.02:
+            width /= 2
+            best = max((best - width, best, best + width), key=agreement)
+        best = next((x for x in (math.pi / 2, -math.pi / 2, math.pi, -math.pi) if abs(best - x) < 0.2), best)
+        return best if abs(best) > SETTINGS.smallest_turn else None
+
+
+def _entry(name: str, column: str, description: str, price: float = SETTINGS.price, **numbers: Any) -> Mistake:
+    return Mistake(name, column, "", description, 0.99, price=price, **numbers)
+
+
+def _sign(column: str) -> Mistake:
+    return _entry("sign", column, "turned round", SETTINGS.price - 1)
+
+
+def _unit(column: str, said: str, factor: float, price: float = SETTINGS.price) -> Mistake:
+    return _entry("unit", column, f"{said} taken for {_SI[column]}", price, factor=factor)
+
+
+def _angles(column: str, price: float) -> Iterator[Mistake]:
+    for said, factor in (("degrees", _DEGREE), ("turns", 2 * math.pi), ("mrad", 1e-3)):
+        yield _unit(column, said, factor, price)
+
+
+def _link_first(columns: Sequence[str]) -> tuple[str, ...]:
+    return tuple(sorted(columns, key=lambda name: name != "link_position"))
+
+
+def _zero(columns: Sequence[str], offset: float, price: float | None = None) -> Mistake:
+    """An offset of some angles, in the first one's unit; of a quarter turn it is likelier than of any other."""
+    if price is None:
+        price = SETTINGS.price + (0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else 1.0)
+    return _entry("angle_zero", columns[0], "zero is elsewhere", price, offset=offset, also=tuple(columns[1:]))
+
+
+def _slope(both: Sequence[SmoothedChannels], N: float) -> float | None:
+    """Turns of the motor over N times those of the link, of all recordings; None where the link hardly moves."""
+    found, weights = [], []
+    for motion in both:
+        m, l = (motion.channels[name][:, 0] for name in POSITIONS)
+        if np.ptp(l) > 0.02:
+            l, m = l - l.mean(), m / N - m.mean() / N
+            found.append(float(l @ m / (l @ l)))
+            weights.append(float(l @ l))
+    return float(np.average(found, weights=weights)) if found else None
+
+
+def _median(motions: Sequence[SmoothedChannels], a: str, b: str, N: float) -> float | None:
+    """Median of one position less another on the output side [rad], of all recordings that have both."""
+    found = [
+        m.channels[a][:, 0] / side(a, "link_position", N) - m.channels[b][:, 0] / side(b, "link_position", N)
+        for m in motions
+        if a in m and b in m
     ]
-    price = SETTINGS.price + (
-        0.0 if abs(abs(offset) % (0.5 * math.pi)) < 1e-9 else 1.0
-    )  # of one angle, it shows in its counterpart
-    return replace(changes[0], price=price, also=tuple(changes[1:]))
+    return float(np.median(np.concatenate(found))) if found else None
+
+
+def _lag(motion: SmoothedChannels, N: float) -> float:
+    """By how much the link lags behind the motor, at their best offset and slope [s]."""
+    lag, time = 0.0, motion.time
+    a, b = (motion.channels[name] / side(name, "link_position", N) for name in POSITIONS)
+
+    def later(x: np.ndarray, by: float) -> np.ndarray:
+        return np.column_stack([np.interp(time + by, time, x[:, k]) for k in range(2)])
+
+    for _ in range(4):  # what is linear in a small lag is not in a large one
+        now, other = later(b, max(lag, 0.0)), later(a, max(-lag, 0.0))
+        A = np.column_stack([now[:, 1], np.ones(len(now)), now[:, 0]])
+        lag += float(np.linalg.lstsq(A, other[:, 0] - now[:, 0], rcond=None)[0][0])
+    return lag
+
+
+def shrinkage(m: Mistake, new: Mapping[str, RelationFit], old: Mapping[str, RelationFit], effective: float) -> float:
+    """What it costs in a recording that smaller torques, or all angles smaller, look like nothing, whatever they are.
+
+    Of angles no more than relations between them alone gain by it: where that is nothing, torques say which motion it was.
+    """
+    if m.becomes:  # what is so much larger says so much more
+        return -effective * max(math.log(m.factor or 1.0), 0.0)
+    smaller = -math.log(abs(m.factor)) if m.name == "unit" and m.factor and m.column != "time" else 0.0
+    if smaller <= 0.0:
+        return 0.0
+    if m.column in (*DRIVING, "external_torque"):
+        return effective * smaller
+    columns = {m.column, *m.also}
+    last_of = {"encoders": "motor_position", "command": "position_command"}
+    alone = [n for n, last in last_of.items() if n in new and n in old and last in columns and len(columns) > 1]
+    return min(0.5 * effective * smaller, sum(max(new[n].agreement - old[n].agreement, 0.0) for n in alone))

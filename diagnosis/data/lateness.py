@@ -21,6 +21,7 @@ from ...estimator.motion import smooth
 from ...models.joint import Joint
 from ...models.recording import Recording
 from ...models.signals import DRIVING, POSITIONS
+from .changes import Mistake
 
 
 @dataclass(frozen=True)
@@ -28,79 +29,62 @@ class LatenessSettings:
     """When a column is late.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-
-    Attributes:
-      step: of shifts that are tried, and between samples [s].
-      farthest: largest shift [s].
-      cutoff: of the smoother [Hz].
-      bin: over which samples are averaged before [s].
-      effective: samples that a second of a relation counts as, and a recording at the most.
-      sure: gain in log likelihood from which on a column is late.
-      worse: loss in a recording from which on not all have it.
-      one_of_several: more gain that it takes where not all have it.
-      far_off: more gain that it takes per second beyond `near` [s]: what is so late fits nothing, and suits no shape a little.
-      sliding: Stribeck velocities above which friction is known by its direction.
-      hats: pieces of the angle, whose functions gravity, cables, stops and the like are.
-      fewest: samples that a relation takes.
-      most: samples that are looked at.
-      wind_up, drive, torque: of what a relation of positions, of current or motor torque, and of joint torque leaves unexplained
-        the least that counts, in what the rated torque makes of it: the shapes are no better, whatever they happen to leave.
-      beside: distance from the best shift [s] at which it must be worse by `peaked`.
-      peaked: in log likelihood.
-      ordinary_link: by how much the link encoder is late in sound data, by `encoder_delay`, sensors and filters [s].
-      ordinary: the same of all other columns [s].
-      between: gain in log likelihood of the relation between both encoders, from which on one of them may be late: what nobody
-        stated (a push, a base that shakes) enters all others.
-      travel: of the link, below which motion says nothing [rad].
-      moving: speed over the largest from which on the link goes somewhere.
     """
 
-    step: float = 5e-3
-    farthest: float = 0.3
-    cutoff: float = 12.0
-    bin: float = 4e-3
-    effective: tuple[float, float] = (6.0, 60.0)
-    sure: float = 7.0
-    worse: float = -3.0
-    one_of_several: float = 12.0
+    step: float = 5e-3  # of shifts that are tried, and between samples [s]
+    farthest: float = 0.3  # largest shift [s]
+    cutoff: float = 12.0  # of the smoother [Hz]
+    bin: float = 4e-3  # over which samples are averaged before [s]
+    effective: tuple[float, float] = (
+        6.0,
+        60.0,
+    )  # samples that a second of a relation counts as, and a recording at the most
+    sure: float = 7.0  # gain in log likelihood from which on a column is late
+    worse: float = -3.0  # loss in a recording from which on not all have it
+    one_of_several: float = 12.0  # more gain that it takes where not all have it
+    # more gain that it takes per second beyond `near` [s]: what is so late fits nothing, and suits no shape a little
     far_off: float = 300.0
-    near: float = 0.03
-    sliding: float = 2.5
-    hats: int = 24
-    fewest: int = 200
-    most: int = 2500
+    near: float = 0.03  # [s]
+    sliding: float = 2.5  # Stribeck velocities above which friction is known by its direction
+    hats: int = 24  # pieces of the angle, whose functions gravity, cables, stops and the like are
+    fewest: int = 200  # samples that a relation takes
+    most: int = 2500  # samples that are looked at
+    # of what a relation of positions, of current or motor torque, and of joint torque leaves unexplained the least that counts,
+    # in what the rated torque makes of it: the shapes are no better, whatever they happen to leave
     wind_up: float = 0.1
-    drive: float = 0.01
-    torque: float = 0.001
-    beside: float = 0.03
-    peaked: float = 4.0
+    drive: float = 0.01  # likewise
+    torque: float = 0.001  # likewise
+    beside: float = 0.03  # distance from the best shift [s] at which it must be worse by `peaked`
+    peaked: float = 4.0  # in log likelihood
+    # by how much the link encoder is late in sound data, by `encoder_delay`, sensors and filters [s]
     ordinary_link: tuple[float, float] = (-2e-3, 14e-3)
-    ordinary: tuple[float, float] = (-2e-3, 5e-3)
+    ordinary: tuple[float, float] = (-2e-3, 5e-3)  # the same of all other columns [s]
+    # gain in log likelihood of the relation between both encoders, from which on one of them may be late: what nobody stated (a
+    # push, a base that shakes) enters all others
     between: float = 2.0
-    travel: float = 0.05
-    moving: float = 0.02
+    travel: float = 0.05  # of the link, below which motion says nothing [rad]
+    moving: float = 0.02  # speed over the largest from which on the link goes somewhere
+    alone: float = 3.0  # times as much of it, where one encoder alone says so
+    fits: float = (
+        0.08  # residual over spread of a drive's torque that fits where it is not late; of others twice as much
+    )
+    alike: float = 0.2  # gain of either encoder's relation over the mean, where a torque is late
+    # share of the time that the joint moves at the least, for a drive's torque to be held against its motion
+    goes: float = 0.25
 
 
 SETTINGS = LatenessSettings()
 
 
 @dataclass(frozen=True)
-class LateColumn:
-    """A column that is late against the others by `seconds` in some recordings (indices), with its probability."""
-
-    column: str
-    seconds: float
-    recordings: tuple[int, ...]
-    confidence: float
-
-
-@dataclass(frozen=True)
 class _Relation:
-    """What two columns leave unexplained at each shift of the second against the first: log likelihood lost, shape (d,)."""
+    """What two columns leave unexplained at each shift of the second against the first: log likelihood lost, shape (d,), and
+    whether no more than counts."""
 
     first: str
     second: str
     left: np.ndarray
+    fits: np.ndarray
 
 
 def _shifts() -> np.ndarray:
@@ -108,30 +92,33 @@ def _shifts() -> np.ndarray:
     return SETTINGS.step * np.arange(-n, n + 1)
 
 
-def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[LateColumn, ...]:
-    """The column that is late, of a measurement in which all else is right: in all its recordings, or in some."""
+def late_columns(recordings: Sequence[Recording], joint: Joint) -> tuple[tuple[Mistake, tuple[int, ...]], ...]:
+    """The column that is late, of a measurement in which all else is right, and the recordings that have it: all, or some."""
     relations = [_relations(recording, joint) for recording in recordings]
     best = _latest([r for found in relations for r in found])
-    if best is not None:
-        name, seconds, gain = best
-        lost = [_gain(found, name, seconds) < SETTINGS.worse for found in relations]
-        if not any(lost):
-            return (LateColumn(name, seconds, tuple(range(len(recordings))), _probability(gain)),)
+    if best is not None and all(_gain(found, best[0], best[1]) >= SETTINGS.worse for found in relations):
+        return (_late(*best, tuple(range(len(recordings)))),)
     if len(recordings) == 1:
         return ()
-    found = []
+    found: dict[str, list[tuple[int, float, float]]] = {}
     for i, one in enumerate(relations):
         best = _latest(one)
         if best is not None:
-            beyond = max(abs(best[1]) - SETTINGS.near, 0.0)
-            if best[2] > SETTINGS.sure + SETTINGS.one_of_several + SETTINGS.far_off * beyond:
-                found.append((i, *best))
-    out = []
-    for name in dict.fromkeys(f[1] for f in found):
-        mine = [f for f in found if f[1] == name]
-        seconds = float(np.median([f[2] for f in mine]))
-        out.append(LateColumn(name, seconds, tuple(f[0] for f in mine), _probability(sum(f[3] for f in mine))))
-    return tuple(out)
+            name, seconds, gain = best
+            far = SETTINGS.far_off * max(abs(seconds) - SETTINGS.near, 0.0)
+            if gain > SETTINGS.sure + SETTINGS.one_of_several + far:
+                found.setdefault(name, []).append((i, seconds, gain))
+    return tuple(
+        _late(
+            name, float(np.median([one[1] for one in mine])), sum(one[2] for one in mine), tuple(one[0] for one in mine)
+        )
+        for name, mine in found.items()
+    )
+
+
+def _late(name: str, seconds: float, gain: float, having: tuple[int, ...]) -> tuple[Mistake, tuple[int, ...]]:
+    text = f"{1e3 * seconds:.3g} ms late against the others"
+    return Mistake("late", name, "", text, _probability(gain), seconds=seconds), having
 
 
 def _probability(gain: float) -> float:
@@ -150,14 +137,25 @@ def _latest(relations: list[_Relation]) -> tuple[str, float, float] | None:
             gain = _gain(relations, name, d)
             if best is None or gain > best[2]:
                 best = (name, d, gain)
-    if best is None or best[2] < SETTINGS.sure:
+    if best is None:
         return None
     # The best shift of all, small ones of the other columns left aside.
     name = best[0]
     mine = [r for r in relations if name in (r.first, r.second)]
+    if best[2] < SETTINGS.sure * (
+        SETTINGS.alone if name in DRIVING and len({r.first for r in mine}) == 1 else 1.0
+    ):  # one encoder alone says so
+        return None
     left = np.sum([r.left if r.second == name else r.left[::-1] for r in mine], axis=0)
     near = np.where(np.abs(shifts - best[1]) < 0.02, left, np.inf)
     i = int(np.argmin(near))
+    gains = [_gain([r], name, best[1]) for r in mine]
+    by = [sum(g for g, r in zip(gains, mine, strict=True) if r.first == one) for one in {r.first for r in mine}]
+    if name in DRIVING[:2] and min(by) < SETTINGS.alike * sum(by) / len(by):  # of a torque both encoders say so
+        return None
+    said = [r for g, r in zip(gains, mine, strict=True) if g > 0.1 * sum(gains)]
+    if not all((r.fits if r.second == name else r.fits[::-1])[i] for r in said):
+        return None
     side = round(SETTINGS.beside / SETTINGS.step)
     if not side <= i < len(shifts) - side:
         return None
@@ -227,6 +225,10 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
                 shifted = shifted - motion[i, :1]
             sliding = N * motion[i, 1] / float(p["vs"])
             use = np.abs(sliding) > SETTINGS.sliding if second != "joint_torque" else np.ones(len(i), bool)
+            if (
+                second not in POSITIONS and use.mean() < SETTINGS.goes
+            ):  # friction holds, and the current builds up before it slips
+                continue
             shapes = _shapes(time[i], motion[i], sliding, second)
             if pushed:
                 shapes = np.column_stack([shapes, values[i, -1, 0]])
@@ -242,7 +244,10 @@ def _relations(recording: Recording, joint: Joint) -> list[_Relation]:
             continue
         count = min(SETTINGS.effective[0] * SETTINGS.step * stride * len(y), SETTINGS.effective[1])
         least = _least_that_counts(joint, second)
-        found.append(_Relation(first, second, 0.5 * count * np.log(_unexplained(whole, y) + least**2)))
+        unexplained = _unexplained(whole, y)
+        share = SETTINGS.fits * (1 if second in DRIVING[:2] else 2)
+        fits = unexplained < np.maximum((2 * least) ** 2, share**2 * np.var(y, axis=0))
+        found.append(_Relation(first, second, 0.5 * count * np.log(unexplained + least**2), fits))
     return found
 
 

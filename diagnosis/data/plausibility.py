@@ -8,20 +8,23 @@ Four relations hold between the channels of a joint, however they were recorded:
     command        the link follows its command
 
 Each is a sum of known shapes (sin θ, θ'', sgn θ', …) whose coefficients the description knows, give or take its tolerances and
-all causes of ordinary size: bounds, and Gaussian priors within them. What is left is taken to be Student-t distributed, as
-pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the *agreement*; samples a few
-milliseconds apart say the same thing, so a recording counts as `AgreementSettings.effective` samples.
+all causes of ordinary size: bounds, and Gaussian priors within them. The bounds are those of a description that is wrong by a few
+times (`AgreementSettings`): a column is at fault only where no such description explains the log. The residual is taken to be
+Student-t distributed, as pushes, bumps and stops are not in the shapes. The log likelihood of the best coefficients is the
+*agreement*; samples a few milliseconds apart say the same, so a recording counts as `AgreementSettings.effective` samples.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from ...estimator.motion import smooth
-from ...models.joint import Joint, Number
+from ...models.joint import Joint
 from ...models.kernels import kernel
 from ...models.recording import GAP, Recording
 from ...models.signals import DRIVING, POSITIONS
@@ -32,25 +35,29 @@ class AgreementSettings:
     """How channels are smoothed and held against each other.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-
-    Attributes:
-      effective: samples that a recording counts as in a relation between its channels at the most; a_second: of it.
-      samples: of a recording that are looked at.
-      cutoff: of the smoother [Hz].
-      bin: over which samples are averaged before [s].
-      shortest: samples and seconds of a part without gaps.
-      edge: at both ends of a part, where the smoother settles [s].
-      rated_torque: of the joint for which ordinary sizes in N·m are stated: a payload, a cable, a stop [N·m].
     """
 
-    effective: float = 90.0
-    a_second: float = 12.0
-    samples: int = 320
-    cutoff: float = 6.0
-    bin: float = 0.01
-    shortest: tuple[int, float] = (20, 0.3)
-    edge: float = 0.05
-    rated_torque: float = 16.0
+    effective: float = 90.0  # samples that a recording counts as in a relation between its channels at the most
+    a_second: float = 12.0  # of it
+    samples: int = 320  # of a recording that are looked at
+    cutoff: float = 6.0  # of the smoother [Hz]
+    bin: float = 0.01  # over which samples are averaged before [s]
+    shortest: tuple[int, float] = (20, 0.3)  # samples and seconds of a part without gaps
+    edge: float = 0.05  # at both ends of a part, where the smoother settles [s]
+    rated_torque: float = (
+        16.0  # of the joint for which ordinary sizes in N·m are stated: a payload, a cable, a stop [N·m]
+    )
+    load: tuple[float, float] = (
+        0.45,
+        2.1,
+    )  # lowest and highest ratio to what is described, of a description that is wrong
+    inertia: tuple[float, float] = (0.5, 2.4)  # likewise
+    friction: tuple[float, float] = (0.2, 8.0)  # likewise
+    viscous: tuple[float, float] = (0.0, 10.0)  # likewise
+    noise: float = 0.04  # of a torque's residual to its own spread, at the least
+    suspicious: float = -0.15  # misfit below which channels do not go together
+    sharpest: float = 0.2  # of the residual that is expected, the least that still says more
+    vague: float = 0.5  # of the residual that is expected, from which on a relation is looked into
 
 
 SETTINGS = AgreementSettings()
@@ -66,23 +73,17 @@ class SmoothedChannels:
       time: since the recording's start [s], shape (n,).
       channels: value and two derivatives in time by name, shape (n, 3).
       known_torque: on the link by an arm in motion [N·m], shape (n,); inertia: over that of the mounting [1], shape (n,).
+      steps: between neighbouring values of the positions, in their units.
     """
 
     time: np.ndarray
     channels: Mapping[str, np.ndarray]
     known_torque: np.ndarray
     inertia: np.ndarray
+    steps: Mapping[str, float]
 
     def __contains__(self, name: str) -> bool:
         return name in self.channels
-
-    def with_channels(self, **channels: np.ndarray) -> SmoothedChannels:
-        """The same with channels replaced."""
-        return replace(self, channels={**self.channels, **channels})
-
-    def without(self, *names: str) -> SmoothedChannels:
-        """The same without channels."""
-        return replace(self, channels={n: x for n, x in self.channels.items() if n not in names})
 
     @property
     def position(self) -> str:
@@ -90,14 +91,9 @@ class SmoothedChannels:
         return "link_position" if "link_position" in self.channels else "motor_position"
 
 
-def motion_of(recording: Recording, second: float = 1.0) -> SmoothedChannels | None:
-    """Smooth a recording's channels; None where no part without gaps is long enough.
-
-    Args:
-      recording: whose samples were checked one by one already.
-      second: what one unit of its time is [s].
-    """
-    time = second * (recording.time - recording.time[0])
+def motion_of(recording: Recording) -> SmoothedChannels | None:
+    """Smooth a recording's channels, whose samples were checked already; None where no part without gaps is long enough."""
+    time = recording.time - recording.time[0]
     interval = float(np.median(np.diff(time)))
     cuts = np.flatnonzero(np.diff(time) > max(GAP, 5 * interval)) + 1
     step = max(0.02, interval, float(time[-1]) / SETTINGS.samples)
@@ -131,7 +127,15 @@ def motion_of(recording: Recording, second: float = 1.0) -> SmoothedChannels | N
         channels={name: np.ascontiguousarray(values[:, i]) for i, name in enumerate(names)},
         known_torque=values[:, len(names), 0] if arm else np.zeros(n),
         inertia=values[:, len(names) + 1, 0] if arm else np.ones(n),
+        steps={name: smallest_step(recording[name]) for name in POSITIONS if name in recording},
     )
+
+
+def smallest_step(x: np.ndarray) -> float:
+    """Smallest change of a column from one sample to the next that is none of rounding; 0 where it does not change."""
+    change = np.abs(np.diff(x))
+    change = change[change > max(1e-9 * float(np.ptp(x)), 4 * float(np.spacing(np.abs(x).max())))]
+    return float(change.min()) if len(change) else 0.0
 
 
 @kernel
@@ -203,12 +207,27 @@ class _Shapes:
         self._n = n
         self._columns: list[np.ndarray] = []
         self._numbers: list[tuple[float, float, float, float]] = []
+        self._telling: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._columns)
 
     def add(
-        self, shape: np.ndarray | float, low: float, high: float, centre: float = 0.0, spread: float | None = None
+        self,
+        shape: np.ndarray | float,
+        low: float,
+        high: float,
+        centre: float = 0.0,
+        spread: float | None = None,
+        telling: bool = False,
     ) -> None:
-        """A shape whose coefficient lies between `low` and `high`, about `centre` (a third of the range by default)."""
+        """A shape whose coefficient lies between `low` and `high`, about `centre` (a third of the range by default).
+
+        Args:
+          telling: whether a coefficient at a bound says that the description is wrong by more than a few times.
+        """  # fmt: skip
         if high > low:
+            self._telling += [len(self._columns)] if telling else []
             self._columns.append(np.broadcast_to(shape, (self._n,)))
             self._numbers.append((low, high, centre, (high - low) / 3 if spread is None else spread))
 
@@ -216,10 +235,16 @@ class _Shapes:
         """The best coefficients for readings y, shape (n,); `least`: what `sigma` is where all is known."""
         A = np.ascontiguousarray(np.column_stack(self._columns))
         low, high, centre, spread = (np.array(x) for x in zip(*self._numbers, strict=True))
-        beta = np.empty(len(low))
-        misfit = float(_fit(A, y, sigma, low, high, centre, spread, effective / self._n, beta))
+        beta, weight = np.empty(len(low)), effective / self._n
+        misfit = float(_fit(A, y, sigma, low, high, centre, spread, weight, beta))
+        at_bound = bool(np.any(((beta <= low) | (beta >= high))[list(self._telling)]))
+        # What is left may be far less than what is allowed: then it says so much more.
+        u = (y - A @ beta) / sigma
+        scale = min(max(1.5 * float(np.median(np.abs(u))), SETTINGS.sharpest), 1.0)
+        more = 0.5 * (_FREEDOM + 1) * float(np.mean(np.log1p(u**2 / _FREEDOM) - np.log1p((u / scale) ** 2 / _FREEDOM)))
+        readings = misfit + effective * max(more - math.log(scale), 0.0)
         known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
-        return RelationFit(misfit + known, misfit / effective, misfit)
+        return RelationFit(readings + known, misfit / effective, readings, at_bound, scale > SETTINGS.vague, beta)
 
 
 @dataclass(frozen=True)
@@ -231,27 +256,42 @@ class RelationFit:
       misfit: its part that readings and priors make up, per effective sample: 0 where all is as expected, −0.6 where readings
         are off by one `sigma`.
       readings: that part of the whole.
+      at_bound: whether the description would have to be wrong by more than a few times.
+      vague: whether the residual is not much less than what is allowed.
+      coefficients: of the shapes, in their order.
     """
+
+    @property
+    def suspicious(self) -> bool:
+        """Whether the channels do not go together, or only by a description that is wrong by more than a few times."""
+        return self.misfit < SETTINGS.suspicious or self.at_bound
 
     agreement: float
     misfit: float
     readings: float
+    at_bound: bool
+    vague: bool
+    coefficients: np.ndarray
 
 
 def _same(a: SmoothedChannels, b: SmoothedChannels, channels: tuple[str, ...]) -> bool:
-    """Whether some channels are the very same, and both tell the link's motion by the same encoder."""
+    """Whether some channels are the very same, and both give the link's motion by the same encoder."""
     return a.position == b.position and all(a.channels.get(n) is b.channels.get(n) for n in channels)
 
 
 class Plausibility:
-    """A joint's description as what the channels of one recording are held against."""
+    """A joint's description as what the channels of one recording are compared with."""
 
     def __init__(self, joint: Joint, recording: Recording):
         self.joint = joint
         self.p = joint.record(recording.link)[0]
         self.pushed = recording.external == "unmeasured"
-        self._size = joint.numbers["rated_torque"].value / SETTINGS.rated_torque
-        self._turned = joint.gravity_angle is not None
+        self.rated = joint.numbers["rated_torque"].value
+        self._size = self.rated / SETTINGS.rated_torque
+        number = joint.numbers["Kt"]
+        spread = np.hypot(number.tolerance, number.deviation / max(number.value, 1e-12))
+        unsure = min(3 * float(np.hypot(spread, joint.shared_tolerances[number.shared] if number.shared else 0.0)), 0.5)
+        self._gain = (0.8 * (1 - unsure), 1.25 * (1 + unsure))
 
     def agreement(
         self,
@@ -265,47 +305,26 @@ class Plausibility:
           motion: the channels.
           before, known: other channels and their relations, of which those are taken over whose channels are the same.
         """
-        found = {}
-        for name, needed in self._relations(motion).items():
-            if before is not None and known is not None and name in known and _same(motion, before, needed):
-                found[name] = known[name]
-            else:
-                found[name] = self._fit(name, motion)
-        return found
-
-    def torques(self, motion: SmoothedChannels) -> dict[str, RelationFit]:
-        """The relations of torques alone."""
-        return {name: self._fit(name, motion) for name in self._relations(motion) if name in DRIVING}
-
-    def _relations(self, motion: SmoothedChannels) -> dict[str, tuple[str, ...]]:
-        """Relations that the channels allow, each with the channels that it is between."""
-        found: dict[str, tuple[str, ...]] = {}
+        relations: dict[str, tuple[str, ...]] = {}
         if all(name in motion for name in POSITIONS):
-            found["encoders"] = POSITIONS
+            relations["encoders"] = POSITIONS
         if "position_command" in motion:
-            found["command"] = (motion.position, "position_command")
+            relations["command"] = (motion.position, "position_command")
         for name in DRIVING:
             if name in motion:
-                found[name] = (motion.position, name, "external_torque")
-        return found
-
-    def _fit(self, name: str, motion: SmoothedChannels) -> RelationFit:
-        if name == "encoders":
-            return self._encoders(motion)
-        if name == "command":
-            return self._command(motion)
-        return self._joint_torque(motion) if name == "joint_torque" else self._drive(motion, name)
+                relations[name] = (motion.position, name, "external_torque")
+        fits = {"encoders": self._encoders, "command": self._command}
+        return {
+            name: known[name]
+            if before is not None and known is not None and name in known and _same(motion, before, needed)
+            else (fits[name](motion) if name in fits else self.torque(motion, name))
+            for name, needed in relations.items()
+        }
 
     def link(self, motion: SmoothedChannels) -> np.ndarray:
         """The link's motion, shape (n, 3): of the link encoder, or the rotor's over the gear ratio."""
         values = motion.channels[motion.position]
         return values if motion.position == "link_position" else values / self.p["N"]
-
-    def _tolerance(self, symbol: str) -> float:
-        """Relative standard deviation of a number of the description, of a reading of the drive that of Kt."""
-        number: Number = self.joint.numbers[symbol]
-        shared = self.joint.shared_tolerances[number.shared] if number.shared else 0.0
-        return float(np.hypot(np.hypot(number.tolerance, shared), number.deviation / max(number.value, 1e-12)))
 
     @staticmethod
     def _effective(motion: SmoothedChannels) -> float:
@@ -317,7 +336,7 @@ class Plausibility:
         p = self.p
         theta, v = motion.channels["link_position"][:, 0], motion.channels["link_position"][:, 1]
         zero = self.joint.sensors.link_encoder.zero
-        wound = self.joint.numbers["rated_torque"].value / p["K1"]
+        wound = self.rated / p["K1"]
         friction = p["Fc"] / (p["Kw0"] * p["N"]) + 3e-4
         off = max(0.01, 5 * zero.deviation if zero is not None else 0.0)
         shapes = _Shapes(len(theta))
@@ -328,7 +347,10 @@ class Plausibility:
         shapes.add(v, p["link_delay"] - 2e-3, p["link_delay"] + 1.3e-2, float(p["link_delay"]), 8e-3)
         shapes.add(np.tanh(p["N"] * v / p["vs"]), -4 * friction, 4 * friction)
         y = motion.channels["motor_position"][:, 0] / p["N"] - theta
-        sigma = 2e-4 + 0.15 * wound + (self.joint.sensors.motor_encoder.resolution / p["N"])
+        sigma = 2e-4 + 0.15 * wound + self.joint.sensors.motor_encoder.resolution / p["N"]
+        # Counts that are coarser than described are no mistake; in another unit a step is no angle.
+        coarse = min(motion.steps["link_position"], 5e-3) + min(motion.steps["motor_position"] / p["N"], 5e-3)
+        sigma = float(np.hypot(sigma, 0.5 * coarse))
         return shapes.fit(y, np.full(len(theta), sigma), sigma, self._effective(motion))
 
     def _command(self, motion: SmoothedChannels) -> RelationFit:
@@ -341,78 +363,71 @@ class Plausibility:
         y = motion.channels["position_command"][:, 0] - x[:, 0]
         return shapes.fit(y, np.full(len(x), sigma), sigma, 0.5 * self._effective(motion))
 
-    def _gravity(self, shapes: _Shapes, theta: np.ndarray, scale: tuple[float, float]) -> None:
-        """Shapes of what the link's own weight, a payload, a cable and a stop ask for [N·m]; `scale`: of the reading."""
-        p, size = self.p, self._size
-        weight, payload = float(p["Mg"]), 4.5 * max(size, 1.0)
-        turned = (0.25 if self._turned else 0.03) * weight + 0.3 * payload
-        low, high = scale
-        shapes.add(
-            np.sin(theta + p["gravity_angle"]), 0.75 * weight * low, (1.25 * weight + payload) * high, weight,
-            0.25 * weight + 0.5 * payload,
-        )  # fmt: skip
-        shapes.add(np.cos(theta + p["gravity_angle"]), -turned * high, turned * high, 0.0, turned / 2)
+    def torque(self, motion: SmoothedChannels, name: str, free: bool = False) -> RelationFit:
+        """The relation of a torque channel to the link's motion.
+
+        Args:
+          free: whether inertia and gravity, the first three coefficients, may be any: a clock that is wrong and a torque without
+            gravity show in them.
+        """
+        p, size, rated = self.p, self._size, self.rated
+        drive = name != "joint_torque"
+        N, weight = float(p["N"]), float(p["Mg"])
+        low, high = self._gain if drive else (0.8, 1.25)
+        theta, v, a = self.link(motion).T
+        rotor = N * N * float(p["Jm"] + p["Jw"]) if drive else 0.0
+        inertia = float(p["Jl"]) * motion.inertia + rotor
+        shapes = _Shapes(len(theta))
+        shapes.add(inertia * a, *((0.0, 1e3, 1.0, 1e3) if free else (*SETTINGS.inertia, 1.0, 0.8)), telling=True)
+        # The link's own weight, a payload, a cable, a stop [N·m].
+        payload = 4.5 * size
+        turned = (0.25 if self.joint.gravity_angle is not None else 0.06) * weight + 0.3 * payload
+        angle = theta + p["gravity_angle"]
+        low_load = SETTINGS.load[0] * weight * low
+        high_load = max(SETTINGS.load[1] * weight, 1.25 * weight + payload) * high
+        if free:
+            low_load, turned = -weight, 3 * weight
+        shapes.add(np.sin(angle), low_load, high_load, weight, 0.5 * (weight + payload), telling=True)
+        shapes.add(np.cos(angle), -turned * high, turned * high, 0.0, turned / 2)
         cable = max(float(p["cable_stiffness"]), 0.0)
         shapes.add(theta, 0.0, (2.0 * size + 2 * cable) * high, cable, 1.0 * size)
-        for angle in (0.6, 0.8, 1.0):
-            shapes.add(np.maximum(theta - angle, 0.0), 0.0, 45.0 * max(size, 1.0) * high, 0.0, 15.0 * max(size, 1.0))
-
-    def _known(self, shapes: _Shapes, motion: SmoothedChannels) -> np.ndarray:
-        """Torque that is known to push the link, which the joint need not give; a measured one with a gain near one [N·m]."""
-        if "external_torque" in motion and not self.pushed:
+        for at in (0.6, 0.8, 1.0):
+            shapes.add(np.maximum(theta - at, 0.0), 0.0, 45.0 * max(size, 1.0) * high, 0.0, 15.0 * max(size, 1.0))
+        if not free:
+            shapes.add(rotor * a, 0.0, 1.5 * high, 0.0, 0.8)
+            shapes.add(a, 0.0, 0.2 * size, 0.0, 0.1 * size)
+        friction, sliding, level = 0.0, np.tanh(N * v / p["vs"]), 0
+        if drive:
+            friction, viscous = N * float(p["Fc"]), N * N * float(p["bw"] + p["bm"]) + float(p["bl"])
+            level = len(shapes)
+            shapes.add(friction * sliding, SETTINGS.friction[0], SETTINGS.friction[1], 1.0, 2.0, telling=True)
+            shapes.add(viscous * v, SETTINGS.viscous[0], SETTINGS.viscous[1] * high, 1.0, 3.0)
+            offset = 0.2 * N * float(p["Kt"]) + 0.5 * friction
+            shapes.add(1.0, -offset, offset, N * float(p["Kt"] * p["current_offset"]), offset / 3)
+            load = np.abs(weight * np.sin(angle) + p["Jl"] * motion.inertia * a)
+            shapes.add(load * sliding, -0.1, 0.6, float(p["friction_load"]), 0.2)
+            shapes.add(load * sliding * (np.sin(angle) * v < 0), -0.6, 0.6, 0.0, 0.2)
+            for order in (1.0, 2.0, 3.0):
+                for wave in (np.sin(order * theta), np.cos(order * theta)):
+                    shapes.add(friction * sliding * wave, -0.8 * high, 0.8 * high, 0.0, 0.3)
+            for seconds in (6.0, 15.0):
+                shapes.add(friction * sliding * np.exp(-motion.time / seconds), 0.0, 2.0 * high, 0.0, 0.7)
+        else:
+            shapes.add(1.0, -0.06 * rated, 0.06 * rated, float(p["torque_offset"]), 0.02 * rated)
+            shapes.add(motion.time, -0.004 * rated, 0.004 * rated, float(p["torque_rate"]), 0.004 * rated / 3)
+        if "external_torque" in motion and not self.pushed:  # measured, with a gain near one
             shapes.add(-motion.channels["external_torque"][:, 0], 0.6, 1.5, 1.0, 0.3)
-        return -motion.known_torque
-
-    def _drive(self, motion: SmoothedChannels, name: str) -> RelationFit:
-        p, size = self.p, self._size
-        N = float(p["N"])
-        theta, v, a = self.link(motion).T
-        unsure = min(3 * self._tolerance("Kt"), 0.5)
-        scale = (0.8 * (1 - unsure), 1.25 * (1 + unsure))
-        low, high = scale
-        rotor = N * N * float(p["Jm"] + p["Jw"])
-        inertia = float(p["Jl"]) * motion.inertia + rotor
-        friction = N * float(p["Fc"])
-        loose = 1 + min(3 * self._tolerance("Fc"), 2.0)
-        viscous = N * N * float(p["bw"] + p["bm"]) + float(p["bl"])
-        sliding = np.tanh(N * v / p["vs"])
-        offset = 0.2 * N * float(p["Kt"]) + 0.5 * friction
-        shapes = _Shapes(len(theta))
-        self._gravity(shapes, theta, scale)
-        shapes.add(inertia * a, 0.4 * low, 3.0 * high, 1.0, 0.6)
-        shapes.add(rotor * a, 0.0, 1.5 * high, 0.0, 0.8)
-        shapes.add(a, 0.0, 0.2 * size, 0.0, 0.1 * size)
-        shapes.add(friction * sliding, 0.4 * low / loose, 2.8 * high * loose, 1.0, 0.8 * loose)
-        shapes.add(viscous * v, 0.0, 8.0 * high, 1.0, 2.0)
-        shapes.add(1.0, -offset, offset, N * float(p["Kt"] * p["current_offset"]), offset / 3)
-        load = np.abs(p["Mg"] * np.sin(theta + p["gravity_angle"]) + p["Jl"] * motion.inertia * a)
-        shapes.add(load * sliding, -0.1, 0.6, float(p["friction_load"]), 0.2)
-        driven = np.sign(np.sin(theta + p["gravity_angle"]) * v) < 0
-        shapes.add(load * sliding * driven, -0.6, 0.6, 0.0, 0.2)
-        for order in (1.0, 2.0, 3.0):
-            for wave in (np.sin(order * theta), np.cos(order * theta)):
-                shapes.add(friction * sliding * wave, -0.8 * high, 0.8 * high, 0.0, 0.3)
-        for seconds in (6.0, 15.0):
-            shapes.add(friction * sliding * np.exp(-motion.time / seconds), 0.0, 2.0 * high, 0.0, 0.7)
-        known = self._known(shapes, motion)
-        y = N * motion.channels[name][:, 0] * (float(p["Kt"]) if name == "motor_current" else 1.0)
-        # At rest friction may be anything up to its level.
-        resting = np.exp(-((N * v / (2 * p["vs"])) ** 2))
-        sigma = 0.025 * self.joint.numbers["rated_torque"].value * (1.5 if self.pushed else 1.0)
-        return shapes.fit(y - known, np.hypot(sigma, 2 * friction * resting), sigma, self._effective(motion))
-
-    def _joint_torque(self, motion: SmoothedChannels) -> RelationFit:
-        size, rated = self._size, self.joint.numbers["rated_torque"].value
-        theta, _, a = self.link(motion).T
-        inertia = float(self.p["Jl"]) * motion.inertia
-        shapes = _Shapes(len(theta))
-        self._gravity(shapes, theta, (0.8, 1.25))
-        shapes.add(inertia * a, 0.4, 3.0, 1.0, 0.5)
-        shapes.add(a, 0.0, 0.2 * size, 0.0, 0.1 * size)
-        shapes.add(1.0, -0.06 * rated, 0.06 * rated, float(self.p["torque_offset"]), 0.02 * rated)
-        drift = 0.004 * rated
-        shapes.add(motion.time, -drift, drift, float(self.p["torque_rate"]), drift / 3)
-        known = self._known(shapes, motion)
-        sigma = 0.02 * rated * (1.5 if self.pushed else 1.0)
-        y = motion.channels["joint_torque"][:, 0] - known
-        return shapes.fit(y, np.full(len(theta), sigma), sigma, self._effective(motion))
+        y = motion.channels[name][:, 0] * (N if drive else 1.0) * (float(p["Kt"]) if name == "motor_current" else 1.0)
+        y = y + motion.known_torque
+        base = (0.025 if drive else 0.02) * rated * (1.5 if self.pushed else 1.0)
+        wide = float(np.hypot(base, min(SETTINGS.noise * float(np.std(y)), 2 * base)))
+        if not drive:
+            return shapes.fit(y, np.full(len(theta), wide), base, self._effective(motion))
+        # At rest, and where the smoother mixes rest and motion, friction may be anything up to its level.
+        near = uniform_filter1d(sliding, 5, mode="nearest")
+        resting = np.maximum(np.exp(-((N * v / (2 * p["vs"])) ** 2)), 1 - np.abs(near))
+        found = shapes.fit(y, np.hypot(wide, 2 * friction * resting), base, self._effective(motion))
+        times = float(found.coefficients[level])
+        if times > 1.5:
+            found = shapes.fit(y, np.hypot(wide, 2 * times * friction * resting), base, self._effective(motion))
+        return found

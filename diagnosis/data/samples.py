@@ -1,7 +1,8 @@
 """What is wrong with single samples of a recording: far off, jumped by a turn, not moving, at the sensor's end.
 
-Each column is held against its own neighbourhood, and positions against each other; units do not matter. Steps between samples
-are taken less the local speed times the interval, so that motion, jitter and missing samples are none.
+Each column is compared with its own neighbourhood and with what other columns do meanwhile; units do not matter. Steps between
+samples are taken less the local speed times the interval, so that motion, jitter and missing samples are none. What motion
+explains is no mistake: a torque's peak where the angle's speed changes, a rest at the outermost pose, what friction holds.
 """
 
 from __future__ import annotations
@@ -11,11 +12,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.ndimage import median_filter, percentile_filter
+from scipy.ndimage import maximum_filter1d, median_filter, percentile_filter
 
-from ...models.joint import EncoderSpec, Joint
+from ...models.joint import Joint
 from ...models.recording import GAP, Measurement, Recording
 from ...models.signals import DRIVING, POSITIONS
+from .changes import Mistake
+from .plausibility import smallest_step
 
 
 @dataclass(frozen=True)
@@ -23,97 +26,97 @@ class SampleSettings:
     """When a sample is wrong.
 
     Set on `benchmarks/mistakes.py`: mistakes hidden in sound measurements, and sound ones in which nothing may be found.
-
-    Attributes:
-      neighbours: steps whose median is the local speed.
-      far: times what 99 % of the steps keep below, from which on a step is far.
-      alone: times the largest ordinary step within `nearby`, from which on it stands alone.
-      nearby: samples.
-      longest: samples of a glitch at the most.
-      window, around: samples whose median is held against a sample where glitches are many, and within which most are calm on
-        either side; calm: their part.
-      usual: part of the samples that are no glitches even then; cleared: by how much steps must become smaller without them.
-      quanta: smallest steps of a column that a glitch is larger than.
-      still: seconds and samples that a column does not move at the least to be stuck.
-      moved: share of its range and radians on the output side by which others move meanwhile.
-      pieces: of a part, whose medians say how far another column moves meanwhile.
-      flat: samples at a sensor's end at the least.
-      peaked: times more often that the value at the end is there than those beside it.
-      drive_moved: share of its range by which a position moves while a torque is stuck.
-      together: part of a jump by which both encoders may differ in it.
-      uncommanded: way of the link [rad] that nothing but a command makes: no push and no compliance.
     """
 
-    neighbours: int = 9
-    far: float = 8.0
-    alone: float = 5.0
-    nearby: int = 25
-    longest: int = 3
+    neighbours: int = 9  # steps whose median is the local speed
+    far: float = 8.0  # times what 99 % of the steps keep below, from which on a step is far
+    alone: float = 5.0  # times the largest ordinary step within `nearby`, from which on it stands alone
+    nearby: int = 25  # samples
+    longest: int = 3  # samples of a glitch at the most
+    # samples whose median is compared with a sample where glitches are many, and within which most are calm on either side
     window: int = 11
-    around: int = 6
-    calm: float = 0.7
-    usual: float = 0.9
-    cleared: float = 0.25
-    quanta: float = 20.0
-    still: tuple[float, int] = (0.2, 20)
+    around: int = 6  # likewise
+    calm: float = 0.7  # their part
+    usual: float = 0.9  # part of the samples that are no glitches even then
+    cleared: float = 0.25  # by how much steps must become smaller without them
+    quanta: float = 20.0  # smallest steps of a column, and roundings of single precision, that a glitch is larger than
+    moves: float = 1.5  # times the largest other step of an angle nearby, that a glitch is larger than
+    # times what it usually is where the angle's speed changes, that a torque's peak there is larger than
+    bends: float = 5.0
+    span: int = 4  # samples within which the speed changes
+    events: int = 8  # samples with such changes, at the least
+    still: tuple[float, int] = (0.2, 20)  # seconds and samples that a column does not move at the least to be stuck
+    # share of its range and radians on the output side by which others move meanwhile
     moved: tuple[float, float] = (0.03, 0.02)
-    pieces: int = 8
-    flat: int = 8
-    peaked: float = 4.0
-    drive_moved: float = 0.01
-    together: float = 0.2
-    uncommanded: float = 0.3
+    pieces: int = 8  # of a part, whose medians say how far another column moves meanwhile
+    leaves: float = 3.0  # times the largest ordinary step of an angle, by which a lone one that was stuck goes on
+    flat: int = 8  # samples at a sensor's end at the least
+    peaked: float = 4.0  # times more often that the value at the end is there than those near it
+    driven: float = 0.01  # share of its range by which a position moves while a torque is stuck, or at its end
+    together: float = 0.2  # part of a jump by which both encoders may differ in it
+    uncommanded: float = 0.3  # way of the link [rad] that nothing but a command makes: no push and no compliance
+    whole: float = 0.1  # by how much a counter's jump against the other encoder may be off whole turns [turns]
+    clipped: float = 0.01  # share of the samples from which on a sensor's end makes physics meaningless
+    listed: int = 4  # rows that are named one by one
 
 
 SETTINGS = SampleSettings()
+_ANGLES = (*POSITIONS, "position_command")
 
 
-@dataclass(frozen=True)
-class SampleMistake:
-    """Samples of a column that are wrong.
-
-    Attributes:
-      name: `glitch`, `wrapped`, `stuck` or `clipped`; column: that has it.
-      rows: samples concerned; of `wrapped` those after each jump.
-      turn: of `wrapped`, what a whole turn is in the column's unit.
-    """
-
-    name: str
-    column: str
-    rows: tuple[int, ...]
-    turn: float | None = None
-
-
-def wrong_samples(recording: Recording, joint: Joint) -> tuple[SampleMistake, ...]:
+def wrong_samples(recording: Recording, joint: Joint) -> list[Mistake]:
     """Single samples of a recording that are wrong, column by column."""
-    columns = dict(recording.columns)
-    found: list[SampleMistake] = []
+    time, columns, N = recording.time, dict(recording.columns), joint.numbers["N"].value
+    found: list[Mistake] = []
+
+    def wrapped(name: str, jumps: np.ndarray, turn: float) -> None:
+        if len(jumps):
+            found.append(_mistake("wrapped", name, recording, jumps, turn))
+            guide = columns["link_position"] if name == "motor_position" and "link_position" in columns else None
+            columns[name] = unwrapped(time, columns[name], jumps, turn, guide)
+
     for name in columns:
         if name == "temperature":
             continue
-        angle = name in (*POSITIONS, "position_command")
-        if angle:
-            jumps, turn = _within_a_turn(recording.time, columns[name], _turns(name, joint))
-            if len(jumps):
-                found.append(SampleMistake("wrapped", name, tuple(jumps.tolist()), turn))
-                columns[name] = unwrapped(recording.time, columns[name], jumps, turn)
-        steps, glitches = _Steps(recording.time, columns[name]), set[int]()
-        while more := set(steps.glitches().tolist()) - glitches:  # large ones hide smaller ones
+        if name in (*_ANGLES, *DRIVING):
+            turns = _turns(name, joint) if name in _ANGLES else ()
+            wrapped(name, *_within_a_turn(time, columns[name], (*_registers(columns[name]), *turns)))
+        steps, glitches = _Steps(time, columns[name]), set[int]()
+        while more := set(_glitches(steps, name, columns)) - glitches:  # large ones hide smaller ones
             glitches |= more
-            columns[name] = bridged(recording.time, columns[name], np.array(sorted(glitches)))
-            steps = _Steps(recording.time, columns[name])
+            columns[name] = bridged(time, columns[name], np.array(sorted(glitches)))
+            steps = _Steps(time, columns[name])
         if glitches:
-            found.append(SampleMistake("glitch", name, tuple(sorted(glitches))))
-        if angle:
-            jumps, turn = steps.wraps(_turns(name, joint)[: 2 + (name in POSITIONS)])
-            if len(jumps):
-                found.append(SampleMistake("wrapped", name, tuple(jumps.tolist()), turn))
-                columns[name] = unwrapped(recording.time, columns[name], jumps, turn)
-    N = joint.numbers["N"].value
+            found.append(_mistake("glitch", name, recording, np.array(sorted(glitches))))
+        if name in _ANGLES:
+            wrapped(name, *steps.wraps(_turns(name, joint)[: 2 + (name in POSITIONS)]))
+    if all(name in columns for name in POSITIONS):
+        wrapped("motor_position", _power_cycles(time, columns, N), 2 * math.pi)
     for name in columns:
         if name in (*POSITIONS, *DRIVING):
-            found += _still(recording.time, columns, name, N)
-    return tuple(found)
+            limit = joint.numbers["current_limit"].value if name == "motor_current" else math.inf
+            parts = _still(time, columns, name, N, limit)
+            found += [_mistake(what, name, recording, rows) for what, rows in parts.items() if len(rows)]
+    return found
+
+
+def _mistake(name: str, column: str, recording: Recording, rows: np.ndarray, turn: float | None = None) -> Mistake:
+    n, severe = len(recording.time), True
+    count = "one sample" if len(rows) == 1 else f"{len(rows)} samples"
+    listed = ", ".join(map(str, rows)) if len(rows) <= SETTINGS.listed else f"{rows[0]} to {rows[-1]}"
+    where = f"row{'s' if len(rows) > 1 else ''} {listed}"
+    if name == "glitch":
+        text = f"{count} far off the neighbours, {where}"
+    elif name == "wrapped" and column in DRIVING:
+        text = f"a register without its sign: values above half of {turn:g} are negative, {where}"
+    elif name == "wrapped":
+        text = f"jumps by a whole turn ({turn:g}) {'once' if len(rows) == 1 else f'{len(rows)} times'}, {where}"
+    elif name == "stuck":
+        text = "does not move at all" if len(rows) == n else f"does not move in {count} although it should, {where}"
+    else:
+        text, severe = f"{count} at the sensor's end, {where}", len(rows) > SETTINGS.clipped * n
+    rows_ = tuple(int(k) for k in rows)
+    return Mistake(name, column, recording.name, text, 0.99, factor=turn, rows=rows_, severe=severe)
 
 
 def jumps(recording: Recording, joint: Joint) -> np.ndarray:
@@ -123,10 +126,7 @@ def jumps(recording: Recording, joint: Joint) -> np.ndarray:
         return np.empty(0, int)
     N = joint.numbers["N"].value
     motor, link = (_Steps(recording.time, recording[n] / (N if n == "motor_position" else 1.0)) for n in POSITIONS)
-    far = [
-        s.size > max(SETTINGS.far * float(np.quantile(s.size, 0.99)), SETTINGS.quanta * s.quantum)
-        for s in (motor, link)
-    ]
+    far = [s.size > s.far() for s in (motor, link)]
     same = np.abs(motor.off - link.off) < SETTINGS.together * np.abs(link.off)
     found = np.flatnonzero(far[0] & far[1] & same)
     # What comes back at once is a sample far off.
@@ -140,7 +140,7 @@ def jumps(recording: Recording, joint: Joint) -> np.ndarray:
 def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[str, ...]]:
     """The measurement with gaps in the time of its recordings where samples are missing (`jumps`), and what is said of each.
 
-    What they had for time stays beside it (`Recording.stamps`).
+    The time that they had is kept in `Recording.stamps`.
     """
     said, found = [], []
     for recording in measurement.recordings:
@@ -155,20 +155,20 @@ def parted(measurement: Measurement, joint: Joint) -> tuple[Measurement, tuple[s
     return replace(measurement, recordings=tuple(found)) if said else measurement, tuple(said)
 
 
-def still_commands(recordings: Sequence[Recording], joint: Joint) -> list[list[SampleMistake]]:
+def still_commands(recordings: Sequence[Recording], joint: Joint) -> list[list[Mistake]]:
     """Of each recording a position command that stays where it is though the link does not, if it has one: a drive that follows
-    a torque or a velocity logs 0. One that stands at the same place beside such ones is of the same drive."""
+    a torque or a velocity logs 0. One at the same value in another recording is of the same drive."""
     N = joint.numbers["N"].value
     at: list[float | None] = []
-    goes = []
+    still = set()
     for r in recordings:
         command = r.columns.get("position_command")
         at.append(float(command[0]) if command is not None and np.ptp(command) == 0.0 else None)
         spans = [float(np.ptp(r[n])) / (N if n == "motor_position" else 1.0) for n in POSITIONS if n in r]
-        goes.append(min(spans, default=0.0) > SETTINGS.uncommanded)
-    still = {value for value, moves in zip(at, goes, strict=True) if value is not None and moves}
+        if at[-1] is not None and min(spans, default=0.0) > SETTINGS.uncommanded:
+            still.add(at[-1])
     return [
-        [SampleMistake("stuck", "position_command", tuple(range(len(r.time))))] if value in still else []
+        [_mistake("stuck", "position_command", r, np.arange(len(r.time)))] if value in still else []
         for r, value in zip(recordings, at, strict=True)
     ]
 
@@ -192,24 +192,21 @@ def unwrapped(
       jumps: samples after each jump; turn: in the angle's unit.
       guide: another angle of the same shaft, in any unit; without one the speed before and after a gap tells.
     """
-    change = np.zeros(len(x))
-    steps = np.diff(x)
-    change[jumps] = -turn * np.round(steps[jumps - 1] / turn)
-    out = x + np.cumsum(change)
-    out -= turn * np.round((out[0] - start) / turn)
-    gaps = np.flatnonzero(np.diff(time) > GAP)
-    if len(gaps) == 0:
-        return out
+    steps, change = np.diff(x), np.zeros(len(x))
     inside = np.diff(time) <= GAP
+    plain = inside.copy()
+    plain[jumps - 1] = False
     ratio = 0.0
     if guide is not None:
-        a, b = np.diff(out)[inside], np.diff(guide)[inside]
+        a, b = steps[plain], np.diff(guide)[plain]
         ratio = float(a @ b / (b @ b)) if b @ b > 0 else 0.0
-    for k in gaps:
-        if ratio:
-            assert guide is not None
-            step = ratio * (guide[k + 1] - guide[k])
-        else:
+    expected = ratio * np.diff(guide) if guide is not None else np.zeros(len(steps))
+    change[jumps] = -turn * np.round((steps - expected)[jumps - 1] / turn)
+    out = x + np.cumsum(change)
+    out -= turn * np.round((out[0] - start) / turn)
+    for k in np.flatnonzero(~inside):
+        step = expected[k]
+        if not ratio:
             speeds = [_speed(time, out, slice(max(k - 8, 0), k + 1)), _speed(time, out, slice(k + 1, k + 10))]
             step = float(np.mean(speeds)) * (time[k + 1] - time[k])
         out[k + 1 :] += turn * np.round((out[k] + step - out[k + 1]) / turn)
@@ -233,13 +230,20 @@ class _Steps:
         self.size = np.abs(self.off)
         moving = np.abs(self.step[self.step != 0])
         self.quantum = float(moving.min()) if len(moving) else 0.0
+        self.quantum = max(self.quantum, float(np.spacing(np.float32(min(np.abs(x).max(), 1e30)))))
+
+    def far(self) -> float:
+        """Size from which on a step is an exception."""
+        ordinary = self.size[self.inside]
+        usual = float(np.quantile(ordinary, 0.99)) if len(ordinary) else 0.0
+        return max(SETTINGS.far * usual, SETTINGS.quanta * self.quantum)
 
     def glitches(self) -> np.ndarray:
         """Samples that are far off their neighbours, which agree with each other."""
         ordinary = self.size[self.inside]
         if not len(ordinary) or not ordinary.any() or len(self.x) < 2 * SETTINGS.neighbours:
             return np.empty(0, int)
-        few = self._few(ordinary)
+        few = self._few()
         return few if len(few) else self._many(ordinary)
 
     def _many(self, ordinary: np.ndarray) -> np.ndarray:
@@ -261,12 +265,10 @@ class _Steps:
         less = float(np.quantile(np.abs(step), 0.99)) < SETTINGS.cleared * float(np.quantile(ordinary, 0.99))
         return rows if less else rows[:0]
 
-    def _few(self, ordinary: np.ndarray) -> np.ndarray:
+    def _few(self) -> np.ndarray:
         """The same where a far step is an exception."""
         size, n = self.size, len(self.x)
-        usually = SETTINGS.far * float(np.quantile(ordinary, 0.99))
-        limit = max(usually, SETTINGS.quanta * self.quantum, 1e-6 * float(np.ptp(self.x)), 1e-12)
-        far = size > limit
+        far = size > max(self.far(), 1e-6 * float(np.ptp(self.x)), 1e-12)
         usual = np.where(far, 0.0, size)
         rows: list[int] = []
         for k in np.flatnonzero(far).tolist():
@@ -300,8 +302,34 @@ class _Steps:
         return np.empty(0, int), 0.0
 
 
+def _glitches(steps: _Steps, name: str, columns: Mapping[str, np.ndarray]) -> list[int]:
+    """A column's glitches, without what the joint's motion explains."""
+    rows = steps.glitches()
+    if not len(rows):
+        return []
+    out = np.zeros(len(steps.x), bool)
+    out[rows] = True
+    if name in _ANGLES:  # a short move goes there, too, and others like it do
+        own = np.where(out[1:] | out[:-1], 0.0, np.abs(steps.step))
+        largest = maximum_filter1d(own, 2 * SETTINGS.nearby + 1, mode="nearest")[np.minimum(rows, len(own) - 1)]
+        off = np.abs(steps.x - bridged(np.arange(len(out)), steps.x, rows))[rows]
+        return rows[off > SETTINGS.moves * largest].tolist()
+    size = np.maximum(np.append(steps.size, 0.0), np.append(0.0, steps.size))
+    for angle in (n for n in _ANGLES if n in columns):  # where the speed changes, a torque has a peak
+        k = SETTINGS.span
+        x = np.pad(columns[angle], k, mode="edge")
+        bend = maximum_filter1d(np.abs(x[2 * k :] - 2 * x[k:-k] + x[: -2 * k]), 2 * k + 1, mode="nearest")
+        event = (bend > 2.5 * smallest_step(columns[angle])) & (bend > 0.1 * np.quantile(bend, 0.995))
+        if event.sum() >= SETTINGS.events:
+            times = np.quantile((size / np.maximum(bend, 1e-12))[event], 0.9)
+            most = np.maximum(np.quantile(size[event], 0.9), times * bend[rows])
+            rows = rows[~event[rows] | (size[rows] > SETTINGS.bends * most)]
+    return rows.tolist()
+
+
 def _within_a_turn(time: np.ndarray, x: np.ndarray, turns: tuple[float, ...]) -> tuple[np.ndarray, float]:
-    """Samples after jumps of an angle that never leaves one turn, and what a turn is; none where it makes sense as it is."""
+    """Samples after jumps of a column that never leaves one turn, or the range of a register, and what that is; none where it
+    makes sense without."""
     extent = float(np.ptp(x))
     inside = np.diff(time) <= max(GAP, 5 * float(np.median(np.diff(time))))
     for turn in turns:
@@ -314,12 +342,50 @@ def _within_a_turn(time: np.ndarray, x: np.ndarray, turns: tuple[float, ...]) ->
     return np.empty(0, int), 0.0
 
 
+def _registers(x: np.ndarray) -> tuple[float, ...]:
+    """What the range of a register of 16 or 32 bits may be, in the unit of a column that is never below zero."""
+    values, extent = np.unique(x), float(np.ptp(x))
+    if values[0] < 0.0 or len(values) < 16:
+        return ()
+    # No value lies between small numbers and those that were below zero.
+    apart = np.diff(values)
+    k = int(np.argmax(apart))
+    high = x > values[k]
+    step = float(apart.min())
+    if apart[k] < 0.5 * extent or min(np.count_nonzero(high), np.count_nonzero(~high)) < SETTINGS.flat:
+        return (2.0**16 * step, 2.0**32 * step)  # an angle goes through all of it
+    for part in (values[: k + 1] - values[0], values[k + 1 :] - values[k + 1], values - values[0]):
+        whole = np.round(part / step)  # the larger a number, the better it says the step
+        step = float(part @ whole / (whole @ whole)) if whole @ whole > 0 else step
+    steps = np.diff(x)
+    at = np.flatnonzero(np.abs(steps) > 0.5 * extent)
+    ordinary = 0.5 * (steps[np.maximum(at - 1, 0)] + steps[np.minimum(at + 1, len(steps) - 1)])
+    return (2.0**16 * step, 2.0**32 * step, float(np.median(np.abs(steps[at]) - np.sign(steps[at]) * ordinary)))
+
+
 def _turns(name: str, joint: Joint) -> tuple[float, ...]:
     """What a whole turn may be in a column: radians, degrees, turns, counts."""
     encoders = {"motor_position": joint.sensors.motor_encoder, "link_position": joint.sensors.link_encoder}
-    encoder: EncoderSpec | None = encoders.get(name)
-    own = () if encoder is None else (2 * math.pi / encoder.resolution,)
+    own = (2 * math.pi / encoders[name].resolution,) if name in encoders else ()
     return (2 * math.pi, 360.0, *own, 1.0, *(float(2**bits) for bits in range(8, 33)))
+
+
+def _power_cycles(time: np.ndarray, columns: Mapping[str, np.ndarray], N: float) -> np.ndarray:
+    """Samples before which the motor's counter has lost whole turns, which the link's encoder says that it did not make."""
+    motor, link = (columns[name] for name in POSITIONS)
+    off = np.diff(motor) - N * np.diff(link)
+    usual = 8 * float(np.quantile(np.abs(off), 0.99))
+    turns = off / (2 * math.pi)
+    found = np.flatnonzero((np.abs(off) > max(usual, math.pi)) & (np.abs(turns - np.round(turns)) < SETTINGS.whole))
+    if not len(found) or len(found) > 3:
+        return np.empty(0, int)
+    # Else one of them was stuck before, but for a gap.
+    before = [slice(max(k - SETTINGS.still[1], 0), k) for k in found]
+    moved = [bool(np.any(np.diff(motor[b])) and np.any(np.diff(link[b]))) for b in before]
+    found = found[np.array(moved, bool) | (np.diff(time)[found] > GAP)]
+    apart = motor - N * link
+    back = [abs(np.median(apart[k + 1 : k + 10]) - np.median(apart[max(k - 9, 0) : k + 1])) < math.pi for k in found]
+    return found[~np.array(back, bool)] + 1
 
 
 def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -328,78 +394,60 @@ def _runs(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return edges[:-1], np.diff(edges)
 
 
-def _still(time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: float) -> list[SampleMistake]:
-    """Parts in which a column does not move although it should, and those at a sensor's end."""
-    x = columns[name]
+def _still(
+    time: np.ndarray, columns: Mapping[str, np.ndarray], name: str, N: float, limit: float
+) -> dict[str, np.ndarray]:
+    """Samples in which a column does not move although it should, `stuck`, and those at a sensor's end, `clipped`.
+
+    Args:
+      limit: what the column cannot pass, whatever its sensor does.
+    """
+    x, none = columns[name], np.empty(0, int)
     begins, lengths = _runs(x)
     if len(begins) == 1:
         moves = any(np.ptp(columns[n]) > 0 for n in columns if n != name and n != "temperature")
-        wanted = name in DRIVING or _moves_meanwhile(columns, name, 0, len(x), N)
+        wanted = name in DRIVING or _moves_meanwhile(columns, name, slice(0, len(x)), N)
         nothing = not moves and len(x) > SETTINGS.still[1]
-        return [SampleMistake("stuck", name, tuple(range(len(x))))] if wanted or nothing else []
-    found: list[SampleMistake] = []
-    clipped = _clipped(x, begins, lengths) if name in DRIVING else np.empty(0, int)
-    if len(clipped):
-        found.append(SampleMistake("clipped", name, tuple(clipped.tolist())))
+        return {"stuck": np.arange(len(x)) if wanted or nothing else none}
+    clipped = _clipped(columns, name, begins, lengths, limit) if name in DRIVING else none
     ends = {float(x.min()), float(x.max())}
     ordinary = 1 if name in POSITIONS else float(np.quantile(lengths, 0.95))
-    stuck: list[int] = []
-    flat: list[int] = []
+    found: dict[str, list[np.ndarray]] = {"stuck": [none], "clipped": [clipped]}
     long = lengths >= max(SETTINGS.still[1], 12 * ordinary)
     for begin, length in zip(begins[long].tolist(), lengths[long].tolist(), strict=True):
-        end = begin + length
-        if time[end - 1] - time[begin] < SETTINGS.still[0]:
+        part = slice(begin, begin + length)
+        at_end = float(x[begin]) in ends
+        if time[part.stop - 1] - time[begin] < SETTINGS.still[0] or (at_end and (len(clipped) or _at(x[begin], limit))):
             continue
-        if len(clipped) and float(x[begin]) in ends:
-            continue
-        if not _moves_meanwhile(columns, name, begin, end, N):
-            continue
-        at_end = name in POSITIONS and float(x[begin]) in ends and _leaves_softly(x, end)
-        (flat if at_end else stuck).extend(range(begin, end))
-    if stuck:
-        found.append(SampleMistake("stuck", name, tuple(stuck)))
-    if flat:
-        found.append(SampleMistake("clipped", name, tuple(flat)))
-    return found
+        if _moves_meanwhile(columns, name, part, N):
+            what = "clipped" if name in POSITIONS and at_end and _leaves_softly(x, part.stop) else "stuck"
+            found[what].append(np.arange(begin, part.stop))
+    return {what: np.sort(np.concatenate(rows)) for what, rows in found.items()}
 
 
-def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, begin: int, end: int, N: float) -> bool:
+def _moves_meanwhile(columns: Mapping[str, np.ndarray], name: str, part: slice, N: float) -> bool:
     """Whether another column says that this one should have moved."""
-    part = slice(begin, end)
     others = [n for n in POSITIONS if n in columns and n != name and np.ptp(columns[n]) > 0]
     if name in DRIVING:
-        return any(np.ptp(columns[n][part]) > SETTINGS.drive_moved * np.ptp(columns[n]) for n in others)
+        return any(_travelled(columns[n][part]) > SETTINGS.driven * np.ptp(columns[n]) for n in others)
     for other in others:
         moved, whole = _travelled(columns[other][part]), float(np.ptp(columns[other]))
         if moved > SETTINGS.moved[0] * whole and moved > SETTINGS.moved[1] * (N if other == "motor_position" else 1.0):
             return True
-    if others:
+    # A lone encoder that hangs goes on by a jump; friction holds a joint for as long, but lets it go as it always does.
+    steps = np.abs(np.diff(columns[name]))
+    if others or part.stop >= len(steps) + 1 or not steps.any():
         return False
-    command = columns.get("position_command")
-    if command is not None and np.ptp(command[part]) > 0.5 * np.ptp(command) and np.ptp(command[part]) > 0.1:
-        return True
-    return _stops_at_once(columns[name], begin, end)
+    jump = steps[part.stop - 1]
+    rest = np.delete(steps, part.stop - 1)
+    return bool(jump > SETTINGS.leaves * max(np.quantile(rest, 0.999), np.sort(rest)[-3]))
 
 
 def _travelled(x: np.ndarray) -> float:
-    """By how much an angle moves, its noise left out: a velocity that stands in its place has much of that at rest."""
+    """By how much an angle moves, its noise left out: a velocity in its place has much of that at rest."""
     if len(x) < SETTINGS.pieces * 2:
         return float(np.ptp(x))
     return float(np.ptp([np.median(piece) for piece in np.array_split(x, SETTINGS.pieces)]))
-
-
-def _stops_at_once(x: np.ndarray, begin: int, end: int) -> bool:
-    """Whether an angle comes to rest from a speed far above its resolution within a sample, or leaves it by a jump."""
-    steps = np.abs(np.diff(x))
-    moving = steps[steps > 0]
-    if not len(moving):
-        return False
-    fast = max(8 * float(moving.min()), 0.1 * float(np.quantile(moving, 0.99)))
-    before = steps[max(begin - 6, 0) : begin]
-    enters = len(before) >= 4 and float(np.median(before)) > fast and before[-1] > 0.5 * float(np.median(before))
-    after = steps[end : end + 5]
-    leaves = len(after) >= 3 and steps[end - 1] > max(fast, 5 * float(np.median(after)))
-    return bool(enters or leaves)
 
 
 def _leaves_softly(x: np.ndarray, end: int) -> bool:
@@ -409,17 +457,39 @@ def _leaves_softly(x: np.ndarray, end: int) -> bool:
     return end < len(x) and (not len(after) or steps[end - 1] <= 3 * float(after.max()) + 1e-12)
 
 
-def _clipped(x: np.ndarray, begins: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """Samples at the largest or smallest value, where there are far more than of the values beside it."""
+def _clipped(
+    columns: Mapping[str, np.ndarray], name: str, begins: np.ndarray, lengths: np.ndarray, limit: float
+) -> np.ndarray:
+    """Samples at the largest or smallest value, where there are far more than of the values near it, and the joint moves."""
+    x = columns[name]
     values, counts = np.unique(x, return_counts=True)
-    found = []
+    found = [np.empty(0, int)]
     if len(values) < 50:
-        return np.empty(0, int)
-    for end, beside in ((-1, slice(-9, -1)), (0, slice(1, 9))):
+        return found[0]
+    for end, near in ((-1, slice(-9, -1)), (0, slice(1, 9))):
         mine = x[begins] == values[end]
         longest = int(lengths[mine].max())
-        if mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]) + longest):
+        if (mine.sum() == 1 and not _leaves_softly(x, int(begins[mine][0]) + longest)) or _at(values[end], limit):
             continue
-        if counts[end] >= SETTINGS.flat and longest >= 3 and counts[end] > SETTINGS.peaked * counts[beside].max():
-            found.append(np.flatnonzero(x == values[end]))
-    return np.sort(np.concatenate(found)) if found else np.empty(0, int)
+        if counts[end] >= SETTINGS.flat and longest >= 3 and counts[end] > SETTINGS.peaked * counts[near].max():
+            rows = np.flatnonzero(x == values[end])
+            # A pose that is held takes the same torque all the time.
+            moved = [
+                _moved_within(columns[n], rows) > SETTINGS.driven * np.ptp(columns[n])
+                for n in POSITIONS
+                if n in columns
+            ]
+            if any(moved):
+                found.append(rows)
+    return np.sort(np.concatenate(found))
+
+
+def _at(value: float, limit: float) -> bool:
+    """Whether a value is at what a column cannot pass, which is no sensor's end."""
+    return abs(abs(value) / limit - 1) < 0.02
+
+
+def _moved_within(x: np.ndarray, rows: np.ndarray) -> float:
+    """By how much an angle moves within the longest run of some samples."""
+    runs = np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1)
+    return max(float(np.ptp(x[run])) for run in runs)

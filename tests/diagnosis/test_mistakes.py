@@ -210,7 +210,9 @@ def test_an_encoder_is_late_only_where_the_other_one_says_so(monkeypatch):
     shifts = SETTINGS.step * np.arange(-60, 61)
 
     def least_at(first: str, second: str, best: float) -> SimpleNamespace:
-        return SimpleNamespace(first=first, second=second, left=20.0 * np.minimum(np.abs(shifts - best) / 0.02, 1.0))
+        return SimpleNamespace(
+            first=first, second=second, left=20.0 * np.minimum(np.abs(shifts - best) / 0.02, 1.0), fits=shifts < 1
+        )
 
     for between, late in ((0.0, False), (-0.05, True)):
         relations = [
@@ -218,7 +220,7 @@ def test_an_encoder_is_late_only_where_the_other_one_says_so(monkeypatch):
             least_at("motor_position", "link_position", between),
         ]  # fmt: skip
         monkeypatch.setattr(lateness, "_relations", lambda recording, joint, found=relations: found)
-        found = [f.column for f in late_columns((recording(),), JOINT)]
+        found = [f.column for f, _ in late_columns((recording(),), JOINT)]
         assert found == (["motor_position"] if late else []), between
 
 

@@ -107,6 +107,7 @@ def validation_html(found: Validated) -> str:
         "channels": [(plain(name), e, _worst(answer, name)) for name, e in answer["residual"].items()],
         "names": [(plain(name), e["unit"]) for name, e in answer["residual"].items()],
         "mistakes": [_mistake(m) for m in answer["mistakes"]],
+        "fixed": answer.get("fixed", []),
         "beyond": beyond,
         "regions": _regions(answer),
         "commands": _commands(found),

@@ -1,0 +1,119 @@
+"""Logs at 25 to 1000 Hz, friction and load not as described: no claim in sound ones, and each mistake is named."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from swing import recording
+from typer.testing import CliRunner
+
+from benchmarks.mistakes import wide, wide_mistakes
+from flexspline import commands
+from flexspline.diagnosis.data.mistakes import find_mistakes
+from flexspline.models.joint import load_joint
+from flexspline.models.recording import Measurement, read_measurement, write_recording
+
+JOINT = load_joint("test-joint")
+KINDS = {label: (name, spoil) for label, name, spoil in wide_mistakes()}
+NAMED = [
+    "no gravity", "effort is a current", "angle of 16 bits", "angle of 32 bits", "drive of 16 bits", "whole turns",
+    "without sign", "time reversed", "clock × 0.5", "mA", "drive turned round", "half a turn", "degrees",
+]  # fmt: skip
+
+
+def measurement(r) -> Measurement:
+    return Measurement("m", Path(), (r,))
+
+
+@pytest.mark.parametrize("seed", range(3000, 3012))
+def test_nothing_is_claimed_of_a_sound_log(seed):
+    log, joint = wide(seed)
+    print(log.name)
+    assert [m for m in find_mistakes(log, joint) if m.confidence > 0.5] == []
+
+
+@pytest.mark.parametrize("label", NAMED)
+def test_a_hidden_mistake_is_named_at_any_rate(label):
+    name, spoil = KINDS[label]
+    rng, tried, named = np.random.default_rng(5), 0, []
+    for seed in range(3100, 3160):
+        log, joint = wide(seed)
+        made = spoil(log.recordings[0], joint, rng)
+        if made is None or "slips" in log.name:
+            continue
+        found = [m for m in find_mistakes(replace(log, recordings=(made[0],)), joint) if m.confidence > 0.5]
+        columns = {c for m in found if m.name == name or m.column == "gravity_angle" for c in (m.column, *m.also)}
+        named.append(bool(columns) and (not made[1] or made[1] in columns))
+        tried += 1
+        if not named[-1]:
+            print(log.name, found)
+        if tried == 5:
+            break
+    assert tried and sum(named) >= 0.6 * tried, (label, named)
+
+
+def test_effort_without_gravity_is_a_question_and_no_angle():
+    r = recording()
+    p = JOINT.record(r.link)[0]
+    held = p["Mg"] * np.sin(r["link_position"]) / (p["N"] * p["Kt"])
+    columns = {"link_position": r["link_position"], "motor_current": r["motor_current"] - held}
+    (found,) = find_mistakes(measurement(replace(r, columns=columns)), JOINT)
+    assert (found.name, found.column) == ("no_gravity", "motor_current") and found.severe and not found.sure
+    assert found.confidence > 0.9 and "?" in found.description
+
+
+def test_an_effort_that_is_a_current_becomes_one():
+    r = recording()
+    columns = {"link_position": r["link_position"], "joint_torque": r["motor_current"]}
+    (found,) = find_mistakes(measurement(replace(r, columns=columns)), JOINT)
+    assert (found.name, found.column, found.becomes) == ("unit", "joint_torque", "motor_current") and found.sure
+    assert found.factor == pytest.approx(6.03)
+
+
+def test_a_register_of_16_bits_is_signed_again(tmp_path):
+    r = recording()
+    count = 0.00269
+    read = np.round(r["motor_current"] / count) % 65536 * count
+    columns = {"link_position": r["link_position"], "motor_current": read}
+    write_recording(replace(r, columns=columns), tmp_path / "in")
+    result = CliRunner().invoke(commands.app, ["import", str(tmp_path / "in"), "--fix", "--out", str(tmp_path / "out")])
+    assert result.exit_code == 0, result.output
+    again = read_measurement(tmp_path / "out").recordings[0]
+    np.testing.assert_allclose(again["motor_current"], r["motor_current"], atol=count)
+
+
+def test_what_was_mended_is_in_yaml_table_and_reports(tmp_path):
+    r = recording(seconds=6.0)
+    columns = r.columns | {"motor_current": 1e3 * r["motor_current"]}
+    write_recording(replace(r, columns=columns), tmp_path / "in")
+    run = CliRunner().invoke
+    assert run(commands.app, ["import", str(tmp_path / "in"), "--fix", "--out", str(tmp_path / "out")]).exit_code == 0
+    assert "mA taken for A" in (tmp_path / "out" / "swing.yaml").read_text(encoding="utf-8")
+    assert (
+        b"mA taken for A"
+        in pyarrow.parquet.read_schema(tmp_path / "out" / "swing.parquet").metadata[b"flexspline.fixed"]
+    )
+    (said,) = json.loads(run(commands.app, ["check", str(tmp_path / "out"), "--json"]).stdout)["fixed"]
+    assert "motor_current" in said and "× 0.001" in said
+    assert run(commands.app, ["validate", str(tmp_path / "out"), "--out", str(tmp_path / "v")]).exit_code == 0
+    assert json.loads((tmp_path / "v" / "validation.json").read_text(encoding="utf-8"))["fixed"] == [said]
+    # Twice is once.
+    assert run(commands.app, ["import", str(tmp_path / "out"), "--fix", "--out", str(tmp_path / "more")]).exit_code == 0
+    assert read_measurement(tmp_path / "more").fixed == read_measurement(tmp_path / "out").fixed
+
+
+@pytest.mark.parametrize("rate", [30.0, 100.0])
+def test_a_smooth_command_in_single_precision_has_no_glitch(rate):
+    t = np.arange(0.0, 20.0, 1 / rate)
+    s = np.clip((t % 5.0) / 1.2, 0.0, 1.0)
+    command = 0.8 * np.where(t % 10 < 5, 1, -1) * (s**3 * (10 - 15 * s + 6 * s * s) - 0.5)
+    r = recording(rate=rate, seconds=20.0)
+    n = min(len(t), len(r.time))
+    columns = {name: x[:n] for name, x in r.columns.items()} | {"position_command": np.float64(np.float32(command[:n]))}
+    found = find_mistakes(measurement(replace(r, time=r.time[:n], columns=columns)), JOINT)
+    assert not [m for m in found if m.name == "glitch"], found
