@@ -7,7 +7,7 @@ takes as long as nobody touches it. Errors of these three have different shapes,
 where, and only where, it can be told from them. The state carries them with the tolerances as prior (a Schmidt–Kalman filter
 where nothing is observable: what does not show keeps its variance, and the variance of the torque says so):
 
-    θl, ωl    link                                       Jl ωl' = T + df·(r·ωw − ωl) − bl·ωl + τ + (1 + μ)·link torques
+    θl, ωl    link                                       (1 + ι) Jl ωl' = T + df·(r·ωw − ωl) − bl·ωl + τ + (1 + μ)·link torques
     ωm, ωw    rotor, wave generator                      by the joint's equations, driven by the current
     Tw, z     wave generator's torque, bristle           Tw' = Kw(Tw)·(ωm − ωw); z by the LuGre law
     T         the spring's torque                        T' = (1 + κ)·K·(r·ωw − ωl), and a small walk
@@ -16,7 +16,7 @@ where nothing is observable: what does not show keeps its variance, and the vari
     d         what friction does beyond its model        Ornstein–Uhlenbeck
     ε         place within the motor encoder's count     kept while the count stays, new with every count
     f, κt     friction, torque constant [1]              constant
-    μ         weight [1]                                 constant
+    μ, ι      weight, inertia of the link [1]            constant
     κ, ζ      stiffness [1], zero of the link encoder    constant
     β, χ      Kw0, Cw of the wave generator [1]          constant
     a_k, b_k  quadratures of kinematic error             constant, of the largest orders
@@ -71,8 +71,8 @@ ORDERS = 3
 """Orders of kinematic error whose error is estimated."""
 (
     LINK, LINK_RATE, ROTOR, WAVE_RATE, WOUND, BRISTLE, SPRING, SWING, SWING_RATE, EXTERNAL, MESH, COUNT,
-    FRICTION, CONSTANT, WEIGHT, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
-) = range(20)  # fmt: skip
+    FRICTION, CONSTANT, WEIGHT, INERTIA, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
+) = range(21)  # fmt: skip
 SIZE = KINEMATIC + 2 * ORDERS
 MOVING, INPUTS, FIXED = MESH + 1, CONSTANT + 1, FRICTION
 """Behind the states that move; behind those that act within a substep; from here on states are constant."""
@@ -254,9 +254,9 @@ def _predict(m, s, found, h, p, c):
     x[LINK] -= 1e-4
     weight -= slope * x[LINK]
     F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
-    F[LINK_RATE, WEIGHT] = h / (p.Jl - laws.flexible_inertia(p)) * (weight + slope * x[LINK])
     hanging = laws.flexible_inertia(p)
-    rigid = p.Jl - hanging
+    rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
+    F[LINK_RATE, WEIGHT] = h / rigid * (weight + slope * x[LINK])
     drive, damped = (1.0 + x[CONSTANT]) * found.motor_torque, ratio * p.df
     # The wave generator stiffens on the way: the longer the interval, the more.
     most = min(p.Cw * abs(x[WOUND]) + max(h - _HELD, 0.0) / _STIFFENS, c.stiffest)
@@ -322,6 +322,7 @@ def _predict(m, s, found, h, p, c):
                 F[SWING, j] += d * F[SWING_RATE, j]
             F[LINK_RATE, j] += kick
             F[LINK, j] += d * F[LINK_RATE, j]
+    F[LINK_RATE, INERTIA] = -p.Jl / rigid * (x[LINK_RATE] - before)
     forget = math.exp(-h / c.level_time)
     x[MESH] *= forget
     F[MESH, MESH] = forget
@@ -614,7 +615,8 @@ class Augmented(CausalEstimator):
         prior[EXTERNAL], prior[COUNT] = 0.2 * scale, count / math.sqrt(12.0)
         prior[STIFFNESS], prior[ZERO] = spread.stiffness, joint.link_zero
         prior[WAVE], prior[CURVE] = spread.wave_generator, spread.wave_generator_curve
-        prior[WEIGHT], prior[FRICTION], prior[CONSTANT] = spread.gravity, joint.friction, spread.torque_constant
+        prior[WEIGHT], prior[INERTIA] = spread.gravity, spread.inertia
+        prior[FRICTION], prior[CONSTANT] = joint.friction, spread.torque_constant
         largest = np.argsort(-spread.kinematic, kind="stable")[:ORDERS]
         for k, i in enumerate(largest):
             if spread.kinematic[i] > 0.0:
