@@ -16,6 +16,7 @@ where nothing is observable: what does not show keeps its variance, and the vari
     d         what friction does beyond its model        Ornstein–Uhlenbeck
     ε         place within the motor encoder's count     kept while the count stays, new with every count
     f, κt     friction, torque constant [1]              constant
+    λ         share of the last current in this interval's constant: a reading is in force before it or behind it
     μ, ι      weight, inertia of the link [1]            constant
     κ, ζ      stiffness [1], zero of the link encoder    constant
     β, χ      Kw0, Cw of the wave generator [1]          constant
@@ -71,10 +72,10 @@ ORDERS = 3
 """Orders of kinematic error whose error is estimated."""
 (
     LINK, LINK_RATE, ROTOR, WAVE_RATE, WOUND, BRISTLE, SPRING, SWING, SWING_RATE, EXTERNAL, MESH, COUNT,
-    FRICTION, CONSTANT, WEIGHT, INERTIA, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
-) = range(21)  # fmt: skip
+    FRICTION, CONSTANT, LATE, WEIGHT, INERTIA, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
+) = range(22)  # fmt: skip
 SIZE = KINEMATIC + 2 * ORDERS
-MOVING, INPUTS, FIXED = MESH + 1, CONSTANT + 1, FRICTION
+MOVING, INPUTS, FIXED = MESH + 1, LATE + 1, FRICTION
 """Behind the states that move; behind those that act within a substep; from here on states are constant."""
 _TURN = 0.7
 """Angle [rad] by which the fastest spring may turn in a substep."""
@@ -136,6 +137,8 @@ _LOOSE = 2.0
 """Intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]."""
 _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
+_SAMPLES = 0.5
+"""Share of a sample by which the current may have been in force later than it was read."""
 _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
@@ -228,14 +231,14 @@ def _start(m, reading, link, torque, motor_torque, p, c):
 
 
 @kernel
-def _predict(m, s, found, h, p, c):
+def _predict(m, s, found, change, h, p, c):
     """Move on by `h` [s] through the joint's own equations.
 
     In substeps, semi-implicitly: springs and bristle by the velocities, velocities by the torques, the link's angle; stable as
     long as no spring turns by 2 rad in one. Every part is linearised where it stands, and the Jacobian is their product.
     """
     x, F = m.x, m.F
-    theta, warm = found.wave_generator_position, temperature(s, p)
+    theta, warm = found.wave_generator_position - 0.5 * h * x[WAVE_RATE], temperature(s, p)  # halfway there
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
     K = (1.0 + x[STIFFNESS]) * laws.flexspline_stiffness(found.torsion + x[ZERO], p)
     F[:] = 0.0
@@ -257,7 +260,8 @@ def _predict(m, s, found, h, p, c):
     hanging = laws.flexible_inertia(p)
     rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
     F[LINK_RATE, WEIGHT] = h / rigid * (weight + slope * x[LINK])
-    drive, damped = (1.0 + x[CONSTANT]) * found.motor_torque, ratio * p.df
+    given = found.motor_torque - x[LATE] * change
+    drive, damped = (1.0 + x[CONSTANT]) * given, ratio * p.df
     # The wave generator stiffens on the way: the longer the interval, the more.
     most = min(p.Cw * abs(x[WOUND]) + max(h - _HELD, 0.0) / _STIFFENS, c.stiffest)
     fastest = max(
@@ -290,7 +294,8 @@ def _predict(m, s, found, h, p, c):
         x[ROTOR] += d / p.Jm * (drive - p.bm * x[ROTOR] - x[WOUND] - p.dw * (x[ROTOR] - x[WAVE_RATE]))
         for j in range(INPUTS):
             F[ROTOR, j] += d / p.Jm * (p.dw * F[WAVE_RATE, j] - (p.dw + p.bm) * F[ROTOR, j] - F[WOUND, j])
-        F[ROTOR, CONSTANT] += d / p.Jm * found.motor_torque
+        F[ROTOR, CONSTANT] += d / p.Jm * given
+        F[ROTOR, LATE] -= d / p.Jm * change
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
         turning = x[WOUND] + p.dw * (x[ROTOR] - x[WAVE_RATE]) - friction + x[MESH]
         x[WAVE_RATE] += d / p.Jw * (turning - ratio * load)
@@ -457,7 +462,7 @@ def _step(memory, sample, record, settings, out):
     if s.interval == 0.0:
         _start(m, s.motor_position, found.link_position, found.torque, found.motor_torque, p, c)
     else:
-        _predict(m, s, found, h, p, c)
+        _predict(m, s, found, change, h, p, c)
         m.held += 1.0
         if not abs(s.link_position - m.link_reading) <= c.link_half:
             m.held = 0.0
@@ -613,6 +618,7 @@ class Augmented(CausalEstimator):
             prior[SWING] = 0.1 * scale / (p["flexible_share"] * p["Jl"] * pulsation**2)
             prior[SWING_RATE] = pulsation * prior[SWING]
         prior[EXTERNAL], prior[COUNT] = 0.2 * scale, count / math.sqrt(12.0)
+        prior[LATE] = _SAMPLES
         prior[STIFFNESS], prior[ZERO] = spread.stiffness, joint.link_zero
         prior[WAVE], prior[CURVE] = spread.wave_generator, spread.wave_generator_curve
         prior[WEIGHT], prior[INERTIA] = spread.gravity, spread.inertia
