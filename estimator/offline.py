@@ -19,6 +19,7 @@ No estimator reads the columns `joint_torque` and `external_torque`.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -579,7 +580,14 @@ def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: 
         seen, slope, np.sign(w), slow, np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
         max(0.1 * friction, NOISE * joint.rated_torque),
     )  # fmt: skip
-    return np.interp(signals.time, motion.time, zero), float(np.mean(std))
+    # What its other numbers are off by lasts as long as the recording does, and no sample averages it away.
+    known, wave = joint.spread, np.empty(len(torque))
+    _wave_generator_torsion(torque, joint.record, wave)
+    lasting = (
+        known.stiffness * torque * slope, known.torque_constant * torque * slope, known.wave_generator * wave,
+        friction * slope * np.sign(w),
+    )  # fmt: skip
+    return np.interp(signals.time, motion.time, zero), math.hypot(np.mean(std), *(np.mean(part) for part in lasting))
 
 
 def track_zero(
@@ -613,6 +621,13 @@ def track_zero(
         forget, zero, variance,
     )  # fmt: skip
     return zero, np.sqrt(np.maximum(variance, 0.0))
+
+
+@kernel
+def _wave_generator_torsion(torque, record, out):
+    p = record[0]
+    for i in range(len(out)):
+        out[i] = laws.wave_generator_torsion(torque[i] / p.N, p) / p.N
 
 
 @kernel
