@@ -115,6 +115,7 @@ class Estimates:
       left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
       notes: what was found on the way, one entry a segment (`Prepared.note`).
       deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty where nobody asked.
+      untrusted: why an estimate is not to be trusted, by estimator (`trust`).
     """
 
     name: str
@@ -125,6 +126,7 @@ class Estimates:
     notes: list[dict[str, float]] = field(default_factory=list)
     deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
     external_deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
+    untrusted: dict[str, str] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -188,6 +190,7 @@ def estimate_recording(
         for kind in ("", "deviation_")
     )
     left_out: dict[str, str] = {}
+    untrusted: dict[str, str] = {}
     notes = []
     for segment in recording.segments:
         if segment.stop - segment.start < SHORTEST:
@@ -212,7 +215,7 @@ def estimate_recording(
                 values = values - recording.torque_of_arm[segment]
             found[what].put(name, segment, values)
 
-        _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS)
+        _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS, untrusted)
         if bands:
             # The dynamics simulated nine times more is for whoever asks for it by name.
             told = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
@@ -241,7 +244,14 @@ def estimate_recording(
         columns.keep(kept)
     torque, external = (found[what] for what in _QUANTITIES)
     return Estimates(
-        recording.name, recording.stamps, torque, external, left_out, notes, *(deviation[what] for what in _QUANTITIES)
+        recording.name,
+        recording.stamps,
+        torque,
+        external,
+        left_out,
+        notes,
+        *(deviation[what] for what in _QUANTITIES),
+        untrusted,
     )
 
 
@@ -326,6 +336,7 @@ def _estimate(
     take: Callable[[str, str, np.ndarray], None],
     beliefs: dict[str, np.ndarray] | None = None,
     threads: int = 1,
+    untrusted: dict[str, str] | None = None,
 ) -> None:
     """Estimate a segment's joint torque and external torque.
 
@@ -336,6 +347,7 @@ def _estimate(
       take: takes an estimate, of quantity, name and values, in any order.
       beliefs: gets what estimators believe their error variance to be.
       threads: estimators at a time.
+      untrusted: gets why an estimate is not to be trusted, by name.
     """
     able: dict[str, Estimator] = {}
     for name, estimator in estimators.items():
@@ -355,6 +367,8 @@ def _estimate(
         take("torque", name, ready.known.as_read(posterior.mean, ready.signals))
         external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
         take("external_torque", name, external)
+        if posterior.untrusted is not None and untrusted is not None:
+            untrusted.setdefault(name, posterior.untrusted)
         return None
 
     # The longest first: what is compiled holds no lock.

@@ -37,6 +37,8 @@ _COPIES = ("signals", "reference")
 """What is worked out anew where a run is handed on: the same numbers in another place."""
 _LIMITED = 0.005
 """Share of the time at the current limit from which on it is told: no shipped scenario is there at all."""
+_SOON, _TURNS = 0.1, 20
+"""Time [s] between opposite limits of the current, and their number, from which on a torque loop is unstable."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +197,7 @@ class Run:
             float(np.max(np.abs(self.position_command - self.truth("link_position")))),
             {name: int(np.sum(~np.isfinite(one.mean))) for name, one in self.estimates.items()},
             force,
+            {name: one.untrusted for name, one in self.estimates.items() if one.untrusted is not None},
         )
 
     @cached_property
@@ -219,6 +222,7 @@ class Run:
             "scenario": self.name,
             "seed": self.scenario.seed,
             "filters": {name: reference.evaluate_posterior(found) for name, found in self.estimates.items()},
+            "untrusted": {n: found.untrusted for n, found in self.estimates.items() if found.untrusted is not None},
             "model": reference.evaluate(self.model_torque),
             "sensor": reference.evaluate(reference.reading),
             "notes": list(self.notes),
@@ -301,8 +305,23 @@ def at_limit(command: np.ndarray, limit: float) -> np.ndarray:
     return np.abs(command) >= (1 - 1e-9) * limit
 
 
+def _swings(run: Run) -> bool:
+    """Whether the drive's current goes from limit to limit as an unstable loop's does, most times within a tenth of a second."""
+    limit, command = run.joint.numbers["current_limit"].value, run.simulation.command
+    at = np.flatnonzero(at_limit(command, limit))
+    turns = np.flatnonzero(np.diff(np.sign(command[at])))
+    soon = np.diff(run.time[at])[turns] < _SOON
+    return bool(np.count_nonzero(soon) >= _TURNS)
+
+
 def notes_of(
-    run: Run, samples: int, limited: int, off: float, missing: Mapping[str, int], force: str | None = None
+    run: Run,
+    samples: int,
+    limited: int,
+    off: float,
+    missing: Mapping[str, int],
+    force: str | None = None,
+    untrusted: Mapping[str, str] | None = None,
 ) -> tuple[str, ...]:
     """What is to be known of a run's measures.
 
@@ -312,6 +331,7 @@ def notes_of(
       off: largest position error [rad].
       missing: samples without an estimate, by filter.
       force: what is said of the force at the link.
+      untrusted: why an estimate is not to be trusted, by filter.
     """
     end, late, found = run.scenario.duration, [], []
     for i, d in enumerate(run.scenario.disturbances):
@@ -324,10 +344,13 @@ def notes_of(
         start, act = ("starts", "it never acts") if len(late) == 1 else ("start", "they never act")
         found.insert(0, f"{names} {start} at {starts} s, after the end at {end:g} s: {act}")
     if limited / samples > _LIMITED:
+        swings = run.scenario.controller.torque_loop > 0.0 and _swings(run)
+        cause = "the torque loop is unstable" if swings else "the motion asks for more than it gives"
         found.append(
             f"the drive is at its limit of {run.joint.numbers['current_limit'].value:g} A for {100 * limited / samples:.2g} % of "
-            f"the time: the motion asks for more than it gives, and the link is up to {off:.2g} rad off its command"
+            f"the time: {cause}, and the link is up to {off:.2g} rad off its command"
         )
+    found += [f"{name} is not to be trusted: {why}" for name, why in (untrusted or {}).items()]
     for name, count in missing.items():
         if count:
             found.append(f"{name} gives no estimate for {count} of {samples} samples and is not measured")

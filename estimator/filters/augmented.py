@@ -546,10 +546,10 @@ class Augmented(CausalEstimator):
     """
 
     name: str = "augmented"
-    torque: float = 0.004
+    torque: float = 0.007
     external: float = 0.0004
     push: float = 8.0
-    mesh: float = 9e-4
+    mesh: float = 1.5e-3
     bristle: float = 5.5e-3
     presliding: float = 2.0
     level: float = 0.017

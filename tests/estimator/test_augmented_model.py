@@ -18,10 +18,10 @@ from flexspline.models.signals import Signals
 
 NAMES = (
     "link", "link_rate", "rotor", "wave_rate", "wound", "bristle", "spring", "swing", "swing_rate", "external", "mesh", "count",
-    "friction", "constant", "weight", "stiffness", "zero", "wave", "curve",
+    "friction", "constant", "late", "weight", "inertia", "stiffness", "zero", "wave", "curve",
 )  # fmt: skip
 AT = {name: i for i, name in enumerate(NAMES)}
-assert augmented.KINEMATIC == len(NAMES) and [getattr(augmented, n.upper()) for n in NAMES] == list(range(19))
+assert augmented.KINEMATIC == len(NAMES) and [getattr(augmented, n.upper()) for n in NAMES] == list(range(21))
 FIXED, MOVING = AT["friction"], AT["count"]
 UNITS = np.r_[
     1e-6,
@@ -36,7 +36,7 @@ UNITS = np.r_[
     1e-2,
     1e-4,
     1e-7,
-    np.full(4, 1e-3),
+    np.full(6, 1e-3),
     1e-6,
     1e-3,
     1e-3,
