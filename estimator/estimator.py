@@ -377,7 +377,7 @@ class CausalEstimator(Estimator):
         return self._watched(signals, joint, _TORQUES.intersection(self.outputs))
 
     def _watched(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> Posterior:
-        """The posterior over signals with some of the outputs, computed block by block; all outputs decide whether it is trusted."""
+        """The posterior over signals with some of the outputs, block by block; all outputs decide whether it is trusted."""
         watch = Watch(joint.rated_torque, self.outputs)
         arrays = self.step(joint, sample_interval(signals)).arrays()
         column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
