@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import Enum
 from pathlib import Path
 from typing import Annotated
 
@@ -17,17 +16,11 @@ EXAMPLES = (
 )
 
 
-class Language(str, Enum):
-    """What it is written in."""
-
-    c = "c"
-
-
 @with_plugins
 def command(
     name: Annotated[str, typer.Argument(help="Name of a causal estimator (`flexspline estimators`).")],
     joint: Annotated[str, typer.Option(help="A joint description, or the name of a shipped one.")],
-    to: Annotated[Language, typer.Option(help="Language.")] = Language.c,
+    to: Annotated[str, typer.Option(help="Language: c, which is C99.")] = "c",
     mounting: Annotated[str | None, typer.Option(help="Mounting of the joint; its own by default.")] = None,
     interval: Annotated[float, typer.Option(help="Time between samples [s].")] = 1e-3,
     out: Annotated[Path | None, typer.Option(help="Header to write; by default NAME.h.")] = None,
@@ -43,10 +36,12 @@ def command(
     from ..models.joint import load_joint
     from ._console import console
 
+    if to != "c":
+        raise InputError(f"--to {to}: expected c")
     if not 1e-6 <= interval <= 1.0:
         raise InputError(f"--interval {interval:g}: expected a time between samples from 1e-6 to 1 s")
     described = load_joint(joint)
-    known = KnownJoint.of(described, None if mounting is None else described.mounting(mounting))
+    known = KnownJoint.of(described, described.mount(mounting))
     estimator = registry.get(name).scaled(known, interval)
     if not isinstance(estimator, CausalEstimator):
         raise InputError(f"estimator {name!r}: expected one that can run in the loop, got one that looks ahead")

@@ -503,6 +503,8 @@ def fill_samples(
     for name in SENSED:
         if name in columns and name != "joint_torque":
             samples[name][part] = columns[name][part]
+    if "arm_torque" in columns:
+        samples["arm_torque"][part] = columns["arm_torque"][part]
     if reads_command and "current_command" in columns and part.stop > part.start:
         command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
         samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]

@@ -56,7 +56,8 @@ typedef struct { double *p; int64_t n[2]; } fs_array;
 typedef struct { int64_t at, stop, step; } fs_range;
 static inline int64_t fs_mod(int64_t a, int64_t b) { int64_t r = a % b; return r != 0 && ((r < 0) != (b < 0)) ? r + b : r; }
 static inline int64_t fs_div(int64_t a, int64_t b) { return (a - fs_mod(a, b)) / b; }
-static inline double fs_fmod(double a, double b) { double r = fmod(a, b); return r != 0.0 && ((r < 0.0) != (b < 0.0)) ? r + b : r; }
+static inline double fs_fmod(double a, double b)
+{ double r = fmod(a, b); return r != 0.0 && ((r < 0.0) != (b < 0.0)) ? r + b : r; }
 static inline double fs_sign(double x) { return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : x); }
 static inline void fs_fill(fs_array a, double x)
 { int64_t i, n = a.n[0] * (a.n[1] > 0 ? a.n[1] : 1); for (i = 0; i < n; ++i) a.p[i] = x; }
@@ -88,8 +89,8 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
     return "\n".join(
         [
             f"/* {estimator.name}: {estimator.description}.",
-            f"   For samples {interval:g} s apart. Units: s, A, rad (motor side for motor_position), N*m. A reading that there is",
-            "   not is NAN. interval: 0 at the first sample. Returns 0, or another status where there is no estimate. */",
+            f"   For samples {interval:g} s apart. Units: s, A, rad (motor side for motor_position), N*m. What is not",
+            "   measured is NAN. interval: 0 at the first sample. Returns 0, or another status where there is no estimate. */",
             f"#ifndef FLEXSPLINE_{name.upper()}_H",
             f"#define FLEXSPLINE_{name.upper()}_H",
             "#include <math.h>",
@@ -109,8 +110,8 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
             f"static inline void {name}_init({name}_state *state) {{ memset(state, 0, sizeof *state); }}",
             f"static inline int {name}_step({name}_state *state, {arguments}, {name}_output *out)",
             f"{{ double sample[{SAMPLE.itemsize // 8}]; {fills}",
-            f"  return (int){entry}((intptr_t)state->memory, (intptr_t)sample, (intptr_t){name}_record, (intptr_t){name}_settings, "
-            f"(intptr_t)out) - {OK}; }}",
+            f"  return (int){entry}((intptr_t)state->memory, (intptr_t)sample, (intptr_t){name}_record, "
+            f"(intptr_t){name}_settings, (intptr_t)out) - {OK}; }}",
             "#endif",
             "",
         ]

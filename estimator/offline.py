@@ -184,6 +184,8 @@ def estimate_recording(
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
     blind = recording.signals.without("joint_torque", "external_torque")
+    if recording.load is not None:
+        blind = blind.with_columns(arm_torque=recording.torque_of_arm)
     n = len(recording.time)
     found, deviation = (
         {what: _Held(n) if spool is None else Spool(spool, f"{recording.name}_{kind}{what}", n) for what in _QUANTITIES}
@@ -366,6 +368,8 @@ def _estimate(
             beliefs[name] = np.maximum(posterior.variance, 0.0)
         take("torque", name, ready.known.as_read(posterior.mean, ready.signals))
         external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
+        if posterior.external is not None and "arm_torque" in ready.signals:
+            external = external + ready.signals["arm_torque"]
         take("external_torque", name, external)
         if posterior.untrusted is not None and untrusted is not None:
             untrusted.setdefault(name, posterior.untrusted)

@@ -256,6 +256,7 @@ def _predict(m, s, found, change, h, p, c):
     slope = (dynamics.link_torque(_state(x, found, s.time, warm), x[SPRING], p) - weight) / 1e-4
     x[LINK] -= 1e-4
     weight -= slope * x[LINK]
+    arm = 0.0 if math.isnan(s.arm_torque) else s.arm_torque
     F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
     hanging = laws.flexible_inertia(p)
     rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
@@ -306,7 +307,7 @@ def _predict(m, s, found, change, h, p, c):
                 - ratio * F[SPRING, j] + damped * F[LINK_RATE, j]
             )  # fmt: skip
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
-        own = (1.0 + x[WEIGHT]) * (weight + slope * x[LINK])
+        own = (1.0 + x[WEIGHT]) * (weight + slope * x[LINK]) + arm
         kick = d / rigid * (load - p.bl * x[LINK_RATE] + own + x[EXTERNAL])
         if hanging > 0.0:
             pull = laws.flexible_torque(x[SWING], x[SWING_RATE], p)
