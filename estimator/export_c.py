@@ -82,9 +82,6 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
     entry = unit.function(function, (types.intp,) * 5)
     memory = max(step.memory, 1)
     record = np.frombuffer(step.record.tobytes(), dtype=np.float64)
-    samples = [field for field in SAMPLE.names or () if field not in ("interval",)]
-    arguments = ", ".join(f"double {field}" for field in ("interval", *samples))
-    fills = " ".join(f"sample[{(SAMPLE.fields or {})[field][1] // 8}] = {field};" for field in ("interval", *samples))
     outputs = " ".join(f"double {output};" for output in estimator.outputs)
     return "\n".join(
         [
@@ -99,6 +96,9 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
             "#ifndef FLEXSPLINE_HELPERS",
             "#define FLEXSPLINE_HELPERS",
             _HELPERS.strip(),
+            f"typedef struct {{ double {', '.join(SAMPLE.names or ())}; }} flexspline_sample;",
+            "static inline flexspline_sample flexspline_no_readings(void)",
+            f"{{ const flexspline_sample none = {{{', '.join(['NAN'] * len(SAMPLE.names or ()))}}}; return none; }}",
             "#endif",
             *unit.structures.values(),
             *(f"{head};" for head in unit.heads.values()),
@@ -108,9 +108,8 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
             f"typedef struct {{ double memory[{memory}]; }} {name}_state;",
             f"typedef struct {{ {outputs} }} {name}_output;",
             f"static inline void {name}_init({name}_state *state) {{ memset(state, 0, sizeof *state); }}",
-            f"static inline int {name}_step({name}_state *state, {arguments}, {name}_output *out)",
-            f"{{ double sample[{SAMPLE.itemsize // 8}]; {fills}",
-            f"  return (int){entry}((intptr_t)state->memory, (intptr_t)sample, (intptr_t){name}_record, "
+            f"static inline int {name}_step({name}_state *state, const flexspline_sample *sample, {name}_output *out)",
+            f"{{ return (int){entry}((intptr_t)state->memory, (intptr_t)sample, (intptr_t){name}_record, "
             f"(intptr_t){name}_settings, (intptr_t)out) - {OK}; }}",
             "#endif",
             "",

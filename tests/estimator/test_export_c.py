@@ -11,7 +11,6 @@ import flexspline as fs
 from flexspline.estimator import registry
 from flexspline.estimator.estimator import as_samples, go_on
 from flexspline.estimator.export_c import header
-from flexspline.models.step import SAMPLE
 from flexspline.scenarios.scenario import shipped_scenarios
 
 NAMES = ("EKF", "AREKF", "RAREKF", "REKF", "momentum_torsion", "current", "augmented")
@@ -20,10 +19,10 @@ MAIN = """
 #include "estimator.h"
 #include <stdio.h>
 int main(void) {{
-  static {name}_state state; {name}_output out; double s[{size}]; int status = 0;
+  static {name}_state state; {name}_output out; flexspline_sample s; int status = 0;
   {name}_init(&state);
-  while (fread(s, sizeof s, 1, stdin) == 1) {{
-    status |= {name}_step(&state, {arguments}, &out);
+  while (fread(&s, sizeof s, 1, stdin) == 1) {{
+    status |= {name}_step(&state, &s, &out);
     fwrite(&out, sizeof out, 1, stdout);
   }}
   return status;
@@ -35,9 +34,7 @@ def c_outputs(folder, estimator, known, interval, samples):
     """Outputs of the header's step over samples, shape (n, outputs)."""
     name = estimator.name.lower()
     (folder / "estimator.h").write_text(header(estimator, known, interval))
-    order = ["interval", *(f for f in SAMPLE.names if f != "interval")]
-    arguments = ", ".join(f"s[{SAMPLE.fields[f][1] // 8}]" for f in order)
-    (folder / "main.c").write_text(MAIN.format(name=name, size=SAMPLE.itemsize // 8, arguments=arguments))
+    (folder / "main.c").write_text(MAIN.format(name=name))
     command = [
         "gcc",
         "-std=c99",

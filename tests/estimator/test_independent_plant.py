@@ -49,7 +49,7 @@ def test_the_plant_balances():
 
 
 def test_a_joint_by_its_description():
-    mean, worst = ratios([31], imperfect=False, duration=15.0)
+    _, worst = ratios([31], imperfect=False, duration=15.0)
     assert worst < 0.5
 
 
