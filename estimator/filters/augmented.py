@@ -329,6 +329,8 @@ def _predict(m, s, found, change, h, p, c):
             F[LINK_RATE, j] += kick
             F[LINK, j] += d * F[LINK_RATE, j]
     F[LINK_RATE, INERTIA] = -p.Jl / rigid * (x[LINK_RATE] - before)
+    if hanging > 0.0:
+        F[SWING_RATE, WEIGHT], F[SWING_RATE, INERTIA] = -F[LINK_RATE, WEIGHT], -F[LINK_RATE, INERTIA]
     forget = math.exp(-h / c.level_time)
     x[MESH] *= forget
     F[MESH, MESH] = forget

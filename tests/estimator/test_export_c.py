@@ -54,7 +54,7 @@ def c_outputs(folder, estimator, known, interval, samples):
 
 
 def compare(folder, scenario, names):
-    run = fs.simulate(scenario, filters=["current"])
+    run = fs.simulate(scenario)
     known = replace(run.known, start=float(run.signals.time[0]))
     for name in names:
         estimator = registry.get(name).scaled(known, 1e-3)
