@@ -121,7 +121,7 @@ def _constants(name: str, values: np.ndarray) -> str:
     return f"static const double {name}[{len(values)}] = {{{', '.join(_number(float(x)) for x in values)}}};"
 
 
-def _number(value: float | int | bool) -> str:
+def _number(value: Any) -> str:
     if isinstance(value, bool | np.bool_):
         return str(int(value))
     if isinstance(value, int | np.integer):
@@ -160,7 +160,8 @@ class _Unit:
         if isinstance(kind, types.RangeType | types.RangeIteratorType):
             return "fs_range"
         if isinstance(kind, types.BaseTuple):
-            members = [self.c_type(member) for member in kind.types]
+            parts: Any = kind
+            members = [self.c_type(member) for member in parts.types]
             name = f"{self.prefix}_tuple_" + "_".join(re.sub(r"\W+", "p", member) for member in members)
             if name not in self.structures:
                 fields = " ".join(f"{member} f{i};" for i, member in enumerate(members))
@@ -375,7 +376,8 @@ class _Function:
             value = self.known[name]
             return _number(value) if isinstance(value, int | float) else None
         if isinstance(kind, types.BaseNamedTuple):
-            return f"{self.of(e.value)}.f{kind.fields.index(e.attr)}"
+            names: Any = kind
+            return f"{self.of(e.value)}.f{names.fields.index(e.attr)}"
         if isinstance(kind, types.Record):
             field = kind.typeof(e.attr)
             at = f"{self.of(e.value)} + {kind.offset(e.attr) // 8}"

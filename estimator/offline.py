@@ -237,23 +237,17 @@ def estimate_recording(
                 "external_torque": ready.own_torque - reference,
             }
             there = {(what, name): estimates[what, name] for name in told for what in _QUANTITIES}
-            for key, spread in deviations(there, signals, known, joint, recording.link, again).items():
+            for key, apart_by in deviations(there, signals, known, joint, recording.link, again).items():
                 apart = disagreement(signals.time, estimates[key], seen[key[0]])
                 own = np.sqrt(beliefs.get(key[1], 0.0))
-                deviation[key[0]].put(key[1], segment, np.sqrt(spread**2 + apart**2 + own**2))
+                deviation[key[0]].put(key[1], segment, np.sqrt(apart_by**2 + apart**2 + own**2))
     kept = [name for name in estimators if name not in left_out]
     for columns in found.values():
         columns.keep(kept)
     torque, external = (found[what] for what in _QUANTITIES)
+    spread, external_spread = (deviation[what] for what in _QUANTITIES)
     return Estimates(
-        recording.name,
-        recording.stamps,
-        torque,
-        external,
-        left_out,
-        notes,
-        *(deviation[what] for what in _QUANTITIES),
-        untrusted,
+        recording.name, recording.stamps, torque, external, left_out, notes, spread, external_spread, untrusted
     )
 
 

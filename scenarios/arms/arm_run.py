@@ -82,9 +82,10 @@ def run_arm(
         place = Place(ArmRecord(ArmSpec(model=_MJCF, joint=name), mjcf, others_angles), beyond)
         signals = signals_of(s)
         link, load = Arm.of_text(place.arm.spec, mjcf).of(
-            signals.time, angles[name], others_angles, [slice(0, len(signals.time))]
+            signals.time, angles[name], others_angles, (slice(0, len(signals.time)),)
         )
-        signals = signals.with_columns(arm_torque=load.on(link.inertia))
+        if load is not None:
+            signals = signals.with_columns(arm_torque=load.on(link.inertia))
         estimates = estimate(e.scenario.estimators(), signals, e.known, threads)
         runs[name] = Run(e.scenario, e.joint, e.known_joint, e.known, s, estimates, place)
     return runs
