@@ -106,6 +106,7 @@ def command(
                 "joint": described.name,
                 "notes": found.notes,
                 "left_out": found.left_out,
+                "untrusted": found.untrusted,
                 "beyond": beyond,
                 "no_estimates": {what: sorted(worse) for what, (_, worse) in poor[recording.name].items()},
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
@@ -161,6 +162,8 @@ def _remarks(
             f"no estimates: the joint, its load or the sampling is not what these estimators take it for: {listed}",
             style="yellow",
         )
+    for estimator, why in report["untrusted"].items():
+        terminal.print(f"{name}: {estimator} is not to be trusted: {why}", style="yellow")
     if report["beyond"]:
         terminal.print(f"{name}: {beyond_sentence(report['beyond'])}")
     for why in dict.fromkeys(report["left_out"].values()):

@@ -28,6 +28,7 @@ from ..models.step import OK, SAMPLE, CompiledStep, PythonStep, Step
 from ..models.streams import BLOCK
 from .errors import FilterDiverged
 from .sensing import LOWPASS, read_joint_torque
+from .trust import Watch
 from .tuning_parameters import TuningParameter
 
 _LASTS = 0.01
@@ -234,6 +235,7 @@ class Posterior:
       robust: shape (n,), bool, its mode: whether it doubted itself (Eq. 19 of the paper); None: it has no modes.
       columns: whatever else it keeps, shape (n,) each, by name: states, gains.
       external: shape (n,), its own estimate of the external torque on the link [N·m]; None: it has none.
+      untrusted: why the estimate is not to be trusted (`trust`); None: nothing speaks against it.
 
     Raises:
       InputError: a mean, variance or external torque of another length than time.
@@ -248,6 +250,12 @@ class Posterior:
     robust: np.ndarray | None = None
     columns: Mapping[str, np.ndarray] = field(default_factory=dict)
     external: np.ndarray | None = None
+    untrusted: str | None = None
+
+    @property
+    def trusted(self) -> bool:
+        """Whether nothing in the estimator's own record speaks against the estimate."""
+        return self.untrusted is None
 
     def __post_init__(self) -> None:
         for name in ("mean", "variance", "external"):
@@ -266,6 +274,8 @@ class Posterior:
             text += f"; believes its error to be {math.sqrt(float(np.mean(self.variance))):.3g} N·m RMS"
         if self.robust is not None:
             text += f"; robust in {100 * float(np.mean(self.robust)):.3g} % of them"
+        if self.untrusted is not None:
+            text += f"; not to be trusted: {self.untrusted}"
         return paragraph(self.estimator, text) + html_table(("estimate", "unit", "smallest", "largest"), rows)
 
     @property
@@ -373,13 +383,14 @@ class CausalEstimator(Estimator):
         )  # fmt: skip
 
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        return self.posterior(signals.time, self._columns(signals, joint, self.outputs))
+        return self._watched(signals, joint, self.outputs)
 
     def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        return self.posterior(signals.time, self._columns(signals, joint, _TORQUES.intersection(self.outputs)))
+        return self._watched(signals, joint, _TORQUES.intersection(self.outputs))
 
-    def _columns(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> dict[str, np.ndarray]:
-        """Some of the outputs over signals by name, shape (n,) each, computed block by block."""
+    def _watched(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> Posterior:
+        """The posterior over signals with some of the outputs, block by block; all outputs decide whether it is trusted."""
+        watch = Watch(joint.rated_torque, self.outputs)
         arrays = self.step(joint, sample_interval(signals)).arrays()
         column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
         before = None
@@ -390,11 +401,12 @@ class CausalEstimator(Estimator):
                 last = out[failed - 1] if failed or before is None else before
                 k = part.start + failed
                 raise FilterDiverged(self.name, k, float(signals.time[k]), self.reason(status, last))
+            watch.add(signals.time[part], out)
             for i, name in enumerate(self.outputs):
                 if name in column:
                     column[name][part] = out[:, i]
             before = out[-1]
-        return column
+        return replace(self.posterior(signals.time, column), untrusted=watch.reason)
 
     def posterior(self, time: np.ndarray, column: Mapping[str, np.ndarray]) -> Posterior:
         """Outputs by name, shape (n,) each, as a posterior."""
@@ -503,6 +515,8 @@ def fill_samples(
     for name in SENSED:
         if name in columns and name != "joint_torque":
             samples[name][part] = columns[name][part]
+    if "arm_torque" in columns:
+        samples["arm_torque"][part] = columns["arm_torque"][part]
     if reads_command and "current_command" in columns and part.stop > part.start:
         command = columns["current_command"][max(part.start - 1, 0) : part.stop - 1]
         samples["current_command"][part] = command if part.start > 0 else np.r_[0.0, command]

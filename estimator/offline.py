@@ -19,6 +19,7 @@ No estimator reads the columns `joint_torque` and `external_torque`.
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -114,6 +115,7 @@ class Estimates:
       left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
       notes: what was found on the way, one entry a segment (`Prepared.note`).
       deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty where nobody asked.
+      untrusted: why an estimate is not to be trusted, by estimator (`trust`).
     """
 
     name: str
@@ -124,6 +126,7 @@ class Estimates:
     notes: list[dict[str, float]] = field(default_factory=list)
     deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
     external_deviation: Mapping[str, np.ndarray] = field(default_factory=dict)
+    untrusted: dict[str, str] = field(default_factory=dict)
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
@@ -182,12 +185,15 @@ def estimate_recording(
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
     conditioned = condition(recording, joint)
     blind = conditioned.recording.signals.without("joint_torque", "external_torque")
+    if recording.load is not None:
+        blind = blind.with_columns(arm_torque=recording.torque_of_arm)
     n = len(recording.time)
     found, deviation = (
         {what: _Held(n) if spool is None else Spool(spool, f"{recording.name}_{kind}{what}", n) for what in _QUANTITIES}
         for kind in ("", "deviation_")
     )
     left_out: dict[str, str] = {}
+    untrusted: dict[str, str] = {}
     notes = []
     for segment in recording.segments:
         if segment.stop - segment.start < SHORTEST:
@@ -212,7 +218,7 @@ def estimate_recording(
                 values = values - recording.torque_of_arm[segment]
             found[what].put(name, segment, values)
 
-        _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS)
+        _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS, untrusted)
         if bands:
             # The dynamics simulated nine times more is for whoever asks for it by name.
             told = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
@@ -232,16 +238,17 @@ def estimate_recording(
                 "external_torque": ready.own_torque - reference,
             }
             there = {(what, name): estimates[what, name] for name in told for what in _QUANTITIES}
-            for key, spread in deviations(there, signals, known, joint, recording.link, again).items():
+            for key, apart_by in deviations(there, signals, known, joint, recording.link, again).items():
                 apart = disagreement(signals.time, estimates[key], seen[key[0]])
                 own = np.sqrt(beliefs.get(key[1], 0.0))
-                deviation[key[0]].put(key[1], segment, np.sqrt(spread**2 + apart**2 + own**2))
+                deviation[key[0]].put(key[1], segment, np.sqrt(apart_by**2 + apart**2 + own**2))
     kept = [name for name in estimators if name not in left_out]
     for columns in found.values():
         columns.keep(kept)
     torque, external = (found[what] for what in _QUANTITIES)
+    spread, external_spread = (deviation[what] for what in _QUANTITIES)
     return Estimates(
-        recording.name, recording.stamps, torque, external, left_out, notes, *(deviation[what] for what in _QUANTITIES)
+        recording.name, recording.stamps, torque, external, left_out, notes, spread, external_spread, untrusted
     )
 
 
@@ -326,6 +333,7 @@ def _estimate(
     take: Callable[[str, str, np.ndarray], None],
     beliefs: dict[str, np.ndarray] | None = None,
     threads: int = 1,
+    untrusted: dict[str, str] | None = None,
 ) -> None:
     """Estimate a segment's joint torque and external torque.
 
@@ -336,6 +344,7 @@ def _estimate(
       take: takes an estimate, of quantity, name and values, in any order.
       beliefs: gets what estimators believe their error variance to be.
       threads: estimators at a time.
+      untrusted: gets why an estimate is not to be trusted, by name.
     """
     able: dict[str, Estimator] = {}
     for name, estimator in estimators.items():
@@ -354,7 +363,11 @@ def _estimate(
             beliefs[name] = np.maximum(posterior.variance, 0.0)
         take("torque", name, ready.known.as_read(posterior.mean, ready.signals))
         external = ready.own_torque - posterior.mean if posterior.external is None else posterior.external
+        if posterior.external is not None and "arm_torque" in ready.signals:
+            external = external + ready.signals["arm_torque"]
         take("external_torque", name, external)
+        if posterior.untrusted is not None and untrusted is not None:
+            untrusted.setdefault(name, posterior.untrusted)
         return None
 
     # The longest first: what is compiled holds no lock.
@@ -578,7 +591,14 @@ def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: 
         seen, slope, np.sign(w), slow, np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
         max(0.1 * friction, NOISE * joint.rated_torque),
     )  # fmt: skip
-    return np.interp(signals.time, motion.time, zero), float(np.mean(std))
+    # What its other numbers are off by lasts as long as the recording does, and no sample averages it away.
+    known, wave = joint.spread, np.empty(len(torque))
+    _wave_generator_torsion(torque, joint.record, wave)
+    lasting = (
+        known.stiffness * torque * slope, known.torque_constant * torque * slope, known.wave_generator * wave,
+        friction * slope * np.sign(w),
+    )  # fmt: skip
+    return np.interp(signals.time, motion.time, zero), math.hypot(np.mean(std), *(np.mean(part) for part in lasting))
 
 
 def track_zero(
@@ -612,6 +632,13 @@ def track_zero(
         forget, zero, variance,
     )  # fmt: skip
     return zero, np.sqrt(np.maximum(variance, 0.0))
+
+
+@kernel
+def _wave_generator_torsion(torque, record, out):
+    p = record[0]
+    for i in range(len(out)):
+        out[i] = laws.wave_generator_torsion(torque[i] / p.N, p) / p.N
 
 
 @kernel

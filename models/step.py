@@ -26,9 +26,18 @@ from .parameters import PARAMETERS
 from .pointers import pointer_to
 from .signals import READINGS
 
-SAMPLE = np.dtype([("time", np.float64), ("interval", np.float64), ("current_command", np.float64), *READINGS.descr])
+SAMPLE = np.dtype(
+    [
+        ("time", np.float64),
+        ("interval", np.float64),
+        ("current_command", np.float64),
+        ("arm_torque", np.float64),
+        *READINGS.descr,
+    ]
+)
 """What an estimator reads at one instant, as a record for compiled code: `time` since the recording's start and `interval` since
-the sample before [s] (0 at the first), the current command in force until now [A], and every reading; NaN where no command is
+the sample before [s] (0 at the first), the current command in force until now [A], the torque that other joints of an arm put on
+the link [N·m], and every reading; NaN where no command is
 known or the estimator does not ask for it, or where there is no such sensor."""
 
 sample_at = pointer_to(SAMPLE)

@@ -37,6 +37,8 @@ _COPIES = ("signals", "reference")
 """What is worked out anew where a run is handed on: the same numbers in another place."""
 _LIMITED = 0.005
 """Share of the time at the current limit from which on it is told: no shipped scenario is there at all."""
+_SOON, _TURNS = 0.1, 20
+"""Time [s] between opposite limits of the current, and their number, from which on a torque loop is unstable."""
 
 
 @dataclass(frozen=True)
@@ -171,12 +173,16 @@ class Run:
         limited = np.count_nonzero(np.abs(self.simulation.command) >= (1 - 1e-9) * limit) / samples
         if limited > _LIMITED:
             off = float(np.max(np.abs(self.position_command - self.truth("link_position"))))
+            swings = self.scenario.controller.torque_loop > 0.0 and _swings(self)
+            cause = "the torque loop is unstable" if swings else "the motion asks for more than it gives"
             found.append(
-                f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: the motion asks for more than "
-                f"it gives, and the link is up to {off:.2g} rad off its command"
+                f"the drive is at its limit of {limit:g} A for {100 * limited:.2g} % of the time: {cause}, and the link is up to "
+                f"{off:.2g} rad off its command"
             )
         found += _idle(self)
         for name, one in self.estimates.items():
+            if one.untrusted is not None:
+                found.append(f"{name} is not to be trusted: {one.untrusted}")
             count = int(np.sum(~np.isfinite(one.mean)))
             if count:
                 found.append(f"{name} gives no estimate for {count} of {samples} samples and is not measured")
@@ -212,6 +218,7 @@ class Run:
             "scenario": self.name,
             "seed": self.scenario.seed,
             "filters": {name: reference.evaluate_posterior(found) for name, found in self.estimates.items()},
+            "untrusted": {n: found.untrusted for n, found in self.estimates.items() if found.untrusted is not None},
             "model": reference.evaluate(self.model_torque),
             "sensor": reference.evaluate(reference.reading),
             "notes": list(self.notes),
@@ -270,6 +277,15 @@ def _idle(run: Run) -> Iterator[str]:
     if isinstance(scenario.sensors, dict) and not any(name.startswith("force") for name in scenario.record):
         for name in {"wrench", "force"} & scenario.sensors.keys():
             yield f"sensors.{name} acts on nothing: the scenario records no force"
+
+
+def _swings(run: Run) -> bool:
+    """Whether the drive's current goes from limit to limit as an unstable loop's does, most times within a tenth of a second."""
+    limit, command = run.joint.numbers["current_limit"].value, run.simulation.command
+    at = np.flatnonzero(np.abs(command) >= (1 - 1e-9) * limit)
+    turns = np.flatnonzero(np.diff(np.sign(command[at])))
+    soon = np.diff(run.time[at])[turns] < _SOON
+    return bool(np.count_nonzero(soon) >= _TURNS)
 
 
 def reference_of(

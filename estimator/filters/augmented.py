@@ -7,7 +7,7 @@ takes as long as nobody touches it. Errors of these three have different shapes,
 where, and only where, it can be told from them. The state carries them with the tolerances as prior (a Schmidt–Kalman filter
 where nothing is observable: what does not show keeps its variance, and the variance of the torque says so):
 
-    θl, ωl    link                                       Jl ωl' = T + df·(r·ωw − ωl) − bl·ωl + τ + (1 + μ)·link torques
+    θl, ωl    link                                       (1 + ι) Jl ωl' = T + df·(r·ωw − ωl) − bl·ωl + τ + (1 + μ)·link torques
     ωm, ωw    rotor, wave generator                      by the joint's equations, driven by the current
     Tw, z     wave generator's torque, bristle           Tw' = Kw(Tw)·(ωm − ωw); z by the LuGre law
     T         the spring's torque                        T' = (1 + κ)·K·(r·ωw − ωl), and a small walk
@@ -16,7 +16,8 @@ where nothing is observable: what does not show keeps its variance, and the vari
     d         what friction does beyond its model        Ornstein–Uhlenbeck
     ε         place within the motor encoder's count     kept while the count stays, new with every count
     f, κt     friction, torque constant [1]              constant
-    μ         weight [1]                                 constant
+    λ         share of the last current in this interval's constant: a reading is in force before it or behind it
+    μ, ι      weight, inertia of the link [1]            constant
     κ, ζ      stiffness [1], zero of the link encoder    constant
     β, χ      Kw0, Cw of the wave generator [1]          constant
     a_k, b_k  quadratures of kinematic error             constant, of the largest orders
@@ -71,10 +72,10 @@ ORDERS = 3
 """Orders of kinematic error whose error is estimated."""
 (
     LINK, LINK_RATE, ROTOR, WAVE_RATE, WOUND, BRISTLE, SPRING, SWING, SWING_RATE, EXTERNAL, MESH, COUNT,
-    FRICTION, CONSTANT, WEIGHT, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
-) = range(20)  # fmt: skip
+    FRICTION, CONSTANT, LATE, WEIGHT, INERTIA, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
+) = range(22)  # fmt: skip
 SIZE = KINEMATIC + 2 * ORDERS
-MOVING, INPUTS, FIXED = MESH + 1, CONSTANT + 1, FRICTION
+MOVING, INPUTS, FIXED = MESH + 1, LATE + 1, FRICTION
 """Behind the states that move; behind those that act within a substep; from here on states are constant."""
 _TURN = 0.7
 """Angle [rad] by which the fastest spring may turn in a substep."""
@@ -136,6 +137,8 @@ _LOOSE = 2.0
 """Intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]."""
 _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
+_SAMPLES = 0.5
+"""Share of a sample by which the current may have been in force later than it was read."""
 _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
@@ -228,14 +231,14 @@ def _start(m, reading, link, torque, motor_torque, p, c):
 
 
 @kernel
-def _predict(m, s, found, h, p, c):
+def _predict(m, s, found, change, h, p, c):
     """Move on by `h` [s] through the joint's own equations.
 
     In substeps, semi-implicitly: springs and bristle by the velocities, velocities by the torques, the link's angle; stable as
     long as no spring turns by 2 rad in one. Every part is linearised where it stands, and the Jacobian is their product.
     """
     x, F = m.x, m.F
-    theta, warm = found.wave_generator_position, temperature(s, p)
+    theta, warm = found.wave_generator_position - 0.5 * h * x[WAVE_RATE], temperature(s, p)  # halfway there
     ratio = 1.0 / p.N - laws.kinematic_error_slope(theta, p)
     K = (1.0 + x[STIFFNESS]) * laws.flexspline_stiffness(found.torsion + x[ZERO], p)
     F[:] = 0.0
@@ -253,11 +256,13 @@ def _predict(m, s, found, h, p, c):
     slope = (dynamics.link_torque(_state(x, found, s.time, warm), x[SPRING], p) - weight) / 1e-4
     x[LINK] -= 1e-4
     weight -= slope * x[LINK]
+    arm = 0.0 if math.isnan(s.arm_torque) else s.arm_torque
     F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
-    F[LINK_RATE, WEIGHT] = h / (p.Jl - laws.flexible_inertia(p)) * (weight + slope * x[LINK])
     hanging = laws.flexible_inertia(p)
-    rigid = p.Jl - hanging
-    drive, damped = (1.0 + x[CONSTANT]) * found.motor_torque, ratio * p.df
+    rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
+    F[LINK_RATE, WEIGHT] = h / rigid * (weight + slope * x[LINK])
+    given = found.motor_torque - x[LATE] * change
+    drive, damped = (1.0 + x[CONSTANT]) * given, ratio * p.df
     # The wave generator stiffens on the way: the longer the interval, the more.
     most = min(p.Cw * abs(x[WOUND]) + max(h - _HELD, 0.0) / _STIFFENS, c.stiffest)
     fastest = max(
@@ -290,7 +295,8 @@ def _predict(m, s, found, h, p, c):
         x[ROTOR] += d / p.Jm * (drive - p.bm * x[ROTOR] - x[WOUND] - p.dw * (x[ROTOR] - x[WAVE_RATE]))
         for j in range(INPUTS):
             F[ROTOR, j] += d / p.Jm * (p.dw * F[WAVE_RATE, j] - (p.dw + p.bm) * F[ROTOR, j] - F[WOUND, j])
-        F[ROTOR, CONSTANT] += d / p.Jm * found.motor_torque
+        F[ROTOR, CONSTANT] += d / p.Jm * given
+        F[ROTOR, LATE] -= d / p.Jm * change
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
         turning = x[WOUND] + p.dw * (x[ROTOR] - x[WAVE_RATE]) - friction + x[MESH]
         x[WAVE_RATE] += d / p.Jw * (turning - ratio * load)
@@ -301,7 +307,7 @@ def _predict(m, s, found, h, p, c):
                 - ratio * F[SPRING, j] + damped * F[LINK_RATE, j]
             )  # fmt: skip
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
-        own = (1.0 + x[WEIGHT]) * (weight + slope * x[LINK])
+        own = (1.0 + x[WEIGHT]) * (weight + slope * x[LINK]) + arm
         kick = d / rigid * (load - p.bl * x[LINK_RATE] + own + x[EXTERNAL])
         if hanging > 0.0:
             pull = laws.flexible_torque(x[SWING], x[SWING_RATE], p)
@@ -322,6 +328,9 @@ def _predict(m, s, found, h, p, c):
                 F[SWING, j] += d * F[SWING_RATE, j]
             F[LINK_RATE, j] += kick
             F[LINK, j] += d * F[LINK_RATE, j]
+    F[LINK_RATE, INERTIA] = -p.Jl / rigid * (x[LINK_RATE] - before)
+    if hanging > 0.0:
+        F[SWING_RATE, WEIGHT], F[SWING_RATE, INERTIA] = -F[LINK_RATE, WEIGHT], -F[LINK_RATE, INERTIA]
     forget = math.exp(-h / c.level_time)
     x[MESH] *= forget
     F[MESH, MESH] = forget
@@ -456,7 +465,7 @@ def _step(memory, sample, record, settings, out):
     if s.interval == 0.0:
         _start(m, s.motor_position, found.link_position, found.torque, found.motor_torque, p, c)
     else:
-        _predict(m, s, found, h, p, c)
+        _predict(m, s, found, change, h, p, c)
         m.held += 1.0
         if not abs(s.link_position - m.link_reading) <= c.link_half:
             m.held = 0.0
@@ -540,10 +549,10 @@ class Augmented(CausalEstimator):
     """
 
     name: str = "augmented"
-    torque: float = 0.004
+    torque: float = 0.007
     external: float = 0.0004
     push: float = 8.0
-    mesh: float = 9e-4
+    mesh: float = 1.5e-3
     bristle: float = 5.5e-3
     presliding: float = 2.0
     level: float = 0.017
@@ -612,9 +621,11 @@ class Augmented(CausalEstimator):
             prior[SWING] = 0.1 * scale / (p["flexible_share"] * p["Jl"] * pulsation**2)
             prior[SWING_RATE] = pulsation * prior[SWING]
         prior[EXTERNAL], prior[COUNT] = 0.2 * scale, count / math.sqrt(12.0)
+        prior[LATE] = _SAMPLES
         prior[STIFFNESS], prior[ZERO] = spread.stiffness, joint.link_zero
         prior[WAVE], prior[CURVE] = spread.wave_generator, spread.wave_generator_curve
-        prior[WEIGHT], prior[FRICTION], prior[CONSTANT] = spread.gravity, joint.friction, spread.torque_constant
+        prior[WEIGHT], prior[INERTIA] = spread.gravity, spread.inertia
+        prior[FRICTION], prior[CONSTANT] = joint.friction, spread.torque_constant
         largest = np.argsort(-spread.kinematic, kind="stable")[:ORDERS]
         for k, i in enumerate(largest):
             if spread.kinematic[i] > 0.0:

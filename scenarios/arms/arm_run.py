@@ -80,7 +80,13 @@ def run_arm(
         others_angles = {other: angle for other, angle in angles.items() if other != name}
         beyond = np.sum([one.external_torque for one in experiments[i:]], axis=0)
         place = Place(ArmRecord(ArmSpec(model=_MJCF, joint=name), mjcf, others_angles), beyond)
-        estimates = estimate(e.scenario.estimators(), signals_of(s), e.known, threads)
+        signals = signals_of(s)
+        link, load = Arm.of_text(place.arm.spec, mjcf).of(
+            signals.time, angles[name], others_angles, (slice(0, len(signals.time)),)
+        )
+        if load is not None:
+            signals = signals.with_columns(arm_torque=load.on(link.inertia))
+        estimates = estimate(e.scenario.estimators(), signals, e.known, threads)
         runs[name] = run_of(e, s, estimates, place)
     return runs
 

@@ -1,0 +1,52 @@
+"""`flexspline export-estimator`: an estimator for a robot's controller, as C."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..models.errors import InputError
+from ._options import with_plugins
+
+EXAMPLES = (
+    "flexspline export-estimator augmented --joint my_joint.yaml --to c",
+    "flexspline export-estimator RAREKF --joint test-joint --to c --interval 0.0005 --out rarekf.h",
+)
+
+
+@with_plugins
+def command(
+    name: Annotated[str, typer.Argument(help="Name of a causal estimator (`flexspline estimators`).")],
+    joint: Annotated[str, typer.Option(help="A joint description, or the name of a shipped one.")],
+    to: Annotated[str, typer.Option(help="Language: c, which is C99.")] = "c",
+    mounting: Annotated[str | None, typer.Option(help="Mounting of the joint; its own by default.")] = None,
+    interval: Annotated[float, typer.Option(help="Time between samples [s].")] = 1e-3,
+    out: Annotated[Path | None, typer.Option(help="Header to write; by default NAME.h.")] = None,
+) -> None:
+    """Write an estimator with a joint's numbers as one C99 header: `init` and `step`, no allocation, no dependency.
+
+    The header is generated from the code that runs here. It needs the C library's mathematics alone (`-lm`).
+    """
+    from ..estimator import registry
+    from ..estimator.estimator import CausalEstimator, KnownJoint
+    from ..estimator.export_c import header
+    from ..models.files import write_into_place
+    from ..models.joint import load_joint
+    from ._console import console
+
+    if to != "c":
+        raise InputError(f"--to {to}: expected c")
+    if not 1e-6 <= interval <= 1.0:
+        raise InputError(f"--interval {interval:g}: expected a time between samples from 1e-6 to 1 s")
+    described = load_joint(joint)
+    known = KnownJoint.of(described, described.mount(mounting))
+    estimator = registry.get(name).scaled(known, interval)
+    if not isinstance(estimator, CausalEstimator):
+        raise InputError(f"estimator {name!r}: expected one that can run in the loop, got one that looks ahead")
+    text = header(estimator, known, interval)
+    path = Path(f"{name.lower()}.h") if out is None else out
+    with write_into_place(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    console().print(f"{path}")

@@ -1,0 +1,475 @@
+"""An estimator's step as one C99 header, made from the intermediate code that Numba types and compiles.
+
+Nothing is written a second time: every kernel that a step calls is taken as Numba's typed intermediate code and printed as C, one
+function for each set of argument types. Records and arrays of float64 become pointers; named tuples become structures.
+"""
+
+from __future__ import annotations
+
+import builtins
+import math
+import operator
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numba import carray
+from numba.core import ir, types
+from numba.core.compiler import run_frontend
+from numba.core.dispatcher import Dispatcher
+from numba.core.registry import cpu_target
+from numba.core.typed_passes import type_inference_stage
+
+from ..models import elementary
+from ..models.dual import value_of
+from ..models.errors import InputError
+from ..models.step import OK, SAMPLE
+from .estimator import CausalEstimator, KnownJoint
+
+_MATH = {"fabs": "fabs", "pow": "pow", "hypot": "hypot", "atan2": "atan2", "copysign": "copysign", "fmod": "fmod"} | {
+    name: name
+    for name in (
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "sinh",
+        "cosh",
+        "tanh",
+        "exp",
+        "expm1",
+        "log",
+        "log1p",
+        "sqrt",
+    )
+}
+_BINARY = {
+    operator.add: "+", operator.sub: "-", operator.mul: "*", operator.lt: "<", operator.le: "<=", operator.gt: ">",
+    operator.ge: ">=", operator.eq: "==", operator.ne: "!=", operator.and_: "&", operator.or_: "|", operator.iadd: "+",
+    operator.isub: "-", operator.imul: "*",
+}  # fmt: skip
+_HELPERS = """
+typedef struct { double *p; int64_t n[2]; } fs_array;
+typedef struct { int64_t at, stop, step; } fs_range;
+static inline int64_t fs_mod(int64_t a, int64_t b) { int64_t r = a % b; return r != 0 && ((r < 0) != (b < 0)) ? r + b : r; }
+static inline int64_t fs_div(int64_t a, int64_t b) { return (a - fs_mod(a, b)) / b; }
+static inline double fs_fmod(double a, double b)
+{ double r = fmod(a, b); return r != 0.0 && ((r < 0.0) != (b < 0.0)) ? r + b : r; }
+static inline double fs_sign(double x) { return x > 0.0 ? 1.0 : (x < 0.0 ? -1.0 : x); }
+static inline void fs_fill(fs_array a, double x)
+{ int64_t i, n = a.n[0] * (a.n[1] > 0 ? a.n[1] : 1); for (i = 0; i < n; ++i) a.p[i] = x; }
+"""
+
+
+def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> str:
+    """Return an estimator's step for a joint as the text of a C99 header.
+
+    Args:
+      estimator: scaled to the joint and sampling. joint: whose numbers it holds. interval: between samples [s].
+
+    Raises:
+      InputError: a step that is no compiled one, or code that has no C.
+    """
+    name = re.sub(r"\W", "_", estimator.name.lower())
+    step = estimator.step(joint, interval)
+    function = getattr(estimator.compiled, "function", None)
+    if function is None:
+        raise InputError(f"estimator {estimator.name!r}: expected a compiled step, got one in Python")
+    unit = _Unit(name)
+    entry = unit.function(function, (types.intp,) * 5)
+    memory = max(step.memory, 1)
+    record = np.frombuffer(step.record.tobytes(), dtype=np.float64)
+    outputs = " ".join(f"double {output};" for output in estimator.outputs)
+    return "\n".join(
+        [
+            f"/* {estimator.name}: {estimator.description}.",
+            f"   For samples {interval:g} s apart. Units: s, A, rad (motor side for motor_position), N*m. What is not",
+            "   measured is NAN. interval: 0 at the first sample. Returns 0, or another status where there is no estimate. */",
+            f"#ifndef FLEXSPLINE_{name.upper()}_H",
+            f"#define FLEXSPLINE_{name.upper()}_H",
+            "#include <math.h>",
+            "#include <stdint.h>",
+            "#include <string.h>",
+            "#ifndef FLEXSPLINE_HELPERS",
+            "#define FLEXSPLINE_HELPERS",
+            _HELPERS.strip(),
+            f"typedef struct {{ double {', '.join(SAMPLE.names or ())}; }} flexspline_sample;",
+            "static inline flexspline_sample flexspline_no_readings(void)",
+            f"{{ const flexspline_sample none = {{{', '.join(['NAN'] * len(SAMPLE.names or ()))}}}; return none; }}",
+            "#endif",
+            *unit.structures.values(),
+            *(f"{head};" for head in unit.heads.values()),
+            *unit.bodies.values(),
+            _constants(f"{name}_record", record),
+            _constants(f"{name}_settings", np.ascontiguousarray(step.settings, dtype=np.float64)),
+            f"typedef struct {{ double memory[{memory}]; }} {name}_state;",
+            f"typedef struct {{ {outputs} }} {name}_output;",
+            f"static inline void {name}_init({name}_state *state) {{ memset(state, 0, sizeof *state); }}",
+            f"static inline int {name}_step({name}_state *state, const flexspline_sample *sample, {name}_output *out)",
+            f"{{ return (int){entry}((intptr_t)state->memory, (intptr_t)sample, (intptr_t){name}_record, "
+            f"(intptr_t){name}_settings, (intptr_t)out) - {OK}; }}",
+            "#endif",
+            "",
+        ]
+    )
+
+
+def _constants(name: str, values: np.ndarray) -> str:
+    return f"static const double {name}[{len(values)}] = {{{', '.join(_number(float(x)) for x in values)}}};"
+
+
+def _number(value: Any) -> str:
+    if isinstance(value, bool | np.bool_):
+        return str(int(value))
+    if isinstance(value, int | np.integer):
+        return f"INT64_C({int(value)})"
+    if math.isnan(value):
+        return "NAN"
+    if math.isinf(value):
+        return "INFINITY" if value > 0 else "(-INFINITY)"
+    return repr(float(value)) if value >= 0 else f"({float(value)!r})"
+
+
+class _Unit:
+    """The C functions of one header; each made when it is first called."""
+
+    def __init__(self, prefix: str):
+        self.prefix = prefix
+        self.structures: dict[str, str] = {}
+        self.heads: dict[str, str] = {}
+        self.bodies: dict[str, str] = {}
+        self._names: dict[Any, str] = {}
+        self.returns: dict[str, Any] = {}
+
+    def c_type(self, kind: Any) -> str:
+        """The C type of a Numba type."""
+        kind = types.unliteral(kind)
+        if isinstance(kind, types.Boolean):
+            return "int"
+        if isinstance(kind, types.Integer):
+            return "int64_t"
+        if isinstance(kind, types.Float):
+            return "double"
+        if isinstance(kind, types.Record | types.CPointer):
+            return "double *"
+        if isinstance(kind, types.Array):
+            return "double *" if isinstance(kind.dtype, types.Record) else "fs_array"
+        if isinstance(kind, types.RangeType | types.RangeIteratorType):
+            return "fs_range"
+        if isinstance(kind, types.BaseTuple):
+            parts: Any = kind
+            members = [self.c_type(member) for member in parts.types]
+            name = f"{self.prefix}_tuple_" + "_".join(re.sub(r"\W+", "p", member) for member in members)
+            if name not in self.structures:
+                fields = " ".join(f"{member} f{i};" for i, member in enumerate(members))
+                self.structures[name] = f"typedef struct {{ {fields} }} {name};"
+            return name
+        if isinstance(kind, types.UniTupleIter):
+            name = self.c_type(kind.container) + "_iter"
+            self.structures.setdefault(
+                name, f"typedef struct {{ {self.c_type(kind.container)} t; int64_t at; }} {name};"
+            )
+            return name
+        if isinstance(kind, types.Pair):
+            name = f"{self.prefix}_pair_" + re.sub(r"\W+", "p", self.c_type(kind.first_type))
+            self.structures.setdefault(
+                name, f"typedef struct {{ {self.c_type(kind.first_type)} first; int second; }} {name};"
+            )
+            return name
+        raise InputError(f"export to C: expected numbers, records, arrays and tuples, got {kind}")
+
+    def function(self, python: Callable[..., Any], arguments: tuple[Any, ...]) -> str:
+        """The name of a function for argument types."""
+        key = (python, arguments)
+        if key not in self._names:
+            name = f"{self.prefix}_{python.__name__.strip('_')}_{len(self._names)}"
+            self._names[key] = name
+            _Function(self, name, python, arguments).write()
+        return self._names[key]
+
+
+class _Function:
+    """One function as it is printed."""
+
+    def __init__(self, unit: _Unit, name: str, python: Callable[..., Any], arguments: tuple[Any, ...]):
+        self.unit, self.name, self.arguments = unit, name, arguments
+        self.code = run_frontend(python)
+        context, target = cpu_target.typing_context, cpu_target.target_context
+        found = type_inference_stage(context, target, self.code, arguments, None)
+        self.types, self.result, self.calls = found.typemap, found.return_type, found.calltypes
+        self.known: dict[str, Any] = {}
+        self.count: dict[str, int] = {}
+        for block in self.code.blocks.values():
+            for line in block.body:
+                if isinstance(line, ir.Assign):
+                    self.count[line.target.name] = self.count.get(line.target.name, 0) + 1
+
+    def variable(self, name: str) -> str:
+        """A variable's C name."""
+        return "v_" + re.sub(r"\W", "_", name)
+
+    def of(self, variable: ir.Var) -> str:
+        """A variable's value in C."""
+        if variable.name in self.known and isinstance(self.known[variable.name], bool | int | float | np.number):
+            return _number(self.known[variable.name])
+        return self.variable(variable.name)
+
+    def write(self) -> None:
+        """Print head and body."""
+        unit = self.unit
+        lines = [line for label, block in self.code.blocks.items() for line in self._block(label, block)]
+        nothing = isinstance(self.result, types.NoneType)
+        result = "void" if nothing else unit.c_type(self.result)
+        head = ", ".join(f"{unit.c_type(kind)} a{i}" for i, kind in enumerate(self.arguments)) or "void"
+        used = "\n".join(lines)
+        declared = []
+        for name, kind in self.types.items():
+            c_name = self.variable(name)
+            if re.search(rf"\b{c_name}\b", used):
+                declared.append(f"  {unit.c_type(kind)} {c_name};")
+        unit.heads[self.name] = f"static {result} {self.name}({head})"
+        unit.bodies[self.name] = "\n".join([unit.heads[self.name], "{", *declared, used, "}"])
+
+    def _block(self, label: int, block: ir.Block) -> list[str]:
+        lines = [f"L{label}: ;"]
+        for line in block.body:
+            text = self._line(line)
+            if text:
+                lines.append("  " + text)
+        return lines
+
+    def _line(self, line: Any) -> str:
+        if isinstance(line, ir.Assign):
+            return self._assign(line.target, line.value)
+        if isinstance(line, ir.Jump):
+            return f"goto L{line.target};"
+        if isinstance(line, ir.Branch):
+            return f"if ({self.of(line.cond)}) goto L{line.truebr}; else goto L{line.falsebr};"
+        if isinstance(line, ir.Return):
+            return "return;" if isinstance(self.result, types.NoneType) else f"return {self.of(line.value)};"
+        if isinstance(line, ir.SetAttr):
+            return f"{self._field(line.target, line.attr)} = {self.of(line.value)};"
+        if isinstance(line, ir.SetItem | ir.StaticSetItem):
+            index = line.index if isinstance(line, ir.SetItem) else line.index_var
+            if isinstance(self.types[index.name], types.SliceType):
+                return f"fs_fill({self.of(line.target)}, {self.of(line.value)});"
+            return f"{self._element(line.target, index)} = {self.of(line.value)};"
+        if isinstance(line, ir.Del):
+            return ""
+        raise self._none(line)
+
+    def _none(self, what: Any) -> InputError:
+        return InputError(f"export to C: {self.code.func_id.func_qualname}: expected code that has C, got {what}")
+
+    def _field(self, target: ir.Var, name: str) -> str:
+        offset = self.types[target.name].offset(name) // 8
+        return f"{self.of(target)}[{offset}]"
+
+    def _element(self, target: ir.Var, index: ir.Var) -> str:
+        kind, at, array = self.types[index.name], self.of(index), self.of(target)
+        if self.types[target.name].ndim == 2 and not isinstance(kind, types.BaseTuple):  # a row
+            return f"(fs_array){{{array}.p + {at} * {array}.n[1], {{{array}.n[1], 0}}}}"
+        if isinstance(kind, types.BaseTuple):
+            return f"{array}.p[{at}.f0 * {array}.n[1] + {at}.f1]"
+        return f"{array}.p[{at}]"
+
+    def _assign(self, target: ir.Var, value: Any) -> str:
+        name, kind = target.name, self.types[target.name]
+        if isinstance(value, ir.Global | ir.FreeVar | ir.Const):
+            if self.count[name] == 1:
+                self.known[name] = value.value
+            if isinstance(value.value, tuple):
+                members = ", ".join(_number(x) for x in value.value)
+                return f"{self.variable(name)} = ({self.unit.c_type(kind)}){{{members}}};"
+            if not isinstance(value.value, bool | int | float | np.number):
+                return ""
+            return f"{self.variable(name)} = {_number(value.value)};"
+        if isinstance(value, ir.Arg):
+            return f"{self.variable(name)} = a{value.index};"
+        if isinstance(value, ir.Var):
+            if value.name in self.known and self.count[name] == 1:
+                self.known[name] = self.known[value.name]
+            if self._nothing(kind):
+                return ""
+            return f"{self.variable(name)} = {self.of(value)};"
+        if not isinstance(value, ir.Expr):
+            raise self._none(value)
+        text = self._expression(target, value)
+        if text is None or self._nothing(kind):
+            return f"{text};" if text else ""
+        return f"{self.variable(name)} = {text};"
+
+    def _nothing(self, kind: Any) -> bool:
+        """Whether a type has no value in C."""
+        return isinstance(
+            kind,
+            types.NoneType
+            | types.Dispatcher
+            | types.Function
+            | types.Module
+            | types.SliceType
+            | types.NumberClass
+            | types.NamedTupleClass,
+        )
+
+    def _expression(self, target: ir.Var, e: ir.Expr) -> str | None:
+        kind = self.types[target.name]
+        if e.op in ("binop", "inplace_binop"):
+            return self._binary(e, e.fn if e.op == "binop" else e.immutable_fn)
+        if e.op == "unary":
+            if e.fn is operator.not_:
+                return f"!{self.of(e.value)}"
+            return f"{'-' if e.fn is operator.neg else '+'}{self.of(e.value)}"
+        if e.op == "cast":
+            return None if self._nothing(kind) else self.of(e.value)
+        if e.op == "build_tuple":
+            if any(self._nothing(self.types[item.name]) for item in e.items):
+                return None
+            return f"({self.unit.c_type(kind)}){{{', '.join(self.of(item) for item in e.items)}}}"
+        if e.op == "exhaust_iter":
+            return self.of(e.value)
+        if e.op in ("static_getitem", "getitem"):
+            return self._item(e)
+        if e.op == "getattr":
+            return self._attribute(target, e)
+        if e.op == "getiter":
+            inner = self.types[e.value.name]
+            if isinstance(inner, types.BaseTuple):
+                return f"({self.unit.c_type(kind)}){{{self.of(e.value)}, 0}}"
+            return self.of(e.value)
+        if e.op == "iternext":
+            return self._next(kind, e)
+        if e.op == "pair_first":
+            return f"{self.of(e.value)}.first"
+        if e.op == "pair_second":
+            return f"{self.of(e.value)}.second"
+        if e.op == "call":
+            return self._call(target, e)
+        raise self._none(e)
+
+    def _next(self, kind: Any, e: ir.Expr) -> str:
+        at, name = self.of(e.value), self.unit.c_type(kind)
+        inner = self.types[e.value.name]
+        if isinstance(inner, types.UniTupleIter):
+            n = len(inner.container)
+            return f"({name}){{{at}.at < {n} ? (&{at}.t.f0)[{at}.at] : (&{at}.t.f0)[0], {at}.at < {n}}}; {at}.at += 1"
+        return f"({name}){{{at}.at, {at}.step > 0 ? {at}.at < {at}.stop : {at}.at > {at}.stop}}; {at}.at += {at}.step"
+
+    def _item(self, e: ir.Expr) -> str | None:
+        kind = self.types[e.value.name]
+        if isinstance(kind, types.BaseTuple):
+            if e.op == "static_getitem":
+                return f"{self.of(e.value)}.f{e.index % len(kind)}"
+            return f"(&{self.of(e.value)}.f0)[{self.of(e.index)}]"
+        if isinstance(kind, types.CPointer) or (isinstance(kind, types.Array) and isinstance(kind.dtype, types.Record)):
+            return self.of(e.value)  # the one record that is there
+        index = e.index_var if e.op == "static_getitem" else e.index
+        return self._element(e.value, index)
+
+    def _attribute(self, target: ir.Var, e: ir.Expr) -> str | None:
+        kind, name = self.types[e.value.name], target.name
+        if isinstance(kind, types.Module):
+            self.known[name] = getattr(self.known[e.value.name], e.attr)
+            value = self.known[name]
+            return _number(value) if isinstance(value, int | float) else None
+        if isinstance(kind, types.BaseNamedTuple):
+            names: Any = kind
+            return f"{self.of(e.value)}.f{names.fields.index(e.attr)}"
+        if isinstance(kind, types.Record):
+            field = kind.typeof(e.attr)
+            at = f"{self.of(e.value)} + {kind.offset(e.attr) // 8}"
+            if isinstance(field, types.Record):
+                return at
+            if isinstance(field, types.NestedArray):
+                shape = [*field.shape, 0][:2]
+                return f"(fs_array){{{at}, {{{shape[0]}, {shape[1]}}}}}"
+            return self._field(e.value, e.attr)
+        raise self._none(e)
+
+    def _binary(self, e: ir.Expr, f: Any) -> str:
+        a, b = self.of(e.lhs), self.of(e.rhs)
+        whole = all(isinstance(self.types[x.name], types.Integer | types.Boolean) for x in (e.lhs, e.rhs))
+        if f in (operator.truediv, operator.itruediv):
+            return f"(double){a} / (double){b}"
+        if f in (operator.pow, operator.ipow):
+            n = self.known.get(e.rhs.name)
+            if isinstance(n, int) and 0 < n < 9:
+                return _power(a, n)
+            return f"pow({a}, {b})"
+        if f in (operator.floordiv, operator.ifloordiv):
+            return f"fs_div({a}, {b})" if whole else f"floor({a} / {b})"
+        if f in (operator.mod, operator.imod):
+            return f"{'fs_mod' if whole else 'fs_fmod'}({a}, {b})"
+        if f in _BINARY:
+            return f"{a} {_BINARY[f]} {b}"
+        raise self._none(e)
+
+    def _call(self, target: ir.Var, e: ir.Expr) -> str | None:
+        f = self.known.get(e.func.name)
+        kind = self.types[e.func.name]
+        if isinstance(kind, types.Dispatcher):
+            f = kind.dispatcher
+        arguments = [self.of(x) for x in e.args]
+        if isinstance(f, Dispatcher):
+            return self._called(f, e)
+        if f is carray or f is value_of:  # of plain numbers, and the one record that is there
+            return arguments[0]
+        if f is elementary.sincos:
+            return self._called(elementary._sincos, e)
+        if isinstance(f, type) and issubclass(f, tuple):
+            return f"({self.unit.c_type(self.types[target.name])}){{{', '.join(arguments)}}}"
+        if f in (range, builtins.range):
+            bounds = {1: ("0", arguments[0], "1"), 2: (*arguments, "1"), 3: tuple(arguments)}[len(arguments)]
+            return f"(fs_range){{{', '.join(bounds)}}}"
+        if f is slice:
+            return None
+        if f in (min, max):
+            text = arguments[0]
+            for other in arguments[1:]:
+                text = f"({other} {'<' if f is min else '>'} {text} ? {other} : {text})"
+            return text
+        if f is abs or f is math.fabs:
+            return f"fabs({arguments[0]})"
+        if f is bool:
+            return f"{arguments[0]} != 0"
+        if f in (float, int):
+            return f"({'double' if f is float else 'int64_t'}){arguments[0]}"
+        if f in (math.floor, math.ceil):
+            return f"(int64_t){'floor' if f is math.floor else 'ceil'}({arguments[0]})"
+        if f in (math.isfinite, np.isfinite, math.isnan, np.isnan):
+            return f"({'isfinite' if f in (math.isfinite, np.isfinite) else 'isnan'}({arguments[0]}) != 0)"
+        if f is np.sign:
+            return f"fs_sign({arguments[0]})"
+        name = getattr(f, "__name__", "")
+        if name == "pointer" and len(arguments) == 1:
+            return f"(double *)(intptr_t){arguments[0]}"
+        if name in _MATH and f in (getattr(math, name, None), getattr(np, name, None)):
+            return f"{_MATH[name]}({', '.join(arguments)})"
+        raise self._none(f"a call of {f}")
+
+    def _called(self, f: Dispatcher, e: ir.Expr) -> str:
+        signature = self.calls[e]
+        by_name = dict(zip(f.py_func.__code__.co_varnames, e.args, strict=False)) | dict(e.kws)
+        given, kinds = [], []
+        for name, kind in zip(f.py_func.__code__.co_varnames, signature.args, strict=False):
+            if isinstance(kind, types.Omitted):
+                given.append(_number(kind.value))
+                kind = types.literal(kind.value).literal_type if isinstance(kind.value, int) else types.float64
+            else:
+                given.append(self.of(by_name[name]))
+            kinds.append(types.unliteral(kind))
+        return f"{self.unit.function(f.py_func, tuple(kinds))}({', '.join(given)})"
+
+
+def _power(x: str, n: int) -> str:
+    """x to the n-th by squaring, in Numba's order."""
+    text, square = "", x
+    while n:
+        if n & 1:
+            text = f"({text} * {square})" if text else square
+        n >>= 1
+        square = f"({square} * {square})"
+    return text

@@ -1,0 +1,67 @@
+"""Whether an estimator's own record says that its estimate is none: torques beyond the gear, innovations beyond its belief.
+
+An estimator that mistakes its joint, load or sampling shows it without any reference. Both marks are far outside what a working
+estimator does, so that a mark means what it says: a strain wave gear ratchets below `GEAR` times its rated torque, and a mean NIS
+of `NIS` over a second means innovations five times as large as the estimator believes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+GEAR = 5.0
+"""Torque [rated torques] that no strain wave gear transmits."""
+NIS = 25.0
+"""Mean NIS over a second beyond which an estimator mistakes what it sees."""
+SETTLING = 1.0
+"""Time [s] after the start that does not count."""
+
+
+class Watch:
+    """Collects what the outputs of an estimator say about it, in blocks."""
+
+    def __init__(self, rated_torque: float, names: Sequence[str]):
+        """Args:
+        rated_torque: of the joint [N·m]. names: of the outputs, in order; `torque` is one.
+        """
+        self._rated, self._names = rated_torque, tuple(names)
+        self._pairs = [
+            (i, self._names.index(name.replace("innovation", "innovation_variance", 1)))
+            for i, name in enumerate(self._names)
+            if name.startswith("innovation") and name.replace("innovation", "innovation_variance", 1) in self._names
+        ]
+        self._largest, self._start = 0.0, math.nan
+        self._sums, self._counts = np.zeros(0), np.zeros(0)
+
+    def add(self, time: np.ndarray, out: np.ndarray) -> None:
+        """Take up further samples: times [s], shape (n,); outputs, shape (n, outputs)."""
+        if math.isnan(self._start):
+            self._start = float(time[0])
+        since = time - self._start
+        settled = since >= SETTLING
+        if not settled.any():
+            return
+        rows = out[settled]
+        self._largest = max(self._largest, float(np.max(np.abs(rows[:, self._names.index("torque")]))))
+        second = np.floor(since[settled]).astype(np.int64)
+        size = int(second[-1]) + 1
+        self._sums = np.pad(self._sums, (0, max(size - len(self._sums), 0)))
+        self._counts = np.pad(self._counts, (0, max(size - len(self._counts), 0)))
+        for e, S in self._pairs:
+            nis = np.divide(rows[:, e] ** 2, rows[:, S], out=np.zeros(len(rows)), where=rows[:, S] > 0)
+            self._sums += np.bincount(second, nis, len(self._sums)) / len(self._pairs)
+        self._counts += np.bincount(second, minlength=len(self._counts))
+
+    @property
+    def reason(self) -> str | None:
+        """Why the estimate is not to be trusted; None where nothing speaks against it."""
+        if self._largest > GEAR * self._rated:
+            return f"torque of {self._largest:.3g} N·m, more than {GEAR:g} times the gear's rated {self._rated:g} N·m"
+        enough = self._counts > 0.5 * np.max(self._counts, initial=1.0)
+        worst = float(np.max(self._sums[enough] / self._counts[enough], initial=0.0))
+        if worst > NIS:
+            return f"innovations {math.sqrt(worst):.3g} times as large as it believes, over a second"
+        return None
