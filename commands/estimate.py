@@ -42,6 +42,7 @@ def command(
     simulate the joint's dynamics only where `--filter` names them. Data with a mistake that makes physics
     meaningless are refused.
     """
+    from ..diagnosis.data.coverage import SLOWEST
     from ..diagnosis.data.mistakes import require_sound
     from ..estimator import registry
     from ..estimator.offline import (
@@ -71,6 +72,11 @@ def command(
     check_output(out, maker, inputs=data.files, writes=["metrics.json", *written])
     unread = require_sound(data, described)
     give_back_free_pages()
+    slow = [r.interval for r in data.recordings if r.interval * SLOWEST > 1.0]
+    if len(slow) == len(data.recordings):
+        raise InputError(
+            f"{measurement}: expected {SLOWEST:g} samples a second at least, got samples that are {slow[0]:.3g} s apart"
+        )
     if all(map(too_short, data.recordings)):
         got = "none: too short to estimate"
         if all(recording.sparse for recording in data.recordings):

@@ -72,7 +72,7 @@ def command(
             bar.stop()
             done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
             print(done, file=sys.stderr)  # also where no bar is shown
-            raise
+            raise SystemExit(130) from None
         bar.update(task, description=f"{asked.name}: summary", total=None)
         found = list(aggregate(dataset))
         with output_folder(out, "sweep") as new:

@@ -109,7 +109,8 @@ commands.app = app
 commands.main()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=15)
-    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
+    assert (done.returncode, done.stdout) == (128 + number, "")
+    assert done.stderr in ("", "flexspline: interrupted, nothing is half-written\n")
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -134,7 +135,8 @@ commands.app = app
 commands.main()
 """
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30)
-    assert (done.returncode, done.stdout, done.stderr) == (128 + number, "", "")
+    assert (done.returncode, done.stdout) == (128 + number, "")
+    assert done.stderr in ("", "flexspline: interrupted, nothing is half-written\n")
     assert not list(tmp_path.iterdir())
 
 

@@ -40,7 +40,7 @@ def test_no_help_is_cut_in_a_narrow_terminal(flexspline, folder, name):
         assert not [word for word in (option.help or "").replace("`", "").split() if word not in shown], option.name
 
 
-WITHOUT_JSON = {"schema": "prints JSON Schema, which is JSON already"}
+WITHOUT_JSON = {"schema": "prints JSON Schema, which is JSON already", "export-estimator": "writes a C header"}
 
 
 @pytest.mark.parametrize(("folder", "name"), ALL, ids=[" ".join(one).strip() for one in ALL])

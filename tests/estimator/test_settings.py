@@ -204,9 +204,9 @@ def test_sizes_of_the_augmented_filter():
     bent = fc / p["s0"]
     expected = {
         "link_variance": white, "torsion_variance": white + motor + (count / 10) ** 2, "rotor_walk": p["Jm"] ** -2.0,
-        "torque_variance": p["Kt"] ** 2 * NOISE.current_variance(1e-3), "mesh_walk": (9e-4 * fc / p["Jw"]) ** 2,
+        "torque_variance": p["Kt"] ** 2 * NOISE.current_variance(1e-3), "mesh_walk": (1.5e-3 * fc / p["Jw"]) ** 2,
         "bristle_walk": (5.5e-3 * bent) ** 2, "presliding": 2.0 * bent * (2.0 * joint.friction) ** 2,
-        "spring_walk": (0.004 * t2) ** 2, "loose": (2.0 * t2) ** 2, "external_quiet": 4e-4 * t2, "external_loud": 8.0 * t2,
+        "spring_walk": (0.007 * t2) ** 2, "loose": (2.0 * t2) ** 2, "external_quiet": 4e-4 * t2, "external_loud": 8.0 * t2,
         "level": np.sqrt(0.017**2 + friction**2) * fc, "level_loud": 1.1 * fc, "level_time": 5.0, "free": 1e-3 * t2, "gate": 4.0,
         "back": 0.05, "least": 0.03 * t2, "wait": 0.2, "memory": 0.8, "low": 5.0, "high": 12.0, "wander": 1e-5, "interval": 1e-3,
         "half": NOISE.motor_resolution / 2, "sliding": 2.5 * p["vs"], "settled": 0.1, "pause": 0.5, "every": 0.02,

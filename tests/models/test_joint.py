@@ -115,7 +115,7 @@ BAD = {
     "more counts than a float holds": (
         "{counts: 4096}",
         f"{{counts: 1{'0' * 400}}}",
-        "counts: expected less than or equal to 1099511627776",
+        "with at most 100 digits",
     ),
     "unknown shared tolerance": (
         "shared: friction",

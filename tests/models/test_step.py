@@ -96,9 +96,9 @@ def test_a_python_step_that_fails_keeps_its_error(samples):
 
 
 def test_every_reading_has_its_place_in_a_sample():
-    assert SAMPLE.names == ("time", "interval", "current_command", *SENSED)
+    assert SAMPLE.names == ("time", "interval", "current_command", "arm_torque", *SENSED)
     for name in SENSED:
-        assert SAMPLE.fields[name][1] == 24 + READINGS.fields[name][1], name
+        assert SAMPLE.fields[name][1] == 32 + READINGS.fields[name][1], name
 
 
 def test_memory_is_fresh_for_each_user():

@@ -88,7 +88,7 @@ def test_a_wrong_entry_is_one_line(tmp_path, given):
         load_scenario(tmp_path / "s.yaml")
     message = str(caught.value)
     print(message)
-    assert "\n" not in message and message.startswith(f"{tmp_path / 's.yaml'}: filters.1") and BAD[given] in message
+    assert "\n" not in message and message.startswith(f"{tmp_path / 's.yaml'}:4: filters.1") and BAD[given] in message
 
 
 def test_estimators_by_name():

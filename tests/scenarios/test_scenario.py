@@ -97,7 +97,7 @@ BAD = {
     ("duration=3", "transient=2.9985"): "transient: expected less than the duration 3 s by two control periods",
     ("timestep=0.0003",): "timestep: expected a whole fraction of 0.001 s",
     ("timestep=2e-3",): "timestep: expected less than or equal to 0.001",
-    ("timestep=1e-320",): "timestep: expected greater than or equal to 0.000001",
+    ("timestep=1e-320",): "timestep: expected a valid number",
     ("durations=3",): "durations: unknown key; did you mean 'duration'?",
     ("controller.kpp=3",): "controller.kpp: unknown key; did you mean 'kp'?",
     ("filters.0.estimator=kalmann",): "filters.0: estimator: expected one of",
