@@ -204,8 +204,8 @@ def _confidences(
     alone, sizes = [], []
     for i, (h, u) in enumerate(zip(model, problem.split(final.theta, final.model), strict=False)):
         confidence = _confidence(found, h, unknown)
-        if h.cause.resonance and not problem.link_measured:
-            confidence = min(confidence, ANSWER.beside)
+        if h.cause.resonance and not problem.link_measured:  # the other end's motion, or a controller's, looks the same
+            confidence = min(confidence, ANSWER.unsure)
         beyond = out_of_proportion(problem, h.cause.name, h.values(u))
         if h.at_bound(u) or beyond or _diluted(problem, final, i):  # no answer, whatever it explains
             confidence = min(confidence, ANSWER.unsure)

@@ -20,7 +20,7 @@ from ..estimator.offline import Estimates, estimate_recording
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
 from .answer import Diagnosis
-from .data.segments import Segment, in_held_out_block
+from .data.segments import ENOUGH, Segment, in_held_out_block
 from .extension import calibrated
 from .fit.regions import NormalEquations, region_masks
 
@@ -113,7 +113,7 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
     if main is None:
         return None
     kept = [held_out(recording, index) for index, recording in sensed]
-    if not any(k.any() for k in kept):  # too short to keep a block from the fits
+    if np.mean(np.concatenate(kept)) <= ENOUGH:  # too short to keep blocks from the fits
         kept = [np.ones(len(recording.time), bool) for _, recording in sensed]
     return Improvement(
         quantity=quantity,

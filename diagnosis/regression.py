@@ -26,7 +26,7 @@ from ..models.calibration import Calibration
 from ..models.joint import Joint, Mounting
 from ..models.recording import Measurement, Recording
 from ..models.signals import CHANNELS, DRIVING
-from .data.segments import in_held_out_block
+from .data.segments import ENOUGH, in_held_out_block
 
 MOVING = 0.05
 """Share of the usual largest speed (98 % of the samples are slower) below which a sample is at rest: there friction may be
@@ -251,7 +251,7 @@ def _regress(conditioned: Sequence[Conditioned], joint: Joint, channel: str) -> 
     beta = _least_squares(X[:, kept], y)
     left = y - X[:, kept] @ beta
     unseen = float("nan")
-    if _FEWEST * len(kept) <= (~held).sum() and held.sum() >= _FEWEST:
+    if _FEWEST * len(kept) <= (~held).sum() and held.mean() > ENOUGH:
         unseen = _rms(raw[held] - X[held][:, kept] @ _least_squares(X[~held][:, kept], y[~held]))
     std = np.sqrt(np.diag(_covariance(X[:, kept], left, cluster)))
     link = having[0][1].recording.link

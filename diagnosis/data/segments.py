@@ -401,6 +401,10 @@ def _other_end(known, is_link, v, a, since, p, out):
             out[i] = laws.link_reading(link, p)
 
 
+ENOUGH = 0.1
+"""Share of the residuals that must be kept from the fits to judge by them: in a short recording the last block may be the only one."""
+
+
 def in_held_out_block(time: np.ndarray, index: int, settings: SegmentSettings = SETTINGS) -> np.ndarray:
     """Whether times since a recording's start [s], shape (n,), lie in blocks that are kept from the fits; `index`: of the
     recording in its measurement."""

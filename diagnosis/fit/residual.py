@@ -18,7 +18,7 @@ from ...models.errors import InputError
 from ...models.joint import AnalogSpec, Joint, Mounting
 from ...models.parameters import SIZE as PARAMETERS_SIZE
 from ...models.parameters import as_floats
-from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment, mirrored
+from ..data.segments import BALANCES, CURRENT, ENOUGH, LINK, TORQUE, Segment, mirrored
 from .coordinates import Hypothesis
 from .replay import derivatives, residuals
 
@@ -162,8 +162,9 @@ class Problem:
 
     @property
     def holds_out(self) -> bool:
-        """Whether some residual was kept from the fits."""
-        return any(s.held_out.any() for s in self.segments)
+        """Whether enough residuals were kept from the fits to judge by them."""
+        kept, fitted = (sum(int(getattr(s, name).sum()) for s in self.segments) for name in ("held_out", "usable"))
+        return kept > ENOUGH * (kept + fitted)
 
     @property
     def judged(self) -> list[np.ndarray]:
