@@ -402,7 +402,7 @@ def _other_end(known, is_link, v, a, since, p, out):
 
 
 ENOUGH = 0.1
-"""Share of the residuals that must be kept from the fits to judge by them: in a short recording the last block may be the only one."""
+"""Share of the residuals that must be kept from the fits to judge by them: in a short recording one block may be all."""
 
 
 def in_held_out_block(time: np.ndarray, index: int, settings: SegmentSettings = SETTINGS) -> np.ndarray:
