@@ -549,7 +549,10 @@ def shrinkage(m: Mistake, new: Mapping[str, RelationFit], old: Mapping[str, Rela
         return -effective * max(math.log(m.factor or 1.0), 0.0)
     smaller = -math.log(abs(m.factor)) if m.name == "unit" and m.factor and m.column != "time" else 0.0
     if smaller <= 0.0:
-        return 0.0
+        # Nor is it a reason against a larger torque that its residual is larger, by no more than it itself.
+        if m.column not in DRIVING or m.column not in new or m.column not in old:
+            return 0.0
+        return -min(-effective * smaller, max(old[m.column].sharpness - new[m.column].sharpness, 0.0))
     if m.column in (*DRIVING, "external_torque"):
         return effective * smaller
     columns = {m.column, *m.also}

@@ -41,6 +41,7 @@ class ClaimSettings:
     sure: float = 7.0  # gain beyond its price from which on a change is believed
     at_odds: float = 0.1  # by how much changes may make one of these worse
     wrong: float = -0.6  # misfit of a relation below which the channels do not fit
+    hopeless: float = -5.0  # misfit below which a relation does not hold at all, by however much
     lasting: float = 4.0  # of recordings whose misfit says that nothing fits [s]
     worse: float = -3.0  # loss in a recording from which on a change is not one of the whole measurement
     much_worse: float = -9.0  # where the recording's channels go together with it, or better than before
@@ -114,7 +115,7 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     start, end = search.start, search.best()
     if _not_followed(start.fits, end.fits):
         end = start
-    mends = _better(start.fits, end.fits)
+    mends = _better(start, end)
     lasting = [r.time[-1] - r.time[0] > SETTINGS.lasting for r in recordings]
     before = _worst([fits for fits, there in zip(start.fits, lasting, strict=True) if there])
     if not mends and before > SETTINGS.wrong:
@@ -124,7 +125,9 @@ def _of_columns(recordings: Sequence[Recording], joint: Joint) -> list[Mistake]:
     ignored = [] if "position_command" in about or not mends else ["command"]
     # The integral of a velocity drifts, and a sign that is lost is only about what the description says.
     ignored += [
-        "encoders" if m.name == "velocity" else m.column for m, _ in end.found if m.name == "velocity" or m.lost
+        "encoders" if m.name == "velocity" else m.column
+        for m, _ in end.found
+        if m.name == "velocity" or (m.name == "sign" and m.lost)
     ]
     after = _worst([{n: fit for n, fit in fits.items() if n not in ignored} for fits in end.fits])
     found = [one for m, having in end.found for one in _where(m, having, recordings)]
@@ -158,6 +161,7 @@ class _State:
     fits: tuple[dict[str, RelationFit], ...]
     found: tuple[tuple[Mistake, tuple[int, ...]], ...] = ()
     price: float = 0.0
+    credit: float = 0.0  # part of it, below zero, that makes up for larger torques and a description that was beyond
 
     @property
     def score(self) -> float:
@@ -239,7 +243,10 @@ class _Search:
             costs = [
                 0.0 if s else shrinkage(m, b, a, AGREEMENT.effective) for a, b, s in zip(old, new, same, strict=True)
             ]
-            costs = [cost + SETTINGS.beyond * _beyond(a, b) for cost, a, b in zip(costs, old, new, strict=True)]
+            costs = [
+                cost + SETTINGS.beyond * (_beyond(a, b) - _beyond(b, a))
+                for cost, a, b in zip(costs, old, new, strict=True)
+            ]
             gains = [x - cost for x, cost in zip(more, costs, strict=True)]
             bears = [
                 SETTINGS.much_worse if not _suspicious(b) or _worst([b]) > _worst([a]) else SETTINGS.worse
@@ -254,7 +261,7 @@ class _Search:
                 i for i, (a, b) in enumerate(zip(old, new, strict=True))
                 if chosen and more[i] > least and _suspicious(a) and not _suspicious(b)
             )})  # fmt: skip
-            if not chosen or not self._leaves_motion(m, [motions[i] for i in chosen]):
+            if not chosen or not self._leaves_motion(m, [motions[i] for i in chosen], [new[i] for i in chosen]):
                 continue  # a link that hardly moves asks for no torque: that suits any log
             everywhere = all(i in chosen or unchanged for i, unchanged in enumerate(same))
             price = m.price if everywhere else (m.price + SETTINGS.one_of_several) * len(chosen)
@@ -268,20 +275,25 @@ class _Search:
                     tuple(new[i] if i in chosen else old[i] for i in range(len(old))),
                     (*state.found, (sure, tuple(chosen))),
                     state.price + price + sum(costs[i] for i in chosen),
+                    state.credit + sum(min(costs[i], 0.0) for i in chosen if not m.becomes),
                 )
             )
         for column in POSITIONS:
             steps = self._units_told_apart(steps, column)
         return steps
 
-    def _leaves_motion(self, m: Mistake, mended: Sequence[SmoothedChannels | None]) -> bool:
-        """Whether channels without the mistake still show a motion, where the change makes all angles smaller."""
+    def _leaves_motion(self, m: Mistake, mended: Sequence[SmoothedChannels | None], fits: _Fits) -> bool:
+        """Whether channels without the mistake still show a motion, where the change makes angles smaller that no other encoder
+        agrees with."""
         if m.name != "unit" or m.factor is None or abs(m.factor) >= 1.0:
             return True
-        for motion in mended:
+        for motion, relations in zip(mended, fits, strict=True):
             there = [name for name in POSITIONS if motion is not None and name in motion]
-            if motion is None or not there or not {m.column, *m.also}.issuperset(there):
+            if motion is None or not {m.column, *m.also} & set(there):
                 return True
+            if len(there) == 2 and not relations["encoders"].suspicious:
+                return True
+            there = [name for name in there if name in (m.column, *m.also)]
             if max(np.ptp(motion.channels[n][:, 0]) / side(n, "", self._N) for n in there) > SETTINGS.least_motion:
                 return True
         return False
@@ -302,7 +314,7 @@ class _Search:
         some = [s for s in steps if of_them(s.found[-1][0])]
         if not some:
             return list(steps)
-        scores = [sum(fit.readings for fits in s.fits for fit in fits.values()) - s.price for s in some]
+        scores = [sum(_said(fit) for fits in s.fits for fit in fits.values()) - s.price for s in some]
         near = [(x, s) for x, s in zip(scores, some, strict=True) if x > max(scores) - SETTINGS.sure]
         described = [(x, s) for x, s in near if s.found[-1][0].counts]
         score, best = described[0] if described else max(near, key=lambda one: one[1].score)
@@ -345,6 +357,11 @@ def _total(fits: dict[str, RelationFit]) -> float:
     return sum(fit.agreement for fit in fits.values())
 
 
+def _said(fit: RelationFit) -> float:
+    """What readings say of a relation; of one that does not hold at all, as the other column is wrong, too, no more than that."""
+    return fit.readings * SETTINGS.hopeless / min(fit.misfit, SETTINGS.hopeless)
+
+
 def _gained(before: _Fits, after: _Fits, but: str = "") -> float:
     """By how much better the readings of all relations but one fit, in log likelihood."""
     return sum(
@@ -362,7 +379,7 @@ def _not_followed(before: _Fits, after: _Fits) -> bool:
     return commanded and _gained(before, after, but="command") < SETTINGS.sure
 
 
-def _better(before: _Fits, after: _Fits) -> bool:
+def _better(before: _State, after: _State) -> bool:
     """Whether readings fit better than before, in addition to what is known of more of them, and no relation is at odds that was
     not.
 
@@ -371,11 +388,11 @@ def _better(before: _Fits, after: _Fits) -> bool:
     """
     at_odds = any(
         fit.misfit < min(AGREEMENT.suspicious, old[name].misfit - SETTINGS.at_odds)
-        for old, new in zip(before, after, strict=True)
+        for old, new in zip(before.fits, after.fits, strict=True)
         for name, fit in new.items()
         if name in old
     )
-    return not at_odds and _gained(before, after) > SETTINGS.sure
+    return not at_odds and _gained(before.fits, after.fits) - after.credit > SETTINGS.sure
 
 
 def _time_unit(recordings: Sequence[Recording]) -> float:
@@ -394,7 +411,8 @@ def _sampled_fast(recording: Recording) -> bool:
         if x is not None and len(x) > 4 * _APART:
             first = x[_APART:] - x[:-_APART]
             second = first[_APART:] - first[:-_APART]
-            if float(np.std(second)) < _SMOOTH * float(np.std(first)):
+            usual = [float(np.quantile(np.abs(d), 0.95)) for d in (first, second)]  # a gap's jump left aside
+            if usual[1] < _SMOOTH * usual[0]:
                 return True
     return False
 

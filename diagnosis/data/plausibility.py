@@ -237,14 +237,18 @@ class _Shapes:
         low, high, centre, spread = (np.array(x) for x in zip(*self._numbers, strict=True))
         beta, weight = np.empty(len(low)), effective / self._n
         misfit = float(_fit(A, y, sigma, low, high, centre, spread, weight, beta))
-        at_bound = bool(np.any(((beta <= low) | (beta >= high))[list(self._telling)]))
+        # A bound says something only where the way to it would show: no load has none below it, and a slow motion no inertia.
+        shows = least / np.maximum(np.sqrt(np.mean(A * A, axis=0)), 1e-300)
+        out = ((beta <= low) & (centre - low > shows)) | ((beta >= high) & (high - centre > shows))
+        at_bound = bool(np.any(out[list(self._telling)]))
         # What is left may be far less than what is allowed: then it says so much more.
         u = (y - A @ beta) / sigma
         scale = min(max(1.5 * float(np.median(np.abs(u))), SETTINGS.sharpest), 1.0)
         more = 0.5 * (_FREEDOM + 1) * float(np.mean(np.log1p(u**2 / _FREEDOM) - np.log1p((u / scale) ** 2 / _FREEDOM)))
         readings = misfit + effective * max(more - math.log(scale), 0.0)
         known = -effective * float(np.mean(np.log(sigma / least)))  # what is not known at rest says less
-        return RelationFit(readings + known, misfit / effective, readings, at_bound, scale > SETTINGS.vague, beta)
+        vague, sharp = scale > SETTINGS.vague, readings - misfit
+        return RelationFit(readings + known, misfit / effective, readings, sharp, at_bound, vague, beta)
 
 
 @dataclass(frozen=True)
@@ -256,6 +260,7 @@ class RelationFit:
       misfit: its part that readings and priors make up, per effective sample: 0 where all is as expected, −0.6 where readings
         are off by one `sigma`.
       readings: that part of the whole.
+      sharpness: of that, what residuals say that are far less than what is allowed.
       at_bound: whether the description would have to be wrong by more than a few times.
       vague: whether the residual is not much less than what is allowed.
       coefficients: of the shapes, in their order.
@@ -269,6 +274,7 @@ class RelationFit:
     agreement: float
     misfit: float
     readings: float
+    sharpness: float
     at_bound: bool
     vague: bool
     coefficients: np.ndarray
