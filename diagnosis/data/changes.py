@@ -431,7 +431,9 @@ class Table:
         }
         for column, found in fits.items():
             if all(
-                p.p["Mg"] > SETTINGS.weight * p.rated and math.hypot(c[1], c[2]) < SETTINGS.none * p.p["Mg"]
+                p.p["Mg"] > SETTINGS.weight * p.rated
+                # Of a torque that is all too small, gravity as well, none is missing.
+                and math.hypot(c[1], c[2]) < SETTINGS.none * min(max(c[0], 0.0), 1.0) * p.p["Mg"]
                 for p, c in found
             ):
                 text = (
