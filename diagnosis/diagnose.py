@@ -42,7 +42,7 @@ from .search.acceptance import (
 )
 from .search.described import as_described
 from .search.identifiability import limits
-from .search.plain import as_rivals, held_out_square, least_squares, plain_fit
+from .search.plain import PLAINLY, as_rivals, held_out_square, least_squares, plain_fit
 from .search.settle import is_calibration, why_needed, without_cancelling, without_effect
 from .search.stages import SETTINGS as SEARCH
 from .search.stages import Progress, Search, SearchSettings, likeliest_first, search
@@ -130,8 +130,9 @@ def diagnose(
         known = tuple(h for h in judged.model if h.free)
         refitted = least_squares(fitter, known, judged.theta[: problem.size + sum(h.size for h in known)])
         fits = [judged, plain, refitted]
-        best = fits[int(np.argmin([held_out_square(problem, f) for f in fits]))]
-        if best is not judged:
+        left = [held_out_square(problem, f) for f in fits]
+        best = fits[int(np.argmin(left))]
+        if left[0] > PLAINLY * min(left):
             rivals = as_rivals(problem, plain) if best is plain else found.rivals[: len(known)]
             found, unknown = replace(found, chosen=best, rivals=rivals), None
             judged = final = _inflated(problem, with_dispersion(problem, best))

@@ -21,6 +21,7 @@ from .fit import tare
 from .fit.regions import valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, evaluate_point
+from .search.worth import left_by
 from .uncertainty import of_description, stated
 
 _LATE = "time was up before every stage was done: with more, more may be found"
@@ -129,13 +130,14 @@ def _tared(conclusion: Conclusion) -> Joint:
     return found.model_copy(update={"uncertainty": told})
 
 
-_NOTHING = 0.005
-"""Share of the discrepancy below which a cause explains 0 %."""
+_NOTHING, _LITTLE = 0.005, 0.1
+"""Share of the discrepancy below which a cause explains 0 %, and of what is left below which it is worth nothing either [RMS]."""
 
 
 def _explains_nothing(f: Finding, conclusion: Conclusion) -> bool:
-    """Whether a finding is no cause: it explains 0 %, or the measurement could not have shown it."""
-    return f.name != "unknown" and (f.explains < _NOTHING or f.name in conclusion.missing)
+    """Whether a finding is no cause: it explains 0 % and removes next to nothing, or the measurement could not have shown it."""
+    slight = f.explains < _NOTHING and f.worth < _LITTLE * left_by(conclusion.problem, conclusion.final) ** 0.5
+    return f.name != "unknown" and (slight or f.name in conclusion.missing)
 
 
 def _acts_on_the_link(f: Finding) -> bool:

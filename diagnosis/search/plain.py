@@ -33,6 +33,8 @@ CAUSES = {
 """Cause and its parameter by what a coefficient of a regression says (`regression.Coefficient.means`)."""
 BEYOND = 3.0
 """Standard deviations, of tolerance and regression together, from which on a number starts in the model."""
+PLAINLY = 1.1
+"""Times the mean square on held-out blocks from which on what the search found leaves plainly more than least squares."""
 _ITERATIONS = 12
 _TOLD = 0.1
 """Variance of an unknown over its prior's below which the data say something of it."""
@@ -52,7 +54,10 @@ def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Reg
         for c in one.coefficients:
             name, parameter = CAUSES.get(c.means, ("", ""))
             h = next((g for g in offered if g.cause.name == name), None)
-            if h is None or name in started or c.beyond <= BEYOND:
+            assumed = (
+                c.tolerance == 0.0 and c.described != 0.0
+            )  # of an effect that the description has nobody says how sure it is
+            if h is None or name in started or assumed or c.beyond <= BEYOND:
                 continue
             now = h.cause.present(record)[parameter]
             value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)

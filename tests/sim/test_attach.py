@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import copy
-import re
 import subprocess
 import sys
-import time
 
 import mujoco
 import numpy as np
@@ -302,25 +300,3 @@ def test_prefixes_of_models_in_models():
     assert sorted([*left, *right]) == list(range(6))
     assert abs(data.qpos[right[0]] / 100 - data.qpos[right[2]]) < 0.01
     assert abs(data.qpos[right[2]] - data.qpos[left[2]]) > 0.01
-
-
-@pytest.mark.slow
-def test_speed_on_a_six_axis_arm():
-    """At most 1.3 times the same arm with the same bodies, motors and linear springs in MuJoCo alone."""
-    spec = mujoco.MjSpec.from_string(arm())
-    for k in range(6):
-        fs.attach(spec, f"j{k}", "test-joint")
-    model = spec.compile()
-    text = re.sub(r"<extension>.*</extension>|<plugin [^>]*/>", "", spec.to_xml(), flags=re.DOTALL)
-    text = re.sub(r'(<fixed name="\w+_flexspline")', r'\1 stiffness="8400"', text)
-    bare = mujoco.MjModel.from_xml_string(re.sub(r'(<fixed name="\w+_wave_generator")', r'\1 stiffness="1.14"', text))
-    assert (bare.nv, bare.nplugin) == (model.nv, 0)
-    times = {}
-    for name, one in {"geared": model, "bare": bare}.items():
-        times[name] = []
-        for _ in range(5):
-            data = mujoco.MjData(one)
-            begin = time.process_time()
-            mujoco.mj_step(one, data, nstep=4000)
-            times[name].append(time.process_time() - begin)
-    assert min(times["geared"]) < 1.3 * min(times["bare"]), times
