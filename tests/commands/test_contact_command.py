@@ -44,7 +44,8 @@ def test_terminal_page_and_json_have_the_same_numbers(flexspline, tmp_path):
         assert shown in text and shown in page and shown in note
         assert f"{row['smallest_push']:.2f}" in text and f"{row['smallest_push']:.2f}" in page
     assert "csg-14-100-ec45" in text and "csg-14-100-ec45 within 0.2 times" in page
-    assert f"--rate 400 --set sensors=realistic --set joint=csg-14-100-ec45 --hours 0.2 --out {out}-0.2h" in page
+    assert f"--set sensors=realistic --set joint=csg-14-100-ec45 --hours 0.2 --out {out}-0.2h" in page
+    assert "--rate 400" in page
 
 
 @pytest.mark.parametrize(
