@@ -96,7 +96,10 @@ def diagnose(
         before, joint = found.decisions, looser
         problem = Problem(problem.segments, problem.replicates, joint)
         fitter = Fitter(problem)
-        found, _ = _that_vary(fitter, search(problem, tried, settings, progress, deadline, fitter), settings.accept)
+        # With the height open the joint may have a variable more: a fit of the narrower one has not its unknowns.
+        plain = None if problem.link_measured else plain_fit(fitter, tried, said)
+        found = search(problem, tried, settings, progress, deadline, fitter, plain)
+        found, _ = _that_vary(fitter, found, settings.accept)
         found = replace(found, decisions=(*before, *found.decisions))
     looked, late = discrepancy.UnknownEffects(), time.monotonic() >= deadline
     if not late:

@@ -54,9 +54,8 @@ def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Reg
         for c in one.coefficients:
             name, parameter = CAUSES.get(c.means, ("", ""))
             h = next((g for g in offered if g.cause.name == name), None)
-            assumed = (
-                c.tolerance == 0.0 and c.described != 0.0
-            )  # of an effect that the description has nobody says how sure it is
+            # Of an effect that the description has, nothing says how sure it is.
+            assumed = c.tolerance == 0.0 and c.described != 0.0
             if h is None or name in started or assumed or c.beyond <= BEYOND:
                 continue
             now = h.cause.present(record)[parameter]
