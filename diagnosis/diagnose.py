@@ -83,11 +83,16 @@ def diagnose(
     unknown = None
     if time.monotonic() < deadline:
         progress("looking for unknown effects", 0.85)
-        unknown = discrepancy.find(fitter, explorer.posterior(found.best), base, found.best)
+        # Where much is left the causes that were found may stand for it, and their fit is no place to look from.
+        astray = quiet_rms(problem, found.best) > ANSWER.far and found.best.model
+        for at in (base, found.best) if astray else (found.best,):
+            one = discrepancy.find(fitter, explorer.posterior(at), base, at)
+            if one is not None:
+                found, unknown = explorer.beside(found, one)
+            if unknown is not None:
+                break
     else:
         found = replace(found, complete=False)
-    if unknown is not None:
-        found, unknown = explorer.beside(found, unknown)
     progress("numbers and their uncertainty", 0.92)
     if problem.link_measured:
         problem, final = _corrected(problem, _at_its_end(fitter, found.best))

@@ -62,8 +62,8 @@ class DiscrepancySettings:
     """How unknown effects are looked for.
 
     Attributes:
-      worth: root mean square, as a share of the rated torque, that must be left unexplained beyond the noise: of what is less
-        every real joint has a little.
+      worth: root mean square, as a share of the rated torque, that one must make, and that must be left unexplained beyond the
+        noise for one to be looked for beside the causes: of what is less every real joint has a little.
       more: part of what the causes explain (mean square) that must be left for one to be looked for in their place.
       share: of the mean square that is left unexplained that one must remove to be named.
       thin: every n-th residual is looked at first.
@@ -417,7 +417,9 @@ class _Plain:
         return Candidate(spline, without, share, float(score), solution[n:], shift)
 
 
-def find(fitter: Fitter, posterior: Posterior, best: Fit, settings: DiscrepancySettings = SETTINGS) -> Unknown | None:
+def find(
+    fitter: Fitter, posterior: Posterior, base: Fit, best: Fit, settings: DiscrepancySettings = SETTINGS
+) -> Unknown | None:
     """The unknown effect that makes a joint more probable than the best model of known causes: beside these, or in the place of
     the one that is worth most, of all of its component, or of all. None where there is none, or next to nothing is left.
 
@@ -444,7 +446,12 @@ def find(fitter: Fitter, posterior: Posterior, best: Fit, settings: DiscrepancyS
         for candidate in _promising([c for c in tried if c.without == without], settings):
             f = _refined(fitter, best, candidate)
             found.append(Unknown(candidate.spline, f, posterior.judge(f).score - now.score))
-    named = [u for u in found if u.gain > 0.0 and left - left_by(problem, u.fit) > settings.share * left]
+    named = [
+        u for u in found
+        if u.gain > 0.0
+        and left - left_by(problem, u.fit) > settings.share * left
+        and made_by(problem, u.fit, u.fit, -1).sum() > (settings.worth * rated) ** 2
+    ]  # fmt: skip
     return max(named, key=lambda u: u.gain, default=None)
 
 

@@ -174,16 +174,24 @@ class Explorer:
             models = [self.posterior(best).judge(best)]
         return Explored(base, best, tuple(models), library, tuple(self.decisions), not late)
 
-    def beside(self, found: Explored, unknown: Unknown) -> tuple[Explored, Unknown]:
-        """What the search found with an unknown effect in it, without causes that are no longer needed beside it."""
-        fit = self._fit(unknown.fit.model, unknown.fit.theta)
-        fewer = self._pruned(fit)
-        if unknown.spline in fewer.model:
-            fit = fewer
-        # The unknown effect is the last one of a model, as `extension` takes it.
-        _, models = self.neighbours(fit, found.library.keeping(()))
-        models.append(self.posterior(fit).judge(found.best))
-        return replace(found, best=fit, models=tuple(models)), replace(unknown, fit=fit)
+    def beside(self, found: Explored, unknown: Unknown) -> tuple[Explored, Unknown | None]:
+        """What the search finds from an unknown effect on; what was found where that is not more probable."""
+        other = replace(self, _seen=set(), decisions=self.decisions).explore(found.base, unknown.fit)
+        problem, best = self.problem, other.best
+        last = [h for h in best.model if h is unknown.spline]
+        if not last:
+            return found, None
+        order = [i for i, h in enumerate(best.model) if h is not last[0]]
+        order.append(best.model.index(last[0]))
+        parts = problem.split(best.theta, best.model)
+        theta = np.concatenate([best.theta[: problem.size], *(parts[i] for i in order)])
+        fit = self._fit(tuple(best.model[i] for i in order), theta)  # the unknown effect last
+        post = self.posterior(fit)
+        if post.judge(fit).score <= post.judge(found.best).score:
+            return found, None
+        _, models = self.neighbours(fit, other.library)
+        models.append(post.judge(found.best))
+        return replace(other, best=fit, models=tuple(models), complete=found.complete), replace(unknown, fit=fit)
 
     def _fit(self, model: Model, theta: np.ndarray, near: Fit | None = None, beside: Fit | None = None) -> Fit:
         """A model fitted through the replay: with derivatives near by and the noise of another, or with its own."""

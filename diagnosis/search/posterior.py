@@ -121,6 +121,11 @@ class Posterior:
         evidence = f.log_evidence - self.reference.log_evidence
         ordinary, small, trace = [], [], []
         for i, h in enumerate(f.model):
+            if h.cause.name == "unknown":  # neighbouring coefficients are alike: its evidence is tempered as a whole
+                ordinary.append(-np.log(self.number) - s.unknown * (1 if h.usual else 2))
+                small.append(-np.inf)
+                trace.append(-np.inf)
+                continue
             sigma = float(h.spread[h.magnitudes[0]])
             where = magnitudes_at(self.problem, f, i)
             precision = np.linalg.inv(f.covariance[np.ix_(where, where)]) * sigma**2
@@ -132,11 +137,6 @@ class Posterior:
             if i in lost and u @ u > 0:
                 known = np.maximum(known, 2 * lost[i] / T / float(u @ u))
             many = np.log(h.alternatives)
-            if h.cause.name == "unknown":
-                ordinary.append(_slab(known, along, 1.0) - np.log(self.number) - s.unknown * (1 if h.usual else 2))
-                small.append(-np.inf)
-                trace.append(-np.inf)
-                continue
             ordinary.append(_slab(known, along, 1.0) - np.log(self.number) - many)
             for part, width in ((small, s.imperfection), (trace, s.trace)):
                 width = float(np.hypot(width, looks_like.get(i, 0.0)))
