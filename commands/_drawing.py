@@ -12,7 +12,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -62,11 +62,7 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     starting.start()
     try:
         yield [lambda run, folder: _begin(pool, views, run, folder, shares)]
-    except BaseException as error:
-        if (
-            not isinstance(error, Exception) and starting.is_alive()
-        ):  # asked to end while they load, which takes seconds
-            _stop_loading()
+    except BaseException:
         starting.join()
         pool.shutdown(cancel_futures=True)
         raise
@@ -78,19 +74,8 @@ def _start(pool: ProcessPoolExecutor, count: int) -> None:
     """Begin the processes, deaf to Ctrl-C from their first moment: a terminal sends it to all, and they may be loading still."""
     if hasattr(signal, "pthread_sigmask"):  # of this thread; what it begins inherits it
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    with suppress(EOFError, OSError):  # what `_stop_loading` leaves
-        for _ in range(count):
-            pool.submit(_ready, ())
-
-
-def _stop_loading() -> None:
-    """End the server from which the processes begin; nothing is drawn yet."""
-    from multiprocessing import forkserver
-
-    server = getattr(forkserver._forkserver, "_forkserver_pid", None)
-    if server is not None:
-        with suppress(OSError):
-            os.kill(server, signal.SIGTERM)
+    for _ in range(count):
+        pool.submit(_ready, ())
 
 
 def _begin(

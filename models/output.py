@@ -17,7 +17,7 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
@@ -100,47 +100,50 @@ def output_folder(
             staging = path / f"{_NEW}{secrets.token_hex(4)}"
             staging.mkdir()
             owner = _own(staging)
-            _being_written.append(staging)
-            _made.extend(reversed(made))
     except OSError as error:
         _unmake(made)
         raise InputError(f"{path}: cannot be written: {described(error)}") from error
     except InputError:
         _unmake(made)
         raise
+
+    def give_up() -> None:
+        shutil.rmtree(staging, ignore_errors=True)  # there is none once it is complete, and moved into place
+        _unmake(made)
+
     try:
-        try:
+        with at_end(give_up):
             yield staging
             with _locked(path):
                 _commit(path, staging, maker, whole)
-        except OSError as error:
-            if error.errno not in _ENVIRONMENT:
-                raise
-            raise InputError(f"{path}: cannot be written: {described(error)}") from error
+    except OSError as error:
+        if error.errno not in _ENVIRONMENT:
+            raise
+        raise InputError(f"{path}: cannot be written: {described(error)}") from error
     finally:
-        _being_written.remove(staging)
-        if staging.exists():
-            shutil.rmtree(staging, ignore_errors=True)
+        give_up()
         if owner is not None:
             os.close(owner)
-        _unmake(made)
 
 
-_being_written: list[Path] = []
-"""Folders that this process writes to at the moment."""
-_made: list[Path] = []
-"""Folders that it has made for output, the outer first."""
+_at_end: list[Callable[[], object]] = []
+
+
+@contextmanager
+def at_end(action: Callable[[], object]) -> Iterator[None]:
+    """Have `abandon` do something where the process is asked to end inside the block."""
+    _at_end.append(action)
+    try:
+        yield
+    finally:
+        _at_end.remove(action)
 
 
 def abandon() -> None:
     """Remove what is being written: for a process that ends without waiting for its threads. What is complete stays."""
-    for staging in list(_being_written):
-        with suppress(OSError), _locked(staging.parent):
-            if staging.exists():  # else it is being moved into place
-                shutil.rmtree(staging, ignore_errors=True)
-    for folder in reversed(_made):
-        with suppress(OSError):  # something is in it
-            folder.rmdir()
+    for action in reversed(list(_at_end)):
+        with suppress(Exception):
+            action()
 
 
 def recover(path: Path) -> None:
@@ -341,8 +344,9 @@ def write_whole(path: Path) -> Iterator[Path]:
     _forget(path)
     temporary, owner = _temporary(path)
     try:
-        yield temporary
-        os.replace(temporary, path)
+        with at_end(temporary.unlink):
+            yield temporary
+            os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
         if owner is not None:

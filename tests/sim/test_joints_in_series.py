@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from driving import JOINT, record_of, relative
+from energy import flexspline_energy, wave_generator_energy
 from looping import motion
 
 from flexspline.models import dynamics, laws
@@ -17,7 +18,6 @@ from flexspline.models.joint import EncoderSpec, Mounting
 from flexspline.sim import arm, plant, plugin
 from flexspline.sim.arm import ArmJoint
 from flexspline.sim.drive import Controller
-from flexspline.sim.energy import flexspline_energy, wave_generator_energy
 from flexspline.sim.loop import CONTROL_PERIOD, ClosedLoop, Driven, simulate, simulate_together
 from flexspline.sim.sensors import noise, sensor_records
 
