@@ -12,12 +12,13 @@ import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..models import plugins
+from ..models.output import at_end
 
 if TYPE_CHECKING:
     from ..scenarios.run import Run
@@ -60,22 +61,33 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),))
     starting = threading.Thread(target=_start, args=(pool, count))
     starting.start()
-    try:
-        yield [lambda run, folder: _begin(pool, views, run, folder, shares)]
-    except BaseException:
-        starting.join()
-        pool.shutdown(cancel_futures=True)
-        raise
-    starting.join()
-    pool.shutdown()
+    with at_end(partial(_stop, starting)):
+        try:
+            yield [lambda run, folder: _begin(pool, views, run, folder, shares)]
+        finally:
+            starting.join()
+            pool.shutdown(cancel_futures=True)
+
+
+def _stop(starting: threading.Thread) -> None:
+    """End the processes, and the server from which they begin, whose loading takes seconds."""
+    from multiprocessing import forkserver
+
+    server = getattr(forkserver._forkserver, "_forkserver_pid", None)
+    if server is not None:
+        os.kill(server, signal.SIGTERM)
+    starting.join(1.0)
+    for process in multiprocessing.active_children():
+        process.kill()
 
 
 def _start(pool: ProcessPoolExecutor, count: int) -> None:
     """Begin the processes, deaf to Ctrl-C from their first moment: a terminal sends it to all, and they may be loading still."""
     if hasattr(signal, "pthread_sigmask"):  # of this thread; what it begins inherits it
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    for _ in range(count):
-        pool.submit(_ready, ())
+    with suppress(EOFError, OSError):  # what `_stop` leaves
+        for _ in range(count):
+            pool.submit(_ready, ())
 
 
 def _begin(

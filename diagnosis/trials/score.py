@@ -27,6 +27,7 @@ from scipy.stats import binomtest
 from ...models import causes, plugins
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
+from ...models.output import at_end
 from ...models.parameters import short_way
 from ...scenarios.scenario import load_scenario
 from ..answer import Diagnosis, Finding
@@ -284,14 +285,19 @@ def run(
         with _no_interrupts():  # a terminal's Ctrl-C goes to all processes, and these may be loading still
             pending = [pool.submit(attempt, *task) for task in tasks]
         try:
-            for future in as_completed(pending):
-                yield future.result()
+            with at_end(_end_processes):
+                for future in as_completed(pending):
+                    yield future.result()
         except BaseException:
-            for process in multiprocessing.active_children():
-                process.terminate()
+            _end_processes()
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _end_processes() -> None:
+    for process in multiprocessing.active_children():
+        process.terminate()
 
 
 @contextmanager
