@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from known_effects import JOINT, MOUNTING
+from known_effects import JOINT, MOUNTING, simulate
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
 from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, go_on, sample_blocks
@@ -142,7 +142,7 @@ def test_in_the_loop_it_says_what_it_says_afterwards(name, effects):
     record = known.record
     position, velocity, push = np.full(n, 0.3), np.zeros(n), np.where(np.arange(n) > 300, 3.0, 0.0)
     controller = Controller(torque_feedback=0.4).record(record[0], dt, True)
-    run = loop.simulate(
+    run = simulate(
         plant.build(JOINT, MOUNTING, record=record), record, position, velocity, push,
         sensors.sensor_records(JOINT, float(record[0]["link_delay"]), dt),
         sensors.noise(JOINT, seed, n, dt), controller, registry.get(name).step(known, dt),
