@@ -15,9 +15,9 @@ from concurrent.futures import ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..models import plugins
+from ..models import plugins, processes
 from ..models.output import at_end
 
 if TYPE_CHECKING:
@@ -37,7 +37,6 @@ _MODULES = {
 _LARGE = 1 << 20
 """Samples from which on a run is drawn in this process: another would hold all of it once more."""
 
-_watching: list[threading.Thread] = []
 Begin = Callable[["Run", Path], Callable[[], object]]
 """Begins to draw a run into its folder; what it gives waits for the end."""
 
@@ -77,15 +76,12 @@ def _stop(starting: threading.Thread) -> None:
     if server is not None:
         os.kill(server, signal.SIGTERM)
     starting.join(1.0)
-    for process in multiprocessing.active_children():
-        process.kill()
+    processes.end()
 
 
 def _start(pool: ProcessPoolExecutor, count: int) -> None:
-    """Begin the processes, deaf to Ctrl-C from their first moment: a terminal sends it to all, and they may be loading still."""
-    if hasattr(signal, "pthread_sigmask"):  # of this thread; what it begins inherits it
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    with suppress(EOFError, OSError):  # what `_stop` leaves
+    """Begin the processes."""
+    with processes.no_interrupts(), suppress(EOFError, OSError):  # what `_stop` leaves
         for _ in range(count):
             pool.submit(_ready, ())
 
@@ -107,20 +103,9 @@ def _begin(
 
 
 def _ready(known: Sequence[Path]) -> None:
-    """Know the plugins, leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
-    plugins.load_all(known)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    processes.begin(known)
     gc.freeze()
     gc.enable()
-    parent = multiprocessing.parent_process()
-    if parent is not None and not _watching:
-        _watching.append(threading.Thread(target=_end_with, args=(parent,), daemon=True))
-        _watching[0].start()
-
-
-def _end_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
 
 
 def _draw(run: Run, folder: Path, views: Sequence[str], share: int, shares: int) -> None:
