@@ -23,10 +23,11 @@ from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import Estimator, KnownJoint
 from flexspline.models.errors import InputError
 from flexspline.models.joint import LOCKED, Mounting
+from flexspline.models.kernels import kernel
 from flexspline.scenarios.evaluation.draws import drawn_record, told, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import Scenario, Waypoint
-from flexspline.sim.drive import Controller
+from flexspline.sim.drive import Controller, control
 from flexspline.sim.loop import CONTROL_PERIOD, Simulation
 
 GAINS = (0.25, 64.0)
@@ -41,6 +42,36 @@ _OSCILLATES = 0.5  # N·m, standard deviation of the joint torque
 _TORQUE = 3.0  # N·m, step and sines
 _SECONDS = 4.0  # of the sum of sines
 _BENCH = Mounting(inertia=LOCKED, gravity_moment=0.0)
+
+
+def impedance(stiffness: float, damping: float, gain: float, p: np.void, gravity: float = 1.0) -> Controller:
+    """The controller that makes a joint of these parameters a spring and damper [N·m/rad], [N·m·s/rad] on the output side."""
+    unit = float(p["N"]) ** 2 * float(p["Kt"])
+    return Controller(kp=stiffness / unit, kd=damping / unit, torque_loop=gain, gravity=gravity)
+
+
+def wanted(
+    controller: Controller, position: np.ndarray, velocity: np.ndarray, measured: np.ndarray, p: np.void, dt: float
+) -> np.ndarray:
+    """The torque u [N·m] that a controller's impedance asks for, shape (n,).
+
+    Args:
+      position, velocity: commands [rad], [rad/s], output side, shape (n,).
+      measured: motor encoder [rad], shape (n,). p: parameters that the drive knows. dt: control period [s].
+    """
+    record = controller.model_copy(update={"torque_loop": 0.0}).record(p, dt, feedback=False)
+    record["limit"] = np.inf
+    out = np.zeros(len(position))
+    _wanted(position, velocity, measured, dt, record, float(p["N"] * p["Kt"]), out)
+    return out
+
+
+@kernel
+def _wanted(position, velocity, measured, dt, record, unit, out):
+    c, state = record[0], np.zeros(3)
+    state[0] = c.gear * position[0]
+    for k in range(len(position)):
+        out[k] = unit * control(position[k], velocity[k], measured[k], 0.0, state, dt, c)
 
 
 @dataclass(frozen=True)
@@ -110,7 +141,7 @@ def assess(
     bench, fixed = bolted(free, record, known)
 
     def controlled(gain: float, delay: float = 0.0) -> Controller:
-        controller = Controller.impedance(loop.stiffness, loop.damping, gain, known.p)
+        controller = impedance(loop.stiffness, loop.damping, gain, known.p)
         return controller.model_copy(update={"delay": chosen.controller.delay + delay})
 
     def stable(gain: float, delay: float) -> bool:
@@ -189,8 +220,13 @@ def _bandwidth(bench: Experiment, record: np.ndarray, controller: Controller, lo
     found = _run(experiment, record, controller, seed)
     if found is None:
         return math.nan
-    u = controller.wanted(
-        experiment.position, experiment.velocity, found.readings["motor_position"], experiment.known.p, CONTROL_PERIOD
+    u = wanted(
+        controller,
+        experiment.position,
+        experiment.velocity,
+        found.readings["motor_position"],
+        experiment.known.p,
+        CONTROL_PERIOD,
     )
     asked, given = (np.fft.rfft(x[n:])[bins] for x in (u, found.truth["joint_torque"]))
     gain = np.abs(given / asked)
@@ -212,6 +248,6 @@ def _error(free: Experiment, record: np.ndarray, controller: Controller, seed: i
     found = _run(free, record, controller, seed)
     if found is None:
         return math.nan
-    u = controller.wanted(free.position, free.velocity, found.readings["motor_position"], free.known.p, CONTROL_PERIOD)
+    u = wanted(controller, free.position, free.velocity, found.readings["motor_position"], free.known.p, CONTROL_PERIOD)
     kept = found.time >= free.scenario.transient
     return float(np.sqrt(np.mean((found.truth["joint_torque"] - u)[kept] ** 2)))

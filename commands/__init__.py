@@ -6,7 +6,6 @@ What a command needs is imported when it is called, not before: `--help` reads t
 
 from __future__ import annotations
 
-import _thread
 import ast
 import contextlib
 import functools
@@ -17,10 +16,8 @@ import pkgutil
 import re
 import signal
 import sys
-import threading
-import time
 import warnings
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, NoReturn, TextIO
@@ -199,10 +196,10 @@ def _usable(value: Any, key: str) -> Any:
 
 
 def main() -> None:
-    """Run the command line: exit code 2 and one line for input that cannot be used, no traceback; 141 and nothing where whoever
-    read the output had enough.
+    """Run the command line: exit code 2 and one line for input that cannot be used, no traceback; 141 and nothing where
+    the reader of the output closed it.
 
-    What is being written when it is asked to end (Ctrl-C, SIGTERM) is not left behind.
+    Ctrl-C and SIGTERM end it at once (130, 143); what is being written then is not left behind.
     """
     streams = sys.stdout, sys.stderr  # Typer puts others in their place
     try:
@@ -210,19 +207,18 @@ def main() -> None:
     except BrokenPipeError:
         _drop_unread(streams)
         sys.exit(_UNREAD)
-    except SystemExit as stop:  # Rich and Typer make 1 of a broken pipe; of what is short, the last flush tells
-        unread = _drop_unread(streams) or isinstance(stop.__context__, BrokenPipeError)
-        if unread and stop.code not in (130, 143):  # Ctrl-C and SIGTERM
+    except SystemExit as stop:  # Rich and Typer make 1 of a broken pipe; a short output fails in the last flush
+        if _drop_unread(streams) or isinstance(stop.__context__, BrokenPipeError):
             sys.exit(_UNREAD)
         raise
 
 
 _UNREAD = 141
-"""Exit code where whoever read the output had enough: as shells have it of SIGPIPE."""
+"""Exit code where the reader closed the output: that of shells for SIGPIPE."""
 
 
 def _drop_unread(streams: Iterable[TextIO]) -> bool:
-    """Flush what was printed; whether nobody reads it any more, and then it leads nowhere: Python would complain at its end."""
+    """Flush the output; return whether a reader is gone, whose stream then leads nowhere: Python would complain at its end."""
     unread = False
     for stream in streams:
         try:
@@ -238,16 +234,13 @@ def _drop_unread(streams: Iterable[TextIO]) -> bool:
 
 
 def _run() -> NoReturn:
-    _ending.clear()
-    _asked.clear()
     with contextlib.suppress(ValueError):  # not in the main thread
-        signal.signal(signal.SIGINT, _interrupt)
+        signal.signal(signal.SIGINT, _end)
         signal.signal(signal.SIGTERM, _end)
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal that cannot show µ or °
             stream.reconfigure(errors="replace")
     warnings.showwarning = _notice
-    sys.unraisablehook = _unraisable
     try:
         code = app(prog_name="flexspline", standalone_mode=False)
     except InputError as error:
@@ -268,70 +261,25 @@ def _run() -> NoReturn:
         _refuse(InputError(f"{where}{reason}"))
     except MemoryError:
         _refuse(InputError("out of memory"))
-    except KeyboardInterrupt:
-        _interrupted()
-    except SystemExit as stop:
-        if stop.code in (130, 143):  # Ctrl-C and SIGTERM
-            _leave(stop.code)
-        raise
-    except Exception:
-        if not _asked:
-            raise
-        _leave(128 + _asked[-1])  # what a request to end breaks off fails elsewhere: "no compiled object yet"
-    finally:
-        _ending.append(True)
-    if code == 130:  # Ctrl-C, as Typer passes it on
-        _interrupted()
     sys.exit(code if isinstance(code, int) else 0)
 
 
-_PATIENCE = 0.3  # s, for threads that are about to end
-_AT_LATEST = 10.0  # s from being asked to end, whatever keeps the request
-_asked: list[int] = []
-"""Signals that asked to end."""
-_ending: list[bool] = []
-"""Not empty from when the command line has ended, however it did."""
+def _end(number: int, frame: Any) -> NoReturn:
+    """End at once on Ctrl-C or SIGTERM, without waiting for threads or compiled code, and leave nothing half-written.
 
-
-class _Request:
-    """A request to end that comes again where it is lost: calls from compiled code, and what libraries do while they are
-    imported, drop what is raised in them."""
-
-    def __del__(self) -> None:
-        if not _ending:
-            _later(0.02, _ask_to_end)  # not here, where it would be lost as well
-
-
-class _Interrupt(_Request, KeyboardInterrupt):
-    """Ctrl-C."""
-
-
-class _Termination(_Request, SystemExit):
-    """SIGTERM."""
-
-
-def _interrupt(number: int, frame: Any) -> NoReturn:
-    _note_request(number)
-    raise _Interrupt
-
-
-_unraised = sys.unraisablehook
-
-
-def _unraisable(unraisable: Any) -> None:
-    """Say what could not be raised as Python does, but for a request to end, which comes again."""
-    if not issubclass(unraisable.exc_type, _Request):
-        _unraised(unraisable)
-
-
-def _ask_to_end() -> None:
-    """The same signal from within; on POSIX it ends what waits as well."""
-    if _ending:
-        return
-    if hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(threading.main_thread().ident or 0, _asked[-1])
-    else:
-        _thread.interrupt_main(signal.Signals(_asked[-1]))
+    Nothing is raised: compiled code and libraries would drop it.
+    """
+    output = sys.modules.get(f"{__name__.rpartition('.')[0]}.models.output")  # else nothing is being written
+    if output is not None:
+        output.abandon()
+    pools = sys.modules.get("multiprocessing.util")
+    if pools is not None:
+        pools._run_finalizers(0)  # else its tracker complains of semaphores
+    if number == signal.SIGINT:
+        with contextlib.suppress(OSError):
+            cursor = b"\r\x1b[2K\x1b[?25h" if os.isatty(2) else b""  # a progress bar hides it
+            os.write(2, cursor + b"flexspline: interrupted, nothing is half-written\n")
+    os._exit(128 + number)
 
 
 _otherwise = warnings.showwarning
@@ -345,71 +293,11 @@ def _notice(
     file: Any = None,
     line: str | None = None,
 ) -> None:
-    """Say a warning of ours in one line, once; any other as Python does."""
-    if not issubclass(category, InputWarning):
+    """Print a warning of ours in one line, once; any other as Python does."""
+    if issubclass(category, InputWarning):
+        _say(message, "yellow")
+    else:
         _otherwise(message, category, filename, lineno, file, line)
-        return
-    from rich.console import Console
-
-    Console(stderr=True, soft_wrap=True, emoji=False).print(
-        f"flexspline: {message}", style="yellow", markup=False, highlight=False
-    )
-
-
-def _end(number: int, frame: Any) -> NoReturn:
-    _note_request(number)
-    raise _Termination(128 + number)
-
-
-def _note_request(number: int) -> None:
-    if not _asked:
-        _later(_AT_LATEST, _end_unasked)
-    _asked.append(number)
-
-
-def _later(seconds: float, what: Callable[[], None]) -> None:
-    """Do something in a while, in a thread begun without the locks of `threading`, which what was interrupted may hold."""
-
-    def wait() -> None:
-        time.sleep(seconds)
-        what()
-
-    with contextlib.suppress(RuntimeError):  # the interpreter ends
-        _thread.start_new_thread(wait, ())
-
-
-def _end_unasked() -> None:
-    """End where the request is lost without a trace: something keeps it and goes on, or waits for what was interrupted."""
-    if _ending or not _asked:
-        return
-    _ending.append(True)
-    output = sys.modules.get(f"{__name__.rpartition('.')[0]}.models.output")  # else nothing is being written
-    if output is not None:
-        output.abandon()
-    os._exit(128 + _asked[-1])
-
-
-def _interrupted() -> NoReturn:
-    print("flexspline: interrupted, nothing is half-written", file=sys.stderr)
-    _leave(130)
-
-
-def _leave(code: Any) -> NoReturn:
-    """End without waiting long for threads: a simulation that is under way cannot be stopped, and what it gives is not wanted."""
-    _ending.append(True)
-    for stream in (sys.stdout, sys.stderr):
-        with contextlib.suppress(OSError, ValueError):
-            stream.flush()
-    until = time.monotonic() + _PATIENCE
-    for thread in threading.enumerate():
-        if thread is not threading.current_thread() and not thread.daemon:
-            thread.join(max(until - time.monotonic(), 0.0))
-            if thread.is_alive():
-                from ..models.output import abandon
-
-                abandon()
-                os._exit(code)
-    sys.exit(code)
 
 
 _UsageError: Any = typer.BadParameter.__base__
@@ -423,54 +311,42 @@ def _explain(error: Any) -> NoReturn:
         sys.exit(error.exit_code)
     from ..models.files import OWN_ERROR
 
-    where = _called()
+    first = sys.argv[1:2]
+    known = first + [word for word in sys.argv[2:3] if word in _files("joint")] if first == ["joint"] else first
+    where = " ".join(word for word in known if first[0] in _files())
     message = error.format_message().strip().removesuffix(".")
-    given = _given(getattr(error, "param", None))
     if message.startswith("Invalid value for"):
         name, _, expected = message.removeprefix("Invalid value for ").partition(": ")
         expected = (
             expected.removeprefix(OWN_ERROR).replace("Input should be", "expected", 1).split(", unable to parse")[0]
         )
         expected = re.sub(r"^(\S.*) is not one of (.*)$", r"expected one of \2, got \1", expected)
+        given = _given(getattr(error, "param", None))
         message = f"{name.strip(chr(39))}: {expected}"
         message += "" if given is None or repr(given) in message else f", got {given!r}"
     else:
         message = message[:1].lower() + message[1:]
-    help_words = " ".join(["flexspline", *where, "-h"])
-    _refuse(
-        InputError(f"{': '.join(filter(None, (' '.join(where), message)))}; `{help_words}` has options and examples")
-    )
-
-
-def _called() -> list[str]:
-    """The command that was called, with its group; empty where it is none."""
-    words, folder = [], ""
-    for word in sys.argv[1:]:
-        module = _files(folder).get(word)
-        if module is None:
-            break
-        words.append(word)
-        if folder or not (Path(__file__).parent / module).is_dir():
-            break
-        folder = module
-    return words
+    help_words = " ".join(filter(None, ("flexspline", where, "-h")))
+    _refuse(InputError(f"{': '.join(filter(None, (where, message)))}; `{help_words}` has options and examples"))
 
 
 def _given(parameter: Any) -> str | None:
-    """The value that was given for an option, as it was written."""
+    """The value of an option as it was written."""
     for name in getattr(parameter, "opts", ()):
         for word, following in zip(sys.argv, [*sys.argv[1:], None], strict=True):
-            if word == name:
-                return following
-            if word.startswith(f"{name}="):
-                return word.removeprefix(f"{name}=")
+            if word == name or word.startswith(f"{name}="):
+                return following if word == name else word.removeprefix(f"{name}=")
     return None
 
 
 def _refuse(error: Exception) -> NoReturn:
+    _say(error, "red")
+    sys.exit(2)
+
+
+def _say(message: object, style: str) -> None:
     from rich.console import Console
 
     Console(stderr=True, soft_wrap=True, emoji=False).print(
-        f"flexspline: {error}", style="red", markup=False, highlight=False
+        f"flexspline: {message}", style=style, markup=False, highlight=False
     )
-    sys.exit(2)

@@ -15,9 +15,10 @@ from concurrent.futures import ProcessPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ..models import plugins
+from ..models import plugins, processes
+from ..models.output import at_end
 
 if TYPE_CHECKING:
     from ..scenarios.run import Run
@@ -36,7 +37,6 @@ _MODULES = {
 _LARGE = 1 << 20
 """Samples from which on a run is drawn in this process: another would hold all of it once more."""
 
-_watching: list[threading.Thread] = []
 Begin = Callable[["Run", Path], Callable[[], object]]
 """Begins to draw a run into its folder; what it gives waits for the end."""
 
@@ -60,37 +60,30 @@ def drawing(views: Sequence[str], runs: int) -> Iterator[list[Begin]]:
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_ready, initargs=(plugins.files(),))
     starting = threading.Thread(target=_start, args=(pool, count))
     starting.start()
-    try:
-        yield [lambda run, folder: _begin(pool, views, run, folder, shares)]
-    except BaseException as error:
-        if (
-            not isinstance(error, Exception) and starting.is_alive()
-        ):  # asked to end while they load, which takes seconds
-            _stop_loading()
-        starting.join()
-        pool.shutdown(cancel_futures=True)
-        raise
-    starting.join()
-    pool.shutdown()
+    with at_end(partial(_stop, starting)):
+        try:
+            yield [lambda run, folder: _begin(pool, views, run, folder, shares)]
+        finally:
+            starting.join()
+            pool.shutdown(cancel_futures=True)
 
 
-def _start(pool: ProcessPoolExecutor, count: int) -> None:
-    """Begin the processes, deaf to Ctrl-C from their first moment: a terminal sends it to all, and they may be loading still."""
-    if hasattr(signal, "pthread_sigmask"):  # of this thread; what it begins inherits it
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    with suppress(EOFError, OSError):  # what `_stop_loading` leaves
-        for _ in range(count):
-            pool.submit(_ready, ())
-
-
-def _stop_loading() -> None:
-    """End the server from which the processes begin; nothing is drawn yet."""
+def _stop(starting: threading.Thread) -> None:
+    """End the processes, and the server from which they begin, whose loading takes seconds."""
     from multiprocessing import forkserver
 
     server = getattr(forkserver._forkserver, "_forkserver_pid", None)
     if server is not None:
-        with suppress(OSError):
-            os.kill(server, signal.SIGTERM)
+        os.kill(server, signal.SIGTERM)
+    starting.join(1.0)
+    processes.end()
+
+
+def _start(pool: ProcessPoolExecutor, count: int) -> None:
+    """Begin the processes."""
+    with processes.no_interrupts(), suppress(EOFError, OSError):  # what `_stop` leaves
+        for _ in range(count):
+            pool.submit(_ready, ())
 
 
 def _begin(
@@ -110,20 +103,9 @@ def _begin(
 
 
 def _ready(known: Sequence[Path]) -> None:
-    """Know the plugins, leave Ctrl-C to the process that began this one, and end when that has ended, however it did."""
-    plugins.load_all(known)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    processes.begin(known)
     gc.freeze()
     gc.enable()
-    parent = multiprocessing.parent_process()
-    if parent is not None and not _watching:
-        _watching.append(threading.Thread(target=_end_with, args=(parent,), daemon=True))
-        _watching[0].start()
-
-
-def _end_with(parent: Any) -> None:
-    parent.join()
-    os._exit(1)
 
 
 def _draw(run: Run, folder: Path, views: Sequence[str], share: int, shares: int) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from ..models.errors import InputError
+from ..models.output import at_end
 
 if TYPE_CHECKING:
     from ..scenarios.live import LiveRun
@@ -47,7 +48,7 @@ def show_live(live: LiveRun, words: list[str], environment: dict[str, str], port
     from ..views.rerun import LiveRecording
 
     first = live.advance(speed * UPDATE)  # compiles what is new, and fails where it fails, before there is a window
-    with _viewer(words, environment) as viewer:
+    with viewer_process(words, environment, subprocess.DEVNULL) as viewer:
         _wait_for(viewer, port)
         stream = rr.RecordingStream(f"flexspline live {live.scenario.name}")
         stream.connect_grpc(f"rerun+http://{ADDRESS}:{port}/proxy")
@@ -97,11 +98,14 @@ def free_port() -> int:
 
 
 @contextlib.contextmanager
-def _viewer(words: list[str], environment: dict[str, str]) -> Iterator[subprocess.Popen[bytes]]:
-    """A viewer's process, which does not outlive the block."""
-    viewer = subprocess.Popen(words, env=environment, stdout=subprocess.DEVNULL)
+def viewer_process(
+    words: list[str], environment: dict[str, str], stdout: int | None = None
+) -> Iterator[subprocess.Popen[bytes]]:
+    """A viewer's process, which does not outlive the block; arguments as of `subprocess.Popen`."""
+    viewer = subprocess.Popen(words, env=environment, stdout=stdout)
     try:
-        yield viewer
+        with at_end(viewer.terminate):
+            yield viewer
     finally:
         if viewer.poll() is None:
             viewer.terminate()

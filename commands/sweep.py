@@ -42,7 +42,7 @@ def command(
     """
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")  # one joint a thread is enough
-    from ..models.output import check_output, output_folder
+    from ..models.output import at_end, check_output, output_folder
     from ..scenarios.studies.dataset import Dataset
     from ..scenarios.studies.design import Design
     from ..scenarios.studies.statistics import aggregate, summary_rows, write_csv
@@ -63,16 +63,17 @@ def command(
     check_output(out, "sweep", writes=("summary.csv", "summary.md"))
     with progress(counting=True, remaining=True) as bar:
         task = bar.add_task(f"{asked.name}: runs", total=design.runs, completed=dataset.done())
-        try:
+
+        def stopped() -> None:
+            bar.stop()
+            done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
+            print(done, file=sys.stderr, flush=True)  # also where no bar is shown
+
+        with at_end(stopped):
             sweep(
                 design, dataset, jobs or os.cpu_count() or 1, chunk, scheduler or None,
                 lambda runs: bar.update(task, advance=runs),
             )  # fmt: skip
-        except KeyboardInterrupt:
-            bar.stop()
-            done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
-            print(done, file=sys.stderr)  # also where no bar is shown
-            raise SystemExit(130) from None
         bar.update(task, description=f"{asked.name}: summary", total=None)
         found = list(aggregate(dataset))
         with output_folder(out, "sweep") as new:

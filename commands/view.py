@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..models.errors import InputError
+from ..models.output import at_end
 from ._listing import AsJson
-from ._live import ADDRESS
+from ._live import ADDRESS, viewer_process
 from ._options import Changes, Seed, shipped, with_plugins
 
 RECORDINGS = ("run.rrd", "report.rrd")
@@ -120,9 +123,13 @@ def _tell(folders: list[Path]) -> None:
 
 def _overlaid(folders: list[Path], web: bool) -> int:
     """Show several runs on one timeline, from a recording that is there as long as the viewer; its exit code."""
-    with tempfile.TemporaryDirectory(prefix="flexspline-") as folder:
+    with (
+        tempfile.TemporaryDirectory(prefix="flexspline-") as folder,
+        at_end(partial(shutil.rmtree, folder, ignore_errors=True)),
+    ):
         path = overlay(folders, Path(folder) / "runs.rrd")
-        return subprocess.call(viewer_command(path, web), env=viewer_environment())
+        with viewer_process(viewer_command(path, web), viewer_environment()) as viewer:
+            return viewer.wait()
 
 
 def overlay(folders: list[Path], path: Path) -> Path:

@@ -4,7 +4,6 @@
 """
 
 from ..models.step import step_of
-from .arrays import FilterHistory, FilterModel, run, run_batch, run_extended
 from .compliance import Compliance, compliance, compliance_torque, measurement_variance, torsions
 from .errors import FilterDiverged
 from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise
@@ -17,8 +16,6 @@ __all__ = [
     "Compliance",
     "Estimator",
     "FilterDiverged",
-    "FilterHistory",
-    "FilterModel",
     "KnownJoint",
     "PaperFilter",
     "Posterior",
@@ -30,9 +27,6 @@ __all__ = [
     "measurement_variance",
     "names",
     "paper_filters",
-    "run",
-    "run_batch",
-    "run_extended",
     "step_of",
     "torsions",
 ]

@@ -194,10 +194,14 @@ def _advance(x, current, command, time, dt, steps, heat, noise, p, work):
 
 @kernel
 def tell(m, torque, variance, o):
-    """Write the outputs, shape (len(OUT.names),); the status."""
-    o[0], o[1], o[2], o[3], o[4], o[5] = torque, variance, m.e[0], m.e[1], m.S[0], m.S[1]
-    for i in range(SIZE):
-        o[6 + i] = m.now[i]
+    """Write the outputs, a record of `OUT`; the status."""
+    x = m.now
+    o.torque, o.variance = torque, variance
+    o.innovation_motor_position, o.innovation_link_position = m.e[0], m.e[1]
+    o.innovation_variance_motor_position, o.innovation_variance_link_position = m.S[0], m.S[1]
+    o.motor_position, o.motor_velocity, o.wave_generator_position, o.wave_generator_velocity = x[0], x[1], x[2], x[3]
+    o.bristle, o.link_position, o.link_velocity, o.flexible_position, o.flexible_velocity = x[4], x[5], x[6], x[7], x[8]
+    o.external_torque, o.mesh_torque, o.stiffness, o.motor_constant, o.hysteresis = x[9], x[10], x[11], x[12], x[13]
     return OK if math.isfinite(torque + variance) else NOT_FINITE
 
 

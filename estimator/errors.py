@@ -13,13 +13,11 @@ class FilterDiverged(ArithmeticError):
         step: index of the measurement at which it happened.
         time: its time in [s].
         reason: what went wrong.
-        index: which one of a batch, or None.
     """
 
-    def __init__(self, filter: str, step: int, time: float, reason: str, index: int | None = None):
-        self.filter, self.step, self.time, self.reason, self.index = filter, step, time, reason, index
-        which = "" if index is None else f" (number {index} of the batch)"
-        super().__init__(f"filter {filter!r}{which} diverged at step {step}, t = {time:g} s: {reason}")
+    def __init__(self, filter: str, step: int, time: float, reason: str):
+        self.filter, self.step, self.time, self.reason = filter, step, time, reason
+        super().__init__(f"filter {filter!r} diverged at step {step}, t = {time:g} s: {reason}")
 
     def __reduce__(self):
-        return type(self), (self.filter, self.step, self.time, self.reason, self.index)
+        return type(self), (self.filter, self.step, self.time, self.reason)

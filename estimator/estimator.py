@@ -342,30 +342,28 @@ class Estimator(ABC):
 class CausalEstimator(Estimator):
     """An estimator that is one compiled step, called in the loop and over signals alike.
 
-    A subclass gives `compiled`, a step of records (`models.step.step_of`). Of a bare `Step` of addresses it also gives
-    `remembers`, the type of the record in which the step keeps what it remembers; `outputs`, the names of what it writes; and
-    `settings`. A step left in plain Python works everywhere, too, slower by a thousand.
+    A subclass gives `compiled`, a step of records (`models.step.step_of`), and `settings`, where tuning parameters by their
+    names are not all. A step left in plain Python works everywhere, too, slower by a thousand.
     Outputs with these names find their place in the posterior: `torque` (the first), `variance`, `innovation…` with its
     `innovation_variance…`, `robust`, `external_torque`; the others are its columns.
     """
 
     compiled: ClassVar[Step | PythonStep]
-    remembers: ClassVar[np.dtype]
-    outputs: ClassVar[tuple[str, ...]] = ("torque",)
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
-        compiled = vars(cls).get("compiled")
-        records = getattr(compiled, "records", None)
-        if records is not None:
-            cls.remembers, cls.outputs = records[0], fields_of(records[4])
-        cls.costly = cls.costly or isinstance(compiled, PythonStep)
+        cls.costly = cls.costly or isinstance(vars(cls).get("compiled"), PythonStep)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """Names of what its step writes."""
+        return fields_of(self.compiled.records[4])
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         """The step's settings, a record of float64 fields, shape (1,): by default tuning parameters by their names, and
         `interval`, the median time between samples [s]."""
         given = {**{f.name: getattr(self, f.name) for f in fields(self)}, "interval": interval}  # type: ignore[arg-type]
-        kind = self.compiled.records[3]  # type: ignore[union-attr]
+        kind = self.compiled.records[3]
         return np.array([tuple(float(given[name]) for name in fields_of(kind))], kind)
 
     def reason(self, status: int, out: np.ndarray) -> str:
@@ -378,7 +376,7 @@ class CausalEstimator(Estimator):
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
         settings = self.settings(joint, interval).view(np.float64).reshape(-1)
         return CompiledStep(
-            self.compiled.address, self.remembers.itemsize // 8, joint.record, settings, len(self.outputs),
+            self.compiled.address, self.compiled.records[0].itemsize // 8, joint.record, settings, len(self.outputs),
             self.reads_command,
         )  # fmt: skip
 

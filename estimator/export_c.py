@@ -14,17 +14,17 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numba import carray
 from numba.core import ir, types
 from numba.core.compiler import run_frontend
 from numba.core.dispatcher import Dispatcher
 from numba.core.registry import cpu_target
 from numba.core.typed_passes import type_inference_stage
+from numba.np.numpy_support import from_dtype
 
 from ..models import elementary
 from ..models.dual import value_of
 from ..models.errors import InputError
-from ..models.step import OK, SAMPLE
+from ..models.step import OK, SAMPLE, Step
 from .estimator import CausalEstimator, KnownJoint
 
 _MATH = {"fabs": "fabs", "pow": "pow", "hypot": "hypot", "atan2": "atan2", "copysign": "copysign", "fmod": "fmod"} | {
@@ -75,11 +75,11 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
     """
     name = re.sub(r"\W", "_", estimator.name.lower())
     step = estimator.step(joint, interval)
-    function = getattr(estimator.compiled, "function", None)
-    if function is None:
+    compiled = estimator.compiled
+    if not isinstance(compiled, Step):
         raise InputError(f"estimator {estimator.name!r}: expected a compiled step, got one in Python")
     unit = _Unit(name)
-    entry = unit.function(function, (types.intp,) * 5)
+    entry = unit.function(compiled.function, tuple(map(from_dtype, compiled.records)))
     memory = max(step.memory, 1)
     record = np.frombuffer(step.record.tobytes(), dtype=np.float64)
     outputs = " ".join(f"double {output};" for output in estimator.outputs)
@@ -109,8 +109,8 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
             f"typedef struct {{ {outputs} }} {name}_output;",
             f"static inline void {name}_init({name}_state *state) {{ memset(state, 0, sizeof *state); }}",
             f"static inline int {name}_step({name}_state *state, const flexspline_sample *sample, {name}_output *out)",
-            f"{{ return (int){entry}((intptr_t)state->memory, (intptr_t)sample, (intptr_t){name}_record, "
-            f"(intptr_t){name}_settings, (intptr_t)out) - {OK}; }}",
+            f"{{ return (int){entry}(state->memory, (double *)sample, (double *){name}_record, (double *){name}_settings, "
+            f"(double *)out) - {OK}; }}",
             "#endif",
             "",
         ]
@@ -153,7 +153,7 @@ class _Unit:
             return "int64_t"
         if isinstance(kind, types.Float):
             return "double"
-        if isinstance(kind, types.Record | types.CPointer):
+        if isinstance(kind, types.Record):
             return "double *"
         if isinstance(kind, types.Array):
             return "double *" if isinstance(kind.dtype, types.Record) else "fs_array"
@@ -364,7 +364,7 @@ class _Function:
             if e.op == "static_getitem":
                 return f"{self.of(e.value)}.f{e.index % len(kind)}"
             return f"(&{self.of(e.value)}.f0)[{self.of(e.index)}]"
-        if isinstance(kind, types.CPointer) or (isinstance(kind, types.Array) and isinstance(kind.dtype, types.Record)):
+        if isinstance(kind, types.Array) and isinstance(kind.dtype, types.Record):
             return self.of(e.value)  # the one record that is there
         index = e.index_var if e.op == "static_getitem" else e.index
         return self._element(e.value, index)
@@ -415,7 +415,7 @@ class _Function:
         arguments = [self.of(x) for x in e.args]
         if isinstance(f, Dispatcher):
             return self._called(f, e)
-        if f is carray or f is value_of:  # of plain numbers, and the one record that is there
+        if f is value_of:  # of plain numbers
             return arguments[0]
         if f is elementary.sincos:
             return self._called(elementary._sincos, e)
@@ -444,8 +444,6 @@ class _Function:
         if f is np.sign:
             return f"fs_sign({arguments[0]})"
         name = getattr(f, "__name__", "")
-        if name == "pointer" and len(arguments) == 1:
-            return f"(double *)(intptr_t){arguments[0]}"
         if name in _MATH and f in (getattr(math, name, None), getattr(np, name, None)):
             return f"{_MATH[name]}({', '.join(arguments)})"
         raise self._none(f"a call of {f}")

@@ -1,4 +1,4 @@
-"""The paper's recursion, Eqs. (10)-(25): `update`, compiled, for its torque filter, and `vector_update` for any model.
+"""The paper's recursion, Eqs. (10)-(25), compiled, for its torque filter, F = H = 1.
 
 EKF, robust EKF, AREKF and RAREKF are one recursion and differ in one rule, which takes the predicted covariance P(k|k-1) to
 the adjusted one, Σ(k|k-1): Eqs. (12), (18)-(25). Eqs. (21) and (24) together give `γ⁻²LᵀL = (1 - 1/f_α)·P⁻¹`, so that robust
@@ -11,7 +11,6 @@ and RAREKF let P grow without bound and end in `FilterDiverged`.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -139,23 +138,6 @@ def compensation_factor(memory, total, noise, alpha, c):
 
 
 @kernel
-def run(y, settings, history):
-    """Run a filter over measurements, shape (T,), into `history`, shape (T,), records of `STATE`.
-
-    Returns:
-        The sample at which it failed, and the status; (T, OK) where it did not.
-    """
-    c = settings[0]
-    start(history[0], y[0], c)
-    for t in range(1, len(y)):
-        history[t] = history[t - 1]
-        status = update(history[t], y[t], c)
-        if status != OK:
-            return t, status
-    return len(y), OK
-
-
-@kernel
 def surprise(y, settings, most):
     """Minus twice the log likelihood of a filter's innovations over measurements y, shape (T,); none counts more than `most`.
 
@@ -173,94 +155,3 @@ def surprise(y, settings, most):
         S, e = history[0].innovation_variance, history[0].innovation
         total += math.log(S) + min(e * e / S, most)
     return total, len(y), OK
-
-
-def vector_update(
-    f: dict[str, Any],
-    x: np.ndarray,
-    y_predicted: np.ndarray,
-    y: np.ndarray,
-    F: np.ndarray,
-    H: np.ndarray,
-    W: np.ndarray,
-    V: np.ndarray,
-    L: np.ndarray,
-    load_index: int,
-    c: np.void,
-) -> dict[str, Any] | int:
-    """One step of the recursion for n states and m measurements, from a predicted state and measurement.
-
-    Args:
-        f: the filter, a dictionary of `x` (n,), `P` (n, n), `innovation_covariance`, `memory` (m, m).
-        x: Shape (n,), the prediction of Eq. (10), F·X̂ or f(X̂). y_predicted: Shape (m,), H·x or h(x).
-        y: Shape (m,), the measurement.
-        F, H: Shape (n, n), (m, n): the model, or the Jacobians of f at X̂ and of h at x.
-        W, V, L: Shape (n, n), (m, m), (n, n): noise covariances; L of Eq. (18).
-        load_index: which state is the torque load ω.
-        c: record of `SETTINGS`; its W, V, P0, L are not looked at.
-
-    Returns:
-        The next filter, with `unadjusted_covariance`, `innovation` (m,), `alpha`, `f_alpha`, `robust`, `nis`; or the status, an
-        integer, where there is none.
-    """
-    P = F @ f["P"] @ F.T + W  # (11)
-    unadjusted = H @ P @ H.T + V  # (14), of the unadjusted prediction
-    innovation = y - y_predicted  # (13)
-    past = f["innovation_covariance"] if c["printed_memory"] else f["memory"]
-    memory = (c["rho"] * past + np.outer(innovation, innovation)) / (c["rho"] + 1.0)  # (20)
-    if not np.isfinite(np.trace(memory)):
-        return NOT_FINITE
-    alpha = redundancy_factor(f["x"][load_index], c)
-    if c["rule"] == ROBUST:  # (18), without inverting P: Σ = P + γ⁻² P Lᵀ (I − γ⁻² L P Lᵀ)⁻¹ L P
-        LP, g = L @ P, c["inverse_gamma_squared"]
-        M = np.eye(len(P)) - g * LP @ L.T
-        # For P > 0, M is positive definite exactly when P⁻¹ − γ⁻²LᵀL is. γ = ∞ gives P to the bit.
-        if not _positive(M):
-            return GAMMA_TOO_SMALL
-        sigma = P + g * LP.T @ np.linalg.solve(M, LP)
-        f_alpha = np.trace(sigma) / np.trace(P) if np.trace(P) > 0.0 else 1.0
-    else:
-        f_alpha = compensation_factor(np.trace(memory), np.trace(unadjusted), np.trace(V), alpha, c)
-        if not f_alpha <= LARGEST_FACTOR:
-            return FACTOR_OVERFLOW
-        sigma = f_alpha * P  # (12), (19)
-    P_Y = H @ sigma @ H.T + V  # (14)
-    if not _positive(P_Y):
-        return NOT_POSITIVE
-    K = np.linalg.solve(P_Y, H @ sigma).T  # (15)
-    x = x + K @ innovation  # (16)
-    A = np.eye(len(P)) - K @ H
-    P = A @ sigma @ A.T + K @ V @ K.T  # (17) in Joseph's form, which needs no inverse of Σ and stays positive
-    if not (np.isfinite(x).all() and np.isfinite(P).all()):
-        return NOT_FINITE
-    P = 0.5 * (P + P.T)
-    if not _positive(P):
-        P = _without_negative(P)
-    return {
-        "x": x, "P": P, "innovation": innovation, "innovation_covariance": P_Y,
-        "unadjusted_covariance": unadjusted, "memory": memory, "alpha": alpha, "f_alpha": f_alpha,
-        "robust": bool(c["rule"] == ROBUST or f_alpha != 1.0), "nis": innovation @ np.linalg.solve(P_Y, innovation),
-    }  # fmt: skip
-
-
-def _without_negative(P: np.ndarray) -> np.ndarray:
-    """The nearest covariance to a symmetric P, which is none by rounding where a state is known exactly.
-
-    Left alone, what is negative there and not observed is multiplied by f_α in every step.
-    """
-    values, vectors = np.linalg.eigh(P)
-    if values[0] >= 0.0:
-        return P
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    return root @ root.T
-
-
-def _positive(S: np.ndarray) -> bool:
-    """Whether a symmetric matrix is finite and positive definite."""
-    if not np.isfinite(S).all():
-        return False
-    try:
-        np.linalg.cholesky(S)
-    except np.linalg.LinAlgError:
-        return False
-    return True

@@ -235,25 +235,5 @@ def _least(slot: Slot) -> float:
 
 def slots(joint: Joint) -> list[Slot]:
     """Every number of a joint that a record has, by the names that diagnosis reports."""
-    found = [Slot(symbol, symbol, -1, number) for symbol, number in joint.numbers.items()]
-    for i, order in enumerate(joint.kinematic_error):
-        # An order whose phase nobody knows stands there twice, a quarter of a period apart.
-        again = "′" * sum(other.order == order.order for other in joint.kinematic_error[:i])
-        found.append(Slot(f"A{order.order:g}{again}", "amplitude", i, order.amplitude))
-        found.append(Slot(f"φ{order.order:g}{again}", "phase", i, order.phase))
-    if "inertia" in joint.link_tolerances:
-        found.append(Slot("Jl", "Jl", -1, joint.link_tolerances["inertia"]))
-    if "gravity_moment" in joint.link_tolerances:
-        found.append(Slot("Mg", "Mg", -1, joint.link_tolerances["gravity_moment"]))
-    if joint.gravity_angle is not None:
-        found.append(Slot("gravity_angle", "gravity_angle", -1, joint.gravity_angle))
-    s = joint.sensors
-    for name, field, number in (
-        ("link_encoder_zero", "link_zero", s.link_encoder.zero),
-        ("current_offset", "current_offset", s.motor_current.offset),
-        ("torque_sensor_gain", "torque_gain", s.joint_torque.gain),
-        ("torque_sensor_offset", "torque_offset", s.joint_torque.offset),
-    ):
-        if number is not None:
-            found.append(Slot(name, field, -1, number))
-    return found
+    numbers = [Slot(symbol, symbol, -1, number) for symbol, number in joint.numbers.items()]
+    return [*numbers, *(Slot(*one[:4]) for one in joint.placed())]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -306,85 +306,13 @@ class _Rules:
             self.where += ", interpolated"
 
     def of(self, symbol: str) -> tuple[float, float, str]:
-        value, tolerance, rule = getattr(self, f"_{symbol}")()
+        value, tolerance, rule = _RULES[symbol](self.gear, self)
         value = float(f"{value:.3g}")
         self.known[symbol] = value
-        return value, tolerance, rule
+        return value, tolerance, rule.replace("CATALOGUE", self.where)
 
-    def _value(self, symbol: str) -> float:
+    def __getitem__(self, symbol: str) -> float:
         return self.known[symbol] if symbol in self.known else self.of(symbol)[0]
-
-    def _Jw(self) -> tuple[float, float, str]:
-        return self.gear.inertia, _FACTOR_2, f"{self.where}, its wave generator's inertia"
-
-    def _bm(self) -> tuple[float, float, str]:
-        return 0.03 * self._value("bw"), _FACTOR_2, "3 % of bw: the mesh holds nearly all viscous friction"
-
-    def _supply_voltage(self) -> tuple[float, float, str]:
-        return 48.0, 0.0, "48 V, usual for robot joints"
-
-    def _current_limit(self) -> tuple[float, float, str]:
-        peak = self.gear.peak_torque
-        current = (peak / self._value("N") + self._value("Fs")) / self._value("Kt")
-        return current, 0.0, f"what gives the gear's limit for repeated peaks, {peak:.3g} N·m"
-
-    def _K1(self) -> tuple[float, float, str]:
-        return self._stiffness(0)
-
-    def _K2(self) -> tuple[float, float, str]:
-        return self._stiffness(1)
-
-    def _K3(self) -> tuple[float, float, str]:
-        return self._stiffness(2)
-
-    def _stiffness(self, k: int) -> tuple[float, float, str]:
-        return self.gear.stiffness[k], 0.05, self.where
-
-    def _T1(self) -> tuple[float, float, str]:
-        return self.gear.knees[0], 0.0, self.where
-
-    def _T2(self) -> tuple[float, float, str]:
-        return self.gear.knees[1], 0.0, self.where
-
-    def _rated_torque(self) -> tuple[float, float, str]:
-        return self.gear.rated_torque, 0.0, f"{self.where}, at 2000 rpm"
-
-    def _df(self) -> tuple[float, float, str]:
-        return 0.48e-3 * self._value("K1"), _TYPICAL, "K1 · 0.48 ms, the test joint's proportion"
-
-    def _Kw0(self) -> tuple[float, float, str]:
-        stiff = 20 * self._value("K1") / self._value("N") ** 2
-        return stiff, _TYPICAL, "20 K1/N²: the catalogue's K1 to K3 are those of the whole gear"
-
-    def _Cw(self) -> tuple[float, float, str]:
-        return 0.03 * self._value("N") / self._value("rated_torque"), _TYPICAL, "3 % stiffer at rated torque"
-
-    def _dw(self) -> tuple[float, float, str]:
-        Jm, Jw = self._value("Jm"), self._value("Jw")
-        damping = 0.8 * math.sqrt(self._value("Kw0") * Jm * Jw / (Jm + Jw))
-        return damping, _TYPICAL, "damping ratio 0.4 of rotor against wave generator"
-
-    def _Fs(self) -> tuple[float, float, str]:
-        return self.gear.starting_torque, 0.1, f"{self.where}, starting torque of the component set, without seals"
-
-    def _Fc(self) -> tuple[float, float, str]:
-        return 0.8 * self._value("Fs"), 0.0, "0.8 Fs, the test joint's proportion"
-
-    def _vs(self) -> tuple[float, float, str]:
-        return 2.0, _TYPICAL, "the test joint's"
-
-    def _s0(self) -> tuple[float, float, str]:
-        return self._value("Fc") / 1.8e-3, _TYPICAL, "Fc / 1.8 mrad, the test joint's presliding"
-
-    def _s1(self) -> tuple[float, float, str]:
-        return 1e-3 * self._value("s0"), _TYPICAL, "s0 · 1 ms, the test joint's proportion"
-
-    def _bw(self) -> tuple[float, float, str]:
-        return self._value("Fc") / 200, _FACTOR_3, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"
-
-    def _bl(self) -> tuple[float, float, str]:
-        damping = 0.02 * (self.gear.size / 17) ** 3
-        return damping, _FACTOR_2, "output bearing, with the cube of the size from the test joint's"
 
     def kinematic_error(self) -> list[dict[str, Any]]:
         """Orders 2 and 4: a share of the catalogue's transmission accuracy, of unknown phase."""
@@ -400,6 +328,48 @@ class _Rules:
                 }
             )
         return orders
+
+
+_RULES: dict[str, Callable[[Gear, _Rules], tuple[float, float, str]]] = {
+    "Jw": lambda g, v: (g.inertia, _FACTOR_2, "CATALOGUE, its wave generator's inertia"),
+    "bm": lambda g, v: (0.03 * v["bw"], _FACTOR_2, "3 % of bw: the mesh holds nearly all viscous friction"),
+    "supply_voltage": lambda g, v: (48.0, 0.0, "48 V, usual for robot joints"),
+    "current_limit": lambda g, v: (
+        (g.peak_torque / v["N"] + v["Fs"]) / v["Kt"],
+        0.0,
+        f"what gives the gear's limit for repeated peaks, {g.peak_torque:.3g} N·m",
+    ),
+    "K1": lambda g, v: (g.stiffness[0], 0.05, "CATALOGUE"),
+    "K2": lambda g, v: (g.stiffness[1], 0.05, "CATALOGUE"),
+    "K3": lambda g, v: (g.stiffness[2], 0.05, "CATALOGUE"),
+    "T1": lambda g, v: (g.knees[0], 0.0, "CATALOGUE"),
+    "T2": lambda g, v: (g.knees[1], 0.0, "CATALOGUE"),
+    "rated_torque": lambda g, v: (g.rated_torque, 0.0, "CATALOGUE, at 2000 rpm"),
+    "df": lambda g, v: (0.48e-3 * v["K1"], _TYPICAL, "K1 · 0.48 ms, the test joint's proportion"),
+    "Kw0": lambda g, v: (
+        20 * v["K1"] / v["N"] ** 2,
+        _TYPICAL,
+        "20 K1/N²: the catalogue's K1 to K3 are those of the whole gear",
+    ),
+    "Cw": lambda g, v: (0.03 * v["N"] / v["rated_torque"], _TYPICAL, "3 % stiffer at rated torque"),
+    "dw": lambda g, v: (
+        0.8 * math.sqrt(v["Kw0"] * v["Jm"] * v["Jw"] / (v["Jm"] + v["Jw"])),
+        _TYPICAL,
+        "damping ratio 0.4 of rotor against wave generator",
+    ),
+    "Fs": lambda g, v: (g.starting_torque, 0.1, "CATALOGUE, starting torque of the component set, without seals"),
+    "Fc": lambda g, v: (0.8 * v["Fs"], 0.0, "0.8 Fs, the test joint's proportion"),
+    "vs": lambda g, v: (2.0, _TYPICAL, "the test joint's"),
+    "s0": lambda g, v: (v["Fc"] / 1.8e-3, _TYPICAL, "Fc / 1.8 mrad, the test joint's presliding"),
+    "s1": lambda g, v: (1e-3 * v["s0"], _TYPICAL, "s0 · 1 ms, the test joint's proportion"),
+    "bw": lambda g, v: (v["Fc"] / 200, _FACTOR_3, "as much as Fc at 200 rad/s: 115 to 400 on measured joints"),
+    "bl": lambda g, v: (
+        0.02 * (g.size / 17) ** 3,
+        _FACTOR_2,
+        "output bearing, with the cube of the size from the test joint's",
+    ),
+}
+"""Value, relative tolerance and rule by symbol, from the gear and the numbers that are known by then."""
 
 
 def _mountings(sheet: Datasheet, catalogued: Gear, value: Mapping[str, float]) -> dict[str, Any]:

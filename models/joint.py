@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from importlib import resources
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field, PrivateAttr, ValidationInfo, field_validator, model_validator
@@ -109,6 +109,18 @@ class Order(Strict):
 
 LOCKED = 1e6
 """Inertia [kg·m²] of a mounting from which on it is the bench's."""
+
+
+class Placed(NamedTuple):
+    """A number that has a place of its own: name that diagnosis reports; field and index in the record (−1: none); where it is in
+    the file, and its unit there."""
+
+    name: str
+    field: str
+    index: int
+    number: Number
+    where: str
+    unit: str
 
 
 class Mounting(Strict):
@@ -509,12 +521,10 @@ class Joint(Strict):
         for fault in number_faults(self.numbers, self.shared_tolerances):
             plain = False
             yield fault
-        for number, (field, unit) in self._placed():
-            if number is None:
-                continue
-            if not units.same(number.unit, unit):
-                yield f"{field}.unit: expected {unit!r}, got {number.unit!r}"
-            if (unknown := shared_fault(field, number, self.shared_tolerances)) is not None:
+        for one in self.placed():
+            if not units.same(one.number.unit, one.unit):
+                yield f"{one.where}.unit: expected {one.unit!r}, got {one.number.unit!r}"
+            if (unknown := shared_fault(one.where, one.number, self.shared_tolerances)) is not None:
                 yield unknown
         for key, number in self.link_tolerances.items():
             if number.value <= 0:
@@ -557,9 +567,7 @@ class Joint(Strict):
         """What is said to be known together and is nothing of the joint: an effect may have been taken out by hand."""
         if self.uncertainty is None:
             return
-        from .calibration import slots  # which imports this module
-
-        known = [slot.name for slot in slots(self)]
+        known = [*self.numbers, *(one.name for one in self.placed())]
         known += [f"effects.{i}.{name}" for i, effect in enumerate(self.effects) for name in effect.parameters]
         known += [
             f"discrepancies.{i}.{k}" for i, one in enumerate(self.discrepancies) for k in range(len(one.coefficients))
@@ -572,19 +580,25 @@ class Joint(Strict):
                 )
                 yield f"uncertainty.names.{i}: expected {expected}, got {name!r}{nearest(name, known)}"
 
-    def _placed(self) -> Iterator[tuple[Number | None, tuple[str, str]]]:
-        """What calibration moves beside `numbers` (`calibration.slots`), with field and unit."""
+    def placed(self) -> Iterator[Placed]:
+        """What calibration moves beside `numbers`."""
         for i, order in enumerate(self.kinematic_error):
-            yield order.amplitude, (f"kinematic_error.{i}.amplitude", "rad")
-            yield order.phase, (f"kinematic_error.{i}.phase", "rad")
-        s = self.sensors
-        yield s.link_encoder.zero, ("sensors.link_encoder.zero", "rad")
-        yield s.motor_current.offset, ("sensors.motor_current.offset", "A")
-        yield s.joint_torque.offset, ("sensors.joint_torque.offset", "N·m")
-        yield s.joint_torque.gain, ("sensors.joint_torque.gain", "1")
-        yield self.gravity_angle, ("gravity_angle", "rad")
-        for key, number in self.link_tolerances.items():
-            yield number, (f"link_tolerances.{key}", "1")
+            # An order whose phase nobody knows is there twice, a quarter of a period apart.
+            name = f"{order.order:g}" + "′" * sum(other.order == order.order for other in self.kinematic_error[:i])
+            yield Placed(f"A{name}", "amplitude", i, order.amplitude, f"kinematic_error.{i}.amplitude", "rad")
+            yield Placed(f"φ{name}", "phase", i, order.phase, f"kinematic_error.{i}.phase", "rad")
+        link, s = self.link_tolerances, self.sensors
+        for name, field, number, where, unit in (
+            ("Jl", "Jl", link.get("inertia"), "link_tolerances.inertia", "1"),
+            ("Mg", "Mg", link.get("gravity_moment"), "link_tolerances.gravity_moment", "1"),
+            ("gravity_angle", "gravity_angle", self.gravity_angle, "gravity_angle", "rad"),
+            ("link_encoder_zero", "link_zero", s.link_encoder.zero, "sensors.link_encoder.zero", "rad"),
+            ("current_offset", "current_offset", s.motor_current.offset, "sensors.motor_current.offset", "A"),
+            ("torque_sensor_gain", "torque_gain", s.joint_torque.gain, "sensors.joint_torque.gain", "1"),
+            ("torque_sensor_offset", "torque_offset", s.joint_torque.offset, "sensors.joint_torque.offset", "N·m"),
+        ):
+            if number is not None:
+                yield Placed(name, field, -1, number, where, unit)
 
     @field_validator("model")
     @classmethod

@@ -17,8 +17,8 @@ import json
 import os
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from .errors import InputError, first_line
@@ -30,7 +30,7 @@ except ImportError:  # no such locks on Windows
 
 MANIFEST = ".flexspline"
 _NEW, _DONE = f"{MANIFEST}-new-", f"{MANIFEST}-done-"
-_JOURNAL = ".journal"
+_JOURNAL, _LISTED = ".journal", ".manifest"
 _ENVIRONMENT = {
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG,
     errno.ESTALE,
@@ -86,29 +86,18 @@ def output_folder(
     Raises:
       InputError: a folder that cannot be written to, or files of somebody else's in the way; one line.
     """
-    made: list[Path] = []
-    try:
-        if path.exists() and not path.is_dir():
-            raise InputError(f"{path}: expected a folder to write to, got a file")
-        if within is not None and not path.resolve().is_relative_to(within.resolve()):
-            raise InputError(f"{path}: expected a folder inside {within}, got a link that leads elsewhere")
-        made = _make(path)
-        with _locked(path):
-            _recover(path)
-            _sweep(path)
-            _check(path, maker, inputs, writes, whole)
-            staging = path / f"{_NEW}{secrets.token_hex(4)}"
-            staging.mkdir()
-            owner = _own(staging)
-            _being_written.append(staging)
-            _made.extend(reversed(made))
-    except OSError as error:
-        _unmake(made)
-        raise InputError(f"{path}: cannot be written: {described(error)}") from error
-    except InputError:
-        _unmake(made)
-        raise
-    try:
+    with ExitStack() as stack:
+        try:
+            if path.exists() and not path.is_dir():
+                raise InputError(f"{path}: expected a folder to write to, got a file")
+            if within is not None and not path.resolve().is_relative_to(within.resolve()):
+                raise InputError(f"{path}: expected a folder inside {within}, got a link that leads elsewhere")
+            staging = stack.enter_context(_staging(path))
+            with _locked(path):
+                _recover(path)
+                _check(path, maker, inputs, writes, whole)
+        except OSError as error:
+            raise InputError(f"{path}: cannot be written: {described(error)}") from error
         try:
             yield staging
             with _locked(path):
@@ -117,30 +106,53 @@ def output_folder(
             if error.errno not in _ENVIRONMENT:
                 raise
             raise InputError(f"{path}: cannot be written: {described(error)}") from error
+
+
+@contextmanager
+def _staging(path: Path) -> Iterator[Path]:
+    """Yield a new folder inside a folder, which is made where it is not there; what of both is empty or left goes at the end."""
+    made = [p for p in (path, *path.parents) if not p.exists()]
+    staging = path / f"{_NEW}{secrets.token_hex(4)}"
+
+    def remove() -> None:
+        shutil.rmtree(staging, ignore_errors=True)  # there is none once it is complete, and moved into place
+        with suppress(OSError):  # not empty
+            for folder in made:
+                folder.rmdir()
+
+    owner = None
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+        with at_end(remove):
+            with _locked(path):  # nobody takes it for a leftover before it is held
+                _sweep(path)
+                staging.mkdir()
+                owner = _own(staging)
+            yield staging
     finally:
-        _being_written.remove(staging)
-        if staging.exists():
-            shutil.rmtree(staging, ignore_errors=True)
+        remove()
         if owner is not None:
             os.close(owner)
-        _unmake(made)
 
 
-_being_written: list[Path] = []
-"""Folders that this process writes to at the moment."""
-_made: list[Path] = []
-"""Folders that it has made for output, the outer first."""
+_at_end: list[Callable[[], object]] = []
+
+
+@contextmanager
+def at_end(action: Callable[[], object]) -> Iterator[None]:
+    """Have `abandon` do something where the process is asked to end inside the block."""
+    _at_end.append(action)
+    try:
+        yield
+    finally:
+        _at_end.remove(action)
 
 
 def abandon() -> None:
     """Remove what is being written: for a process that ends without waiting for its threads. What is complete stays."""
-    for staging in list(_being_written):
-        with suppress(OSError), _locked(staging.parent):
-            if staging.exists():  # else it is being moved into place
-                shutil.rmtree(staging, ignore_errors=True)
-    for folder in reversed(_made):
-        with suppress(OSError):  # something is in it
-            folder.rmdir()
+    for action in reversed(list(_at_end)):
+        with suppress(Exception):
+            action()
 
 
 def recover(path: Path) -> None:
@@ -184,22 +196,6 @@ def manifest(path: Path) -> dict[str, str]:
 def _is_inside(name: str) -> bool:
     parts = PurePosixPath(name)
     return bool(parts.parts) and not parts.is_absolute() and ".." not in parts.parts and name != MANIFEST
-
-
-def _make(path: Path) -> list[Path]:
-    """Make a folder and those above it; those that were made, the innermost first."""
-    missing = [p for p in (path, *path.parents) if not p.exists()]
-    path.mkdir(parents=True, exist_ok=True)
-    return missing
-
-
-def _unmake(made: Iterable[Path]) -> None:
-    """Remove the folders that were made, as far as nothing is in them."""
-    for folder in made:
-        try:
-            folder.rmdir()
-        except OSError:
-            return
 
 
 def _check(path: Path, maker: str, inputs: Iterable[str | Path], writes: Iterable[str], whole: bool) -> None:
@@ -269,11 +265,9 @@ def _move_up(path: Path, done: Path) -> None:
             shutil.rmtree(done)
         return
     # The manifest first: what is not there yet does no harm, what is there and unlisted would be taken for a person's.
-    with write_whole(path / MANIFEST) as temporary:
-        temporary.write_text(
-            json.dumps({"format": 1, "files": dict(sorted(files.items()))}, indent=1, ensure_ascii=False) + "\n",
-            encoding="utf-8",
-        )
+    listed = {"format": 1, "files": dict(sorted(files.items()))}
+    (done / _LISTED).write_text(json.dumps(listed, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+    os.replace(done / _LISTED, path / MANIFEST)
     for source in sorted(p for p in done.rglob("*") if not p.is_dir() and p != done / _JOURNAL):
         target = path / source.relative_to(done)
         if not target.parent.resolve().is_relative_to(path.resolve()):
@@ -330,52 +324,20 @@ def _locked(path: Path) -> Iterator[None]:
 
 @contextmanager
 def write_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; move it into place when the block ends well, remove it when not.
+    """Yield a temporary path; move it to `path` when the block ends well, remove it when not.
 
-    Its rights are those that the process gives to new files (umask). What killed processes left of the same file goes.
+    Its rights are those that the process gives to new files (umask). What killed processes left in the folder goes.
 
     Raises:
       OSError: it cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _forget(path)
-    temporary, owner = _temporary(path)
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-        if owner is not None:
-            os.close(owner)
-
-
-def _temporary(path: Path) -> tuple[Path, int | None]:
-    """A new empty file beside `path`, held."""
-    for last in (False,) * 9 + (True,):
-        temporary = path.parent / f".{path.name}.{secrets.token_hex(4)}{path.suffix}"
-        os.close(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
-        with suppress(FileNotFoundError):
-            owner = _own(temporary)
-            if last or (owner is not None and temporary.exists()):  # nobody took it for a leftover before it was held
-                return temporary, owner
-            if owner is not None:
-                os.close(owner)
-        temporary.unlink(missing_ok=True)
-    raise AssertionError
-
-
-def _forget(path: Path) -> None:
-    """Remove temporary files of `path` whose processes are no more."""
-    start, end = f".{path.name}.", path.suffix
-    length = len(start) + 8 + len(end)
-    with suppress(OSError):
-        for entry in list(os.scandir(path.parent)):
-            if len(entry.name) == length and entry.name.startswith(start) and entry.name.endswith(end):
-                owner = _own(Path(entry.path))
-                if owner is not None:
-                    with suppress(OSError):
-                        os.unlink(entry.path)
-                    os.close(owner)
+    if any(part.startswith(_NEW) for part in path.parts):  # of a folder that appears as a whole
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield path
+        return
+    with _staging(path.parent) as folder:
+        yield folder / path.name
+        os.replace(folder / path.name, path)
 
 
 def described(error: OSError) -> str:

@@ -26,7 +26,6 @@ from typing import Any, Literal
 from .errors import InputError, one_line
 
 Kind = Literal["estimators", "causes", "sensors"]
-_ASKED_TO_END = (130, 143)
 _KINDS: tuple[Kind, ...] = ("estimators", "causes", "sensors")
 _PACKAGE = __name__.split(".")[0]
 
@@ -181,9 +180,9 @@ def _imported(file: Path, given: str) -> _File:
         spec.loader.exec_module(module)
         if not any(_tuple(module, kind) for kind in _KINDS):
             raise InputError(f"plugin {given}: expected a tuple ESTIMATORS, CAUSES or SENSORS, found none")
-    except BaseException as error:
+    except (Exception, SystemExit) as error:
         del sys.modules[name]
-        if isinstance(error, InputError) or not _is_of_module(error):
+        if isinstance(error, InputError):
             raise
         line = next(
             (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(file)), None
@@ -216,11 +215,6 @@ def _installed(kind: Kind) -> dict[str, Offer]:
     return found
 
 
-def _is_of_module(error: BaseException) -> bool:
-    """Whether a module that is imported failed, or ended the program by itself; Ctrl-C and SIGTERM are none of its."""
-    return isinstance(error, Exception) or (isinstance(error, SystemExit) and error.code not in _ASKED_TO_END)
-
-
 def _same(one: Any) -> Any:
     return one
 
@@ -229,9 +223,7 @@ def _load(kind: Kind, point: EntryPoint) -> Any:
     where = f"{kind[:-1]} {point.name!r} of {point.dist.name if point.dist else 'an installed package'}"
     try:
         found = point.load()
-    except BaseException as error:  # whatever a foreign module does when it is imported
-        if not _is_of_module(error):
-            raise
+    except (Exception, SystemExit) as error:  # whatever a foreign module does when it is imported
         raise InputError(f"{where}: cannot be loaded from {point.value!r}: {_reason(error)}") from error
     file = getattr(sys.modules.get(point.module.split(".")[0]), "__file__", None)
     if file:

@@ -23,7 +23,6 @@ from numba.np.numpy_support import from_dtype
 from .errors import InputError
 from .kernels import c_function
 from .parameters import PARAMETERS
-from .pointers import pointer_to
 from .signals import READINGS
 
 SAMPLE = np.dtype(
@@ -40,20 +39,17 @@ the sample before [s] (0 at the first), the current command in force until now [
 the link [N·m], and every reading; NaN where no command is
 known or the estimator does not ask for it, or where there is no such sensor."""
 
-sample_at = pointer_to(SAMPLE)
-"""Pointer to a `SAMPLE` at an integer address, for compiled steps."""
 OK, NOT_FINITE = 0, 1
 """Status of a step: of one that went well, and of one whose estimate is no finite number; others are a step's own."""
-SIGNATURE = types.int64(*[types.intp] * 5)
 _PYTHON = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
 _compiling = threading.RLock()
 
 
 class Step:
-    """A step function, compiled when it is first needed; `@Step` above a function of five addresses, `step_of` of records."""
+    """A step function of five records, `records` of types, compiled when it is first needed (`step_of`)."""
 
-    def __init__(self, function: Callable[..., int], signature: Any = SIGNATURE):
-        self.function, self._signature = function, signature
+    def __init__(self, function: Callable[..., int], records: tuple[np.dtype, ...]):
+        self.function, self.records = function, records
         self._compiled: Any = None
 
     @property
@@ -66,7 +62,7 @@ class Step:
         with _compiling:
             if self._compiled is None:
                 try:
-                    self._compiled = c_function(self._signature, self.function)
+                    self._compiled = c_function(types.int64(*map(from_dtype, self.records)), self.function)
                 except Exception as error:  # of a field that is not there Numba makes a KeyError
                     code = self.function.__code__
                     raise InputError(
@@ -77,17 +73,19 @@ class Step:
 
 
 class PythonStep:
-    """A step that is an ordinary Python function of five addresses: slower by a thousand, and as good.
+    """A step that is an ordinary Python function of five records: slower by a thousand, and as good.
 
-    `numpy_at` gives the arrays behind the addresses. An exception ends the loop with status −1 and is kept in `error`.
+    An exception ends the loop with status −1 and is kept in `error`.
     """
 
-    def __init__(self, function: Callable[[int, int, int, int, int], int]):
+    def __init__(self, function: Callable[..., int], records: tuple[np.dtype, ...]):
+        self.function, self.records = function, records
         self.error: BaseException | None = None
 
         def guarded(*addresses: int) -> int:
             try:
-                return int(function(*addresses))
+                at = zip(addresses, records, strict=True)
+                return int(function(*(numpy_at(address, of, 1).view(np.recarray)[0] for address, of in at)))
             except BaseException as error:  # nothing may pass through compiled code
                 self.error = error
                 return -1
@@ -102,31 +100,27 @@ class PythonStep:
 
 def step_of(
     memory: np.dtype,
-    settings: Sequence[str] = ("interval",),
-    outputs: Sequence[str] = ("torque",),
+    settings: Sequence[str] | np.dtype = ("interval",),
+    outputs: Sequence[str] | np.dtype = ("torque",),
     plain: bool = False,
 ) -> Callable[[Callable[..., int]], Any]:
     """Make a step of a function of five records: memory, sample, parameters, settings, outputs, with fields by name.
 
     Args:
-      memory: what it remembers, float64 fields and arrays of them. settings, outputs: names of float64 fields.
+      memory: what it remembers, float64 fields and arrays of them.
+      settings, outputs: names of float64 fields, or records of such.
       plain: leave it in Python: it may do anything then, and is slower by a thousand. Compiled otherwise.
 
     Returns:
       A decorator, which gives a `Step` or a `PythonStep` with the records' types as `records`.
     """
-    own = [np.dtype([(name, np.float64) for name in names]) for names in (settings, outputs)]
+    own = [
+        of if isinstance(of, np.dtype) else np.dtype([(name, np.float64) for name in of]) for of in (settings, outputs)
+    ]
     records = (memory, SAMPLE, PARAMETERS, *own)
 
     def decorated(function: Callable[..., int]) -> Step | PythonStep:
-        def of_addresses(*addresses: int) -> int:
-            return function(
-                *(numpy_at(at, of, 1).view(np.recarray)[0] for at, of in zip(addresses, records, strict=True))
-            )
-
-        step: Any = PythonStep(of_addresses) if plain else Step(function, types.int64(*map(from_dtype, records)))
-        step.records = records
-        return step
+        return PythonStep(function, records) if plain else Step(function, records)
 
     return decorated
 

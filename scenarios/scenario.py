@@ -245,9 +245,7 @@ class Scenario(Strict):
         time = self.time if time is None else time
         position = np.full_like(time, self.trajectory[0].position)
         velocity = np.zeros_like(time)
-        ways = [(a, b) for a, b in itertools.pairwise(self.trajectory) if a.time <= time[-1]]
-        over = sum(a.time <= time[0] for a, _ in ways) - 1  # those before the last that has begun count for nothing
-        for a, b in ways[max(over, 0) :]:
+        for a, b in itertools.pairwise(self.trajectory):
             T, A = b.time - a.time, b.position - a.position
             u = np.clip((time - a.time) / T, 0, 1)
             inside = (time >= a.time) & (time < b.time)

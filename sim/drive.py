@@ -36,7 +36,7 @@ class Controller(Strict):
         u = N·Kt·(kp·e + kd·e') + gravity·Mg·sin(θm/N)        i = (u + kT·(u − T̂))/(N·Kt)
 
     so that the joint takes the torque u, with the rotor's inertia and the friction 1/(1 + kT) of what they are. N²·Kt·kp is its
-    stiffness [N·m/rad], N²·Kt·kd its damping [N·m·s/rad] (`impedance`).
+    stiffness [N·m/rad], N²·Kt·kd its damping [N·m·s/rad].
     """
 
     kp: Annotated[float, Field(ge=0, description="A/rad, motor side")] = 8.0
@@ -52,27 +52,6 @@ class Controller(Strict):
     gravity: Annotated[
         float, Field(ge=0, le=1, description="share of the link's weight that the drive makes up for")
     ] = 0.0
-
-    @classmethod
-    def impedance(cls, stiffness: float, damping: float, gain: float, p: np.void, gravity: float = 1.0) -> Controller:
-        """The controller that makes a joint of these parameters a spring and damper [N·m/rad], [N·m·s/rad] on the output side."""
-        unit = float(p["N"]) ** 2 * float(p["Kt"])
-        return cls(kp=stiffness / unit, kd=damping / unit, torque_loop=gain, gravity=gravity)
-
-    def wanted(
-        self, position: np.ndarray, velocity: np.ndarray, measured: np.ndarray, p: np.void, dt: float
-    ) -> np.ndarray:
-        """The torque u [N·m] that the impedance asks for, shape (n,).
-
-        Args:
-          position, velocity: commands [rad], [rad/s], output side, shape (n,).
-          measured: motor encoder [rad], shape (n,). p: parameters that the drive knows. dt: control period [s].
-        """
-        record = self.model_copy(update={"torque_loop": 0.0}).record(p, dt, feedback=False)
-        record["limit"] = np.inf
-        out = np.zeros(len(position))
-        _wanted(position, velocity, measured, dt, record, float(p["N"] * p["Kt"]), out)
-        return out
 
     def lagging(self, delay: float) -> Controller:
         """The same for a drive that lags by `delay` [s]: gains lowered so that its phase margin stays.
@@ -126,11 +105,3 @@ def control(position, velocity, measured, torque, state, dt, c):
         state[2] = integral
         return wanted
     return c.limit if wanted > 0.0 else -c.limit
-
-
-@kernel
-def _wanted(position, velocity, measured, dt, record, unit, out):
-    c, state = record[0], np.zeros(3)
-    state[0] = c.gear * position[0]
-    for k in range(len(position)):
-        out[k] = unit * control(position[k], velocity[k], measured[k], 0.0, state, dt, c)

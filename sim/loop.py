@@ -10,7 +10,6 @@ it would have said in the loop.
 from __future__ import annotations
 
 import copy
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
@@ -127,67 +126,24 @@ class Driven:
     prefix: str = ""
 
 
-def simulate(
-    model: mujoco.MjModel,
-    record: np.ndarray,
-    position: np.ndarray,
-    velocity: np.ndarray,
-    external_torque: np.ndarray,
-    sensors: np.ndarray,
-    noise: np.ndarray,
-    controller: np.ndarray,
-    feedback: CompiledStep | str | None = None,
-    temperature: np.ndarray | None = None,
-    tip_force: np.ndarray | None = None,
-    crosstalk: np.ndarray | None = None,
-    stamps: np.ndarray | None = None,
-    commanded: bool = True,
-) -> Simulation:
-    """Run the closed loop of one joint from rest at the first commanded position.
-
-    Args:
-      model: of `plant.build`; left as it is.
-      record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk,
-        stamps, commanded: as in `Driven`.
-    """
-    driven = Driven(
-        record, position, velocity, external_torque, sensors, noise, controller, feedback, temperature, tip_force, crosstalk,
-        stamps, commanded,
-    )  # fmt: skip
-    return simulate_together(model, (driven,))[0]
-
-
-def simulate_together(model: mujoco.MjModel, joints: Sequence[Driven]) -> tuple[Simulation, ...]:
-    """Run the closed loops of a model's joints, each its own, from rest at the first commanded positions.
-
-    Args:
-      model: of `plant.build` or `arm.build`; left as it is.
-      joints: in the model's order, with as many ticks each.
-
-    Returns:
-      What each of them gives.
-    """
-    loop = ClosedLoop(model, joints)
-    loop.advance(len(joints[0].position))
-    return loop.simulations
-
-
 class ClosedLoop:
     """Closed loops of a model's joints under way: as many ticks at a time as one likes, to the bit the same in any pieces.
 
-    What drives them may come in pieces as well (`go_on_with`): then what is held is as long as a piece.
-
     Attributes:
-      simulations: of each joint, of the last piece; their arrays fill up as the loop goes on. `simulation`: of the first.
-      done: ticks of that piece that have been simulated.
+      simulations: of each joint; their arrays fill up as the loop goes on. `simulation`: of the first.
+      done: ticks that have been simulated.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Sequence[Driven]):
-        """Stand at rest at the first commanded positions; arguments as of `simulate_together`."""
+        """Stand at rest at the first commanded positions.
+
+        Args:
+          model: of `plant.build` or `arm.build`; left as it is.
+          joints: in the model's order, with as many ticks each.
+        """
         substeps, timestep = round(CONTROL_PERIOD / model.opt.timestep), float(model.opt.timestep)
-        self._step = substeps * timestep
         model = copy.copy(model)
-        given = _Given.of(joints, 0, self._step)
+        given = _Given.of(joints, substeps * timestep)
         data = mujoco.MjData(model)
         for one, temperature in zip(joints, given.temperature, strict=True):
             plant.memory(model, data, one.prefix)[TEMPERATURE] = temperature[0]
@@ -218,52 +174,23 @@ class ClosedLoop:
             np.concatenate([one.record for one in joints]), sensors, controller, estimators, told,
             np.zeros(sensors.shape), drive, given.stamps[:, 0].copy(), crosstalk,
         )  # fmt: skip
-        # How many ticks back a tick reaches: to what the slowest and latest sensor saw, and to the command in force.
-        back = float(np.max(sensors["delay"] + sensors["period"])) + float(np.max(controller["delay"]))
-        self._reach = math.ceil(back / self._step) + 4
-        self._took = _Took.blank(sensors.shape, given.stamps.shape[1])
-        self._given, self._origin, self._before = given, 0, 0
-        self._take(joints, given.stamps.shape[1])
-
-    def go_on_with(self, joints: Sequence[Driven]) -> None:
-        """Take what drives the joints next, once all ticks of the last piece have been simulated.
-
-        Args:
-          joints: as the first; records, sensors, controllers, feedback and crosstalk stay those.
-        """
-        kept = min(self._reach, self._before + self.done)
-        self._origin += self._before + self.done - kept
-        given = _Given.of(joints, self._origin + kept, self._step)
-        self._given = _Given(
-            *(np.concatenate([a[:, -kept:], b], axis=1) for a, b in zip(self._given, given, strict=True))
+        self.done, n = 0, given.stamps.shape[1]
+        many = (len(joints), n)
+        self._given, self._took = (
+            given,
+            _Took(np.zeros(many, TRUTH), np.zeros(many, READINGS), np.zeros(many), np.zeros((*sensors.shape, n))),
         )
-        self._took, self._before = self._took.extended(kept, given.stamps.shape[1]), kept
-        self._take(joints, given.stamps.shape[1])
-
-    def _take(self, joints: Sequence[Driven], n: int) -> None:
-        """Begin a piece of so many ticks, whose arrays are there."""
-        self.done = 0
-        self._failed = np.array([[self._before + n, 0]] * len(joints), dtype=np.int64)
-        tick = self._origin + self._before
-        time = np.arange(tick, tick + n) * self._step
-        part, took = slice(self._before, None), self._took
+        self._failed = np.array([[n, 0]] * len(joints), dtype=np.int64)
+        time, took = np.arange(n) * (substeps * timestep), self._took
         self._simulations = tuple(
-            Simulation(
-                time,
-                took.truth[i, part],
-                took.readings[i, part],
-                took.command[i, part],
-                (n, 0),
-                one.stamps,
-                one.commanded,
-            )
+            Simulation(time, took.truth[i], took.readings[i], took.command[i], (n, 0), one.stamps, one.commanded)
             for i, one in enumerate(joints)
         )
 
     @property
     def simulations(self) -> tuple[Simulation, ...]:
         return tuple(
-            replace(one, failed=(int(tick) - self._before, int(status)))
+            replace(one, failed=(int(tick), int(status)))
             for one, (tick, status) in zip(self._simulations, self._failed, strict=True)
         )
 
@@ -272,14 +199,13 @@ class ClosedLoop:
         return self.simulations[0]
 
     def advance(self, ticks: int) -> slice:
-        """Simulate so many more ticks, or those that are left of the piece; nothing more once an estimator in the loop has
-        failed.
+        """Simulate so many more ticks, or those that are left; nothing more once an estimator in the loop has failed.
 
         Returns:
-          The ticks that are new, counted from the piece's first.
+          The ticks that are new.
         """
-        begin, n, before = self.done, len(self._simulations[0].time), self._before
-        if self._failed[:, 0].min() < before + n:
+        begin, n = self.done, len(self._simulations[0].time)
+        if self._failed[:, 0].min() < n:
             return slice(begin, begin)
         end = min(begin + ticks, n)
         given, took = self._given, self._took
@@ -287,10 +213,9 @@ class ClosedLoop:
             _loop(
                 *self._constant, given.position, given.velocity, given.external, given.temperature, given.noise,
                 _as_floats(given.noise), given.tip_force, given.stamps, took.truth, took.readings,
-                _as_floats(took.readings), took.command, took.seen, self._failed, self._origin, before + begin,
-                before + end,
+                _as_floats(took.readings), took.command, took.seen, self._failed, begin, end,
             )  # fmt: skip
-        self.done = min(end, int(self._failed[:, 0].min()) - before)
+        self.done = min(end, int(self._failed[:, 0].min()))
         return slice(begin, self.done)
 
 
@@ -306,10 +231,10 @@ class _Given(NamedTuple):
     stamps: np.ndarray
 
     @classmethod
-    def of(cls, joints: Sequence[Driven], tick: int, step: float) -> _Given:
-        """From a tick on; `step`: between ticks [s]."""
+    def of(cls, joints: Sequence[Driven], step: float) -> _Given:
+        """`step`: between ticks [s]."""
         n = len(joints[0].position)
-        many, time = (len(joints), n), np.arange(tick, tick + n) * step
+        many, time = (len(joints), n), np.arange(n) * step
         temperature, tip_force, external = np.full(many, REFERENCE_TEMPERATURE), np.zeros(many), np.zeros(many)
         stamps = np.tile(time, (len(joints), 1))
         for i, one in enumerate(joints):
@@ -331,19 +256,6 @@ class _Took(NamedTuple):
     readings: np.ndarray
     command: np.ndarray
     seen: np.ndarray
-
-    @classmethod
-    def blank(cls, shape: tuple[int, int], n: int) -> _Took:
-        """Nothing yet; `shape`: (joints, channels)."""
-        many = (shape[0], n)
-        return cls(np.zeros(many, TRUTH), np.zeros(many, READINGS), np.zeros(many), np.zeros((*shape, n)))
-
-    def extended(self, kept: int, n: int) -> _Took:
-        """Its last ticks, followed by nothing yet."""
-        new = self.blank(self.seen.shape[:2], kept + n)
-        for mine, its in zip(self, new, strict=True):
-            its[..., :kept] = mine[..., -kept:]
-        return new
 
 
 def _addresses(model: mujoco.MjModel, prefix: str) -> np.ndarray:
@@ -367,36 +279,34 @@ def _as_floats(records: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def _read(s, k, origin, dt, value, theta, raw, seen, noise_of, sensors):
+def _read(s, k, dt, value, theta, raw, seen, noise_of, sensors):
     """What sensor s gives at tick k of an ideal value; keeps what it needs for the next tick in `raw` and `seen`."""
     distorted = distort(value, theta[ROTOR], theta[LINK], sensors[s])
     seen[s, k] = low_pass(distorted, raw[s], seen[s, k - 1], sensors[s]) if k > 0 else distorted
     raw[s] = distorted
-    return sample(seen[s], k, dt, noise_of[:, s], sensors[s], origin)
+    return sample(seen[s], k, dt, noise_of[:, s], sensors[s])
 
 
 @kernel
-def _in_force(command, j, step, delay, substeps, origin):
-    """The current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the drive, in steps;
-    `origin`: tick of the first command."""
+def _in_force(command, j, step, delay, substeps):
+    """The current command [A] of joint j in force in a plant step, counted from the start; `delay`: of the drive, in steps."""
     k = (step - delay) // substeps
-    return command[j, k - origin] if k >= 0 else 0.0
+    return command[j, k] if k >= 0 else 0.0
 
 
 @kernel
-def _input(command, j, step, delay, substeps, origin, Kt):
+def _input(command, j, step, delay, substeps, Kt):
     """Motor torque [N·m, motor side] that joint j is asked for in a plant step: of the mean command in it and the one before."""
-    in_force = _in_force(command, j, step, delay, substeps, origin)
-    return Kt * 0.5 * (in_force + _in_force(command, j, step - 1, delay, substeps, origin))
+    in_force = _in_force(command, j, step, delay, substeps)
+    return Kt * 0.5 * (in_force + _in_force(command, j, step - 1, delay, substeps))
 
 
 @kernel
 def _loop(
     step, model, data, addresses, substeps, h, record, sensors, controller, estimators, commanded, raw, drive,
     began, crosstalk, position, velocity, external, temperature, noise, noise_of, tip_force, stamps, truth, readings,
-    reading_of, command, seen, failed, origin, begin, end,
+    reading_of, command, seen, failed, begin, end,
 ):  # fmt: skip
-    # A tick k of the arrays is the tick origin + k of the run.
     at = addresses[0]
     act = floats_at(word_at(data + 8 * at.act))
     ctrl = floats_at(word_at(data + 8 * at.ctrl))
@@ -422,8 +332,8 @@ def _loop(
     wrench = np.zeros(6)
 
     for k in range(begin, end):
-        time = (origin + k) * dt
-        first = (origin + k) * substeps
+        time = k * dt
+        first = k * substeps
         for j in range(joints):
             p, at = record[j], addresses[j]
             # Parts of arrays are taken once: each time costs more than the arithmetic.
@@ -441,7 +351,7 @@ def _loop(
             if at.current >= 0:
                 current[j] = act[at.current]
             else:
-                current[j] = _in_force(command, j, first - 1, delay[j], substeps, origin)
+                current[j] = _in_force(command, j, first - 1, delay[j], substeps)
 
             # The sensors that read the state itself, at this instant.
             bristle, dahl = memory[at.memory + BRISTLE], memory[at.memory + DAHL]
@@ -449,9 +359,7 @@ def _loop(
             dynamics.readings(state, dynamics.balance(state, p), p, ideal[0])
             for s in range(channels):
                 if sensor[s].at_step == 0.0:
-                    reading_of[j, k, s] = _read(
-                        s, k, origin, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor
-                    )
+                    reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
 
             # The estimator and the drive.
             estimate = 0.0
@@ -485,7 +393,7 @@ def _loop(
             )  # fmt: skip
 
             # The plant. The step that begins here spans the instant: half of it under the old input (plant.start).
-            ctrl[motor[j]] = _input(command, j, first, delay[j], substeps, origin, Kt[j])
+            ctrl[motor[j]] = _input(command, j, first, delay[j], substeps, Kt[j])
             applied[6 * at.link_body + 4] = -0.5 * (external[j, k] + (external[j, k - 1] if k > 0 else 0.0))
         call_step(step, model, data)
         for j in range(joints):
@@ -526,9 +434,7 @@ def _loop(
                     ideal_of[_WRENCH_AT + axis] += crosstalk[j, axis, other] * wrench[other]
             for s in range(channels):
                 if sensor[s].at_step != 0.0:
-                    reading_of[j, k, s] = _read(
-                        s, k, origin, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor
-                    )
+                    reading_of[j, k, s] = _read(s, k, dt, ideal_of[s], angle, raw_of, seen_of, its_noise, sensor)
             applied[6 * at.link_body + 4] = -external[j, k]
 
         # The other steps of the tick, whose sensors nobody reads: they are a tenth of a step.
@@ -536,6 +442,6 @@ def _loop(
         disabled[0] = flags | _NO_SENSORS
         for s in range(1, substeps):
             for j in range(joints):
-                ctrl[motor[j]] = _input(command, j, first + s, delay[j], substeps, origin, Kt[j])
+                ctrl[motor[j]] = _input(command, j, first + s, delay[j], substeps, Kt[j])
             call_step(step, model, data)
         disabled[0] = flags

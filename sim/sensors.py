@@ -67,47 +67,18 @@ def _pass(x: float) -> tuple[float, float]:
 
 def noise(joint: Joint, seed: int, samples: int, dt: float) -> np.ndarray:
     """Noise of every channel in its unit, shape (samples,), records of `signals.READINGS`; `dt`: control period [s]."""
-    return NoiseCourse(joint, seed, dt).next(samples)
-
-
-class NoiseCourse:
-    """Noise of every channel from the start on, as many samples at a time as one likes, to the bit the same in any pieces.
-
-    But for flicker noise, whose spectrum is that of a piece: who has it asks once.
-    """
-
-    def __init__(self, joint: Joint, seed: int, dt: float):
-        """Begin; `dt`: control period [s]."""
-        self._dt, self._done = dt, 0
-        self._flicker = {}
-        self._white, self._vibration = {}, {}
-        for name in SENSED:
-            spec = joint.sensors.of(CHANNELS[name])
-            if (white := _rms(spec, name)) > 0.0:
-                self._white[name] = white, stream(seed, name)
-            if isinstance(spec, AnalogSpec) and spec.flicker > 0.0:
-                self._flicker[name] = spec.flicker, stream(seed, f"{name} flicker")
-            if isinstance(spec, AnalogSpec) and spec.vibration is not None:
-                phase = stream(seed, f"{name} vibration").uniform(0.0, 2 * np.pi)
-                self._vibration[name] = spec.vibration, phase
-
-    def next(self, samples: int) -> np.ndarray:
-        """The next samples in their units, shape (samples,), records of `signals.READINGS`."""
-        found = np.zeros(samples, READINGS)
-        for name in SENSED:
-            if name in self._white:
-                white, rng = self._white[name]
-                found[name] = white * rng.standard_normal(samples)
-            if name in self._flicker:
-                size, rng = self._flicker[name]
-                found[name] += size * flicker(samples, rng)
-            if name in self._vibration:
-                of, phase = self._vibration[name]
-                ticks = np.arange(self._done, self._done + samples)
-                angle = 2 * np.pi * of.frequency * self._dt * ticks + phase
-                found[name] += math.sqrt(2.0) * of.amplitude * np.sin(angle)
-        self._done += samples
-        return found
+    found = np.zeros(samples, READINGS)
+    for name in SENSED:
+        spec = joint.sensors.of(CHANNELS[name])
+        if (white := _rms(spec, name)) > 0.0:
+            found[name] = white * stream(seed, name).standard_normal(samples)
+        if isinstance(spec, AnalogSpec) and spec.flicker > 0.0:
+            found[name] += spec.flicker * flicker(samples, stream(seed, f"{name} flicker"))
+        if isinstance(spec, AnalogSpec) and spec.vibration is not None:
+            phase = stream(seed, f"{name} vibration").uniform(0.0, 2 * np.pi)
+            angle = 2 * np.pi * spec.vibration.frequency * dt * np.arange(samples) + phase
+            found[name] += math.sqrt(2.0) * spec.vibration.amplitude * np.sin(angle)
+    return found
 
 
 def _rms(spec: EncoderSpec | AnalogSpec | WrenchSpec, channel: str) -> float:
@@ -143,10 +114,9 @@ def time_stamps(time: np.ndarray, jitter: float, seed: int) -> np.ndarray:
     return time if jitter == 0.0 else jittered(time, jitter, stream(seed, "jitter"))
 
 
-def jittered(time: np.ndarray, jitter: float, rng: np.random.Generator, step: float | None = None) -> np.ndarray:
-    """Evenly spaced times [s], shape (n,), each off by `jitter` [s rms], but by less than half a step; `step`: the median one of
-    the whole [s] where these are a part."""
-    step = float(np.median(np.diff(time))) if step is None else step
+def jittered(time: np.ndarray, jitter: float, rng: np.random.Generator) -> np.ndarray:
+    """Evenly spaced times [s], shape (n,), each off by `jitter` [s rms], but by less than half a step."""
+    step = float(np.median(np.diff(time)))
     return time + np.clip(jitter * rng.standard_normal(len(time)), -0.45 * step, 0.45 * step)
 
 
@@ -214,26 +184,24 @@ def low_pass(value, value_before, passed_before, sensor):
 
 
 @kernel
-def sample(history, k, dt, noise, sensor, origin=0):
-    """What a sensor gives at a control tick, `k` after the first of `history`.
+def sample(history, k, dt, noise, sensor):
+    """What a sensor gives at control tick `k`.
 
     Args:
       history: true values at the ticks up to k.
       dt: control period [s]; noise: of each tick, in the sensor's unit; sensor: `SENSOR` record.
-      origin: the first tick of history and noise, counted from the start; those that delay and sample period reach back to are
-        there.
 
     Returns:
       The value at the sensor's last sample instant less its delay (before the start: the first value), with noise,
       quantised. Slower sensors hold their value.
     """
-    t = sample_tick(origin + k, dt, sensor)
+    t = sample_tick(k, dt, sensor)
     back = t - sensor.delay / dt
     if sensor.delay == 0.0:
-        value = history[t - origin]
+        value = history[t]
     elif back <= 0.0:
         value = history[0]
     else:
         i = int(back)
-        value = history[i - origin] + (back - i) * (history[min(i + 1, t) - origin] - history[i - origin])
-    return quantise(value + noise[t - origin], sensor.step)
+        value = history[i] + (back - i) * (history[min(i + 1, t)] - history[i])
+    return quantise(value + noise[t], sensor.step)

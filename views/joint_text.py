@@ -10,7 +10,6 @@ import numpy as np
 from rich.console import Group, RenderableType
 from rich.text import Text
 
-from .braille import plotted
 from .tables import heading, narrow_table
 
 if TYPE_CHECKING:
@@ -20,7 +19,6 @@ if TYPE_CHECKING:
 WIDTH = 80
 """Columns within which everything stays."""
 _SHARES = (0.1, 0.5, 1.0, 2.0)  # of the rated torque
-_HEIGHT = 9
 
 
 def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str]]) -> RenderableType:
@@ -34,26 +32,10 @@ def joint_text(joint: Joint, c: Characteristics, seen: Mapping[str, Sequence[str
     first = Text.assemble((joint.name, "bold"), f": ratio {number['N']:g}, rated {number['rated_torque']:g} N·m; ")
     first.append(f"the motor gives {c.largest_torque:.3g} N·m and {c.no_load_speed:.3g} rad/s")
     return Group(
-        first, Text("\n".join(textwrap.wrap(" ".join(joint.description.split()), WIDTH)), style="dim"), "", _plots(c),
+        first, Text("\n".join(textwrap.wrap(" ".join(joint.description.split()), WIDTH)), style="dim"), "",
         _stiffness(c, number["rated_torque"]), Text(_hysteresis(c)), "", _resonances(c, number["rated_torque"]),
         Text("\n".join(_encoders(c))), "", Text("What a diagnosis could see", style="bold"), *(_causes(seen)),
     )  # fmt: skip
-
-
-def _plots(c: Characteristics) -> Text:
-    half = WIDTH // 2 - 1
-    ends = tuple(f"{1e3 * x:.2g}" for x in (c.loop_torsion.min(), c.loop_torsion.max()))
-    loop = plotted(
-        "torque over torsion [mrad]", c.loop_torsion, [c.loop_torque], half, _HEIGHT, (ends[0], ends[1]), "N·m"
-    )
-    moving = c.speed > 0
-    curves = [c.friction[moving] + k * c.friction_deviation[moving] for k in (-1, 0, 1)]
-    speed = c.output_speed[moving]
-    friction = plotted(
-        "friction over speed [rad/s]", np.log(speed), curves, half, _HEIGHT, (f"{speed[0]:.2g}", f"{speed[-1]:.2g} (log)"),
-        "N·m",
-    )  # fmt: skip
-    return Text("\n".join(f"{a}  {b}".rstrip() for a, b in zip(loop, friction, strict=True)) + "\n")
 
 
 def _stiffness(c: Characteristics, rated: float) -> RenderableType:

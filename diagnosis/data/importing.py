@@ -25,7 +25,8 @@ from ...models.parameters import GRAVITY
 from ...models.recording import External, Recording, check_channels, in_arm
 from ...models.signals import CHANNELS
 from ...models.text_tables import TextForm, seconds
-from .logs import Log, LogForm, open_log
+from .log import Log
+from .logs import LogForm, open_log
 
 UNITS: dict[str, tuple[str, float]] = {
     "s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "µs": ("s", 1e-6), "ns": ("s", 1e-9),

@@ -23,11 +23,11 @@ import numpy as np
 from ...models.errors import InputError, first_line
 from ...models.tables import reading_parquet
 from ...models.text_tables import TextForm, TextTable, elements, find_head, numbers
+from .log import LABELS, Log
+from .messages import open_messages
 
 READ = "CSV and other text, Parquet, JSON, NumPy, MATLAB, HDF5, Excel (.xlsx), Arrow, MCAP, ROS 1 and ROS 2 bags"
 _WIDEST = 512  # elements of a row of an array: more is an image
-LABELS = ("name", "names", "joint_names", "interface_names", "actuator_names")
-"""Lists of names of other lists' elements, as `sensor_msgs/JointState` has."""
 
 
 @dataclass(frozen=True)
@@ -37,48 +37,6 @@ class LogForm:
     text: TextForm = field(default_factory=TextForm)
     interleaved: Mapping[str, int] = field(default_factory=dict)
     """Columns that take turns in a file of one number a line, by patterns of file names."""
-
-
-class Log:
-    """A log as a table: names of its columns, and their values when they are asked for."""
-
-    path: Path
-    names: list[str]
-    note = ""
-    """What was left out, or read otherwise than it says."""
-    units: Mapping[str, str] = {}
-    """Of columns, in small letters, where the log has a row of them."""
-
-    def find(self, column: str) -> str | None:
-        """The log's name of a column: the same, or the only one that ends so; `a.b` and `a[0]` are `a/b` and `a/0`."""
-        if column in self.names:
-            return column
-        plain = {name: _plain(name) for name in self.names}
-        for fits in (lambda name: name == _plain(column), lambda name: name.endswith("/" + _plain(column))):
-            found = [name for name, one in plain.items() if fits(one)]
-            if len(found) == 1:
-                return found[0]
-        return None
-
-    def missing(self, column: str) -> str:
-        """Why a column is not found, where there is more to say than that."""
-        return ""
-
-    def read(self, wanted: list[str]) -> dict[str, np.ndarray]:
-        """Columns as numbers, dates or clock times, shape (n,) each, of the same length; NaN or NaT for a cell that is none."""
-        raise NotImplementedError
-
-    def row(self, index: int) -> str:
-        """A row for people, counted from 0."""
-        return f"row {index}"
-
-    def fault(self, column: str, index: int) -> str:
-        """What is wrong with a cell that is no number."""
-        return f"column {column!r}, {self.row(index)}: expected a finite number, got none"
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[./\[\]()]+", "/", name).strip("/ #%")
 
 
 # Arrays -----------------------------------------------------------------------------------------------------------------------
@@ -611,8 +569,6 @@ def open_log(path: Path, sources: Iterable[str] | None = None, form: LogForm | N
     if kind in ("bag", "mcap", "db3"):
         if not isinstance(source, Path):
             raise InputError(f"{path}: expected a bag or MCAP file that is not compressed as a whole; unpack it first")
-        from .messages import open_messages
-
         return open_messages(path, wanted)
     log: Log
     if kind == "parquet":

@@ -25,7 +25,7 @@ import numpy as np
 from ...models.errors import InputError, first_line
 from ...models.files import shown
 from ...models.recording import GAP
-from .logs import LABELS, Log
+from .log import LABELS, Log
 
 STAMP = "stamp"
 _FARTHEST = 2**62  # ns, so that differences of times fit into 64 bits

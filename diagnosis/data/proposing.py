@@ -18,7 +18,8 @@ from ...models.errors import InputError
 from ...models.files import flow_text, yaml_text
 from ...models.text_tables import seconds
 from .importing import UNITS
-from .logs import Log, open_log
+from .log import Log
+from .logs import open_log
 from .messages import Messages
 
 _WORDS: dict[str, str] = {

@@ -11,7 +11,7 @@ from ...models.recording import Recording
 from ...scenarios.scenario import Disturbance, Scenario, Waypoint
 from ...sim import plant, sensors
 from ...sim.drive import Controller
-from ...sim.loop import CONTROL_PERIOD, simulate
+from ...sim.loop import CONTROL_PERIOD, ClosedLoop, Driven
 from .outside import sign
 
 CONTROLLER = Controller(kp=8.0, kd=0.08, ki=20.0)
@@ -88,8 +88,7 @@ def record_motion(
     position, velocity = scenario.commands()
     external = scenario.external_torque()
     n = len(position)
-    found = simulate(
-        plant.build(nominal, mounting, timestep=scenario.timestep, record=record, locked_rotor=scenario.locked_rotor),
+    driven = Driven(
         record,
         position,
         velocity,
@@ -99,6 +98,12 @@ def record_motion(
         scenario.controller.record(record[0], CONTROL_PERIOD, False),
         temperature=float(record[0]["reference_temperature"]) + warming * CONTROL_PERIOD * np.arange(n),
     )
+    model = plant.build(
+        nominal, mounting, timestep=scenario.timestep, record=record, locked_rotor=scenario.locked_rotor
+    )
+    loop = ClosedLoop(model, (driven,))
+    loop.advance(n)
+    found = loop.simulation
     pushed = bool(np.any(external))
     kept = ("motor_position", "link_position", "motor_current", "joint_torque")
     columns = {name: found.readings[name].copy() for name in kept}

@@ -7,26 +7,21 @@ A cause that is named is *there* where it was hidden, or where it is one of the 
 from __future__ import annotations
 
 import itertools
-import multiprocessing
-import os
-import signal
-import threading
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.stats import binomtest
 
-from ...models import causes, plugins
+from ...models import causes, plugins, processes
 from ...models.errors import InputError
 from ...models.joint import Joint, load_joint
+from ...models.output import at_end
 from ...models.parameters import short_way
 from ...scenarios.scenario import load_scenario
 from ..answer import Diagnosis, Finding
@@ -280,44 +275,20 @@ def run(
         for task in tasks:
             yield attempt(*task)
         return
-    with ProcessPoolExecutor(jobs, get_context("spawn"), initializer=_begin, initargs=(plugins.files(),)) as pool:
-        with _no_interrupts():  # a terminal's Ctrl-C goes to all processes, and these may be loading still
+    with ProcessPoolExecutor(
+        jobs, get_context("spawn"), initializer=processes.begin, initargs=(plugins.files(),)
+    ) as pool:
+        with processes.no_interrupts():
             pending = [pool.submit(attempt, *task) for task in tasks]
         try:
-            for future in as_completed(pending):
-                yield future.result()
+            with at_end(processes.end):
+                for future in as_completed(pending):
+                    yield future.result()
         except BaseException:
-            for process in multiprocessing.active_children():
-                process.terminate()
+            processes.end()
             raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
-
-
-@contextmanager
-def _no_interrupts() -> Iterator[None]:
-    """Put off Ctrl-C; processes that begin meanwhile are deaf to it."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _begin(known: Sequence[Path]) -> None:
-    """Know the plugins, and end this process as soon as the one that began it has, however that ended."""
-    plugins.load_all(known)
-    parent = multiprocessing.parent_process()
-
-    def wait() -> None:
-        if parent is not None:
-            parent.join()
-        os._exit(1)
-
-    threading.Thread(target=wait, daemon=True).start()
 
 
 @dataclass(frozen=True)

@@ -57,14 +57,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
 from ...models import dynamics, laws
 from ...models.kernels import kernel
-from ...models.pointers import pointer_to, record_at
-from ...models.step import NOT_FINITE, OK, Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
-from ..estimator import CausalEstimator, KnownJoint, fields_of
+from ..estimator import CausalEstimator, KnownJoint
 from ..sensing import temperature
 from ..tuning_parameters import TuningParameter
 
@@ -139,7 +137,6 @@ _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
 _SAMPLES = 0.5
 """Share of a sample by which the current may have been in force later than it was read."""
-_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
 @kernel
@@ -440,10 +437,9 @@ def _believe(m, e, moved, c):
         m.belief = min(max(m.belief, 0.0), 1.0)
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o, h = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0], s.interval
+@step_of(MEMORY, SETTINGS, OUT)
+def _step(m, s, p, c, o):
+    h = s.interval
     off = _off_beat(m, h, c)
     h -= (1.0 - m.belief) * off
     x, P, H = m.x, m.P, m.H
@@ -579,8 +575,6 @@ class Augmented(CausalEstimator):
         "Kalman filter of joint torque, contact and the errors of torsion, current and weight; for joints known within tolerance"
     )
     compiled: ClassVar[Step] = _step
-    remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         p, noise, spread = joint.p, joint.noise, joint.spread

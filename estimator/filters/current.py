@@ -18,13 +18,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
 from ...models import dynamics, laws
 from ...models.kernels import kernel
-from ...models.pointers import pointer_to, record_at
-from ...models.step import NOT_FINITE, OK, Step, sample_at
-from ..estimator import CausalEstimator, KnownJoint, fields_of
+from ...models.step import NOT_FINITE, OK, Step, step_of
+from ..estimator import CausalEstimator, KnownJoint
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
@@ -33,7 +31,6 @@ MEMORY = np.dtype(
 )
 SETTINGS = np.dtype([("cutoff", np.float64), ("lead", np.float64)])
 OUT = np.dtype([(n, np.float64) for n in ("torque", "motor_velocity", "motor_acceleration", "drive_torque", "bristle")])
-_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
 @kernel
@@ -65,10 +62,8 @@ def torque_of_current(m, s, c, p):
     return m.torque - p.bl * w / p.N
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
+@step_of(MEMORY, SETTINGS, OUT)
+def _step(m, s, p, c, o):
     o.torque = torque_of_current(m, s, c, p)
     o.motor_velocity, o.motor_acceleration = m.motor.rate, m.motor.acceleration
     o.drive_torque, o.bristle = m.drive.value, m.bristle
@@ -93,8 +88,6 @@ class MotorCurrent(CausalEstimator):
     )  # fmt: skip
     description: ClassVar[str] = "motor current less friction and the drive's inertia; needs no second encoder"
     compiled: ClassVar[Step] = _step
-    remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         cutoff = 2 * math.pi * self.cutoff

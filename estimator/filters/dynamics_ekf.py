@@ -13,23 +13,18 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
-from ...models.pointers import floats_at, pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import Step, step_of
 from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, tell
-from ..estimator import CausalEstimator, KnownJoint, fields_of
+from ..estimator import CausalEstimator, KnownJoint
 from ..joint_model import TUNING, ProcessNoise
 from ..tuning_parameters import TuningParameter
 
-_memory_at, _settings_at = pointer_to(FILTER), pointer_to(SETTINGS)
 
-
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    torque, variance = filter_step(m, s, carray(_settings_at(settings), 1)[0], p, False)
-    return tell(m, torque, variance, floats_at(out))
+@step_of(FILTER, SETTINGS, OUT)
+def _step(m, s, p, c, o):
+    torque, variance = filter_step(m, s, c, p, False)
+    return tell(m, torque, variance, o)
 
 
 @dataclass(frozen=True)
@@ -49,8 +44,6 @@ class DynamicsEKF(CausalEstimator):
         "extended Kalman filter on the joint's own equations of motion (`estimator.joint_model`)"
     )
     compiled: ClassVar[Step] = _step
-    remembers: ClassVar[np.dtype] = FILTER
-    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.zeros(1, SETTINGS)

@@ -9,22 +9,17 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
-from ...models.pointers import floats_at, pointer_to, record_at
-from ...models.step import Step, sample_at
-from ..dynamics_filter import FILTER, SETTINGS, filter_step, tell
+from ...models.step import Step, step_of
+from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, tell
 from ..estimator import KnownJoint
 from .dynamics_ekf import DynamicsEKF
 
-_memory_at, _settings_at = pointer_to(FILTER), pointer_to(SETTINGS)
 
-
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    torque, variance = filter_step(m, s, carray(_settings_at(settings), 1)[0], p, True)
-    return tell(m, torque, variance, floats_at(out))
+@step_of(FILTER, SETTINGS, OUT)
+def _step(m, s, p, c, o):
+    torque, variance = filter_step(m, s, c, p, True)
+    return tell(m, torque, variance, o)
 
 
 @dataclass(frozen=True)

@@ -15,13 +15,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
 from ...models.kernels import kernel
-from ...models.pointers import record_at
-from ...models.step import Step, sample_at
+from ...models.step import Step, step_of
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, TorqueFilter, innovation, memory_at, out_at, settings_at, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, tell
 
 _NO_SOLUTION = 2
 
@@ -44,10 +42,8 @@ def correct(f, e, V, theta):
     return V + p00 / before if before > 0.0 else np.inf
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o = carray(settings_at(settings), 1)[0], carray(out_at(out), 1)[0]
+@step_of(MEMORY, SETTINGS, OUT)
+def _step(m, s, p, c, o):
     e = innovation(m, s, p, c)
     S = correct(m.filter, e, c.V, c.first) if s.interval != 0.0 else 0.0
     if S < 0.0:

@@ -13,13 +13,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
 from ...models.kernels import kernel
-from ...models.pointers import pointer_to, record_at
-from ...models.step import NOT_FINITE, OK, Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure, torque_variance
-from ..estimator import CausalEstimator, KnownJoint, fields_of
+from ..estimator import CausalEstimator, KnownJoint
 from ..tuning_parameters import TuningParameter
 
 STATE = np.dtype([(name, np.float64) for name in ("torque", "torque_rate", "P00", "P01", "P11")])
@@ -29,7 +27,6 @@ MEMORY = np.dtype([("torsion", TORSION), ("filter", STATE), ("expected", np.floa
 SETTINGS = np.dtype([(name, np.float64) for name in ("q", "V", "rate_variance", "first", "second")])
 """q [(N·m)²/s³], V [(N·m)²], variance of the first rate; the two tuning parameters that a filter may have of its own."""
 OUT = np.dtype([(n, np.float64) for n in ("torque", "variance", "innovation", "innovation_variance", "torque_rate")])
-memory_at, settings_at, out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 ACCELERATION = TuningParameter("acceleration", 1e-3, 1e3)
 
 
@@ -80,10 +77,8 @@ def tell(f, e, S, o):
     return OK if math.isfinite(f.torque + f.P00) else NOT_FINITE
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o = carray(settings_at(settings), 1)[0], carray(out_at(out), 1)[0]
+@step_of(MEMORY, SETTINGS, OUT)
+def _step(m, s, p, c, o):
     e = innovation(m, s, p, c)
     S = correct(m.filter, e, c.V) if s.interval != 0.0 else 0.0
     return tell(m.filter, e, S, o)
@@ -106,8 +101,6 @@ class TorqueFilter(CausalEstimator):
     description: ClassVar[str] = "Kalman filter of the compliance model's torque and its rate (Bar-Shalom et al. 2001)"
     reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step
-    remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         scale, V = float(joint.p["T2"]), torque_variance(joint)

@@ -12,24 +12,19 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
 from ...models.errors import InputError
-from ...models.pointers import pointer_to, record_at
-from ...models.step import NOT_FINITE, OK, Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint
 from ..tuning_parameters import TuningParameter
 
 MEMORY = np.dtype([("torsion", TORSION), ("z1", np.float64), ("z2", np.float64)])
 SETTINGS = np.dtype([(name, np.float64) for name in ("b0", "b1", "b2", "a1", "a2")])
-_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(np.dtype([("torque", float)]))
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
+@step_of(MEMORY, SETTINGS, ("torque",))
+def _step(m, s, p, c, o):
     u = measure(m.torsion, s, p).torque
     if s.interval == 0.0:  # settled: its gain at rest is 1
         m.z2 = (c.b2 - c.a2) * u
@@ -57,7 +52,6 @@ class LowPass(CausalEstimator):
     description: ClassVar[str] = "compliance model through a Butterworth low-pass (Zhang, Ahmad & Liu 2013)"
     reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step
-    remembers: ClassVar[np.dtype] = MEMORY
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         nyquist = 0.5 / interval

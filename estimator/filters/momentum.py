@@ -32,14 +32,12 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
 from ...models import dynamics, laws
 from ...models.kernels import kernel
-from ...models.pointers import pointer_to, record_at
-from ...models.step import NOT_FINITE, OK, Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
-from ..estimator import CausalEstimator, KnownJoint, fields_of
+from ..estimator import CausalEstimator, KnownJoint
 from ..sensing import motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
@@ -53,7 +51,6 @@ SETTINGS = np.dtype([(name, np.float64) for name in ("gain", "cutoff", "turning"
 OUT = np.dtype([(name, np.float64) for name in (
     "torque", "external_torque", "joint_torque_observed", "motor_velocity", "link_velocity", "bristle",
 )])  # fmt: skip
-_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
 @kernel
@@ -99,24 +96,22 @@ def tell(m, torque, o):
     return OK if math.isfinite(torque + m.link_residual) else NOT_FINITE
 
 
-@Step
-def _observer_step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    observe(m.observer, s, measure(m.torsion, s, p), carray(_settings_at(settings), 1)[0], p)
-    return tell(m.observer, m.observer.joint_torque, carray(_out_at(out), 1)[0])
+@step_of(MEMORY, SETTINGS, OUT)
+def _observer_step(m, s, p, c, o):
+    observe(m.observer, s, measure(m.torsion, s, p), c, p)
+    return tell(m.observer, m.observer.joint_torque, o)
 
 
-@Step
-def _combined_step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, h = carray(_settings_at(settings), 1)[0], s.interval
+@step_of(MEMORY, SETTINGS, OUT)
+def _combined_step(m, s, p, c, o):
+    h = s.interval
     found = measure(m.torsion, s, p)
     observe(m.observer, s, found, c, p)
     w, observed = m.observer.motor_velocity, m.observer.joint_torque
     m.weight += (1.0 - math.exp(-h / c.smoothing)) * (w**2 / (w**2 + c.turning**2) - m.weight)
     m.offset += (1.0 - math.exp(-h * m.weight / c.follow)) * (observed - found.torque - m.offset)
     torque = m.weight * observed + (1.0 - m.weight) * (found.torque + m.offset)
-    return tell(m.observer, torque, carray(_out_at(out), 1)[0])
+    return tell(m.observer, torque, o)
 
 
 @dataclass(frozen=True)
@@ -136,8 +131,6 @@ class MomentumObserver(CausalEstimator):
     )  # fmt: skip
     description: ClassVar[str] = "momentum observers of drive and link (De Luca & Mattone 2003, 2005)"
     compiled: ClassVar[Step] = _observer_step
-    remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.ones(1, SETTINGS)

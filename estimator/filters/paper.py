@@ -29,14 +29,12 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from numba import carray
 
 from ...models.errors import InputError, nearest
-from ...models.pointers import pointer_to, record_at
-from ...models.step import Step, sample_at
+from ...models.step import Step, step_of
 from .. import recursion
 from ..compliance import TORSION, measure, measurement_variance, torque_variance
-from ..estimator import CausalEstimator, KnownJoint, SensorNoise, fields_of
+from ..estimator import CausalEstimator, KnownJoint, SensorNoise
 from ..recursion import ALPHAS, RULES, SETTINGS, STATE
 from ..tuning_parameters import TuningParameter
 
@@ -59,13 +57,10 @@ _CHOICES = {
 
 MEMORY = np.dtype([("torsion", TORSION), ("filter", STATE)])
 OUT = np.dtype([*STATE.descr, ("measurement", np.float64)])
-_memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
+@step_of(MEMORY, SETTINGS, OUT)
+def _step(m, s, p, c, o):
     y = measure(m.torsion, s, p).torque
     f = m.filter
     status = recursion.OK
@@ -123,8 +118,6 @@ class PaperFilter(CausalEstimator):
     covariance: Literal["unadjusted", "adjusted"] = "unadjusted"
     reads_command: ClassVar[bool] = True
     compiled: ClassVar[Step] = _step
-    remembers: ClassVar[np.dtype] = MEMORY
-    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def __post_init__(self) -> None:
         label = f"filter {self.name!r}" if self.name else "filter"

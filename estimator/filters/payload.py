@@ -14,15 +14,13 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numba import carray
 
 from ...models import dynamics
 from ...models.kernels import kernel
-from ...models.pointers import pointer_to, record_at
 from ...models.signals import Signals
-from ...models.step import NOT_FINITE, OK, Step, sample_at
+from ...models.step import NOT_FINITE, OK, Step, step_of
 from .. import smoothed
-from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior, fields_of
+from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior
 from ..motion import CUTOFF, smooth
 from ..payload_model import INTERVAL, MEMORY, SIZE, KnownPayload, Seen, external_torque, forget, noise, prior, update
 from ..sensing import LOWPASS, lowpass, motor_current, temperature
@@ -40,7 +38,6 @@ SETTINGS = np.dtype([("cutoff", np.float64), ("noise", np.float64), ("prior", np
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "external_torque", "payload_sin", "payload_cos", "payload_inertia", "back_driven_friction", "friction_error",
 )])  # fmt: skip
-_memory_at, _settings_at, _out_at = pointer_to(MEMORY_RECORD), pointer_to(SETTINGS), pointer_to(OUT)
 
 
 @kernel
@@ -49,10 +46,8 @@ def _lowpass_twice(m, u, interval, cutoff):
     lowpass(m[1], m[0].value, interval, _SECOND * cutoff)
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o = carray(_settings_at(settings), 1)[0], carray(_out_at(out), 1)[0]
+@step_of(MEMORY_RECORD, SETTINGS, OUT)
+def _step(m, s, p, c, o):
     x, P, h = m.x, m.P, s.interval
     motor = dynamics.actual_motor_position(s.motor_position, p)
     _lowpass_twice(m.motor, motor, h, c.cutoff)
@@ -94,8 +89,6 @@ class PayloadObserver(CausalEstimator):
     tuning: ClassVar[tuple[TuningParameter, ...]] = (TuningParameter("cutoff", 1.0, 300.0),)
     description: ClassVar[str] = "observer of a rigid payload from the motor current; blind to contact"
     compiled: ClassVar[Step] = _step
-    remembers: ClassVar[np.dtype] = MEMORY_RECORD
-    outputs: ClassVar[tuple[str, ...]] = fields_of(OUT)
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
         found = np.zeros(1, SETTINGS)

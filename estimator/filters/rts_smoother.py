@@ -30,7 +30,7 @@ def forward(samples, settings, record, memory, out, F, predicted, covariance, fi
     """Filter n samples and keep what the way back needs; returns n, or the sample at which an estimate was not finite.
 
     Args:
-        memory: Shape (1,), record of `FILTER`. out: Shape (n, len(OUT.names)).
+        memory: Shape (1,), record of `FILTER`. out: Shape (n,), records of `OUT`.
         F, covariance, filtered: Shape (n, m, m): Jacobian, covariance of the prediction, of the estimate.
         predicted: Shape (n, SIZE).
     """
@@ -140,7 +140,7 @@ class _Kept:
 
     def __init__(self, size: int, m: int):
         """Room for so many samples of m states that move."""
-        self._out, self._predicted = np.zeros((size, len(fields_of(OUT)))), np.zeros((size, SIZE))
+        self._out, self._predicted = np.zeros(size, OUT), np.zeros((size, SIZE))
         self._states = np.zeros((size, SIZE))
         self._F, self._covariance, self._P = (np.zeros((size, m, m)) for _ in range(3))
 
@@ -160,7 +160,7 @@ class _Kept:
         """Smooth a block; `goes_on`: whether there is one after it. Gives its outputs, shape (n, outputs)."""
         n = len(samples)
         end, first = n + goes_on, fields_of(OUT).index(STATES[0])
-        out, states = self._out[:n], self._states[:end]
+        out, states = self._out[:n].view(np.float64).reshape(n, -1), self._states[:end]
         states[:n] = out[:, first:]
         torque, variance = np.empty(n), np.empty(n)
         backward(

@@ -12,14 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from numba import carray
-
 from ...models.kernels import kernel
-from ...models.pointers import record_at
-from ...models.step import Step, sample_at
+from ...models.step import Step, step_of
 from ..compliance import measure
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, TorqueFilter, correct, memory_at, out_at, settings_at, start, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, correct, start, tell
 
 _NOTHING_YET = -1.0
 
@@ -40,10 +37,8 @@ def predict(f, y, V0, h, c):
     return e, V0
 
 
-@Step
-def _step(memory, sample, record, settings, out):
-    m, s, p = carray(memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    c, o = carray(settings_at(settings), 1)[0], carray(out_at(out), 1)[0]
+@step_of(MEMORY, SETTINGS, OUT)
+def _step(m, s, p, c, o):
     y = measure(m.torsion, s, p).torque
     f, e, S = m.filter, 0.0, 0.0
     if s.interval == 0.0:

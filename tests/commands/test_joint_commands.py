@@ -350,7 +350,6 @@ def test_a_joint_is_shown_in_80_columns(flexspline, tmp_path, name):
     assert max(map(len, out.splitlines())) <= 80
     for words in (
         "torsion [mrad]",
-        "friction over speed [rad/s]",
         "Resonances [Hz]",
         "a count of the motor's",
         "cogging",

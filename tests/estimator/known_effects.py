@@ -98,12 +98,20 @@ def motion(seed: int, push: bool) -> tuple[np.ndarray, ...]:
     return time, position, velocity, external
 
 
+def simulate(model, *driven, **options) -> loop.Simulation:
+    """Run the closed loop of one joint; further arguments as of `loop.Driven`."""
+    joint = loop.Driven(*driven, **options)
+    found = loop.ClosedLoop(model, (joint,))
+    found.advance(len(joint.position))
+    return found.simulation
+
+
 @cache
 def signals_of(case: Case, seed: int, push: bool) -> tuple[Signals, np.ndarray]:
     """What the sensors of a joint with the effect read in a draw, without the torque sensor; and its true joint torque Ts."""
     time, position, velocity, external = motion(seed, push)
     record = case.record(seed)
-    run = loop.simulate(
+    run = simulate(
         plant.build(JOINT, MOUNTING, record=record), record, position, velocity, external,
         sensors.sensor_records(JOINT, float(record[0]["link_delay"]), loop.CONTROL_PERIOD),
         sensors.noise(JOINT, seed, len(time), loop.CONTROL_PERIOD),

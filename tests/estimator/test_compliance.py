@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matrix_filter import run
 
-from flexspline.estimator import PaperFilter, compliance, compliance_torque, get, run
+from flexspline.estimator import PaperFilter, compliance, compliance_torque, get
 from flexspline.models.errors import InputError
 from flexspline.models.signals import Signals
 

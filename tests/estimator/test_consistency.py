@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from matrix_filter import FilterModel, run
 from scipy.stats import chi2
 
-from flexspline.estimator import FilterModel, PaperFilter, consistency, run
+from flexspline.estimator import PaperFilter, consistency
 from flexspline.models.errors import InputError
 
 F = np.array([[1.0, 0.1], [0.0, 0.95]])

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
-from known_effects import JOINT, MOUNTING
+from known_effects import JOINT, MOUNTING, simulate
 
 from flexspline.estimator import CausalEstimator, FilterDiverged, KnownJoint, registry
 from flexspline.estimator.estimator import Posterior, SensorNoise, as_samples, go_on, sample_blocks
@@ -22,7 +22,7 @@ from flexspline.models.errors import InputError
 from flexspline.models.joint import Joint
 from flexspline.models.parameters import N_COEFFICIENTS
 from flexspline.models.signals import Signals
-from flexspline.models.step import SAMPLE, PythonStep, numpy_at
+from flexspline.models.step import SAMPLE, PythonStep, step_of
 from flexspline.sim import loop, plant, sensors
 from flexspline.sim.drive import Controller, control
 
@@ -142,7 +142,7 @@ def test_in_the_loop_it_says_what_it_says_afterwards(name, effects):
     record = known.record
     position, velocity, push = np.full(n, 0.3), np.zeros(n), np.where(np.arange(n) > 300, 3.0, 0.0)
     controller = Controller(torque_feedback=0.4).record(record[0], dt, True)
-    run = loop.simulate(
+    run = simulate(
         plant.build(JOINT, MOUNTING, record=record), record, position, velocity, push,
         sensors.sensor_records(JOINT, float(record[0]["link_delay"]), dt),
         sensors.noise(JOINT, seed, n, dt), controller, registry.get(name).step(known, dt),
@@ -295,6 +295,24 @@ def test_what_is_known_badly_is_what_the_description_says():
         )
 
 
+@step_of(
+    np.dtype([("count", np.float64)]), ("fails_at",),
+    ("torque", "variance", "innovation", "innovation_variance", "count"), plain=True,
+)  # fmt: skip
+def _plain(m, s, p, c, o):
+    if m["count"] == c.fails_at:
+        return 1
+    o.torque, o.variance, o.innovation, o.innovation_variance, o["count"] = (
+        6.03 * s.current_command,
+        0.5,
+        0.1,
+        2.0,
+        m["count"],
+    )
+    m["count"] += 1
+    return 0
+
+
 @dataclass(frozen=True)
 class Plain(CausalEstimator):
     """An estimator that somebody wrote in Python: torque of the motor, with its own idea of the gear."""
@@ -303,28 +321,7 @@ class Plain(CausalEstimator):
     fails_at: int = -1
     reads_command: ClassVar[bool] = True
     description: ClassVar[str] = "torque of the motor current times the gear ratio"
-    remembers: ClassVar[np.dtype] = np.dtype([("count", np.float64)])
-    outputs: ClassVar[tuple[str, ...]] = ("torque", "variance", "innovation", "innovation_variance", "count")
-
-    @property
-    def compiled(self):
-        return PLAIN
-
-    def settings(self, joint, interval):
-        return np.array([(float(self.fails_at),)], np.dtype([("fails_at", np.float64)]))
-
-
-def _plain(memory, sample, record, settings, out):
-    count = numpy_at(memory, np.float64, 1)
-    given = numpy_at(sample, SAMPLE, 1)[0]
-    if count[0] == numpy_at(settings, np.float64, 1)[0]:
-        return 1
-    numpy_at(out, np.float64, 5)[:] = 6.03 * given["current_command"], 0.5, 0.1, 2.0, count[0]
-    count[0] += 1
-    return 0
-
-
-PLAIN = PythonStep(_plain)
+    compiled: ClassVar = _plain
 
 
 def test_an_estimator_in_python(known, signals):
@@ -378,10 +375,8 @@ def test_a_divergence_is_told_the_same_beside_signals_as_after_them(known, signa
 
 
 def test_a_step_in_python_that_fails_says_why(known, signals):
-    failing = PythonStep(lambda *addresses: 1 // 0)
-
     class Failing(Plain):
-        compiled = failing
+        compiled = PythonStep(lambda *records: 1 // 0, _plain.records)
 
     with pytest.raises(
         FilterDiverged, match=r"at step 0, .* its step failed: ZeroDivisionError: integer division or modulo by zero"
@@ -460,7 +455,6 @@ def test_no_field_is_called_like_the_contract():
         "step",
         "scaled",
         "settings",
-        "remembers",
         "outputs",
         "posterior",
         "compiled",

@@ -9,9 +9,10 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from matrix_filter import FilterModel, run
 
 from flexspline.diagnosis.data.importing import UNITS, Layout, import_recording
-from flexspline.estimator import FilterModel, PaperFilter, get, names, run
+from flexspline.estimator import PaperFilter, get, names
 from flexspline.estimator.errors import FilterDiverged
 from flexspline.estimator.estimator import KnownJoint
 from flexspline.estimator.offline import estimate_recording

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from matrix_filter import FilterModel, run
 
-from flexspline.estimator import FilterDiverged, FilterModel, PaperFilter, get, run, run_batch
+from flexspline.estimator import FilterDiverged, PaperFilter, get
 
 
 def test_printed_alpha_diverges_at_zero_load():
@@ -120,14 +121,6 @@ def test_a_little_more_than_the_gamma_that_is_asked_for_is_enough(L, known, sign
             except FilterDiverged as wrong:
                 reached = wrong.step
             assert reached == 1 if step == 1 else reached > 1, (L, share)
-
-
-def test_batch_names_which_filter():
-    y = np.zeros((3, 50))
-    y[1, 20:] = 1.0
-    with pytest.raises(FilterDiverged, match="number 1 of the batch") as caught:
-        run_batch(PaperFilter(alpha="printed"), y)
-    assert (caught.value.index, caught.value.step) == (1, 20)
 
 
 def test_overflow_ends_in_the_exception():

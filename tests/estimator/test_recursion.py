@@ -5,17 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from filterpy.kalman import ExtendedKalmanFilter, KalmanFilter
+from matrix_filter import FilterModel, run, run_extended
 
 from flexspline.estimator import (
     FilterDiverged,
-    FilterModel,
     KnownJoint,
     PaperFilter,
     get,
     recursion,
-    run,
-    run_batch,
-    run_extended,
 )
 from flexspline.models.joint import load_joint
 from flexspline.models.signals import Signals
@@ -231,30 +228,6 @@ def test_start():
     assert got.memory[0, 0, 0] == got.innovation[0, 0] == got.nis[0] == 0.0
     assert got.alpha[0] == got.f_alpha[0] == 1.0
     assert not got.robust[0]
-
-
-@pytest.mark.parametrize("rule", RULES)
-def test_batch_is_single_to_the_bit(rng, rule):
-    y = np.where(np.arange(200) > 100, 9.0, 0.0) + 0.07 * rng.standard_normal((7, 200))
-    settings = [PaperFilter(rule=rule, V=4e-3 + 1e-4 * i, rho=3.0 + i) for i in range(7)]
-    batch = run_batch(settings, y)
-    estimates = run_batch(settings, y, estimates_only=True)
-    for i, one in enumerate(settings):
-        single = run(one, y[i])
-        for field in ("x", "P", "innovation", "innovation_covariance", "memory", "f_alpha", "robust", "nis"):
-            np.testing.assert_array_equal(getattr(batch, field)[i], getattr(single, field))
-        np.testing.assert_array_equal(estimates[i], single.x)
-
-
-def test_batch_is_single_to_the_bit_in_more_dimensions(rng):
-    model = random_model(rng, 3, 2)
-    y, x0 = rng.standard_normal((4, 50, 2)), rng.standard_normal((4, 3))
-    settings = PaperFilter(rule="rarekf", k=0.3)
-    batch = run_batch(settings, y, model=model, initial_state=x0)
-    for i in range(4):
-        single = run(settings, y[i], model=model, initial_state=x0[i])
-        np.testing.assert_array_equal(batch.x[i], single.x)
-        np.testing.assert_array_equal(batch.P[i], single.P)
 
 
 @pytest.mark.parametrize("settings", [

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from matrix_filter import FilterModel, run
 from scipy.optimize import minimize
 from scipy.signal import butter, lfilter
 
-from flexspline.estimator import FilterDiverged, FilterModel, PaperFilter, compliance, get, run
+from flexspline.estimator import FilterDiverged, PaperFilter, compliance, get
 from flexspline.estimator.compliance import torque_variance
 from flexspline.estimator.filters import huber
 from flexspline.estimator.filters.kalman import STATE

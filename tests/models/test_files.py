@@ -85,7 +85,8 @@ def test_rights_follow_the_umask(tmp_path):
 
 
 def test_what_killed_processes_left_goes_and_what_living_ones_hold_stays(tmp_path):
-    (tmp_path / ".a.txt.0123abcd.txt").write_text("left")
+    (tmp_path / ".flexspline-new-0123abcd").mkdir()
+    (tmp_path / ".flexspline-new-0123abcd" / "a.txt").write_text("left")
     (tmp_path / ".a.txt.notes.txt").write_text("somebody's")
     with write_into_place(tmp_path / "a.txt") as one, write_into_place(tmp_path / "a.txt") as other:
         one.write_text("1")

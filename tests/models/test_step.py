@@ -7,40 +7,27 @@ import threading
 
 import numpy as np
 import pytest
-from numba import carray
 
 from flexspline.models.joint import load_joint
-from flexspline.models.parameters import PARAMETERS
-from flexspline.models.pointers import floats_at, record_at
 from flexspline.models.signals import READINGS, SENSED
-from flexspline.models.step import SAMPLE, CompiledStep, PythonStep, Step, numpy_at, sample_at
+from flexspline.models.step import SAMPLE, CompiledStep, step_of
+
+MEMORY, SETTINGS, OUTPUTS = np.dtype([("place", float), ("heat", float)]), ("share",), ("first", "second")
 
 
-@Step
-def compiled(memory, sample, record, settings, out):
-    m, o, s = floats_at(memory), floats_at(out), floats_at(settings)
-    x, p = carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
-    if x.interval == 0.0:
-        m[0] = x.motor_position
-    if x.motor_current > 90.0:
+def _step(m, s, p, c, o):
+    if s.interval == 0.0:
+        m.place = s.motor_position
+    if s.motor_current > 90.0:
         return 7
-    m[0] += s[0] * (x.motor_position - m[0])
-    m[1] += x.interval * x.temperature
-    o[0], o[1] = p.Kt * p.N * x.motor_current + m[0], m[1]
+    m.place += c.share * (s.motor_position - m.place)
+    m.heat += s.interval * s.temperature
+    o.first, o.second = p.Kt * p.N * s.motor_current + m.place, m.heat
     return 0
 
 
-def plain(memory, sample, record, settings, out):
-    m, o, s = numpy_at(memory, np.float64, 2), numpy_at(out, np.float64, 2), numpy_at(settings, np.float64, 1)
-    x, p = numpy_at(sample, SAMPLE, 1)[0], numpy_at(record, PARAMETERS, 1)[0]
-    if x["interval"] == 0.0:
-        m[0] = x["motor_position"]
-    if x["motor_current"] > 90.0:
-        return 7
-    m[0] += s[0] * (x["motor_position"] - m[0])
-    m[1] += x["interval"] * x["temperature"]
-    o[0], o[1] = p["Kt"] * p["N"] * x["motor_current"] + m[0], m[1]
-    return 0
+compiled = step_of(MEMORY, SETTINGS, OUTPUTS)(_step)
+plain = step_of(MEMORY, SETTINGS, OUTPUTS, plain=True)(_step)
 
 
 CALL = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_int64] * 5)
@@ -70,7 +57,7 @@ def samples(rng):
 
 
 def test_compiled_and_python_are_the_same_by_address(samples):
-    a, b = called(compiled, samples), called(PythonStep(plain), samples)
+    a, b = called(compiled, samples), called(plain, samples)
     assert a[0] == b[0] == [0] * 200
     np.testing.assert_allclose(a[1], b[1], rtol=1e-13, atol=1e-15)
     assert np.ptp(a[1][:, 0]) > 1 and a[1][-1, 1] != 0
@@ -78,17 +65,17 @@ def test_compiled_and_python_are_the_same_by_address(samples):
 
 def test_a_status_is_handed_on(samples):
     samples["motor_current"][3] = 100.0
-    for step in (compiled, PythonStep(plain)):
+    for step in (compiled, plain):
         statuses, outputs = called(step, samples[:6])
         assert statuses == [0, 0, 0, 7, 0, 0]
         np.testing.assert_array_equal(outputs[3], outputs[2])
 
 
 def test_a_python_step_that_fails_keeps_its_error(samples):
-    def failing(*addresses):
+    def failing(*records):
         raise KeyError("no such channel")
 
-    step = PythonStep(failing)
+    step = step_of(MEMORY, SETTINGS, OUTPUTS, plain=True)(failing)
     assert step.error is None
     statuses, _ = called(step, samples[:2])
     assert statuses == [-1, -1]
@@ -110,9 +97,9 @@ def test_memory_is_fresh_for_each_user():
 
 
 def test_a_step_is_compiled_once_by_whichever_thread_comes_first():
-    @Step
-    def late(memory, sample, record, settings, out):
-        floats_at(out)[0] = 3.0
+    @step_of(MEMORY)
+    def late(m, s, p, c, o):
+        o.torque = 3.0
         return 0
 
     addresses = []

@@ -7,8 +7,20 @@ from driving import JOINT
 
 from flexspline.sim import plant
 from flexspline.sim.drive import Controller
-from flexspline.sim.loop import CONTROL_PERIOD, Simulation, simulate
+from flexspline.sim.loop import CONTROL_PERIOD, ClosedLoop, Driven, Simulation
 from flexspline.sim.sensors import noise, sensor_records
+
+
+def simulate_together(model, joints) -> tuple[Simulation, ...]:
+    """Run the closed loops of a model's joints, `Driven` each, from the first tick to the last."""
+    loop = ClosedLoop(model, joints)
+    loop.advance(len(joints[0].position))
+    return loop.simulations
+
+
+def simulate(model, *driven, **options) -> Simulation:
+    """Run the closed loop of one joint; further arguments as of `Driven`."""
+    return simulate_together(model, (Driven(*driven, **options),))[0]
 
 
 def motion(seconds=2.0, distance=0.4):

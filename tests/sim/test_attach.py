@@ -10,11 +10,11 @@ import mujoco
 import numpy as np
 import pytest
 from driving import JOINT, record_of
+from energy import energy_of
 
 import flexspline as fs
 from flexspline.models.errors import InputError, InputWarning
 from flexspline.sim import native, plant, plugin
-from flexspline.sim.energy import energy_of
 
 STEP = plant.TIMESTEP
 AXES = ["0 0 1", "0 1 0", "0.6 0 0.8", "0 -1 0", "1 0 0", "0 0.28 0.96"]

@@ -6,11 +6,11 @@ import mujoco
 import numpy as np
 import pytest
 from driving import JOINT, record_of
+from energy import energy, energy_of, flexspline_energy, wave_generator_energy
 from scipy.integrate import quad
 
 from flexspline.models import laws
 from flexspline.sim import plant
-from flexspline.sim.energy import energy, energy_of, flexspline_energy, wave_generator_energy
 
 BELOW_THE_KNEE = np.array([0.02, 0.01, -2e-4])
 PAST_THE_KNEE = np.array([0.03, 0.02, -1e-3])

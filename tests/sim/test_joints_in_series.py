@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 import pytest
 from driving import JOINT, record_of, relative
-from looping import motion
+from energy import flexspline_energy, wave_generator_energy
+from looping import motion, simulate, simulate_together
 
 from flexspline.models import dynamics, laws
 from flexspline.models.arm import ArmSpec
@@ -17,8 +18,7 @@ from flexspline.models.joint import EncoderSpec, Mounting
 from flexspline.sim import arm, plant, plugin
 from flexspline.sim.arm import ArmJoint
 from flexspline.sim.drive import Controller
-from flexspline.sim.energy import flexspline_energy, wave_generator_energy
-from flexspline.sim.loop import CONTROL_PERIOD, ClosedLoop, Driven, simulate, simulate_together
+from flexspline.sim.loop import CONTROL_PERIOD, ClosedLoop, Driven
 from flexspline.sim.sensors import noise, sensor_records
 
 FINE = JOINT.model_copy(update={"sensors": JOINT.sensors.model_copy(update={"motor_encoder": EncoderSpec(bits=38)})})

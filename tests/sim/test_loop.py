@@ -16,9 +16,8 @@ from driving import JOINT, record_of
 from looping import motion, run
 
 from flexspline.models.joint import AnalogSpec, EncoderSpec
-from flexspline.models.parameters import PARAMETERS
 from flexspline.models.signals import READINGS, SENSED, WRENCH, Signals
-from flexspline.models.step import SAMPLE, CompiledStep, PythonStep, numpy_at
+from flexspline.models.step import SAMPLE, CompiledStep, step_of
 from flexspline.sim import plant
 from flexspline.sim.sensors import noise
 
@@ -158,16 +157,13 @@ def _mesh_friction(s):
 def recording_step(kept):
     """A step that keeps what it was given and answers with a torque of its own making."""
 
-    def step(memory, sample, record, settings, out):
-        given = numpy_at(sample, SAMPLE, 1)[0]
-        kept.append(given.copy())
-        numpy_at(memory, np.float64, 1)[0] += given["motor_current"]
-        numpy_at(out, np.float64, 1)[0] = (
-            0.5 * numpy_at(memory, np.float64, 1)[0] + numpy_at(record, PARAMETERS, 1)[0]["Jl"]
-        )
+    def step(m, s, p, c, o):
+        kept.append(s.item())
+        m.total += s.motor_current
+        o.torque = 0.5 * m.total + p.Jl
         return 0
 
-    return PythonStep(step)
+    return step_of(np.dtype([("total", float)]), plain=True)(step)
 
 
 @pytest.mark.parametrize("reads_command", [False, True])
@@ -190,12 +186,12 @@ def test_an_estimator_is_given_in_the_loop_what_it_reads_afterwards(reads_comman
 
 
 def test_a_step_that_fails_ends_the_loop_and_keeps_its_error():
-    def step(memory, sample, record, settings, out):
-        if numpy_at(sample, SAMPLE, 1)[0]["time"] > 0.05:
+    @step_of(np.dtype([("nothing", float)]), plain=True)
+    def failing(m, s, p, c, o):
+        if s.time > 0.05:
             raise ZeroDivisionError("no torque")
         return 0
 
-    failing = PythonStep(step)
     s = run(feedback=CompiledStep(failing.address, 1, JOINT.record(), owner=failing))
     assert s.failed == (51, -1)
     assert isinstance(failing.error, ZeroDivisionError)

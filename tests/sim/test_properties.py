@@ -7,12 +7,13 @@ import pytest
 from driving import JOINT, record_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from looping import simulate
 from test_energy import energies
 
 from flexspline.models.signals import READINGS, SENSED
 from flexspline.sim import plant
 from flexspline.sim.drive import Controller
-from flexspline.sim.loop import CONTROL_PERIOD, TRUTH, simulate
+from flexspline.sim.loop import CONTROL_PERIOD, TRUTH
 from flexspline.sim.sensors import noise, sensor_records
 
 FEW = settings(max_examples=8, deadline=None, print_blob=True)

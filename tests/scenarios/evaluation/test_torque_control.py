@@ -13,7 +13,6 @@ from flexspline.models import laws
 from flexspline.models.errors import InputError
 from flexspline.scenarios.evaluation.intervals import median
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.sim.drive import Controller
 from flexspline.sim.loop import CONTROL_PERIOD
 
 FREE = ["Fc=1e-6", "Fs=1e-6", "s0=1e-3", "s1=0", "bw=0", "bm=0"]
@@ -47,7 +46,7 @@ def critical_gain(p, loop: torque_control.Loop, torque: float) -> float:
     A[3, :4] = np.array([spring_w, p["dw"], -spring_w - spring_f * slope**2, -p["dw"] - p["df"] * slope**2]) / p["Jw"]
     A[4, 4], A[4, 5] = -p["R"] / p["L"], p["R"] / p["L"]
     step = expm(A * CONTROL_PERIOD)
-    controller = Controller.impedance(loop.stiffness, loop.damping, 0.0, p)
+    controller = torque_control.impedance(loop.stiffness, loop.damping, 0.0, p)
     share = 1.0 - math.exp(-CONTROL_PERIOD / controller.velocity_filter)
     unit = N * p["Kt"]
 
@@ -103,11 +102,11 @@ def test_a_torque_loop_takes_friction_off():
 def test_the_impedance_of_a_controller():
     """Stiffness, damping and weight come out as torques; with the loop the drive asks for 1 + kT times as much."""
     p = load_scenario("external_push")[0].load_joint()[0].record()[0]
-    controller = Controller.impedance(600.0, 30.0, 3.0, p)
+    controller = torque_control.impedance(600.0, 30.0, 3.0, p)
     n = 4000
     position, velocity = np.full(n, 0.1), np.zeros(n)
     measured = 100.0 * (0.05 + 0.2 * np.arange(n) * CONTROL_PERIOD)
-    u = controller.wanted(position, velocity, measured, p, CONTROL_PERIOD)
+    u = torque_control.wanted(controller, position, velocity, measured, p, CONTROL_PERIOD)
     expected = 600.0 * (0.1 - measured / 100.0) - 30.0 * 0.2 + p["Mg"] * np.sin(measured / 100.0)
     np.testing.assert_allclose(u[200:], expected[200:], rtol=1e-9, atol=1e-9)
     closed, opened = (controller.record(p, CONTROL_PERIOD, feedback)[0] for feedback in (True, False))

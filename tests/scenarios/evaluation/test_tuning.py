@@ -11,7 +11,6 @@ import pytest
 import yaml
 
 from flexspline.estimator import registry
-from flexspline.estimator.arrays import run as filtered
 from flexspline.estimator.estimator import Estimator, Posterior
 from flexspline.estimator.filters.paper import PaperFilter
 from flexspline.estimator.tuning_parameters import TuningParameter
@@ -34,8 +33,14 @@ class OnMeasurement(Estimator):
     tuning: ClassVar[tuple[TuningParameter, ...]] = registry.get("EKF").tuning
 
     def estimate(self, signals: Signals, joint) -> Posterior:
-        found = filtered(PaperFilter("given", "ekf", W=self.W, V=self.V), signals["measurement"], time=signals.time)
-        return Posterior(self.name, signals.time, found.torque)
+        y = signals["measurement"]
+        torque, variance = np.empty(len(y)), PaperFilter().P0
+        torque[0] = y[0]
+        for k in range(1, len(y)):
+            predicted = variance + self.W
+            gain = predicted / (predicted + self.V)
+            torque[k], variance = torque[k - 1] + gain * (y[k] - torque[k - 1]), (1.0 - gain) * predicted
+        return Posterior(self.name, signals.time, torque)
 
 
 class Walk:

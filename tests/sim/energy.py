@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from ..models import laws
-from ..models.laws import LOGARITHM_END
-from . import plant
-from .plugin import BRISTLE, DAHL, FLEXIBLE, LINK, MEMORY, ROTOR, WAVE_GENERATOR
+from flexspline.models import laws
+from flexspline.models.laws import LOGARITHM_END
+from flexspline.sim import plant
+from flexspline.sim.plugin import BRISTLE, DAHL, FLEXIBLE, LINK, MEMORY, ROTOR, WAVE_GENERATOR
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,50 @@
+"""Processes that work for this one: they know its plugins, leave Ctrl-C to it, and end with it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from . import plugins
+
+_watching: list[threading.Thread] = []
+
+
+def begin(known: Sequence[Path]) -> None:
+    """Begin as a worker: know the plugin files, leave Ctrl-C to the process that began this one, and end when that has ended."""
+    plugins.load_all(known)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+    if parent is None or _watching:
+        return
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    _watching.append(threading.Thread(target=wait, daemon=True))
+    _watching[0].start()
+
+
+@contextmanager
+def no_interrupts() -> Iterator[None]:
+    """Put off Ctrl-C in this thread; processes that it begins are deaf to it while they load: a terminal sends it to all."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def end() -> None:
+    """End the processes of this one at once."""
+    for process in multiprocessing.active_children():
+        process.kill()
