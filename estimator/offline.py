@@ -58,6 +58,9 @@ _SLOW = 15.0
 _LED = 0.6
 """Its cutoff then, in that bandwidth: with the lead as much noise as without it."""
 _TRACK = 20  # grid steps per sample of the zero's tracking
+_REWEIGHTED = 2  # times that samples are weighed by what is left of them
+_OUTLIER = 2.5  # standard deviations beyond which a sample counts less
+_ROBUST = 1.4826  # standard deviation of normal errors over their median
 _MOVING = 2.5  # Stribeck velocities of the motor from which on it is in motion
 
 
@@ -588,50 +591,107 @@ def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: 
     _slow_friction(w, joint.record, slow)
     friction = friction_error(joint)
     zero, std = track_zero(
-        seen, slope, np.sign(w), slow, np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
-        max(0.1 * friction, NOISE * joint.rated_torque),
+        seen, slope * np.sign(w), _constants(joint, wide, torque, slope, w),
+        slope * np.hypot(max(0.1 * friction, NOISE * joint.rated_torque), slow), np.abs(v) * smoothed.STEP * _TRACK, spread,
+        wander, friction,
     )  # fmt: skip
-    # What its other numbers are off by lasts as long as the recording does, and no sample averages it away.
-    known, wave = joint.spread, np.empty(len(torque))
+    return np.interp(signals.time, motion.time, zero), float(np.mean(std))
+
+
+def _constants(
+    joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, slope: np.ndarray, w: np.ndarray
+) -> np.ndarray:
+    """What a standard deviation of every constant error of the joint does to the zero that is seen, shape (n, constants) [rad].
+
+    Stiffness with torque constant, wave generator, friction's level, viscous friction, current offset, and both quadratures of
+    every order of kinematic error. They last as long as the recording does: no number of samples averages them away.
+    """
+    p, known, wave = joint.p, joint.spread, np.empty(len(torque))
     _wave_generator_torsion(torque, joint.record, wave)
-    lasting = (
-        known.stiffness * torque * slope, known.torque_constant * torque * slope, known.wave_generator * wave,
-        friction * slope * np.sign(w),
-    )  # fmt: skip
-    return np.interp(signals.time, motion.time, zero), math.hypot(np.mean(std), *(np.mean(part) for part in lasting))
+    columns = [
+        math.hypot(known.stiffness, known.torque_constant) * torque * slope,
+        known.wave_generator * wave,
+        friction_error(joint) * slope * np.sign(w),
+        known.viscous * p["bw"] * p["N"] * w * slope,
+        known.current_offset * p["Kt"] * p["N"] * slope,
+    ]
+    theta = motion.motor_position - p["N"] * wave
+    for order, std in zip(p["order"], known.kinematic, strict=True):
+        columns += [std * np.sin(order * theta), std * np.cos(order * theta)]
+    found = np.stack(columns, axis=1)
+    return found[:, np.any(found != 0.0, axis=0)]
 
 
 def track_zero(
     seen: np.ndarray,
-    compliance: np.ndarray,
-    direction: np.ndarray,
-    slow: np.ndarray,
+    friction_shape: np.ndarray,
+    constants: np.ndarray,
+    noise: np.ndarray,
     travel: np.ndarray,
     spread: float,
     wander: float,
     friction: float,
-    noise: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Kalman smoother of the zero δ [rad] and the friction model's error r [N·m], every `_TRACK` grid steps.
+    """Kalman smoother of the zero δ [rad], every `_TRACK` grid steps.
 
-        seen = δ + compliance · direction · r + noise
-        δ walks by `wander` rad per √rad of travel, r forgets in `MEMORY`
+        seen = δ + friction_shape · r + constants · c + noise
+        δ walks by `wander` rad per √rad of travel, r forgets in `MEMORY`, c are standard normal
+
+    δ and r by the smoother for given c, which is linear in what is seen; c by its innovations. Noise is as large as the scatter
+    shows where it is more than what is given, and single samples that are off count less (iterated reweighting).
 
     Args:
-      seen: measured, shape (n,) [rad]; compliance [rad/(N·m)], direction of motion, slow: further noise near rest [N·m],
-        travel since the last [rad]: shape (n,).
-      spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m]; noise [N·m].
+      seen: measured, shape (n,) [rad]; friction_shape [rad/(N·m)], noise [rad], travel since the last [rad]: shape (n,).
+      constants: of one standard deviation each, shape (n, k) [rad].
+      spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m].
 
     Returns:
       δ and its standard deviation, shape (n,).
     """
-    zero, variance = np.empty(len(seen)), np.empty(len(seen))
     forget = float(np.exp(-smoothed.STEP * _TRACK / MEMORY))
-    _track(
-        seen, compliance * direction, (compliance * np.hypot(noise, slow)) ** 2, wander**2 * travel, spread**2, friction**2,
-        forget, zero, variance,
-    )  # fmt: skip
-    return zero, np.sqrt(np.maximum(variance, 0.0))
+    known = np.hypot(noise, friction * friction_shape)
+    told = noise <= np.median(noise)
+    weighted = noise
+    for last in (False,) * _REWEIGHTED + (True,):
+        zero, variance = _tracked(
+            seen, friction_shape, constants, weighted**2, wander**2 * travel, spread**2, friction**2, forget
+        )
+        if last:
+            break
+        # What is left of what is seen, the constants taken off.
+        left = zero[1]
+        beyond = math.sqrt(
+            max((_ROBUST * np.median(np.abs(left[told]))) ** 2 - float(np.median(known[told])) ** 2, 0.0)
+        )
+        weighted = np.hypot(noise, beyond)
+        weighted = weighted * np.maximum(np.abs(left) / (_OUTLIER * np.hypot(known, beyond)), 1.0)
+    return zero[0], np.sqrt(np.maximum(variance, 0.0))
+
+
+def _tracked(
+    seen: np.ndarray,
+    friction_shape: np.ndarray,
+    constants: np.ndarray,
+    noise: np.ndarray,
+    walk: np.ndarray,
+    zero_variance: float,
+    friction_variance: float,
+    forget: float,
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Zero and what is left of what is seen without it and the constants, shape (n,); the zero's variance, likewise."""
+    k = constants.shape[1]
+    smooth, innovations = np.empty((k + 1, len(seen))), np.empty((k + 1, len(seen)))
+    variance, total = np.empty(len(seen)), np.empty(len(seen))
+    for i, column in enumerate((seen, *constants.T)):
+        _track(
+            np.ascontiguousarray(column), friction_shape, noise, walk, zero_variance, friction_variance, forget, smooth[i],
+            variance, innovations[i], total,
+        )  # fmt: skip
+    information = np.eye(k) + (innovations[1:] / total) @ innovations[1:].T
+    c = np.linalg.solve(information, (innovations[1:] / total) @ innovations[0])
+    zero = smooth[0] - c @ smooth[1:]
+    variance = variance + np.einsum("kn,kn->n", smooth[1:], np.linalg.solve(information, smooth[1:]))
+    return (zero, seen - zero - constants @ c), variance
 
 
 @kernel
@@ -648,8 +708,9 @@ def _slow_friction(w, record, out):
 
 
 @kernel
-def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, zero, variance):
-    """Kalman filter forward and Rauch-Tung-Striebel back, of two states: zero and its variance into `zero`, `variance`.
+def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, zero, variance, innovation, total):
+    """Kalman filter forward and Rauch-Tung-Striebel back, of two states: zero and its variance into `zero`, `variance`, the
+    filter's innovations and their variance into `innovation`, `total`.
 
     Args:
       slope: of what is seen over the friction model's error, shape (n,); noise, walk: variances of what is seen and of the zero's
@@ -672,7 +733,8 @@ def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, z
         h = slope[k]
         first, second = a + b * h, b + c * h
         s = first + h * second + noise[k]
-        e = (seen[k] - d - h * r) / s
+        innovation[k], total[k] = seen[k] - d - h * r, s
+        e = innovation[k] / s
         d, r = d + first * e, r + second * e
         a, b, c = a - first * first / s, b - first * second / s, c - second * second / s
         f = filtered[k]

@@ -100,7 +100,7 @@ MEMORY = np.dtype(
         ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
         *((name, np.float64) for name in (
             "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
-            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held",
+            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held", "jitter", "last",
         )),
     ]
 )  # fmt: skip
@@ -123,6 +123,8 @@ _FOLLOW = 0.02
 """Share of a stamp's deviation by which the grid of samples follows it."""
 _STAMPS = 30.0
 """Evidence [variances of the link encoder] that time stamps are right, before there is any."""
+_CLOCK, _SHAKES = 1e-4, 200.0
+"""Error of a sample's time [s] that counts for itself; samples over which it is learned."""
 _START = 1.0
 """Velocity [rad/s] with which a recording may begin."""
 _STIFFENS = 2e-3
@@ -440,6 +442,21 @@ def _believe(m, e, moved, c):
         m.belief = min(max(m.belief, 0.0), 1.0)
 
 
+@kernel
+def _jitters(m, e, x, c):
+    """Learn by how much samples are off in time, mean square [s²], from changes of the link encoder's innovations e [rad].
+
+    From changes: a torque that the filter does not know of moves the link the same way for many samples.
+    """
+    change, rate = e - m.last, x[LINK_RATE]
+    m.last = e
+    weight = rate * rate / c.link_variance * _CLOCK**2
+    seen = 0.5 * min(change * change, 9.0 * (m.jitter * rate * rate + c.link_variance)) - c.link_variance
+    if weight > 0.0:
+        m.jitter += (seen / (rate * rate) - m.jitter) * weight / (1.0 + weight) / _SHAKES
+        m.jitter = max(m.jitter, 0.0)
+
+
 @Step
 def _step(memory, sample, record, settings, out):
     m, s, p = carray(_memory_at(memory), 1)[0], carray(sample_at(sample), 1)[0], carray(record_at(record), 1)[0]
@@ -477,7 +494,9 @@ def _step(memory, sample, record, settings, out):
         H[:] = 0.0
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
-        S = _update(m, e, c.link_variance + c.link_count * m.held, learn)
+        shaken = m.jitter * x[LINK_RATE] * x[LINK_RATE]
+        _jitters(m, e, x, c)
+        S = _update(m, e, c.link_variance + shaken + c.link_count * m.held, learn)
         _believe(m, e, off * x[LINK_RATE], c)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
     m.link_reading = s.link_position
