@@ -91,7 +91,8 @@ _FIELDS = (
     "link_count",
 )  # fmt: skip
 SETTINGS = np.dtype(
-    [(name, np.float64) for name in _FIELDS] + [("prior", np.float64, SIZE), ("order", np.float64, ORDERS)]
+    [(name, np.float64) for name in _FIELDS]
+    + [("prior", np.float64, SIZE), ("learned", np.float64, SIZE), ("order", np.float64, ORDERS)]
 )
 MEMORY = np.dtype(
     [
@@ -141,6 +142,8 @@ _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
 _SAMPLES = 0.5
 """Share of a sample by which the current may have been in force later than it was read."""
+_CONSIDERED = (CONSTANT, WEIGHT, INERTIA)
+"""Constants that are known better than they can be learned: what the laws leave out looks like them, and lasts."""
 _memory_at, _settings_at, _out_at = pointer_to(MEMORY), pointer_to(SETTINGS), pointer_to(OUT)
 
 
@@ -165,9 +168,9 @@ def _variance(m):
 
 
 @kernel
-def _update(m, e, variance, least):
+def _update(m, e, variance, least, c):
     """Update with a scalar innovation along `m.H`; returns its variance S. Where S is below `least`, what is constant is
-    considered and not changed (Schmidt 1966)."""
+    considered and not changed (Schmidt 1966), and what is known better than it can be learned never is."""
     x, P, H, PH = m.x, m.P, m.H, m.PH
     S = variance
     for i in range(SIZE):
@@ -179,12 +182,13 @@ def _update(m, e, variance, least):
         gain = PH[i] / S
         if gain == 0.0:
             continue
-        changed = learn or i < FIXED
+        changed = i < FIXED or learn and c.learned[i] != 0.0
         if changed:
             x[i] += gain * e
-        for j in range(i + 1 if changed else FIXED):
-            P[i, j] -= gain * PH[j]
-            P[j, i] = P[i, j]
+        for j in range(i + 1 if changed or learn else FIXED):
+            if changed or j < FIXED or c.learned[j] != 0.0:
+                P[i, j] -= gain * PH[j]
+                P[j, i] = P[i, j]
     return S
 
 
@@ -496,7 +500,7 @@ def _step(memory, sample, record, settings, out):
         e = found.link_position - x[LINK]
         shaken = m.jitter * x[LINK_RATE] * x[LINK_RATE]
         _jitters(m, e, x, c)
-        S = _update(m, e, c.link_variance + shaken + c.link_count * m.held, learn)
+        S = _update(m, e, c.link_variance + shaken + c.link_count * m.held, learn, c)
         _believe(m, e, off * x[LINK_RATE], c)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
     m.link_reading = s.link_position
@@ -514,7 +518,7 @@ def _step(memory, sample, record, settings, out):
         zero = likelier
         e, K = _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c)
     o.innovation = e
-    o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion)
+    o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion, c)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance
     # Nobody touches it.
     m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
@@ -526,7 +530,7 @@ def _step(memory, sample, record, settings, out):
         H[EXTERNAL] = 1.0
         # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
         spread = c.free**2 if abs(x[EXTERNAL]) < sure else c.free**2 + x[EXTERNAL] ** 2
-        _update(m, -x[EXTERNAL], spread * c.back / h, learn)
+        _update(m, -x[EXTERNAL], spread * c.back / h, learn, c)
     H[:] = 0.0
     H[SPRING], H[WAVE_RATE], H[LINK_RATE] = 1.0, p.df * ratio, -p.df - p.bl
     variance = 0.0
@@ -645,6 +649,8 @@ class Augmented(CausalEstimator):
         prior[WAVE], prior[CURVE] = spread.wave_generator, spread.wave_generator_curve
         prior[WEIGHT], prior[INERTIA] = spread.gravity, spread.inertia
         prior[FRICTION], prior[CONSTANT] = joint.friction, spread.torque_constant
+        c["learned"] = 1.0
+        c["learned"][list(_CONSIDERED)] = 0.0
         largest = np.argsort(-spread.kinematic, kind="stable")[:ORDERS]
         for k, i in enumerate(largest):
             if spread.kinematic[i] > 0.0:
