@@ -112,7 +112,7 @@ side], mean square of its changes; mean interval [s], and of how many; how far [
 grid of samples; last reading of the link encoder, for how many samples neither encoder has left its count."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
-    "wave_generator_error", "weight_error", "friction_error", "constant_error",
+    "wave_generator_error", "friction_error",
 )])  # fmt: skip
 _LEVEL_TIME = 5.0
 """Time [s] after which friction has forgotten what it did beyond its model."""
@@ -140,6 +140,8 @@ _LOOSE = 2.0
 """Intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]."""
 _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
+_CARRIED = 0.5
+"""Intensity of an unknown load's torque [its size/√s]."""
 _SAMPLES = 0.5
 """Share of a sample by which the current may have been in force later than it was read."""
 _CONSIDERED = (CONSTANT, WEIGHT, INERTIA)
@@ -182,7 +184,7 @@ def _update(m, e, variance, least, c):
         gain = PH[i] / S
         if gain == 0.0:
             continue
-        changed = i < FIXED or learn and c.learned[i] != 0.0
+        changed = i < FIXED or (learn and c.learned[i] != 0.0)
         if changed:
             x[i] += gain * e
         for j in range(i + 1 if changed or learn else FIXED):
@@ -498,7 +500,8 @@ def _step(memory, sample, record, settings, out):
         H[:] = 0.0
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
-        shaken = m.jitter * x[LINK_RATE] * x[LINK_RATE]
+        # The stamp is right, or the grid: what lies between them is not known.
+        shaken = (m.jitter + m.belief * (1.0 - m.belief) * off * off) * x[LINK_RATE] * x[LINK_RATE]
         _jitters(m, e, x, c)
         S = _update(m, e, c.link_variance + shaken + c.link_count * m.held, learn, c)
         _believe(m, e, off * x[LINK_RATE], c)
@@ -545,7 +548,7 @@ def _step(memory, sample, record, settings, out):
     if m.free > 0.0 and abs(x[EXTERNAL]) > sure:
         o.variance += x[EXTERNAL] ** 2
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
-    o.weight_error, o.friction_error, o.constant_error = x[WEIGHT], x[FRICTION], x[CONSTANT]
+    o.friction_error = x[FRICTION]
     return OK if math.isfinite(o.torque + o.variance) else NOT_FINITE
 
 
@@ -593,6 +596,7 @@ class Augmented(CausalEstimator):
     memory: float = 0.8
     low: float = 5.0
     high: float = 12.0
+    learns: ClassVar[bool] = True
     innovation_unit: ClassVar[str] = "N·m"
     tuning: ClassVar[tuple[TuningParameter, ...]] = (
         TuningParameter("torque", 1e-4, 1.0), TuningParameter("push", 0.05, 100.0), TuningParameter("free", 1e-4, 0.1),
@@ -624,7 +628,10 @@ class Augmented(CausalEstimator):
         c["presliding"] = (self.presliding * joint.friction) ** 2 * 2.0 * Fc / p["s0"]
         c["spring_walk"] = (self.torque * scale) ** 2
         c["loose"] = (_LOOSE * scale) ** 2
-        c["external_quiet"], c["external_loud"] = self.external * scale, self.push * scale
+        c["external_quiet"], c["external_loud"] = (
+            math.hypot(self.external * scale, _CARRIED * joint.load_error),
+            self.push * scale,
+        )
         c["level"], c["level_loud"] = math.hypot(self.level, self.unsure * joint.friction) * Fc, self.surge * Fc
         c["level_time"] = _LEVEL_TIME
         c["free"], c["gate"], c["back"] = self.free * scale, self.gate, self.back
@@ -635,7 +642,9 @@ class Augmented(CausalEstimator):
         c["sliding"] = 2.5 * p["vs"]
         c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
         c["interval"] = interval
-        c["pause"], c["every"], c["wait"] = self.pause, self.every, self.wait
+        c["pause"], c["every"] = self.pause, self.every
+        # An unknown load is a touch that lasts.
+        c["wait"] = self.wait if joint.load_error == 0.0 else math.inf
         prior = c["prior"]
         prior[[LINK, LINK_RATE, ROTOR, WAVE_RATE]] = math.sqrt(link), 1.0 / p["N"], 1.0, 1.0
         prior[[WOUND, BRISTLE, SPRING, MESH]] = 0.1 / p["Cw"], p["Fs"] / p["s0"], scale, c["level"]
@@ -643,7 +652,7 @@ class Augmented(CausalEstimator):
             pulsation = 2.0 * math.pi * p["flexible_frequency"]
             prior[SWING] = 0.1 * scale / (p["flexible_share"] * p["Jl"] * pulsation**2)
             prior[SWING_RATE] = pulsation * prior[SWING]
-        prior[EXTERNAL], prior[COUNT] = 0.2 * scale, count / math.sqrt(12.0)
+        prior[EXTERNAL], prior[COUNT] = math.hypot(0.2 * scale, joint.load_error), count / math.sqrt(12.0)
         prior[LATE] = _SAMPLES
         prior[STIFFNESS], prior[ZERO] = spread.stiffness, joint.link_zero
         prior[WAVE], prior[CURVE] = spread.wave_generator, spread.wave_generator_curve

@@ -287,7 +287,8 @@ def test_what_torsion_shows_of_the_joints_numbers():
 @pytest.mark.parametrize("learn", [True, False])
 @pytest.mark.parametrize("case", ["plain", "rich"])
 def test_it_is_a_kalman_filter_that_may_consider(case, learn):
-    """The textbook's update along the innovation's own derivative; without leave to learn, what is constant stays (Schmidt)."""
+    """The textbook's update along the innovation's own derivative; what is constant stays without leave to learn (Schmidt), and
+    weight, inertia and torque constant always do."""
     midway = seeing(case)
     rng = np.random.default_rng(9)
     L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
@@ -296,6 +297,7 @@ def test_it_is_a_kalman_filter_that_may_consider(case, learn):
         L[len(NAMES) + 2 * k :][:2] = 0.0
     calm = {"calm": 1e3, "slid": 1e3 * learn, "free": 1.0, "torsion_ratio": 1.0, "link_ratio": 1.0}
     midway.settings["coarse"] = np.inf
+    assert [AT[n] for n in ("constant", "weight", "inertia")] == list(np.flatnonzero(midway.settings["learned"] == 0.0))
     x, P, o, _ = midway.after(P=L @ L.T, **calm)
     H = -np.array([
         (midway.after(midway.moved(j, UNITS[j]))[2]["innovation"] - midway.after(midway.moved(j, -UNITS[j]))[2]["innovation"])
@@ -309,7 +311,7 @@ def test_it_is_a_kalman_filter_that_may_consider(case, learn):
     S = o["innovation_variance"]
     assert S == pytest.approx(H @ before @ H + S0(midway), rel=1e-3)
     gain = before @ H / S
-    changed = np.ones(SIZE, bool) if learn else np.arange(SIZE) < FIXED
+    changed = (np.arange(SIZE) < FIXED) | (midway.settings["learned"] != 0.0 if learn else False)
     expected = np.where(changed, gain * o["innovation"], 0.0)
     moved = x - np.where(np.arange(SIZE) == AT["count"], 0.0, midway.memory["x"])
     assert np.allclose(moved / UNITS, expected / UNITS, rtol=5e-3, atol=5e-3 * np.abs(expected / UNITS).max())
@@ -441,7 +443,12 @@ def test_a_count_that_both_encoders_keep_is_worth_less_with_every_sample():
         (0.0, 0.0, 0.0, 1.0), (6.0, 0.0, 0.0, 7.0), (6.0, 0.9 * half, -0.9 * motor_half, 7.0), (6.0, 1.1 * half, 0.0, 0.0),
         (6.0, -1.1 * half, 0.0, 0.0), (6.0, 0.0, 1.1 * motor_half, 0.0), (6.0, 0.0, -1.1 * motor_half, 0.0),
     ):  # fmt: skip
-        before = {"link_reading": s["link_position"] + link, "motor_reading": s["motor_position"] + motor}
+        before = {
+            "link_reading": s["link_position"] + link,
+            "motor_reading": s["motor_position"] + motor,
+            "jitter": 0.0,
+            "belief": 1.0,
+        }
         _, _, o, m = midway.after(**before, held=held, link_ratio=1.0, torsion_ratio=1.0)
         assert m["held"] == expected
         none = midway.after(
@@ -517,7 +524,7 @@ def test_constants_are_learned_in_calm_motion_and_now_and_then():
     sliding = np.abs(np.gradient(calm["motor_position"], calm.time)) > 2.5 * known.p["vs"]
     learned = {}
     for name, signals in (("calm", calm), ("pushed", pushed)):
-        errors = registry.get("augmented").estimate(signals, known).columns["weight_error"]
+        errors = registry.get("augmented").estimate(signals, known).columns["stiffness_error"]
         learned[name] = np.flatnonzero(np.diff(errors) != 0.0) + 1
     print(
         {
@@ -635,3 +642,19 @@ def test_stamps_are_followed_as_far_as_they_are_believed():
     assert told[40.0] == pytest.approx(0.5 + 1.5 * weight, rel=1e-3)
     assert told[-40.0] == pytest.approx(0.5 - 1.5 * weight, rel=1e-3)
     assert told[-40.0] < told[0.0] < told[40.0]
+
+
+def test_samples_that_are_off_in_time_are_found_out():
+    """Even stamps, readings of a moving link 0.2 ms off: the time is found to a third, and no jitter where there is none."""
+    signals, known = signals_of(PLAIN, SEED, False)[0].part(slice(0, 4000)), seen("plain")[1]
+    step = registry.get("augmented").step(known, 1e-3)
+    off = np.clip(2e-4 * np.random.default_rng(4).standard_normal(len(signals.time)), -5e-4, 5e-4)
+    names = ("motor_position", "link_position", "motor_current")
+    late = {name: np.interp(signals.time + off, signals.time, signals[name]) for name in names}
+    found = {}
+    for name, some in (("even", signals), ("late", Signals(signals.time, late))):
+        arrays = step.arrays()
+        go_on(arrays, as_samples(some, (), known), np.zeros((len(some.time), step.outputs)))
+        found[name] = arrays[1].view(MEMORY)[0]["jitter"] ** 0.5
+    print(f"seed 4: {1e3 * found['late']:.3f} ms, of even samples {1e3 * found['even']:.3f} ms")
+    assert found["late"] == pytest.approx(2e-4, rel=0.35) and found["even"] < 5e-5

@@ -323,7 +323,7 @@ def test_zero_of_a_joint_that_moves_both_ways(rng):
     compliance = np.full(n, 1e-4)
     seen = 2e-4 + compliance * (0.4 * direction + 0.1 * rng.standard_normal(n))
     none = np.zeros((n, 0))
-    zero, std = track_zero(seen, compliance * direction, none, 0.1 * compliance, np.full(n, 0.01), 1e-3, 0.0, 0.5)
+    zero, std, *_ = track_zero(seen, compliance * direction, none, 0.1 * compliance, np.full(n, 0.01), 1e-3, 0.0, 0.5)
     assert np.all(np.abs(zero - 2e-4) < 4 * std) and std.max() < 3e-5
 
 
@@ -343,7 +343,7 @@ def test_the_zero_is_the_most_probable_one(rng):
     total = of_zero + of_friction + constants @ constants.T + np.diag(noises**2)
     seen = 0.5 * np.linalg.cholesky(total) @ np.clip(rng.standard_normal(n), -1.0, 1.0)
     gain = np.linalg.solve(total, of_zero).T
-    zero, std = track_zero(seen, by_friction, constants, noises, travel, spread, wander, friction)
+    zero, std, *_ = track_zero(seen, by_friction, constants, noises, travel, spread, wander, friction)
     np.testing.assert_allclose(zero, gain @ seen, rtol=1e-6)
     np.testing.assert_allclose(std, np.sqrt(np.diag(of_zero - gain @ of_zero)), rtol=1e-6)
 
@@ -354,7 +354,7 @@ def test_a_start_that_shakes_does_not_set_the_zero(rng):
     compliance, direction = np.full(n, 1e-4), np.where(np.arange(n) // 100 % 2, -1.0, 1.0)
     seen = 2e-4 + 1e-5 * rng.standard_normal(n)
     seen[:50] += 1e-4 * (1.0 + rng.standard_normal(50))
-    zero, std = track_zero(
+    zero, std, *_ = track_zero(
         seen, compliance * direction, np.zeros((n, 0)), np.full(n, 1e-5), np.full(n, 0.01), 1e-3, 0.0, 0.0
     )
     assert np.all(np.abs(zero - 2e-4) < 4 * std) and std.max() < 1e-6
