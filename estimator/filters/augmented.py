@@ -101,7 +101,7 @@ MEMORY = np.dtype(
         ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
         *((name, np.float64) for name in (
             "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
-            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held", "jitter", "last",
+            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held", "jitter", "last", "touched",
         )),
     ]
 )  # fmt: skip
@@ -109,7 +109,8 @@ MEMORY = np.dtype(
 encoder; times [s] of calm, of sliding in it, and since the link encoder was loud; whether nobody seemed to touch the joint at
 the last sample; how far time stamps are believed, and on how much evidence; motor torque of the last sample [N·m, motor
 side], mean square of its changes; mean interval [s], and of how many; how far [s] the last stamp is behind the
-grid of samples; last reading of the link encoder, for how many samples neither encoder has left its count."""
+grid of samples; last reading of the link encoder, for how many samples neither encoder has left its count; mean square of what
+samples are off in time [s²], last innovation of the link encoder [rad]; for how long something has touched the joint [s]."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "friction_error",
@@ -126,6 +127,8 @@ _STAMPS = 30.0
 """Evidence [variances of the link encoder] that time stamps are right, before there is any."""
 _CLOCK, _SHAKES = 1e-4, 200.0
 """Error of a sample's time [s] that counts for itself; samples over which it is learned."""
+_TOUCH = 2.0
+"""Time [s] after which a touch that does not change may be an error of the constants."""
 _START = 1.0
 """Velocity [rad/s] with which a recording may begin."""
 _STIFFENS = 2e-3
@@ -307,10 +310,12 @@ def _predict(m, s, found, change, h, p, c):
         F[ROTOR, LATE] -= d / p.Jm * change
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
         turning = x[WOUND] + p.dw * (x[ROTOR] - x[WAVE_RATE]) - friction + x[MESH]
-        x[WAVE_RATE] += d / p.Jw * (turning - ratio * load)
         against = p.dw + p.s1 * slack + p.bw + damped * ratio
+        brake = against * d / p.Jw  # exact in its own damping: the bristle's is stiff
+        turn = -math.expm1(-brake) / brake * d / p.Jw if brake > 1e-6 else d / p.Jw
+        x[WAVE_RATE] += turn * (turning - ratio * load)
         for j in range(INPUTS):
-            F[WAVE_RATE, j] += d / p.Jw * (
+            F[WAVE_RATE, j] += turn * (
                 F[WOUND, j] + p.dw * F[ROTOR, j] - against * F[WAVE_RATE, j] - p.s0 * F[BRISTLE, j] + F[MESH, j]
                 - ratio * F[SPRING, j] + damped * F[LINK_RATE, j]
             )  # fmt: skip
@@ -449,6 +454,28 @@ def _believe(m, e, moved, c):
 
 
 @kernel
+def _begin_anew(m, c):
+    """Take an external torque for an error of the constants, as far as these, as described, could make it: they are what the
+    description says again, along the torsion's row in `m.H`."""
+    x, P, H = m.x, m.P, m.H
+    could = 0.0
+    for i in range(FIXED, SIZE):
+        could += (H[i] * c.prior[i]) ** 2
+    if x[EXTERNAL] ** 2 > _DOUBT**2 * could:
+        return
+    x[SPRING] += x[EXTERNAL]
+    x[EXTERNAL] = 0.0
+    for i in range(FIXED, SIZE):
+        x[i] = 0.0
+        for j in range(SIZE):
+            P[i, j] = 0.0
+            P[j, i] = 0.0
+        P[i, i] = c.prior[i] ** 2
+    P[SPRING, SPRING] += could
+    P[EXTERNAL, EXTERNAL] += could
+
+
+@kernel
 def _jitters(m, e, x, c):
     """Learn by how much samples are off in time, mean square [s²], from changes of the link encoder's innovations e [rad].
 
@@ -534,6 +561,12 @@ def _step(memory, sample, record, settings, out):
         # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
         spread = c.free**2 if abs(x[EXTERNAL]) < sure else c.free**2 + x[EXTERNAL] ** 2
         _update(m, -x[EXTERNAL], spread * c.back / h, learn, c)
+    # A touch that lasts, and that what was learned of the constants could be: they begin anew.
+    m.touched = m.touched + h if m.untouched > c.wait + 0.5 * h and m.free == 0.0 else 0.0
+    if m.touched > _TOUCH:
+        m.touched = 0.0
+        _torsion_row(m, found, torsion, x[ZERO], wound, soft, ratio, p, c)
+        _begin_anew(m, c)
     H[:] = 0.0
     H[SPRING], H[WAVE_RATE], H[LINK_RATE] = 1.0, p.df * ratio, -p.df - p.bl
     variance = 0.0
@@ -575,23 +608,23 @@ class Augmented(CausalEstimator):
     """
 
     name: str = "augmented"
-    torque: float = 0.007
+    torque: float = 0.005
     external: float = 0.0004
     push: float = 8.0
     mesh: float = 1.5e-3
     bristle: float = 5.5e-3
     presliding: float = 2.0
     level: float = 0.017
-    unsure: float = 3.0
+    unsure: float = 2.0
     surge: float = 1.1
-    free: float = 0.001
+    free: float = 0.0005
     back: float = 0.05
     gate: float = 4.0
     least: float = 0.03
     coarse: float = 0.01
     settled: float = 0.1
     pause: float = 0.5
-    every: float = 0.02
+    every: float = 0.05
     wait: float = 0.2
     memory: float = 0.8
     low: float = 5.0

@@ -335,7 +335,7 @@ def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
 
 
 def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
-    """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then every 20 ms."""
+    """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then again and again."""
     midway = seeing("plain")
     midway.sample["interval"], h = 1e-3, 1e-3
     c, still = midway.settings, 0.9 * midway.settings["sliding"]
@@ -354,7 +354,7 @@ def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
         assert m["calm"] == pytest.approx(0.1 + h)
     for calm, due in ((0.498, False), (0.4984, False), (0.4989, True), (0.52, True)):
         m = midway.after(**quiet | {"calm": calm})[3]
-        assert m["calm"] == pytest.approx(calm + h - 0.02 * due)
+        assert m["calm"] == pytest.approx(calm + h - c["every"] * due)
     assert still > 0.0
 
 
@@ -518,7 +518,7 @@ def test_the_torque_is_the_joints():
 
 
 def test_constants_are_learned_in_calm_motion_and_now_and_then():
-    """Not before half a second of calm and a tenth of sliding, then every 20 ms; after a push not before as long again."""
+    """Not before half a second of calm and a tenth of sliding, then every 50 ms; after a push not before as long again."""
     known = seen("plain")[1]
     calm, pushed = (signals_of(PLAIN, SEED, push)[0].part(slice(0, 6000)) for push in (False, True))
     sliding = np.abs(np.gradient(calm["motor_position"], calm.time)) > 2.5 * known.p["vs"]
@@ -534,8 +534,8 @@ def test_constants_are_learned_in_calm_motion_and_now_and_then():
     )
     assert learned["calm"][0] >= 500
     in_motion = learned["calm"][sliding[learned["calm"]]]
-    assert len(in_motion) > 50 and np.median(np.diff(in_motion)) == 20
-    assert np.diff(learned["calm"]).min() == np.diff(learned["pushed"]).min() == 20
+    assert len(in_motion) > 50 and np.median(np.diff(in_motion)) == 50
+    assert np.diff(learned["calm"]).min() == np.diff(learned["pushed"]).min() == 50
     assert len(learned["pushed"]) < 0.7 * len(learned["calm"])
 
 
@@ -658,3 +658,29 @@ def test_samples_that_are_off_in_time_are_found_out():
         found[name] = arrays[1].view(MEMORY)[0]["jitter"] ** 0.5
     print(f"seed 4: {1e3 * found['late']:.3f} ms, of even samples {1e3 * found['even']:.3f} ms")
     assert found["late"] == pytest.approx(2e-4, rel=0.35) and found["even"] < 5e-5
+
+
+def test_a_bristle_that_is_stiff_in_damping_does_not_shake():
+    """A bristle of three times the damping that turns round at rest: errors of the state do not grow from sample to sample."""
+    midway = Midway.of("plain", s1=0.03).blind()
+    x = midway.memory["x"].copy()
+    x[AT["wave_rate"]], x[AT["bristle"]] = -1e-3, float(midway.joint.p["Fc"] / midway.joint.p["s0"])
+    P = np.zeros((SIZE, SIZE))
+    P[AT["wave_rate"], AT["wave_rate"]], midway.settings["mesh_walk"] = 1.0, 0.0
+    assert midway.after(x, P)[1][AT["wave_rate"], AT["wave_rate"]] < 1.0
+
+
+def test_a_touch_that_constants_could_be_is_taken_for_them():
+    """An external torque that has lasted for two seconds, as large as half a stiffness tolerance: constants begin anew. One that is
+    more than they could be stays."""
+    midway = disturbed(Midway.of("plain"), external=0.1)
+    c, i = midway.settings, AT["external"]
+    c["wait"], c["least"] = 0.2, 1e-3
+    x = midway.memory["x"].copy()
+    for size, stays in ((0.1, False), (30.0, True)):
+        x[i], x[AT["stiffness"]] = size, 0.01
+        P = np.diag(np.r_[np.full(FIXED, 1e-12), np.full(SIZE - FIXED, 1e-10)])
+        found, after, _, m = midway.after(x, P, untouched=5.0, touched=2.0, link_ratio=1.0)
+        assert m["touched"] == m["free"] == 0.0
+        assert (found[i] == 0.0 and found[AT["stiffness"]] == 0.0) != stays
+        assert (after[AT["stiffness"], AT["stiffness"]] == c["prior"][AT["stiffness"]] ** 2) != stays
