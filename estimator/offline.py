@@ -502,13 +502,14 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     current = slow_current(signals)
     motion = smoothed.smooth_motion(signals, joint, cutoff)
     own, grid = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint)), motion.time
-    payload = observe(joint, motion.every(DECIMATION), own[::DECIMATION], current)
+    beside = smoothed.arm_torque(motion, signals)
+    payload = observe(joint, motion.every(DECIMATION), (own - beside)[::DECIMATION], current)
     joint = joint.told(back_driven_friction=payload.back_driven_friction)
     note |= {"bandwidth": cutoff} | payload._asdict()
     torque = smoothed.torque_from_current(motion, joint)[::_TRACK].copy()
-    coarse, motion = own[::_TRACK].copy(), motion.every(_TRACK)  # of an hour, all of it is 300 MB
+    coarse, motion = (own - beside)[::_TRACK].copy(), motion.every(_TRACK)  # of an hour, all of it is 300 MB
     own = np.interp(signals.time, grid, own)
-    joint = replace(joint, load_error=unlike(joint, signals, motion, torque, coarse))
+    joint = replace(joint, load_error=unlike(joint, motion, torque, coarse))
     if joint.load_error > 0.0:
         note |= {"load_error": joint.load_error}
     walk, lasting = 1.0, np.zeros(len(signals.time))
@@ -522,29 +523,29 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
     return Prepared(signals, joint, frozenset(measured), own, walk, cutoff, note, lasting)
 
 
-def unlike(joint: KnownJoint, signals: Signals, motion: smoothed.Motion, torque: np.ndarray, own: np.ndarray) -> float:
+def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: np.ndarray) -> float:
     """By how much [N·m] the load is not what the description says; 0 where nothing speaks against it.
 
     The current's torque and the link's own balance differ by what their tolerances allow, or while somebody touches the joint.
-    Where they differ by more in most of the motion, the load is another one.
+    Where they differ by more in most of the motion, and by more than all of the friction, the load is another one.
 
     Args:
-      motion: n points; torque: of `smoothed.torque_from_current`, own: of `smoothed.own_torque` there, shape (n,) [N·m].
+      motion: n points; torque: of `smoothed.torque_from_current` there, own: what the link's balance asks for, shape (n,) [N·m].
     """
     p, known = joint.p, joint.spread
     w = motion.motor_velocity
     moving = np.abs(w) > _MOVING * p["vs"]
     if not moving.any():
         return 0.0
-    if "arm_torque" in signals:
-        own = own - np.interp(motion.time, signals.time, signals["arm_torque"])
     off = np.abs(torque - own)[moving]
     allowed = np.sqrt(
         (known.torque_constant**2 + _UNMODELLED**2) * torque**2 + friction_error(joint) ** 2
         + (known.viscous * p["bw"] * p["N"] * w) ** 2 + (known.gravity * p["Mg"]) ** 2
         + (known.inertia * p["Jl"] * motion.link_acceleration) ** 2
     )[moving]  # fmt: skip
-    return float(np.median(off)) if np.quantile(off / allowed, 1.0 - _MOST) > _CONTRADICTS else 0.0
+    found = float(np.median(off))
+    other = np.quantile(off / allowed, 1.0 - _MOST) > _CONTRADICTS and found > p["N"] * p["Fc"]
+    return found if other else 0.0
 
 
 def _shifted(signals: Signals, zero: np.ndarray) -> Signals:

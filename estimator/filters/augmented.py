@@ -65,7 +65,7 @@ from ...models.pointers import pointer_to, record_at
 from ...models.step import NOT_FINITE, OK, Step, sample_at
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint, fields_of
-from ..sensing import temperature
+from ..sensing import arm_torque, temperature
 from ..tuning_parameters import TuningParameter
 
 ORDERS = 3
@@ -267,7 +267,7 @@ def _predict(m, s, found, change, h, p, c):
     slope = (dynamics.link_torque(_state(x, found, s.time, warm), x[SPRING], p) - weight) / 1e-4
     x[LINK] -= 1e-4
     weight -= slope * x[LINK]
-    arm = 0.0 if math.isnan(s.arm_torque) else s.arm_torque
+    arm = arm_torque(s)
     F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
     hanging = laws.flexible_inertia(p)
     rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
@@ -608,7 +608,7 @@ class Augmented(CausalEstimator):
     """
 
     name: str = "augmented"
-    torque: float = 0.005
+    torque: float = 0.007
     external: float = 0.0004
     push: float = 8.0
     mesh: float = 1.5e-3

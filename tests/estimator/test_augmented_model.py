@@ -671,8 +671,7 @@ def test_a_bristle_that_is_stiff_in_damping_does_not_shake():
 
 
 def test_a_touch_that_constants_could_be_is_taken_for_them():
-    """An external torque that has lasted for two seconds, as large as half a stiffness tolerance: constants begin anew. One that is
-    more than they could be stays."""
+    """An external torque that has lasted for two seconds: constants begin anew. One that is more than they could be stays."""
     midway = disturbed(Midway.of("plain"), external=0.1)
     c, i = midway.settings, AT["external"]
     c["wait"], c["least"] = 0.2, 1e-3
