@@ -140,7 +140,8 @@ def main() -> None:
         numbers = " | ".join(f"{x:.2f}" for x in c.numbers(c.rigid.best).values())
         late = 1e3 * c.effects(c.delay)["encoder_delay"]["seconds"]
         print(f"| {hidden} | {numbers} | {late:.2f} ms | {named(c.effects(c.rigid.best))} | ", end="")
-        print(f"{quiet_rms(c.problem, c.rigid.best):.1f} | {named(c.effects(c.whole.best))} | {quiet_rms(c.problem, c.whole.best):.1f} |", flush=True)
+        rigid, whole = (quiet_rms(c.problem, x.best) for x in (c.rigid, c.whole))
+        print(f"{rigid:.1f} | {named(c.effects(c.whole.best))} | {whole:.1f} |", flush=True)
         if i == 0:
             figure(c, HERE / "figures" / "link_flexibility.png")
 
