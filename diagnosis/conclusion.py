@@ -18,7 +18,8 @@ class AnswerSettings:
 
     Attributes:
       surest: largest confidence; unsure: of what does not hold where it was not fitted, or could be anything.
-      small: share of a cause's probability that must be that of an effect, for it not to be minor.
+      small: share of a cause's probability that must be that of an effect, for it not to be minor; likely: probability of an
+        effect below which it is minor, too.
       quiet: normalised RMS against the sensors' noise up to which nothing but noise is left.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
       about: part of what one effect is worth from which on another is worth about the same: it is known no better than that.
@@ -43,6 +44,7 @@ class AnswerSettings:
     surest: float = 0.99
     unsure: float = 0.5
     small: float = 0.5
+    likely: float = 0.25
     quiet: float = 1.25
     nearly_all: float = 2 / 3
     about: float = 0.9

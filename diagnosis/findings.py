@@ -51,7 +51,7 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
         }
         # No answer, whatever it explains: a size at the end of what can be, or found in the encoders' noise.
         beyond = h.at_bound(u) or out_of_proportion(problem, h.cause.name, values) or _diluted(problem, final, i)
-        small = effect < ANSWER.small * there or h.cause.name in conclusion.missing
+        small = effect < max(ANSWER.small * there, ANSWER.likely) or h.cause.name in conclusion.missing
         confidence = min(there if small else effect, ANSWER.unsure if beyond else ANSWER.surest, conclusion.surest)
         one = Finding(h.cause.name, h.cause.component, confidence, parameters, share, worths[i])
         if one.determined:
