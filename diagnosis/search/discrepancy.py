@@ -441,11 +441,16 @@ def find(
         columns = look.columns(spline)
         if all(np.isfinite(c).all() for c in columns):  # else beyond what the replay follows
             tried += [plain.candidate(spline, columns, without) for without in drops]
-    now, found = posterior.judge(best), list[Unknown]()
+    now, found = posterior.judge(best).score, list[Unknown]()
     for without in drops:
         for candidate in _promising([c for c in tried if c.without == without], settings):
             f = _refined(fitter, best, candidate)
-            found.append(Unknown(candidate.spline, f, posterior.judge(f).score - now.score))
+            found.append(Unknown(candidate.spline, f, posterior.judge(f).score - now))
+    # The derivatives were taken far from where these end: the most probable are fitted once more with their own.
+    found.sort(key=lambda u: -u.gain)
+    for u in found[: settings.refined]:
+        f = fitter.fit(u.fit.model, u.fit.theta, None, 6, best)
+        found.append(replace(u, fit=f, gain=posterior.judge(f).score - now))
     named = [
         u for u in found
         if u.gain > 0.0
@@ -481,7 +486,7 @@ def _drops(problem: Problem, best: Fit) -> list[tuple[int, ...]]:
 
 
 def _refined(fitter: Fitter, best: Fit, candidate: Candidate) -> Fit:
-    """A candidate fitted through the replay: where the derivatives were taken far from where it ends, once more with its own."""
+    """A candidate fitted through the replay."""
     problem = fitter.problem
     kept = [i for i in range(len(best.model)) if i not in candidate.without]
     places = [problem.place(best.model, i) for i in kept]
@@ -489,10 +494,7 @@ def _refined(fitter: Fitter, best: Fit, candidate: Candidate) -> Fit:
     model: Model = tuple(best.model[i] for i in kept)
     start = np.concatenate([(best.theta + candidate.shift)[index], candidate.coordinates])
     near = replace(best, model=model, theta=best.theta[index], jacobian=[J[..., index] for J in best.jacobian])
-    f = fitter.fit((*model, candidate.spline), start, near, 4, best)  # type: ignore[arg-type]
-    if not candidate.without:
-        return f
-    return max(f, fitter.fit(f.model, f.theta, None, 6, best), key=lambda f: f.log_evidence)
+    return fitter.fit((*model, candidate.spline), start, near, 4, best)  # type: ignore[arg-type]
 
 
 def extend(joint: Joint, found: Unknown) -> Joint:

@@ -197,6 +197,10 @@ class Explorer:
         """A model fitted through the replay: with derivatives near by and the noise of another, or with its own."""
         return self.fitter.fit(model, theta, near, 4, beside)
 
+    def _whole(self, post: Posterior, f: Fit, beside: Fit) -> Judged:
+        """A model fitted to its end: where calibration has a long way back, a few steps do not get there."""
+        return post.judge(self.fitter.fit(f.model, f.theta, None, self.settings.whole, beside))
+
     def _library(self, best: Fit) -> Library:
         """Columns of every hypothesis that the best model has not, and for which there is room."""
         have = {h.key for h in best.model}
@@ -218,9 +222,7 @@ class Explorer:
                 proposed.append((x, post.judge(self._fit((*at.model, x.hypothesis), theta, at, at))))
             x, top = max(proposed, key=lambda p: p[1].score, default=(None, now))
             if x is not None and now.score - self.settings.window < top.score <= now.score + self.settings.window:
-                # Where calibration has a long way back, a few steps do not get there.
-                whole = self.fitter.fit(top.fit.model, top.fit.theta, None, self.settings.whole, at)
-                top = max(top, post.judge(whole), key=lambda p: p.score)
+                top = max(top, self._whole(post, top.fit, at), key=lambda p: p.score)
                 proposed = [(y, top if y is x else p) for y, p in proposed]
             for y, p in proposed:
                 gain, taken = p.score - now.score, y is x and p.score > now.score
@@ -273,7 +275,9 @@ class Explorer:
         lost = {i: x for i, _, x in dropped}
         now = post.judge(best, lost, {i: unexplained_size(problem, best, linear, i) for i in own})
         models = [now, *(m for _, m, _ in dropped)]
-        pairs = [(i,) for i in own] + [(i, j) for i in own for j in own if i < j and _correlated(problem, best, i, j)]
+        pairs = [(i,) for i in own]
+        pairs += [(i, j) for i in own for j in range(len(best.model)) if j != i and _correlated(problem, best, i, j)]
+        pairs = list({frozenset(pair): pair for pair in pairs}.values())
         for gone in pairs:
             less, gained = _without(problem, linear, *gone)
             left = library.keeping(problem.with_room(less.model, library.hypotheses))
@@ -284,6 +288,8 @@ class Explorer:
                 near = replace(less, jacobian=[J[..., stays] for J in best.jacobian])
                 theta = np.concatenate([less.theta + x.shift, x.start])
                 other = post.judge(self._fit((*less.model, x.hypothesis), theta, near, best))
+                if now.score - 4 * self.settings.window < other.score < now.score + _MORE:
+                    other = max(other, self._whole(post, other.fit, best), key=lambda m: m.score)
                 models.append(other)
                 gain = other.score - now.score
                 why = f"in the place of {' and '.join(best.model[i].cause.name.replace('_', ' ') for i in gone)}"
