@@ -23,7 +23,7 @@ from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Columns, Fit, Fitter, huber_weight, leverage_weight
-from .posterior import Posterior
+from .posterior import ModelPosterior
 from .screen import plain_noise
 from .worth import alone, left_by, made_by, noise_of
 
@@ -418,7 +418,7 @@ class _Plain:
 
 
 def find(
-    fitter: Fitter, posterior: Posterior, base: Fit, best: Fit, settings: DiscrepancySettings = SETTINGS
+    fitter: Fitter, posterior: ModelPosterior, base: Fit, best: Fit, settings: DiscrepancySettings = SETTINGS
 ) -> Unknown | None:
     """The unknown effect that makes a joint more probable than the best model of known causes: beside these, or in the place of
     the one that is worth most, of all of its component, or of all. None where there is none, or next to nothing is left.

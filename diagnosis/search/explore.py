@@ -18,7 +18,7 @@ import numpy as np
 from ..fit.coordinates import Hypothesis
 from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter, tamed
-from .posterior import Judged, Posterior, quiet_rms, unexplained_size
+from .posterior import Judged, ModelPosterior, quiet_rms, unexplained_size
 from .screen import Library, ranked, screen
 from .worth import amount_of, magnitudes_at, size_of
 
@@ -151,9 +151,9 @@ class Explorer:
         """Of the fitter."""
         return self.fitter.problem
 
-    def posterior(self, best: Fit) -> Posterior:
+    def posterior(self, best: Fit) -> ModelPosterior:
         """Of models about a fit."""
-        return Posterior(self.problem, best, max(len({h.cause.name for h in self.offered}), 1))
+        return ModelPosterior(self.problem, best, max(len({h.cause.name for h in self.offered}), 1))
 
     def explore(self, base: Fit, start: Fit | None = None) -> Explored:
         """Search from the calibrated joint, or from a model with causes in it."""
@@ -197,7 +197,7 @@ class Explorer:
         """A model fitted through the replay: with derivatives near by and the noise of another, or with its own."""
         return self.fitter.fit(model, theta, near, 4, beside)
 
-    def _whole(self, post: Posterior, f: Fit, beside: Fit) -> Judged:
+    def _whole(self, post: ModelPosterior, f: Fit, beside: Fit) -> Judged:
         """A model fitted to its end: where calibration has a long way back, a few steps do not get there."""
         return post.judge(self.fitter.fit(f.model, f.theta, None, self.settings.whole, beside))
 
@@ -257,7 +257,7 @@ class Explorer:
         return best
 
     def _drops(
-        self, best: Fit, linear: Fit, post: Posterior, indices: Iterable[int]
+        self, best: Fit, linear: Fit, post: ModelPosterior, indices: Iterable[int]
     ) -> Iterable[tuple[int, Judged, float]]:
         """Models without one of some causes, of those that are not plainly needed, and the log likelihood that each loses."""
         for i in indices:
@@ -270,10 +270,11 @@ class Explorer:
         """The best of all models without one of the effects or with another cause in its place, and all that were judged."""
         problem, post = self.problem, self.posterior(best)
         linear = tamed(problem, best)
-        own = [i for i, effect in enumerate(post.judge(best).effects) if effect >= 0.1]
+        effects = post.judge(best).effects
+        own = [i for i, effect in enumerate(effects) if effect >= 0.1]
         dropped = list(self._drops(best, linear, post, own))
         lost = {i: x for i, _, x in dropped}
-        now = post.judge(best, lost, {i: unexplained_size(problem, best, linear, i) for i in own})
+        now = post.judge(best, lost, {i: unexplained_size(problem, best, linear, i, effects) for i in own})
         models = [now, *(m for _, m, _ in dropped)]
         pairs = [(i,) for i in own]
         pairs += [(i, j) for i in own for j in range(len(best.model)) if j != i and _correlated(problem, best, i, j)]

@@ -10,7 +10,7 @@ them to say: the log likelihood is divided by a temper (a coarsened posterior: M
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import MappingProxyType
 
@@ -92,7 +92,7 @@ class Judged:
         return frozenset(h.key for h in self.fit.model)
 
 
-class Posterior:
+class ModelPosterior:
     """Log posterior of models of one problem.
 
     Args:
@@ -149,15 +149,27 @@ class Posterior:
         return Judged(f, float(evidence / T + both), tuple(float(x) for x in effects))
 
 
-def unexplained_size(problem: Problem, f: Fit, linear: Fit, index: int, settings: PriorSettings = SETTINGS) -> float:
+def unexplained_size(
+    problem: Problem, f: Fit, linear: Fit, index: int, effects: Sequence[float], settings: PriorSettings = SETTINGS
+) -> float:
     """Size that what nothing explains may have of one of a fit's causes, in ordinary sizes: what is left where the cause acts,
     taken for it.
 
     Args:
       linear: the fit with `solver.tamed` derivatives.
+      effects: of each cause, the probability that it is an effect: another one that is not takes over nothing.
     """
-    share = worth_of(problem, f, linear, index).share
+    spread = problem.spread(f.model)
+    for i, effect in enumerate(effects):
+        if effect < _EFFECT:
+            spread[magnitudes_at(problem, f, i)] = _HELD
+    share = worth_of(problem, f, linear, index, spread).share
     return settings.lookalike * size_of(problem, f, index) / max(share, 1e-12) ** 0.5
+
+
+_HELD = 1e-6  # spread of what does not move
+_EFFECT = 0.1
+"""Probability of an effect below which a cause is taken for an imperfection."""
 
 
 def _slab(known: np.ndarray, along: np.ndarray, width: float) -> float:

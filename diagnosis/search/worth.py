@@ -72,15 +72,22 @@ class Worth:
 
 
 def worth(
-    problem: Problem, f: Fit, columns: Columns, effect: np.ndarray, others: np.ndarray, amount: np.ndarray
+    problem: Problem,
+    f: Fit,
+    columns: Columns,
+    effect: np.ndarray,
+    others: np.ndarray,
+    amount: np.ndarray,
+    spread: np.ndarray | None = None,
 ) -> Worth:
     """What an effect of a linear model removes that the other unknowns could not have removed instead.
 
     Args:
       columns: derivatives, shape (k, len(BALANCES), n) a segment; `effect`, `others`: indices of columns.
       amount: of the effect's coordinates, from absent.
+      spread: prior standard deviations of all unknowns, shape (n,); the problem's by default.
     """
-    _, own, squares = _removed(problem, f, columns, effect, others, amount)
+    _, own, squares = _removed(problem, f, columns, effect, others, amount, spread)
     return Worth(squares, _share(problem, own, f.point))
 
 
@@ -93,7 +100,13 @@ def instead(
 
 
 def _removed(
-    problem: Problem, f: Fit, columns: Columns, effect: np.ndarray, others: np.ndarray, amount: np.ndarray
+    problem: Problem,
+    f: Fit,
+    columns: Columns,
+    effect: np.ndarray,
+    others: np.ndarray,
+    amount: np.ndarray,
+    spread: np.ndarray | None = None,
 ) -> tuple[np.ndarray, Columns, np.ndarray]:
     """`instead`, the series that the effect alone removes, and its mean squares by balance; arguments as of `worth`.
 
@@ -103,7 +116,7 @@ def _removed(
     rows = whiten(problem.segments, f.noise, columns).rows
     G = rows.T @ rows
     low, high = (limit - f.theta for limit in problem.bounds(f.model))
-    precision = 1 / problem.spread(f.model)[others] ** 2
+    precision = 1 / (problem.spread(f.model) if spread is None else spread)[others] ** 2
     step = bounded_step(
         G[np.ix_(others, others)] + np.diag(precision),
         precision * f.theta[others] - G[np.ix_(others, effect)] @ amount,
@@ -170,12 +183,10 @@ def significance(problem: Problem, f: Fit, index: int = -1) -> float:
     return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
 
 
-def worth_of(problem: Problem, f: Fit, linear: Fit, *indices: int) -> Worth:
-    """What one of a fit's effects is worth, or several together; `linear`: the fit with `solver.tamed` derivatives."""
-    columns = linear.jacobian
-    for index in indices:
-        columns = _as_without(problem, f, columns, index)
-    return worth(problem, f, columns, *alone(problem, f, *indices))
+def worth_of(problem: Problem, f: Fit, linear: Fit, index: int, spread: np.ndarray | None = None) -> Worth:
+    """What one of a fit's effects is worth; `linear`: the fit with `solver.tamed` derivatives, `spread` as of `worth`."""
+    columns = _as_without(problem, f, linear.jacobian, index)
+    return worth(problem, f, columns, *alone(problem, f, index), spread)
 
 
 def made_by(problem: Problem, f: Fit, linear: Fit, index: int) -> np.ndarray:
