@@ -118,7 +118,8 @@ def command(
                 **{what: {name: asdict(s) for name, s in by_name.items()} for what, by_name in scores.items()},
             }
             shown = scores and not as_json
-            tables[recording.name] = path, _table(recording.name, recording.external, scores) if shown else None
+            table = _table(recording.name, recording.external, scores, found.untrusted) if shown else None
+            tables[recording.name] = path, table
         text = json_text(report)
         (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
     if as_json:  # nothing is told before the folder is complete
@@ -177,13 +178,16 @@ def _remarks(
         terminal.print(f"{name}: {names}: {why}")
 
 
-def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Table:
+def _table(name: str, external: str, scores: dict[str, dict[str, Score]], untrusted: dict[str, str]) -> Table:
     from rich.text import Text
 
-    from ..views.tables import heading, narrow_table
+    from ..views.tables import UNTRUSTED, heading, marked, narrow_table
 
     none = "; there was no external torque" if external == "none" and "external_torque" in scores else ""
-    table = narrow_table(f"{name}: RMS error", f"All of the time, and in motion{none}")
+    table = narrow_table(
+        f"{name}: RMS error",
+        f"All of the time, and in motion{none}" + (f";{UNTRUSTED} not to be trusted" if untrusted else ""),
+    )
     table.add_column("estimator", no_wrap=True)
     for what in scores:
         for words in (what.replace("_", " "), "in motion"):
@@ -194,5 +198,5 @@ def _table(name: str, external: str, scores: dict[str, dict[str, Score]]) -> Tab
             s = found.get(estimator)
             figures = (math.nan, math.nan) if s is None else (s.rms, s.rms_moving)
             cells += ["–" if math.isnan(x) else f"{x:.3f}" for x in figures]
-        table.add_row(Text(estimator), *cells)
+        table.add_row(Text(marked(estimator, {"untrusted": untrusted})), *cells)
     return table

@@ -15,8 +15,7 @@ from .fit.regions import Region
 from .fit.residual import Problem
 from .fit.solver import Fit
 from .regression import Regression
-from .search.acceptance import Decision
-from .search.stages import Search
+from .search.explore import Decision, Explored
 
 if TYPE_CHECKING:
     from .planning import Plan
@@ -146,7 +145,7 @@ class Diagnosis:
     mistakes: tuple[Mistake, ...] = ()
     decisions: tuple[Decision, ...] = field(default=(), repr=False)
     problem: Problem | None = field(default=None, repr=False)
-    search: Search | None = field(default=None, repr=False)
+    search: Explored | None = field(default=None, repr=False)
     final: Fit | None = field(default=None, repr=False)
     whole: Fit | None = field(default=None, repr=False)
     share: float = 1.0
@@ -227,7 +226,7 @@ class Diagnosis:
             "decisions": [
                 {
                     "stage": d.stage, "cause": d.cause, "parameters": d.fixed, "gain": _finite(d.gain),
-                    "worth": _finite(d.worth), "size": round(d.size, 4), "taken": d.taken, "reason": d.reason,
+                    "size": round(d.size, 4), "taken": d.taken, "reason": d.reason,
                 }
                 for d in self.decisions
             ],

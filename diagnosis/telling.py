@@ -16,50 +16,30 @@ from .conclusion import ANSWER, Conclusion
 from .data.mistakes import NO_CHANGE, Mistake
 from .data.segments import BALANCES, CURRENT, SETTINGS, UNITS
 from .extension import DELAYS, calibrated, extended, parameter_shifts
-from .findings import close, explains_nothing, findings_of, other_ripples, out_of_proportion
+from .findings import explains_nothing, findings_of, out_of_proportion
 from .fit import tare
 from .fit.regions import valid_range
 from .fit.residual import Problem
 from .fit.solver import Fit, evaluate_point
-from .search.worth import left_by
 from .uncertainty import of_description, stated
 
 _LATE = "time was up before every stage was done: with more, more may be found"
-_CROWDED = "the causes named may be one thing more that stands for what is missing, as numbers at the end of their tolerances do"
-_NOT_SURE = "the causes named do not hold where they were not fitted, and are not sure"
+_NOT_SURE = "the causes named are no more probable than not"
 
 
 def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
     """What a diagnosis came to, as the answer."""
     problem, found, final, joint = conclusion.problem, conclusion.found, conclusion.drawn.fit, conclusion.problem.joint
-    findings, minor, entangled = findings_of(conclusion, measurement)
-    useless = bool(findings) and explains_nothing(problem, found.base, conclusion.judged)
-    surest = min(conclusion.surest, ANSWER.unsure) if useless else conclusion.surest
+    useless = bool(conclusion.final.model) and explains_nothing(problem, found.base, conclusion.judged)
+    if useless:
+        conclusion = replace(conclusion, surest=min(conclusion.surest, ANSWER.unsure))
+    findings, minor = findings_of(conclusion, measurement)
     unseen = _without_held_out(conclusion)
     drive = any("motor_current" in r for r in measurement.recordings)
     drive_torque = 0.0 if drive else float(joint.record()[0]["Kt_drive"])
     residual = _balances(problem, found.base, unseen, drive_torque)
-    link = residual.get("link_balance")  # with the link's encoder alone that of its own motion
-    weighed = link is not None and link.after <= ANSWER.far * link.noise
     calibration = parameter_shifts(problem, final)
-    crowded = not problem.link_measured and _ends(problem, calibration) >= ANSWER.crowded
-
-    def told(f: Finding) -> Finding:
-        """A finding as sure as the motion that was measured lets it be."""
-        # Where something is missing and many numbers stand for it, a cause may be one more; not where the link's own balance
-        # shows it, which has neither gear nor rotor in it.
-        unlikely = (conclusion.behind or crowded) and not (weighed and _acts_on_the_link(f))
-        return replace(f, confidence=min(f.confidence, surest, ANSWER.behind if unlikely else 1.0))
-
-    findings, minor = ([told(f) for f in fs if f.determined] for fs in (findings, minor))
-    slight = [f for f in findings if _explains_nothing(f, conclusion)]
-    findings, minor = [f for f in findings if f not in slight], [*minor, *slight]
-    if conclusion.nearly_all:
-        # Something is wrong; where it sits cannot be told from what could not have shown.
-        findings = [
-            replace(f, confidence=min(f.confidence, ANSWER.unsure)) if f.name == "unknown" else f for f in findings
-        ]
-    verdict, reasons = _verdict(conclusion, findings, minor, residual, useless, crowded)
+    verdict, reasons = _verdict(conclusion, findings, residual, useless)
     reasons += [
         *_out_of_proportion(problem, findings),
         *_at_the_end(calibration),
@@ -78,10 +58,7 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
             "uncertainty": stated(problem, final, extended_joint, conclusion.drawn.regions),
         }
         extended_joint = extended_joint.model_copy(update=known)
-    ripples = [(h.cause.name, name) for h in conclusion.final.model for name in other_ripples(problem, h)]
-    alike = {
-        (min(pair), max(pair)) for pair in (*conclusion.alike, *close(found), *ripples, *entangled, *found.confusable)
-    }
+    alike = {(min(pair), max(pair)) for pair in (*conclusion.alike, *found.alike())}
     return Diagnosis(
         verdict=verdict,
         reasons=tuple(reasons),
@@ -128,27 +105,6 @@ def _tared(conclusion: Conclusion) -> Joint:
         found = calibrated(problem.tared(), replace(conclusion.drawn.fit, theta=theta, model=()), found)
     told = of_description(problem, evaluate_point(problem, theta, ()))
     return found.model_copy(update={"uncertainty": told})
-
-
-_NOTHING, _LITTLE = 0.005, 0.1
-"""Share of the discrepancy below which a cause explains 0 %, and of what is left below which it is worth nothing either [RMS]."""
-
-
-def _explains_nothing(f: Finding, conclusion: Conclusion) -> bool:
-    """Whether a finding is no cause: it explains 0 % and removes next to nothing, or the measurement could not have shown it."""
-    slight = f.explains < _NOTHING and f.worth < _LITTLE * left_by(conclusion.problem, conclusion.final) ** 0.5
-    return f.name != "unknown" and (slight or f.name in conclusion.missing)
-
-
-def _acts_on_the_link(f: Finding) -> bool:
-    """Whether what a finding does shows in the balance of the link's own motion and its torque sensor."""
-    return f.component == "link" or (f.name in causes.names() and causes.get(f.name).sensor == "joint_torque")
-
-
-def _ends(problem: Problem, calibration: dict[str, ParameterShift]) -> int:
-    """How many numbers are at the end of their tolerances; of those that share one, one."""
-    numbers = {slot.name: slot.number.shared or slot.name for slot in problem.calibration.slots}
-    return len({numbers[name] for name in _moved_to_the_end(calibration) if name in numbers})
 
 
 def _moved_to_the_end(calibration: dict[str, ParameterShift]) -> dict[str, ParameterShift]:
@@ -203,20 +159,7 @@ def _holds_back(conclusion: Conclusion) -> list[str]:
         left = f"the numbers in joint.yaml are drawn back to {100 * drawn.share:.0f} % of the way"
         zero = ", its link encoder's zero tared" if conclusion.problem.link_measured else ""
         return [f"{why}: {left if drawn.share else f'joint.yaml is the description{zero}'}"]
-    if not conclusion.problem.held.any():
-        return []
-    worse = ", ".join(f"{r.name} ({r.ratio:.1f} times)" for r in drawn.regions if r.worse)
-    alike = dict.fromkeys(n for pair in conclusion.found.confusable for n in pair)
-    names = " or ".join(name.replace("_", " ") for name in alike)
-    told = [
-        "no numbers within tolerance hold where a fit has not seen the data: they are left as described, and the causes are what "
-        "explains most with these"
-    ]
-    if worse:
-        told.append(f"on regions that were kept from the fit worse than the description in {worse}")
-    if names:
-        told.append(f"what is left beside may be {names}, which this motion cannot tell apart")
-    return told
+    return []
 
 
 def _stands_apart(conclusion: Conclusion) -> list[str]:
@@ -279,19 +222,12 @@ def _held_out(problem: Problem) -> str:
 
 
 def _verdict(
-    conclusion: Conclusion,
-    findings: list[Finding],
-    minor: list[Finding],
-    residual: dict[str, BalanceResidual],
-    useless: bool,
-    crowded: bool,
+    conclusion: Conclusion, findings: list[Finding], residual: dict[str, BalanceResidual], useless: bool
 ) -> tuple[str, list[str]]:
-    """Verdict and, where it is not plain, its reasons: a residual far above the noise is never consistent, nor is one beside
-    which a minor effect is worth as much as an unknown one that is told.
+    """Verdict and, where it is not plain, its reasons: a residual far above the noise is never consistent.
 
     Args:
-      useless: whether the causes leave no less unexplained than calibration alone; crowded: whether many numbers stand at the
-        end of their tolerances beside them.
+      useless: whether the causes leave no less unexplained than calibration alone.
     """
     problem = conclusion.problem
     # Not all that the fit found is in the joint of which `residual` is: what that leaves is no noise.
@@ -305,13 +241,10 @@ def _verdict(
     ]  # fmt: skip
     left = _left(far, " by joint.yaml" if taken_back else "")
     late = [] if conclusion.found.complete else [_LATE]
-    if useless:
+    if useless and findings:
         return "inconclusive", ["the causes named leave no less unexplained than calibration alone", *late, *left]
-    unlikely = not problem.link_measured and all(f.confidence <= ANSWER.unsure for f in findings)
-    if findings and unlikely and conclusion.drawn.share == 0.0:
+    if findings and all(f.confidence <= ANSWER.unsure for f in findings):
         return "inconclusive", [_NOT_SURE, *late, *left]
-    if findings and crowded and all(f.confidence <= ANSWER.behind for f in findings):
-        return "inconclusive", [_CROWDED, *late, *left]
     if findings:
         return "discrepancy", [*late, *_after("beside the causes named, ", left)]
     if conclusion.nearly_all:
@@ -320,10 +253,6 @@ def _verdict(
         return "inconclusive", [*late, *left]
     if far:
         return "inconclusive", left if taken_back else ["no known cause explains the residual", *left]
-    large = [f for f in minor if f.confidence >= ANSWER.unsure and f.worth > ANSWER.little * rated]
-    if large:
-        names = " and ".join(f"{f.name.replace('_', ' ')} ({f.worth:.2g} N·m)" for f in large)
-        return "inconclusive", [f"{names} may be there, too small or too little known to be named"]
     some = [(name, r) for name, r in residual.items() if r.after > ANSWER.near * r.noise]
     return "consistent", _after("small, but more than noise: ", _left(some))
 

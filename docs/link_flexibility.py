@@ -21,7 +21,9 @@ from flexspline.diagnosis.data.segments import LINK, segments
 from flexspline.diagnosis.fit.coordinates import Hypothesis, hypotheses
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter
-from flexspline.diagnosis.search.stages import Search, search
+from flexspline.diagnosis.search.calibrate import calibrate
+from flexspline.diagnosis.search.explore import Explored, Explorer
+from flexspline.diagnosis.search.posterior import quiet_rms
 from flexspline.diagnosis.trials.motions import motions, record_motion
 from flexspline.models import causes
 from flexspline.models.joint import load_joint
@@ -61,8 +63,8 @@ class Comparison:
     """
 
     problem: Problem
-    whole: Search
-    rigid: Search
+    whole: Explored
+    rigid: Explored
     delay: Fit
 
     def numbers(self, f: Fit) -> dict[str, float]:
@@ -88,8 +90,13 @@ def compared(hidden: dict[str, float]) -> Comparison:
     def tried(names: Sequence[str]) -> list[Hypothesis]:
         return [h for n in names for h in hypotheses(causes.get(n), record)]
 
-    whole = search(problem, tried(available))
-    rigid = search(problem, tried([n for n in available if n != "link_flexibility"]))
+    def search(names: Sequence[str]) -> Explored:
+        fitter = Fitter(problem)
+        base = calibrate(fitter)
+        return Explorer(fitter, tried(names)).explore(base, base)
+
+    whole = search(available)
+    rigid = search([n for n in available if n != "link_flexibility"])
     (late,) = tried(["encoder_delay"])
     start = np.concatenate([rigid.base.theta, np.zeros(late.size)])
     return Comparison(problem, whole, rigid, Fitter(problem).fit((late,), start))
@@ -114,8 +121,8 @@ def figure(c: Comparison, path: Path) -> None:
     fig, ax = plt.subplots(figsize=(8, 3.8))
     for f, label, color in (
         (c.rigid.base, "calibrated, rigid link", style.SENSOR),
-        (c.rigid.chosen, "with what the library has without a flexible link", style.FILTERS["AREKF"]),
-        (c.whole.chosen, "with a flexible link", style.TRUTH),
+        (c.rigid.best, "with what the library has without a flexible link", style.FILTERS["AREKF"]),
+        (c.whole.best, "with a flexible link", style.TRUTH),
     ):
         ax.semilogy(*spectrum(c, f), color=color, lw=1.3, label=label)
     ax.set(xlim=(0, 60), xlabel="frequency [Hz]", ylabel="N·m/√Hz", title="What is left of the link's balance")
@@ -130,10 +137,11 @@ def main() -> None:
     """Print the table and draw the figure."""
     for i, hidden in enumerate(HIDDEN):
         c = compared(hidden)
-        numbers = " | ".join(f"{x:.2f}" for x in c.numbers(c.rigid.chosen).values())
+        numbers = " | ".join(f"{x:.2f}" for x in c.numbers(c.rigid.best).values())
         late = 1e3 * c.effects(c.delay)["encoder_delay"]["seconds"]
-        print(f"| {hidden} | {numbers} | {late:.2f} ms | {named(c.effects(c.rigid.chosen))} | ", end="")
-        print(f"{c.rigid.quiet[1]:.1f} | {named(c.effects(c.whole.chosen))} | {c.whole.quiet[1]:.1f} |", flush=True)
+        print(f"| {hidden} | {numbers} | {late:.2f} ms | {named(c.effects(c.rigid.best))} | ", end="")
+        rigid, whole = (quiet_rms(c.problem, x.best) for x in (c.rigid, c.whole))
+        print(f"{rigid:.1f} | {named(c.effects(c.whole.best))} | {whole:.1f} |", flush=True)
         if i == 0:
             figure(c, HERE / "figures" / "link_flexibility.png")
 

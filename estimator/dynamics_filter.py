@@ -24,7 +24,7 @@ from ..models.step import NOT_FINITE, OK, SAMPLE
 from . import joint_model as model
 from .joint_model import EXTERNAL, LINK, MESH, MOTOR, MOTOR_RATE, NOISE, SIZE, STATES, STEPS, WAVE
 from .quantised import update
-from .sensing import RING, line_in_ring, motor_current, temperature
+from .sensing import RING, arm_torque, line_in_ring, motor_current, temperature
 
 _AHEAD = 6.0
 """Delays of the link encoder, over which the line that carries the external torque on is fitted."""
@@ -108,17 +108,19 @@ def _step(m, s, link_position, dt, c, p, unscented):
     """Predict over `dt` [s] to a sample (0: start) and update with its readings, the link's [rad] at that instant."""
     x, P, noise = m.x, m.P, c.noise
     if dt == 0.0:
-        model.start(s.motor_position, link_position, s.time, p, x)
+        model.start(s.motor_position, link_position, arm_torque(s), s.time, p, x)
         for i in range(int(noise.count)):
             P[i, i] = noise.start[int(noise.active[i])]
         m.motor_ratio, m.link_ratio = 1.0, 1.0
         m.current = motor_current(s, x[MOTOR], x[LINK], 0.0, 0.0, p)
     else:
         command, heat = motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p), temperature(s, p)
+        x[EXTERNAL] += arm_torque(s)
         if unscented:
             predict_unscented(m, command, dt, heat, noise, c.kappa, p)
         else:
             predict_extended(m, command, dt, heat, noise, p)
+        x[EXTERNAL] -= arm_torque(s)
         add_noise(m, P, dt, noise)
         m.current = model.next_current(m.current, command, dt, p)
         m.predicted[:] = x
@@ -175,12 +177,14 @@ def _catch_up(m, k, n, c, p, unscented):
     while k <= n:
         s = m.ring[k % RING]
         dt, command = s.time - time, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p)
-        x[EXTERNAL] = line_in_ring(m.times, m.external, int(m.done) - 1, _AHEAD * p.link_delay, time + 0.5 * dt)
+        line = line_in_ring(m.times, m.external, int(m.done) - 1, _AHEAD * p.link_delay, time + 0.5 * dt)
+        x[EXTERNAL] = line + arm_torque(s)
         _advance(x, current, command, time, dt, model.substeps(x, dt, p), temperature(s, p), noise, p, m.work)
         propagate(m.F, P, m.A, active, active)
         add_noise(m, P, dt, noise)
         P[external, external] = 0.0
         by_motor(m, x, P, s.motor_position, noise, p)
+        x[EXTERNAL] = line
         current, time = model.next_current(current, command, dt, p), s.time
         k += 1
 

@@ -138,6 +138,7 @@ class KnownJoint:
       link_zero: standard deviation of the link encoder's zero against the motor encoder's [rad].
       link_wander: by how much that zero may wander with the link's angle [rad]: of a known eccentricity, how well it is known.
       back_driven: standard deviation of the share of load-dependent friction that acts while the load drives.
+      load_error: by how much the load is known not to be what the numbers say [N·m]; 0: nothing speaks against it.
       start: when the recording began [s], from which drifts count; None: with the first sample.
       spread: how well its other numbers are known.
     """
@@ -149,6 +150,7 @@ class KnownJoint:
     link_zero: float = 0.0
     link_wander: float = 0.0
     back_driven: float = 0.0
+    load_error: float = 0.0
     start: float | None = None
     spread: Spread = field(default_factory=Spread)
 
@@ -301,6 +303,7 @@ class Estimator(ABC):
     costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
     innovation_unit: ClassVar[str] = "N·m"  # of its innovations, where it has any
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "link_position", "motor_current")  # channels it reads
+    learns: ClassVar[bool] = False  # whether it estimates the errors of the joint's constants along the way
     reads_command: ClassVar[bool] = False  # whether it reads the drive's current command, where that is known
     tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # what tuning may change; first what trades noise for delay
     description: ClassVar[str] = ""  # a line for people, with its source

@@ -30,7 +30,7 @@ def external_torque(
     """External torque on the link [N·m], shape (n,), that an estimate of the joint torque means.
 
     Args:
-        signals: with both positions.
+        signals: with both positions; `arm_torque`, what other joints of an arm put on the link [N·m], where there is any.
         torque: Shape (n,), the estimate [N·m].
         joint: what is known of it: inertia, weight, zero of the link encoder.
         bandwidth: of the observer [Hz]. cutoff: of the link velocity's low-pass [Hz].
@@ -41,9 +41,10 @@ def external_torque(
     if np.shape(torque) != signals.time.shape:
         raise InputError(f"external torque: expected a torque of shape {signals.time.shape}, got {np.shape(torque)}")
     out = np.zeros(len(signals.time))
+    arm = signals["arm_torque"] if "arm_torque" in signals else np.zeros(len(out))
     _observe(
         joint.since(signals.time), signals["motor_position"], signals["link_position"],
-        np.ascontiguousarray(torque, dtype=np.float64), joint.record, 2 * math.pi * bandwidth, 2 * math.pi * cutoff, out,
+        np.ascontiguousarray(torque, dtype=np.float64), arm, joint.record, 2 * math.pi * bandwidth, 2 * math.pi * cutoff, out,
     )  # fmt: skip
     return out
 
@@ -68,7 +69,7 @@ def _lowpassed(time, values, cutoff, memory, out):
 
 
 @kernel
-def _observe(time, motor, link, torque, record, gain, cutoff, out):
+def _observe(time, motor, link, torque, arm, record, gain, cutoff, out):
     p = record[0]
     velocity, total, residual = 0.0, 0.0, 0.0
     before = dynamics.actual_link_position(link[0], motor[0], 0.0, time[0], p)
@@ -80,7 +81,7 @@ def _observe(time, motor, link, torque, record, gain, cutoff, out):
         state = dynamics.drive_state(
             motor[k], p.N * velocity, position, velocity, dynamics.UNREAD, dynamics.UNREAD, time[k], dynamics.UNREAD
         )
-        total += h * (torque[k] + dynamics.link_torque(state, torque[k], p))
+        total += h * (torque[k] + dynamics.link_torque(state, torque[k], p) + arm[k])
         residual = gain * (p.Jl * velocity - total) / (1.0 + gain * h)  # implicit in r: stable at any gain
         total += h * residual
         out[k] = residual

@@ -282,12 +282,12 @@ def next_current(current, command, dt, p):
 
 
 @kernel
-def start(motor_position, link_position, time, p, x):
-    """Write the state at rest at the first encoder readings, under the link's weight, into `x`."""
+def start(motor_position, link_position, arm, time, p, x):
+    """Write the state at rest at the first encoder readings into `x`: under the link's weight and an arm's torque on it [N·m]."""
     x[:] = 0.0
     x[MOTOR] = dynamics.actual_motor_position(motor_position, p)
     x[LINK] = dynamics.actual_link_position(link_position, x[MOTOR], 0.0, time, p)
-    load = -dynamics.link_torque(state_of(x, UNREAD, time, UNREAD), 0.0, p)
+    load = -dynamics.link_torque(state_of(x, UNREAD, time, UNREAD), 0.0, p) - arm
     x[WAVE] = x[MOTOR] - laws.wave_generator_torsion(load / p.N, p)
 
 

@@ -25,6 +25,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -58,6 +59,12 @@ _SLOW = 15.0
 _LED = 0.6
 """Its cutoff then, in that bandwidth: with the lead as much noise as without it."""
 _TRACK = 20  # grid steps per sample of the zero's tracking
+_REWEIGHTED = 2  # times that samples are weighed by what is left of them
+_OUTLIER = 2.5  # standard deviations beyond which a sample counts less
+_ROBUST = 1.4826  # standard deviation of normal errors over their median
+_UNMODELLED = 0.03  # share of the current's torque that friction without a description may be
+_MOST, _CONTRADICTS = 0.75, 2.5  # share of the motion, and standard deviations, from which on the load is another one
+_TORSION = 10.0  # times its uncertainty by which torsion contradicts the current
 _MOVING = 2.5  # Stribeck velocities of the motor from which on it is in motion
 
 
@@ -83,6 +90,12 @@ class Prepared:
     walk: float
     bandwidth: float
     note: dict[str, float]
+    lasting: np.ndarray
+
+    def read_by(self, estimator: Estimator) -> Signals:
+        """The signals as an estimator takes them: what the joint's constant errors do to the torsion is taken off with the zero,
+        but for one that estimates these errors itself, which it does with a load that it knows."""
+        return self.signals if estimator.learns and not self.known.load_error else _shifted(self.signals, self.lasting)
 
     def lacks(self, estimator: Estimator) -> str | None:
         """Why there is nothing for an estimator here; None where there is."""
@@ -335,7 +348,7 @@ def _estimate(
 
     def one(name: str) -> str | None:
         try:
-            posterior = ready.ready(able[name]).torques(ready.signals, ready.known)
+            posterior = ready.ready(able[name]).torques(ready.read_by(able[name]), ready.known)
         except (FilterDiverged, InputError) as error:
             return str(error)
         if beliefs is not None and posterior.variance is not None:
@@ -458,28 +471,67 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
 
     if "motor_current" not in signals:
         motion = smoothed.smooth_motion(signals, joint, CUTOFF)
-        own = smoothed.own_torque(motion, joint, np.zeros(len(motion.time)))
-        return Prepared(signals, joint, frozenset(measured), motion.at(signals.time, own), 1.0, motion.cutoff, note)
+        own, none = smoothed.own_torque(motion, joint, np.zeros(len(motion.time))), np.zeros(len(signals.time))
+        return Prepared(
+            signals, joint, frozenset(measured), motion.at(signals.time, own), 1.0, motion.cutoff, note, none
+        )
 
     # The payload first, as it shows how much of the load-dependent friction acts when the load drives.
     cutoff = smoothed.bandwidth(signals, joint)
     current = slow_current(signals)
     motion = smoothed.smooth_motion(signals, joint, cutoff)
-    own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
-    payload = observe(joint, motion.every(DECIMATION), own[::DECIMATION], current)
+    own, grid = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint)), motion.time
+    beside = smoothed.arm_torque(motion, signals)
+    payload = observe(joint, motion.every(DECIMATION), (own - beside)[::DECIMATION], current)
     joint = joint.told(back_driven_friction=payload.back_driven_friction)
     note |= {"bandwidth": cutoff} | payload._asdict()
-    own = motion.at(signals.time, own)
-    walk = 1.0
+    torque = smoothed.torque_from_current(motion, joint)[::_TRACK].copy()
+    coarse, motion = (own - beside)[::_TRACK].copy(), motion.every(_TRACK)  # of an hour, all of it is 300 MB
+    own = np.interp(signals.time, grid, own)
+    joint = replace(joint, load_error=unlike(joint, motion, torque, coarse))
+    if joint.load_error > 0.0:
+        note |= {"load_error": joint.load_error}
+    walk, lasting = 1.0, np.zeros(len(signals.time))
     if measured >= set(POSITIONS):
-        torque = smoothed.torque_from_current(motion, joint)[::_TRACK].copy()
-        motion = motion.every(_TRACK)  # of an hour, all of it is 300 MB
-        zero, std = tared(signals, joint, motion, torque)
+        zero, std, wander, plain = tared(signals, joint, motion, torque)
+        lasting = plain - zero
         signals = signals.with_columns(link_position=signals["link_position"] - zero)
-        joint = replace(joint, link_zero=std)
+        joint = replace(joint, link_zero=std, link_wander=wander)
         note |= {"zero": float(np.mean(zero)), "zero_std": std}
-        walk = likely_walk(signals, joint)
-    return Prepared(signals, joint, frozenset(measured), own, walk, cutoff, note)
+        walk = likely_walk(_shifted(signals, lasting), joint)
+    return Prepared(signals, joint, frozenset(measured), own, walk, cutoff, note, lasting)
+
+
+def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: np.ndarray) -> float:
+    """By how much [N·m] the load is not what the description says; 0 where nothing speaks against it.
+
+    The current's torque and the link's own balance differ by what their tolerances allow, or while somebody touches the joint.
+    Where they differ by more in most of the motion, and by more than all of the friction, the load is another one.
+
+    Args:
+      motion: n points; torque: of `smoothed.torque_from_current` there, own: what the link's balance asks for, shape (n,) [N·m].
+    """
+    p, known = joint.p, joint.spread
+    w = motion.motor_velocity
+    moving = np.abs(w) > _MOVING * p["vs"]
+    if not moving.any():
+        return 0.0
+    off = np.abs(torque - own)[moving]
+    allowed = np.sqrt(
+        (known.torque_constant**2 + _UNMODELLED**2) * torque**2 + friction_error(joint) ** 2
+        + (known.viscous * p["bw"] * p["N"] * w) ** 2 + (known.gravity * p["Mg"]) ** 2
+        + (known.inertia * p["Jl"] * motion.link_acceleration) ** 2
+    )[moving]  # fmt: skip
+    found = float(np.median(off))
+    other = np.quantile(off / allowed, 1.0 - _MOST) > _CONTRADICTS and found > p["N"] * p["Fc"]
+    return found if other else 0.0
+
+
+def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
+    """The signals with another zero of the link encoder, shape (n,) [rad]."""
+    return (
+        signals.with_columns(link_position=signals["link_position"] - zero) if "link_position" in signals else signals
+    )
 
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
@@ -546,8 +598,11 @@ def _wind_motor(link, torque, record, out):
 # --- the encoders' zeros --------------------------------------------------------------------------------------------
 
 
-def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray) -> tuple[np.ndarray, float]:
-    """What the link encoder's zero is off from the joint's [rad], shape (n,), and its mean standard deviation.
+def tared(
+    signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray
+) -> tuple[np.ndarray, float, float, np.ndarray]:
+    """What the link encoder's zero is off from the joint's [rad], shape (n,), its mean standard deviation, by how much it wanders
+    [rad/√rad], and what it is off with the joint's constant errors, shape (n,): for who does not know of them.
 
     Args:
       signals: both encoders and the current, n samples.
@@ -556,7 +611,7 @@ def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: 
     """
     p, spread, wander = joint.p, joint.link_zero, joint.link_wander
     if spread == 0 and wander == 0:
-        return np.zeros(len(signals.time)), 0.0
+        return np.zeros(len(signals.time)), 0.0, 0.0, np.zeros(len(signals.time))
     wide = smoothed.smooth_motion(signals, joint, CUTOFF, _TRACK)  # of the same grid
     # A reading that is too high by δ makes torsion too small by δ.
     seen = smoothed.wound(torque, joint) - smoothed.torsion_of(wide, joint, torque)
@@ -566,51 +621,117 @@ def tared(signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: 
     slow = np.empty(len(w))
     _slow_friction(w, joint.record, slow)
     friction = friction_error(joint)
-    zero, std = track_zero(
-        seen, slope, np.sign(w), slow, np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
-        max(0.1 * friction, NOISE * joint.rated_torque),
+    constants = _constants(joint, wide, torque, slope, w)
+    found, plain = (
+        track_zero(
+            seen, slope * np.sign(w), some, slope * np.hypot(max(0.1 * friction, NOISE * joint.rated_torque), slow),
+            np.abs(v) * smoothed.STEP * _TRACK, spread, wander, friction,
+        )
+        for some in (constants, constants[:, :0])
     )  # fmt: skip
-    # What its other numbers are off by lasts as long as the recording does, and no sample averages it away.
-    known, wave = joint.spread, np.empty(len(torque))
+    at = signals.time, motion.time
+    return np.interp(*at, found.zero), float(np.mean(found.std)), found.wander, np.interp(*at, plain.zero)
+
+
+def _constants(
+    joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, slope: np.ndarray, w: np.ndarray
+) -> np.ndarray:
+    """What a standard deviation of every constant error of the joint does to the zero that is seen, shape (n, constants) [rad].
+
+    Stiffness with torque constant, wave generator, friction's level, viscous friction, current offset, and both quadratures of
+    every order of kinematic error. They last as long as the recording does: no number of samples averages them away.
+    """
+    p, known, wave = joint.p, joint.spread, np.empty(len(torque))
     _wave_generator_torsion(torque, joint.record, wave)
-    lasting = (
-        known.stiffness * torque * slope, known.torque_constant * torque * slope, known.wave_generator * wave,
-        friction * slope * np.sign(w),
-    )  # fmt: skip
-    return np.interp(signals.time, motion.time, zero), math.hypot(np.mean(std), *(np.mean(part) for part in lasting))
+    columns = [
+        math.hypot(known.stiffness, known.torque_constant) * torque * slope,
+        known.wave_generator * wave,
+        friction_error(joint) * slope * np.sign(w),
+        known.viscous * p["bw"] * p["N"] * w * slope,
+        known.current_offset * p["Kt"] * p["N"] * slope,
+    ]
+    theta = motion.motor_position - p["N"] * wave
+    for order, std in zip(p["order"], known.kinematic, strict=True):
+        columns += [std * np.sin(order * theta), std * np.cos(order * theta)]
+    found = np.stack(columns, axis=1)
+    return found[:, np.any(found != 0.0, axis=0)]
+
+
+class Tracked(NamedTuple):
+    """A zero δ [rad] and its standard deviation, shape (n,); by how much it wanders [rad/√rad]: more than is known where torsion
+    contradicts the current."""
+
+    zero: np.ndarray
+    std: np.ndarray
+    wander: float
 
 
 def track_zero(
     seen: np.ndarray,
-    compliance: np.ndarray,
-    direction: np.ndarray,
-    slow: np.ndarray,
+    friction_shape: np.ndarray,
+    constants: np.ndarray,
+    noise: np.ndarray,
     travel: np.ndarray,
     spread: float,
     wander: float,
     friction: float,
-    noise: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Kalman smoother of the zero δ [rad] and the friction model's error r [N·m], every `_TRACK` grid steps.
+) -> Tracked:
+    """Kalman smoother of the zero δ [rad], every `_TRACK` grid steps.
 
-        seen = δ + compliance · direction · r + noise
-        δ walks by `wander` rad per √rad of travel, r forgets in `MEMORY`
+        seen = δ + friction_shape · r + constants · c + noise
+        δ walks by `wander` rad per √rad of travel, r forgets in `MEMORY`, c are standard normal
+
+    δ and r by the smoother for given c, which is linear in what is seen; c by its innovations. Noise is as large as the scatter
+    shows where it is more than what is given, and single samples that are off count less (iterated reweighting).
 
     Args:
-      seen: measured, shape (n,) [rad]; compliance [rad/(N·m)], direction of motion, slow: further noise near rest [N·m],
-        travel since the last [rad]: shape (n,).
-      spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m]; noise [N·m].
-
-    Returns:
-      δ and its standard deviation, shape (n,).
+      seen: measured, shape (n,) [rad]; friction_shape [rad/(N·m)], noise [rad], travel since the last [rad]: shape (n,).
+      constants: of one standard deviation each, shape (n, k) [rad].
+      spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m].
     """
-    zero, variance = np.empty(len(seen)), np.empty(len(seen))
     forget = float(np.exp(-smoothed.STEP * _TRACK / MEMORY))
-    _track(
-        seen, compliance * direction, (compliance * np.hypot(noise, slow)) ** 2, wander**2 * travel, spread**2, friction**2,
-        forget, zero, variance,
-    )  # fmt: skip
-    return zero, np.sqrt(np.maximum(variance, 0.0))
+    known = np.hypot(noise, friction * friction_shape)
+    told = noise <= np.median(noise)
+    weighted = noise
+    beyond = np.zeros(_REWEIGHTED + 1)
+    for i in range(_REWEIGHTED + 1):
+        (zero, left), variance = _tracked(
+            seen, friction_shape, constants, weighted**2, wander**2 * travel, spread**2, friction**2, forget
+        )
+        scatter = _ROBUST * float(np.median(np.abs(left[told])))
+        beyond[i] = math.sqrt(max(scatter**2 - float(np.median(known[told])) ** 2, 0.0))
+        if i < _REWEIGHTED:
+            weighted = np.hypot(noise, beyond[i])
+            weighted = weighted * np.maximum(np.abs(left) / (_OUTLIER * np.hypot(known, beyond[i])), 1.0)
+    if beyond[-1] > _TORSION * float(np.median(known[told])):
+        variance, wander = variance + beyond[-1] ** 2, math.hypot(wander, beyond[-1])
+    return Tracked(zero, np.sqrt(np.maximum(variance, 0.0)), wander)
+
+
+def _tracked(
+    seen: np.ndarray,
+    friction_shape: np.ndarray,
+    constants: np.ndarray,
+    noise: np.ndarray,
+    walk: np.ndarray,
+    zero_variance: float,
+    friction_variance: float,
+    forget: float,
+) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
+    """Zero and what is left of what is seen without it and the constants, shape (n,); the zero's variance, likewise."""
+    k = constants.shape[1]
+    smooth, innovations = np.empty((k + 1, len(seen))), np.empty((k + 1, len(seen)))
+    variance, total = np.empty(len(seen)), np.empty(len(seen))
+    for i, column in enumerate((seen, *constants.T)):
+        _track(
+            np.ascontiguousarray(column), friction_shape, noise, walk, zero_variance, friction_variance, forget, smooth[i],
+            variance, innovations[i], total,
+        )  # fmt: skip
+    information = np.eye(k) + (innovations[1:] / total) @ innovations[1:].T
+    c = np.linalg.solve(information, (innovations[1:] / total) @ innovations[0])
+    zero = smooth[0] - c @ smooth[1:]
+    variance = variance + np.einsum("kn,kn->n", smooth[1:], np.linalg.solve(information, smooth[1:]))
+    return (zero, seen - zero - constants @ c), variance
 
 
 @kernel
@@ -627,8 +748,9 @@ def _slow_friction(w, record, out):
 
 
 @kernel
-def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, zero, variance):
-    """Kalman filter forward and Rauch-Tung-Striebel back, of two states: zero and its variance into `zero`, `variance`.
+def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, zero, variance, innovation, total):
+    """Kalman filter forward and Rauch-Tung-Striebel back, of two states: zero and its variance into `zero`, `variance`, the
+    filter's innovations and their variance into `innovation`, `total`.
 
     Args:
       slope: of what is seen over the friction model's error, shape (n,); noise, walk: variances of what is seen and of the zero's
@@ -651,7 +773,8 @@ def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, z
         h = slope[k]
         first, second = a + b * h, b + c * h
         s = first + h * second + noise[k]
-        e = (seen[k] - d - h * r) / s
+        innovation[k], total[k] = seen[k] - d - h * r, s
+        e = innovation[k] / s
         d, r = d + first * e, r + second * e
         a, b, c = a - first * first / s, b - first * second / s, c - second * second / s
         f = filtered[k]

@@ -45,6 +45,12 @@ def temperature(s, p):
     return p.reference_temperature if math.isnan(s.temperature) else s.temperature
 
 
+@kernel
+def arm_torque(s):
+    """What the motion of other joints of an arm puts on the link [N·m] at a sample; nothing where that is not known."""
+    return 0.0 if math.isnan(s.arm_torque) else s.arm_torque
+
+
 VELOCITY = 2.0 * math.pi * 40.0
 """Bandwidth [rad/s] of the rotor's velocity on which a model discrepancy may depend."""
 

@@ -244,6 +244,13 @@ def _own_torque(since, motor, w, link, v, a, load, record, out):
             out[i] -= laws.flexible_torque(angle, rate, p)
 
 
+def arm_torque(motion: Motion, signals: Signals) -> np.ndarray:
+    """What the motion of other joints of an arm puts on the link [N·m] on the grid; nothing where that is not known."""
+    if "arm_torque" not in signals:
+        return np.zeros(len(motion.time))
+    return np.interp(motion.time, signals.time, signals["arm_torque"])
+
+
 def torsion_of(motion: Motion, joint: KnownJoint, load: np.ndarray) -> np.ndarray:
     """Torsion Δθf [rad] on the grid of Eqs. (1), (5), (6), the motor torque for Tw."""
     out = np.empty(len(motion.time))

@@ -15,6 +15,8 @@ from rich.text import Text
 from .style import filter_colors
 
 _SHORT, _NAME, _NUMBER = 7, 15, 6  # characters of a line of a heading, of a name, and of a number
+UNTRUSTED = " †"
+"""Behind the name of an estimator whose estimate is not to be trusted (`estimator.trust`)."""
 RAW_MODEL = "raw model"
 """How the compliance model without any filter is called in a table."""
 
@@ -75,6 +77,20 @@ def comparison_rows(metrics: Mapping[str, Mapping]) -> list[tuple[str, ...]]:
     return rows
 
 
+def marked(name: str, run: Mapping) -> str:
+    """The name of a filter as a run's tables show it: with `UNTRUSTED` where its estimate is not to be trusted."""
+    return name + UNTRUSTED if name in run.get("untrusted", {}) else name
+
+
+def doubts(metrics: Mapping[str, Mapping]) -> list[str]:
+    """Why estimates are not to be trusted, a line each, behind `UNTRUSTED`; a run's metrics by scenario name."""
+    return [
+        f"{UNTRUSTED.strip()} {scenario}: {name} is not to be trusted: {why}"
+        for scenario, run in metrics.items()
+        for name, why in run.get("untrusted", {}).items()
+    ]
+
+
 def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque estimates") -> Table:
     """The comparison for the terminal: a row per filter below its scenario, the best of each scenario in bold.
 
@@ -84,7 +100,8 @@ def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque 
     """
     table = narrow_table(
         title,
-        "Errors against the plant's noise-free joint torque; response: after the truth, 90 % of a push; – not defined here",
+        "Errors against the plant's noise-free joint torque; response: after the truth, 90 % of a push; – not defined here"
+        + (f";{UNTRUSTED} not to be trusted" if doubts(metrics) else ""),
     )
     table.add_column("filter", overflow="fold")
     for column in IN_TERMINAL:
@@ -95,13 +112,15 @@ def comparison_table(metrics: Mapping[str, Mapping], title: str = "Joint torque 
         if i == 0 or rows[i - 1][0] != scenario:
             table.add_row(Text(_folded(scenario, ""), style="bold"))
         last = i + 1 == len(rows) or rows[i + 1][0] != scenario
-        best = _smallest([row for row in rows if row[0] == scenario and row[1] != RAW_MODEL])
+        doubted = (RAW_MODEL, *metrics[scenario].get("untrusted", {}))
+        best = _smallest([row for row in rows if row[0] == scenario and row[1] not in doubted])
         shown = [
             Text(cell, style="bold" if (name, k) in best else "")
             for k, cell in enumerate(cells)
             if COLUMNS[k] in IN_TERMINAL
         ]
-        table.add_row(Text(_folded(name), style=colors.get(name, "dim")), *shown, end_section=last)
+        shown_name = Text(_folded(marked(name, metrics[scenario])), style=colors.get(name, "dim"))
+        table.add_row(shown_name, *shown, end_section=last)
     return table
 
 
@@ -140,12 +159,16 @@ def comparison_markdown(metrics: Mapping[str, Mapping], keys: Sequence[str] = ()
     chosen = [k for k, column in enumerate(COLUMNS) if not keys or column.key in keys]
     first = ("filter",) if keys else ("scenario", "filter")
     heads = (*first, *(COLUMNS[k].title for k in chosen))
-    rows = [(*row[2 - len(first) : 2], *(row[2 + k] for k in chosen)) for row in comparison_rows(metrics)]
+    rows = [
+        (*(row[0], marked(row[1], metrics[row[0]]))[2 - len(first) :], *(row[2 + k] for k in chosen))
+        for row in comparison_rows(metrics)
+    ]
     lines = [
         "| " + " | ".join(heads) + " |",
         "|---" * len(first) + "|" + "---:|" * len(chosen),
         *("| " + " | ".join(row) + " |" for row in rows),
         "",
+        *(f"{line}.\n" for line in doubts(metrics)),
         "; ".join(f"*{COLUMNS[k].heading}*: {COLUMNS[k].meaning}" for k in chosen) + ".",
     ]
     return "\n".join(lines) + "\n"

@@ -30,12 +30,14 @@ class RegionSettings:
       end: share of the samples that lie at an end of a range.
       fewest: samples in motion that a region must have.
       worse: ratio of RMS errors, extended without the region over described, from which on the extension is worse there.
-      shares: of the way from the description to the fit that are tried until it is worse in no region.
+      most: such a ratio beyond which an extension is not written, whatever it gains elsewhere.
+      shares: of the way from the description to the fit that are tried.
     """
 
     end: float = 0.2
     fewest: int = 40
     worse: float = 1.05
+    most: float = 2.0
     shares: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.0)
 
 
@@ -133,31 +135,44 @@ def drawn_back(
     settings: RegionSettings = SETTINGS,
     serves: Callable[[Fit], bool] = lambda f: True,
 ) -> DrawnBack:
-    """The fit drawn back towards the description until it is worse than that in no region that it has not seen, and serves."""
+    """The fit drawn back towards the description as far as leaves least of regions that it has not seen, and serves.
+
+    What is left is the sum of the regions' mean squares [N·m]²; a fit that makes one of them `most` times worse than the
+    description is not written, whatever it gains elsewhere.
+    """
     system = NormalEquations(problem, f)
     start = problem.start(None, f.model)
     start[problem.zeros] = f.theta[problem.zeros]  # of two encoders against each other nothing is described
     before = tare.described(problem)
-    at, regions, refused = f, held_out_regions(problem, f, settings, system, described=before), False
-    worst = next((r for r in regions if r.worse), None)
-    for share in settings.shares if regions else (0.0,):  # what nothing can be held against is not written
-        if share < 1.0:
-            theta = start + share * (f.theta - start)
-            residual = problem.residuals([theta], [f.model])[0]
-            away = f.theta - theta
-            # By how much it is not what the data say is not known of it, and what it leaves is what it cannot hold.
-            covariance = f.covariance + np.outer(away, away)
-            at = replace(
-                f, theta=theta, point=Point(residual, f.point.noise), covariance=covariance, least=covariance,
-                noise=learn(problem.segments, residual, f.point.noise, problem.quantum(), None, f.noise.settings),
-            )  # fmt: skip
-            regions = held_out_regions(problem, at, settings, system, share, before)
-        if any(r.worse for r in regions):
-            continue
+    seen = held_out_regions(problem, f, settings, system, described=before)
+    worst = next((r for r in seen if r.worse), None)
+
+    def part(share: float) -> tuple[Fit, tuple[Region, ...]]:
+        if share == 1.0:
+            return f, seen
+        theta = start + share * (f.theta - start)
+        residual = problem.residuals([theta], [f.model])[0]
+        away = f.theta - theta
+        # By how much it is not what the data say is not known of it, and what it leaves is what it cannot hold.
+        covariance = f.covariance + np.outer(away, away)
+        at = replace(
+            f, theta=theta, point=Point(residual, f.point.noise), covariance=covariance, least=covariance,
+            noise=learn(problem.segments, residual, f.point.noise, problem.quantum(), None, f.noise.settings),
+        )  # fmt: skip
+        return at, held_out_regions(problem, at, settings, system, share, before)
+
+    shares = list(settings.shares) if seen else [0.0]  # what nothing can be held against is not written
+    if worst is not None:
+        regions = {share: part(share)[1] for share in shares}
+        harmless = [s for s in shares if s == 0.0 or all(r.ratio <= settings.most for r in regions[s])]
+        shares = sorted(harmless, key=lambda s: sum(r.unseen**2 for r in regions[s]))
+    refused = False
+    for share in shares:
+        at, found = part(share)
         if share == 0.0 or serves(at):
-            return DrawnBack(share, at, regions, refused, worst)
+            break
         refused = True
-    return DrawnBack(0.0, at, regions, refused, worst)
+    return DrawnBack(share, at, found, refused, worst)
 
 
 def held_out_regions(

@@ -22,10 +22,10 @@ from ...models.parameters import PLACES, VARIABLES
 from ..data.segments import BALANCES, CURRENT, LINK, TORQUE, Segment
 from ..fit.residual import Model, Problem
 from ..fit.solver import SETTINGS as SOLVER
-from ..fit.solver import Columns, Fit, Fitter, huber_weight, leverage_weight, tamed
-from .acceptance import alone, made_by, quiet_rms, without_it, worth_of
+from ..fit.solver import Columns, Fit, Fitter, huber_weight, leverage_weight
+from .posterior import Posterior
 from .screen import plain_noise
-from .worth import left_by, mean_squares, noise_of
+from .worth import alone, left_by, made_by, noise_of
 
 COMPONENT = {
     "rotor": "motor", "mesh": "transmission", "flexspline": "transmission", "link": "link",
@@ -62,40 +62,22 @@ class DiscrepancySettings:
     """How unknown effects are looked for.
 
     Attributes:
-      share: of the mean square that is left unexplained an effect must explain.
-      worth: root mean square that it must remove, as a share of the rated torque, where the residual is more than noise already
-        without it (a real joint has a little of everything).
-      noise: of the sensors' noise, in the same balance, where it is not.
-      penalty: log prior odds of a known cause against an unknown effect, and of a usual place against another; where two places
-        are compared, times the residual over the sensors' noise, `loosest` at most: what no description holds speaks for either.
-      gain: share by which it must be better than the causes that it takes the place of; more: part of what the causes explain,
-        and of what it makes itself, that it must explain more, or it is the little that real joints have of everything.
-      lost: ratio of mean squares of what is not explained, without the effect and with it, from which on it need not be the
-        likelier: slow discrepancy holds in the noise what the effect would. In the place of causes it may be less likely by the
-        penalty, times the residual over the sensors' noise as above.
-      absorbed: part of what a cause was worth below which it is dropped beside the effect, which makes what it made, if no more
-        than `same` of the mean square is then left beyond what was: a fit that leaves more has gone elsewhere.
-      likely: part of these shares that it must have in the linear model to be fitted through the replay.
+      worth: root mean square, as a share of the rated torque, that one must make, and that must be left unexplained beyond the
+        noise for one to be looked for beside the causes: of what is less every real joint has a little.
+      more: part of what the causes explain (mean square) that must be left for one to be looked for in their place.
+      share: of the mean square that is left unexplained that one must remove to be named.
       thin: every n-th residual is looked at first.
-      refined: candidates that are fitted through the replay; one more where these depend on the same variable.
+      refined: candidates that are fitted through the replay.
       alike: difference of their shares below which two places of a variable are the same residual.
       knots: coefficients of a spline by variable.
       scale: prior standard deviation of a coefficient by place, for a rated torque of 16 N·m.
     """
 
-    share: float = 0.3
     worth: float = 0.01
-    noise: float = 1.0
-    penalty: float = 40.0
-    loosest: float = 5.0
-    gain: float = 0.25
     more: float = 0.03
-    lost: float = 2.0
-    absorbed: float = 0.25
-    same: float = 0.05
-    likely: float = 0.5
+    share: float = 0.3
     thin: int = 3
-    refined: int = 2
+    refined: int = 3
     alike: float = 0.002
     knots: dict[str, int] = field(
         default_factory=lambda: {
@@ -219,6 +201,11 @@ class Spline:
         return "transmission" if self.kinematic else COMPONENT[self.place]
 
     @property
+    def usual(self) -> bool:
+        """Whether effects of its variable usually sit there."""
+        return self.place in _USUAL[self.variable]
+
+    @property
     def kinematic(self) -> bool:
         """Whether it is an angle error that returns with the motor."""
         return self.place == "link_position" and self.variable in _TURNS
@@ -254,6 +241,7 @@ class Candidate:
     Attributes:
       spline: where it acts and on what it depends.
       without: indices of the model's causes in whose place it stands.
+      more: part of what the causes explain (mean square) that must be left for one to be looked for in their place.
       share: of the mean square of the residual, each balance over its own, that it takes away.
       score: by which candidates are ranked: log likelihood under white noise as loud as the residual, with the priors of its
         coefficients.
@@ -275,33 +263,17 @@ class Unknown:
     Attributes:
       spline: where it acts and on what it depends.
       fit: of the model with it as its last effect.
-      gain: log evidence over the model without it.
-      share: of the mean square left unexplained that it explains.
+      gain: log posterior over the best model of known causes.
     """
 
     spline: Spline
     fit: Fit
     gain: float
-    share: float
 
     @property
     def discrepancy(self) -> Discrepancy:
         """As a joint's description states it."""
         return self.spline.as_discrepancy(self.fit.theta[-self.spline.count :])
-
-
-@dataclass(frozen=True)
-class UnknownEffects:
-    """What came of looking for unknown effects.
-
-    Attributes:
-      unknown: the one that the measurement shows, if it does.
-      doubted: causes, by `Hypothesis.key`, each of which one in its place would explain what it does and leave so much less that
-        it may not be what is there, though that is too little to say what is.
-    """
-
-    unknown: Unknown | None = None
-    doubted: frozenset[tuple[Any, ...]] = frozenset()
 
 
 def splines(problem: Problem, settings: DiscrepancySettings = SETTINGS) -> list[Spline]:
@@ -446,184 +418,81 @@ class _Plain:
 
 
 def find(
-    fitter: Fitter,
-    base: Fit,
-    chosen: Fit,
-    settings: DiscrepancySettings = SETTINGS,
-) -> UnknownEffects:
-    """The unknown effect that a measurement shows beside, or in place of, the causes that were found, and what speaks for one.
+    fitter: Fitter, posterior: Posterior, base: Fit, best: Fit, settings: DiscrepancySettings = SETTINGS
+) -> Unknown | None:
+    """The unknown effect that makes a joint more probable than the best model of known causes: beside these, or in the place of
+    the one that is worth most, of all of its component, or of all. None where there is none, or next to nothing is left.
 
     Args:
-      base: the joint without causes; chosen: with those that were found.
+      base: the calibrated joint without causes.
     """
     problem = fitter.problem
-    if not np.any(problem.records(chosen.theta, chosen.model)[0][0]["discrepancy_place"] == 0):
-        return UnknownEffects()
     rated = problem.joint.numbers["rated_torque"].value
-    left = left_by(problem, chosen)
+    left, least = left_by(problem, best), max((settings.worth * rated) ** 2, noise_of(problem, best))
     explained = left_by(problem, base) - left
-    floor = settings.noise * noise_of(problem, chosen)
-    least = max((settings.worth * rated) ** 2, 0.0) if left > floor else np.inf
-    # One in nothing's place must remove `least` of what is left. One in the place of causes must leave less than they do by a
-    # part of what they explain; where that is not worth naming itself, none is looked for.
-    beside, instead = left >= least, explained > least and left >= settings.more * explained
-    drops = [without for without in _drops(problem, chosen) if (instead if without else beside)]
-    if not drops:
-        return UnknownEffects()
-    plain = _Plain(problem, chosen, settings.thin)
+    full = not np.any(problem.records(best.theta, best.model)[0][0]["discrepancy_place"] == 0)
+    beside, instead = left > least, explained > least and left > settings.more * explained
+    drops = [without for without in _drops(problem, best) if (instead if without else beside)]
+    if full or not drops:
+        return None
+    plain, look = _Plain(problem, best, settings.thin), FirstLook(problem, best.theta, best.model)
     tried: list[Candidate] = []
-    look = FirstLook(problem, chosen.theta, chosen.model)
     for spline in splines(problem, settings):
         columns = look.columns(spline)
-        if not all(np.isfinite(c).all() for c in columns):
-            continue  # beyond what the replay follows
-        tried += [plain.candidate(spline, columns, without) for without in drops]
-    best: Unknown | None = None
-    doubted = set()
-    unusual = settings.penalty * min(quiet_rms(problem, chosen), settings.loosest)
+        if all(np.isfinite(c).all() for c in columns):  # else beyond what the replay follows
+            tried += [plain.candidate(spline, columns, without) for without in drops]
+    now, found = posterior.judge(best), list[Unknown]()
     for without in drops:
-        least_share = settings.likely * (settings.gain if without else settings.share)
-        likely = [c for c in tried if c.without == without and c.share > least_share]
-        for candidate in _promising(likely, unusual, settings):
-            found = _refined(fitter, chosen, candidate, settings, unusual)
-            if found is None:
-                continue
-            if not _enough(problem, chosen, candidate, found, settings, least, settings.more * explained):
-                if len(without) == 1 and settings.lost * left_by(problem, found.fit) < left:
-                    doubted.add(chosen.model[without[0]].key)
-            elif best is None or _score(found, unusual) > _score(best, unusual):
-                best = found
-        if best is not None and not without:
-            break
-    if best is not None:
-        best = _without_absorbed(fitter, chosen, best, settings)
-    return UnknownEffects(best, frozenset(doubted))
+        for candidate in _promising([c for c in tried if c.without == without], settings):
+            f = _refined(fitter, best, candidate)
+            found.append(Unknown(candidate.spline, f, posterior.judge(f).score - now.score))
+    named = [
+        u for u in found
+        if u.gain > 0.0
+        and left - left_by(problem, u.fit) > settings.share * left
+        and made_by(problem, u.fit, u.fit, -1).sum() > (settings.worth * rated) ** 2
+    ]  # fmt: skip
+    return max(named, key=lambda u: u.gain, default=None)
 
 
-def _promising(candidates: Sequence[Candidate], unusual: float, settings: DiscrepancySettings) -> list[Candidate]:
-    """Those that look best in the linear model; of places that are the same residual one, and of more than one variable."""
+def _promising(candidates: Sequence[Candidate], settings: DiscrepancySettings) -> list[Candidate]:
+    """Those that look best in the linear model; of places that are the same residual the usual one."""
     found: list[Candidate] = []
-    for c in sorted(candidates, key=lambda c: _odds(c.spline, unusual) - c.score):
-        same = [f for f in found if f.spline.variable == c.spline.variable]
-        if any(abs(f.share - c.share) < settings.alike for f in same):
-            continue
-        if len(found) < settings.refined or not same:
+    for c in sorted(candidates, key=lambda c: -c.score):
+        same = [f for f in found if f.spline.variable == c.spline.variable and abs(f.share - c.share) < settings.alike]
+        if not same:
             found.append(c)
-        if len(found) >= settings.refined and len({f.spline.variable for f in found}) > 1:
+        elif c.spline.usual and not same[0].spline.usual:
+            found[found.index(same[0])] = c
+        if len(found) > settings.refined:
             break
-    return found
+    return found[: settings.refined]
 
 
-def _score(found: Unknown, unusual: float) -> float:
-    """Log evidence with the prior odds of the place: a torque once a turn of the rotor and an error of the current look alike."""
-    return found.fit.log_evidence - _odds(found.spline, unusual)
-
-
-def _odds(spline: Spline, unusual: float) -> float:
-    """Log evidence that an effect must add where its variable does not usually act."""
-    return 0.0 if spline.place in _USUAL[spline.variable] else unusual
-
-
-def _drops(problem: Problem, chosen: Fit) -> list[tuple[int, ...]]:
-    """Sets of causes in whose place an unknown effect may stand: none, the one that is worth most, all of its component."""
-    if not chosen.model:
+def _drops(problem: Problem, best: Fit) -> list[tuple[int, ...]]:
+    """Sets of causes in whose place an unknown effect may stand: none, the one that is worth most, all of its component, all."""
+    if not best.model:
         return [()]
-    size = [made_by(problem, chosen, chosen, i).sum() for i in range(len(chosen.model))]
-    order = np.argsort(size)[::-1]
-    top = int(order[0])
-    component = chosen.model[top].cause.component
-    same = tuple(sorted(i for i, h in enumerate(chosen.model) if h.cause.component == component))
-    found = [(), (top,)]
-    for one in (same, tuple(range(len(chosen.model)))):
-        if one not in found:
-            found.append(one)
-    return found
+    size = [made_by(problem, best, best, i).sum() for i in range(len(best.model))]
+    top = int(np.argmax(size))
+    component = best.model[top].cause.component
+    same = tuple(i for i, h in enumerate(best.model) if h.cause.component == component)
+    return list(dict.fromkeys([(), (top,), same, tuple(range(len(best.model)))]))
 
 
-def _refined(
-    fitter: Fitter,
-    chosen: Fit,
-    candidate: Candidate,
-    settings: DiscrepancySettings,
-    unusual: float,
-) -> Unknown | None:
-    """A candidate fitted through the replay; None where it is not likely enough.
-
-    Args:
-      unusual: log evidence by which what no description holds may speak for what is not there.
-    """
+def _refined(fitter: Fitter, best: Fit, candidate: Candidate) -> Fit:
+    """A candidate fitted through the replay: where the derivatives were taken far from where it ends, once more with its own."""
     problem = fitter.problem
-    kept = [i for i in range(len(chosen.model)) if i not in candidate.without]
-    places = [problem.place(chosen.model, i) for i in kept]
+    kept = [i for i in range(len(best.model)) if i not in candidate.without]
+    places = [problem.place(best.model, i) for i in kept]
     index = np.concatenate([np.arange(problem.size), *(np.arange(p.start, p.stop) for p in places)]).astype(int)
-    model: Model = tuple(chosen.model[i] for i in kept)
-    start = np.concatenate([(chosen.theta + candidate.shift)[index], candidate.coordinates])
-    near = replace(chosen, model=model, theta=chosen.theta[index], jacobian=[J[..., index] for J in chosen.jacobian])
-    f = fitter.fit((*model, candidate.spline), start, near, 4, chosen)  # type: ignore[arg-type]
-    before, after = left_by(problem, chosen), left_by(problem, f)
-    needed = settings.penalty + _odds(candidate.spline, settings.penalty)
-    if candidate.without:
-        # What takes the place of known causes must be clearly better than they are.
-        needed += settings.penalty
-    if after < (1 - settings.share) * before and f.log_evidence - chosen.log_evidence <= needed:
-        # Far from where the common derivatives were taken.
-        f = fitter.fit(f.model, f.theta, None, 6, chosen)
-        after = left_by(problem, f)
-    gain = f.log_evidence - chosen.log_evidence
-    if settings.lost * after < before:
-        needed = -unusual if candidate.without else -np.inf
-    if gain <= needed:
-        return None
-    own = _own(problem, f, candidate.spline)
-    share = own / max(own + after, 1e-30) if candidate.without else (before - after) / max(before, 1e-30)
-    return Unknown(candidate.spline, f, float(gain), float(share))
-
-
-def _enough(
-    problem: Problem,
-    chosen: Fit,
-    candidate: Candidate,
-    found: Unknown,
-    settings: DiscrepancySettings,
-    least: float,
-    more: float,
-) -> bool:
-    """Whether a candidate that was fitted is worth naming.
-
-    Args:
-      least: mean square that it must remove; more: that must be left less than with the causes in whose place it stands [N·m]².
-    """
-    before, after = left_by(problem, chosen), left_by(problem, found.fit)
+    model: Model = tuple(best.model[i] for i in kept)
+    start = np.concatenate([(best.theta + candidate.shift)[index], candidate.coordinates])
+    near = replace(best, model=model, theta=best.theta[index], jacobian=[J[..., index] for J in best.jacobian])
+    f = fitter.fit((*model, candidate.spline), start, near, 4, best)  # type: ignore[arg-type]
     if not candidate.without:
-        return found.share >= settings.share and before - after >= least
-    own = _own(problem, found.fit, found.spline)
-    return own >= least and before - after >= max(settings.gain * before, more, settings.more * own)
-
-
-def _without_absorbed(fitter: Fitter, chosen: Fit, found: Unknown, settings: DiscrepancySettings) -> Unknown:
-    """The same without the causes beside it that it has taken over: an offset beside a drift of the same reading."""
-    problem = fitter.problem
-    start, before = tamed(problem, found.fit), tamed(problem, chosen)
-    was = {h.key: worth_of(problem, chosen, before, i).rms for i, h in enumerate(chosen.model)}
-    gone = [
-        i
-        for i, h in enumerate(start.model[:-1])
-        if worth_of(problem, found.fit, start, i).rms < settings.absorbed * was[h.key]
-    ]
-    if not gone:
-        return found
-    for i in reversed(gone):
-        start = without_it(problem, start, start, i)
-    f = fitter.fit(start.model, start.theta, None, 6, chosen)
-    if left_by(problem, f) > (1 + settings.same) * left_by(problem, found.fit):
-        return found
-    return replace(found, fit=f, gain=float(f.log_evidence - chosen.log_evidence))
-
-
-def _own(problem: Problem, f: Fit, spline: Spline) -> float:
-    """Mean square of what a spline at the end of a model adds to the residual [N·m]²."""
-    u = f.theta[-spline.count :]
-    return float(np.sum(mean_squares(problem, [J[..., -spline.count :] @ u for J in f.jacobian])))
+        return f
+    return max(f, fitter.fit(f.model, f.theta, None, 6, best), key=lambda f: f.log_evidence)
 
 
 def extend(joint: Joint, found: Unknown) -> Joint:

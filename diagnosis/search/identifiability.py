@@ -9,10 +9,9 @@ from ..fit.noise import whiten
 from ..fit.residual import Problem
 from ..fit.solver import SETTINGS as SOLVER
 from ..fit.solver import Fit, gram, leverage_weight
-from .acceptance import AcceptSettings
 from .screen import Library
 
-SHOWS = 2 * AcceptSettings().threshold
+SHOWS = 14.0
 """χ² that a cause of ordinary size must make to show."""
 ALIKE = 9.0
 """Two causes look alike where telling them apart at ordinary size gains less than this in χ²."""

@@ -16,9 +16,9 @@ from ..data.segments import Segment
 from ..fit.coordinates import Hypothesis
 from ..fit.noise import EVEN
 from ..fit.residual import Model, Problem
-from ..fit.solver import Fit, Fitter, covariances, with_dispersion
+from ..fit.solver import Fit, Fitter
 from ..regression import MOVING, Regression
-from .acceptance import Rivals, significance
+from .posterior import dispersion
 
 CAUSES = {
     "gravity_moment": ("gravity_moment", "scale"),
@@ -33,21 +33,16 @@ CAUSES = {
 """Cause and its parameter by what a coefficient of a regression says (`regression.Coefficient.means`)."""
 BEYOND = 3.0
 """Standard deviations, of tolerance and regression together, from which on a number starts in the model."""
-PLAINLY = 1.1
-"""Times the mean square on held-out blocks from which on what the search found leaves plainly more than least squares."""
 _ITERATIONS = 12
-_TOLD = 0.1
-"""Variance of an unknown over its prior's below which the data say something of it."""
 
 
-def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Regression]) -> Fit:
+def plain_fit(problem: Problem, offered: Sequence[Hypothesis], found: Sequence[Regression]) -> Fit:
     """The joint with the effects that a regression puts beyond its tolerances, by least squares in motion.
 
     Args:
       offered: hypotheses that the measurement can show.
       found: the regressions of the measurement.
     """
-    problem = fitter.problem
     record = problem.calibration.record(np.zeros(problem.calibration.size))[0]
     started: dict[str, tuple[Hypothesis, np.ndarray]] = {}
     for one in found:
@@ -62,22 +57,25 @@ def plain_fit(fitter: Fitter, offered: Sequence[Hypothesis], found: Sequence[Reg
             value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)
             started[name] = h, h.confine(h.coordinates({q.name: value for q in h.cause.parameters}))
     model = tuple(h for h, _ in started.values())
-    return least_squares(fitter, model, np.concatenate([problem.start(None, ()), *(u for _, u in started.values())]))
+    return least_squares(problem, model, np.concatenate([problem.start(None, ()), *(u for _, u in started.values())]))
 
 
-def least_squares(fitter: Fitter, model: Model, start: np.ndarray) -> Fit:
+def moving(problem: Problem) -> Fitter:
+    """A fitter of the same problem by least squares in motion."""
+    return Fitter(in_motion(problem), noise=EVEN)
+
+
+def least_squares(problem: Problem, model: Model, start: np.ndarray) -> Fit:
     """A model by least squares in motion, tempered.
 
     Residuals within one second are not independent, as the noise of least squares takes them to be. By how much less the data
     therefore say, the scatter of the score over such pieces says; the noise is made that much louder, so that tolerances hold
     the numbers of which the data say little (a coarsened posterior: Miller and Dunson, 2019).
     """
-    moving = Fitter(in_motion(fitter.problem), fitter.settings, EVEN)
-    f = moving.fit(model, start, None, _ITERATIONS)
-    independent, scattered = (np.diag(c) for c in covariances(moving.problem, f))
-    told = independent < _TOLD * moving.problem.spread(model) ** 2
-    less = float(np.sqrt(np.median((scattered / independent)[told]))) if told.any() else 1.0
-    return moving.settle(replace(f, noise=f.noise.louder(max(less, 1.0))), _ITERATIONS)
+    fitter = moving(problem)
+    f = fitter.fit(model, start, None, _ITERATIONS)
+    louder = f.noise.louder(dispersion(fitter.problem, f) ** 0.5)
+    return fitter.settle(replace(f, noise=louder), _ITERATIONS)
 
 
 def in_motion(problem: Problem) -> Problem:
@@ -101,9 +99,3 @@ def held_out_square(problem: Problem, f: Fit) -> float:
         squares = np.concatenate([r[u, b] ** 2 for r, u in zip(f.point.residual, use, strict=True)])
         total += float(np.mean(squares)) * scale**2 if len(squares) else 0.0
     return total
-
-
-def as_rivals(problem: Problem, f: Fit) -> tuple[Rivals, ...]:
-    """Effects of a fit as the search keeps them, each with the log evidence of its distance from absent."""
-    sure = with_dispersion(problem, f)
-    return tuple(Rivals(h.cause.name, 0.5 * significance(problem, sure, i) ** 2, ()) for i, h in enumerate(f.model))

@@ -236,6 +236,11 @@ def screen(problem: Problem, at: Fit, library: Library, settings: ScreenSettings
     return tuple(sorted([*again, *(s for s in ranked if s.key not in chosen)], key=lambda s: -s.gain))
 
 
+def ranked(problem: Problem, at: Fit, library: Library) -> list[Screened]:
+    """Linearised gain of every hypothesis under a fit's noise, best first; one per cause and order, its best start."""
+    return _ranked(_Linear(problem, at.noise, at, library.whole), library) if library.hypotheses else []
+
+
 def _best(ranked: Sequence[Screened], settings: ScreenSettings) -> list[Screened]:
     """The first of a ranking, as far as they could be there."""
     return [s for s in ranked if s.gain > settings.least_gain and s.size > settings.smallest][: settings.again]

@@ -1,8 +1,9 @@
-"""What a cause is worth to a user: the simulation's error that it alone removes, in newton metres at the output."""
+"""What one effect of a fit is: its size, how far it is from absent, and the simulation's error that it alone removes, in newton
+metres at the output."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import irfft, rfft, rfftfreq
@@ -136,3 +137,87 @@ def _octaves(x: np.ndarray) -> np.ndarray:
     spectrum = rfft(x, axis=0)
     octave = np.minimum(-np.log2(np.maximum(2 * rfftfreq(len(x)), 2.0**-OCTAVES)).astype(int), OCTAVES - 1)
     return irfft(np.where(octave[:, None] == np.arange(OCTAVES)[:, None, None], spectrum, 0.0), len(x), axis=1)
+
+
+def size_of(problem: Problem, f: Fit, index: int = -1) -> float:
+    """Size of one of a fit's effects, in ordinary sizes from where the joint would be without it."""
+    return float(np.linalg.norm(amount_of(problem, f, index)[f.model[index].magnitudes]))
+
+
+def amount_of(problem: Problem, f: Fit, index: int) -> np.ndarray:
+    """Coordinates of one of a fit's effects less those at which it does nothing, shape (size,)."""
+    h = f.model[index]
+    parts = problem.split(f.theta, f.model)
+    if not h.free:
+        return parts[index]
+    kept = [i for i in range(len(f.model)) if i != index % len(f.model)]
+    theta = np.concatenate([f.theta[: problem.size], *(parts[i] for i in kept)])
+    before = problem.records(theta, tuple(f.model[i] for i in kept))[0][0]
+    return parts[index] - h.coordinates(h.cause.centre(before, h.fixed))
+
+
+def magnitudes_at(problem: Problem, f: Fit, index: int) -> np.ndarray:
+    """Where the magnitudes of one of a fit's effects stand in its unknowns."""
+    return problem.place(f.model, index).start + np.asarray(f.model[index].magnitudes)
+
+
+def significance(problem: Problem, f: Fit, index: int = -1) -> float:
+    """How many of its standard deviations one of a fit's effects is away from absent."""
+    h = f.model[index]
+    block = problem.place(f.model, index % len(f.model))
+    where = block.start + np.asarray(h.magnitudes)
+    away = amount_of(problem, f, index)[h.magnitudes]
+    return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
+
+
+def worth_of(problem: Problem, f: Fit, linear: Fit, *indices: int) -> Worth:
+    """What one of a fit's effects is worth, or several together; `linear`: the fit with `solver.tamed` derivatives."""
+    columns = linear.jacobian
+    for index in indices:
+        columns = _as_without(problem, f, columns, index)
+    return worth(problem, f, columns, *alone(problem, f, *indices))
+
+
+def made_by(problem: Problem, f: Fit, linear: Fit, index: int) -> np.ndarray:
+    """Mean squares of what one of a fit's effects makes while no other unknown answers, by balance [N·m]²."""
+    own, _, amount = alone(problem, f, index)
+    return mean_squares(problem, [J[..., own] @ amount for J in linear.jacobian])
+
+
+def without_it(problem: Problem, f: Fit, linear: Fit, index: int) -> Fit:
+    """A fit as it would be without one of its effects, in the linear model: the other unknowns do what they can instead. It has
+    the linear model's derivatives."""
+    effect, others, amount = alone(problem, f, index)
+    step = instead(problem, f, _as_without(problem, f, linear.jacobian, index), effect, others, amount)
+    model = tuple(g for j, g in enumerate(f.model) if j != index)
+    return replace(
+        f, model=model, theta=f.theta[others] + step, jacobian=[J[..., others] for J in linear.jacobian],
+        covariance=f.covariance[np.ix_(others, others)],
+    )  # fmt: skip
+
+
+def _as_without(problem: Problem, f: Fit, columns: Columns, index: int) -> Columns:
+    """Derivatives of a fit, those in the joint's numbers as they are without one of its effects: a number that it multiplies by
+    2.3 moves with its tolerance 2.3 times as much beside it as in its place."""
+    h, calibration = f.model[index], problem.calibration
+    if not h.cause.scales:
+        return columns
+    factor = h.values(problem.split(f.theta, f.model)[index])[h.cause.parameters[0].name]
+    moved: dict[str, set[str]] = {}
+    for slot in calibration.slots:
+        for name in (slot.name, f"shared {slot.number.shared}"):
+            moved.setdefault(name, set()).add(slot.field)
+    scaled = [j for j, name in enumerate(calibration.names) if moved.get(name, {""}) <= set(h.cause.scales)]
+    weight = np.ones(columns[0].shape[-1])
+    weight[scaled] = 1.0 / max(factor, 1e-3)
+    return [c * weight for c in columns]
+
+
+def alone(problem: Problem, f: Fit, *indices: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Places of some of a fit's effects and of all other unknowns, and these effects' coordinates from absent."""
+    blocks = [problem.place(f.model, i) for i in indices]
+    magnitudes = [np.asarray(f.model[i].magnitudes) for i in indices]
+    own = np.concatenate([block.start + m for block, m in zip(blocks, magnitudes, strict=True)])
+    amounts = np.concatenate([amount_of(problem, f, i)[m] for i, m in zip(indices, magnitudes, strict=True)])
+    inside = np.concatenate([np.arange(block.start, block.stop) for block in blocks])
+    return own, np.setdiff1d(np.arange(len(f.theta)), inside), amounts

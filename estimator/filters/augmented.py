@@ -63,7 +63,7 @@ from ...models.kernels import kernel
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint
-from ..sensing import temperature
+from ..sensing import arm_torque, temperature
 from ..tuning_parameters import TuningParameter
 
 ORDERS = 3
@@ -89,7 +89,8 @@ _FIELDS = (
     "link_count",
 )  # fmt: skip
 SETTINGS = np.dtype(
-    [(name, np.float64) for name in _FIELDS] + [("prior", np.float64, SIZE), ("order", np.float64, ORDERS)]
+    [(name, np.float64) for name in _FIELDS]
+    + [("prior", np.float64, SIZE), ("learned", np.float64, SIZE), ("order", np.float64, ORDERS)]
 )
 MEMORY = np.dtype(
     [
@@ -98,7 +99,7 @@ MEMORY = np.dtype(
         ("F", np.float64, (MOVING, SIZE)), ("A", np.float64, (MOVING, SIZE)),
         *((name, np.float64) for name in (
             "motor_reading", "torsion_ratio", "link_ratio", "calm", "slid", "untouched", "free", "belief", "evidence",
-            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held",
+            "motor_torque", "ripple", "period", "beats", "phase", "link_reading", "held", "jitter", "last", "touched",
         )),
     ]
 )  # fmt: skip
@@ -106,10 +107,11 @@ MEMORY = np.dtype(
 encoder; times [s] of calm, of sliding in it, and since the link encoder was loud; whether nobody seemed to touch the joint at
 the last sample; how far time stamps are believed, and on how much evidence; motor torque of the last sample [N·m, motor
 side], mean square of its changes; mean interval [s], and of how many; how far [s] the last stamp is behind the
-grid of samples; last reading of the link encoder, for how many samples neither encoder has left its count."""
+grid of samples; last reading of the link encoder, for how many samples neither encoder has left its count; mean square of what
+samples are off in time [s²], last innovation of the link encoder [rad]; for how long something has touched the joint [s]."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
-    "wave_generator_error", "weight_error", "friction_error", "constant_error",
+    "wave_generator_error", "friction_error",
 )])  # fmt: skip
 _LEVEL_TIME = 5.0
 """Time [s] after which friction has forgotten what it did beyond its model."""
@@ -121,6 +123,10 @@ _FOLLOW = 0.02
 """Share of a stamp's deviation by which the grid of samples follows it."""
 _STAMPS = 30.0
 """Evidence [variances of the link encoder] that time stamps are right, before there is any."""
+_CLOCK, _SHAKES = 1e-4, 200.0
+"""Error of a sample's time [s] that counts for itself; samples over which it is learned."""
+_TOUCH = 2.0
+"""Time [s] after which a touch that does not change may be an error of the constants."""
 _START = 1.0
 """Velocity [rad/s] with which a recording may begin."""
 _STIFFENS = 2e-3
@@ -135,8 +141,12 @@ _LOOSE = 2.0
 """Intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]."""
 _LATE = 3.0
 """Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
+_CARRIED = 0.5
+"""Intensity of an unknown load's torque [its size/√s]."""
 _SAMPLES = 0.5
 """Share of a sample by which the current may have been in force later than it was read."""
+_CONSIDERED = (CONSTANT, WEIGHT, INERTIA)
+"""Constants that are known better than they can be learned: what the laws leave out looks like them, and lasts."""
 
 
 @kernel
@@ -160,9 +170,9 @@ def _variance(m):
 
 
 @kernel
-def _update(m, e, variance, least):
+def _update(m, e, variance, least, c):
     """Update with a scalar innovation along `m.H`; returns its variance S. Where S is below `least`, what is constant is
-    considered and not changed (Schmidt 1966)."""
+    considered and not changed (Schmidt 1966), and what is known better than it can be learned never is."""
     x, P, H, PH = m.x, m.P, m.H, m.PH
     S = variance
     for i in range(SIZE):
@@ -174,12 +184,13 @@ def _update(m, e, variance, least):
         gain = PH[i] / S
         if gain == 0.0:
             continue
-        changed = learn or i < FIXED
+        changed = i < FIXED or (learn and c.learned[i] != 0.0)
         if changed:
             x[i] += gain * e
-        for j in range(i + 1 if changed else FIXED):
-            P[i, j] -= gain * PH[j]
-            P[j, i] = P[i, j]
+        for j in range(i + 1 if changed or learn else FIXED):
+            if changed or j < FIXED or c.learned[j] != 0.0:
+                P[i, j] -= gain * PH[j]
+                P[j, i] = P[i, j]
     return S
 
 
@@ -253,7 +264,7 @@ def _predict(m, s, found, change, h, p, c):
     slope = (dynamics.link_torque(_state(x, found, s.time, warm), x[SPRING], p) - weight) / 1e-4
     x[LINK] -= 1e-4
     weight -= slope * x[LINK]
-    arm = 0.0 if math.isnan(s.arm_torque) else s.arm_torque
+    arm = arm_torque(s)
     F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
     hanging = laws.flexible_inertia(p)
     rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
@@ -296,10 +307,12 @@ def _predict(m, s, found, change, h, p, c):
         F[ROTOR, LATE] -= d / p.Jm * change
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
         turning = x[WOUND] + p.dw * (x[ROTOR] - x[WAVE_RATE]) - friction + x[MESH]
-        x[WAVE_RATE] += d / p.Jw * (turning - ratio * load)
         against = p.dw + p.s1 * slack + p.bw + damped * ratio
+        brake = against * d / p.Jw  # exact in its own damping: the bristle's is stiff
+        turn = -math.expm1(-brake) / brake * d / p.Jw if brake > 1e-6 else d / p.Jw
+        x[WAVE_RATE] += turn * (turning - ratio * load)
         for j in range(INPUTS):
-            F[WAVE_RATE, j] += d / p.Jw * (
+            F[WAVE_RATE, j] += turn * (
                 F[WOUND, j] + p.dw * F[ROTOR, j] - against * F[WAVE_RATE, j] - p.s0 * F[BRISTLE, j] + F[MESH, j]
                 - ratio * F[SPRING, j] + damped * F[LINK_RATE, j]
             )  # fmt: skip
@@ -437,6 +450,43 @@ def _believe(m, e, moved, c):
         m.belief = min(max(m.belief, 0.0), 1.0)
 
 
+@kernel
+def _begin_anew(m, c):
+    """Take an external torque for an error of the constants, as far as these, as described, could make it: they are what the
+    description says again, along the torsion's row in `m.H`."""
+    x, P, H = m.x, m.P, m.H
+    could = 0.0
+    for i in range(FIXED, SIZE):
+        could += (H[i] * c.prior[i]) ** 2
+    if x[EXTERNAL] ** 2 > _DOUBT**2 * could:
+        return
+    x[SPRING] += x[EXTERNAL]
+    x[EXTERNAL] = 0.0
+    for i in range(FIXED, SIZE):
+        x[i] = 0.0
+        for j in range(SIZE):
+            P[i, j] = 0.0
+            P[j, i] = 0.0
+        P[i, i] = c.prior[i] ** 2
+    P[SPRING, SPRING] += could
+    P[EXTERNAL, EXTERNAL] += could
+
+
+@kernel
+def _jitters(m, e, x, c):
+    """Learn by how much samples are off in time, mean square [s²], from changes of the link encoder's innovations e [rad].
+
+    From changes: a torque that the filter does not know of moves the link the same way for many samples.
+    """
+    change, rate = e - m.last, x[LINK_RATE]
+    m.last = e
+    weight = rate * rate / c.link_variance * _CLOCK**2
+    seen = 0.5 * min(change * change, 9.0 * (m.jitter * rate * rate + c.link_variance)) - c.link_variance
+    if weight > 0.0:
+        m.jitter += (seen / (rate * rate) - m.jitter) * weight / (1.0 + weight) / _SHAKES
+        m.jitter = max(m.jitter, 0.0)
+
+
 @step_of(MEMORY, SETTINGS, OUT)
 def _step(m, s, p, c, o):
     h = s.interval
@@ -473,7 +523,10 @@ def _step(m, s, p, c, o):
         H[:] = 0.0
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
-        S = _update(m, e, c.link_variance + c.link_count * m.held, learn)
+        # The stamp is right, or the grid: what lies between them is not known.
+        shaken = (m.jitter + m.belief * (1.0 - m.belief) * off * off) * x[LINK_RATE] * x[LINK_RATE]
+        _jitters(m, e, x, c)
+        S = _update(m, e, c.link_variance + shaken + c.link_count * m.held, learn, c)
         _believe(m, e, off * x[LINK_RATE], c)
         m.link_ratio = c.memory * m.link_ratio + (1.0 - c.memory) * e * e / S
     m.link_reading = s.link_position
@@ -491,7 +544,7 @@ def _step(m, s, p, c, o):
         zero = likelier
         e, K = _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c)
     o.innovation = e
-    o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion)
+    o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion, c)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance
     # Nobody touches it.
     m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
@@ -503,7 +556,13 @@ def _step(m, s, p, c, o):
         H[EXTERNAL] = 1.0
         # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
         spread = c.free**2 if abs(x[EXTERNAL]) < sure else c.free**2 + x[EXTERNAL] ** 2
-        _update(m, -x[EXTERNAL], spread * c.back / h, learn)
+        _update(m, -x[EXTERNAL], spread * c.back / h, learn, c)
+    # A touch that lasts, and that what was learned of the constants could be: they begin anew.
+    m.touched = m.touched + h if m.untouched > c.wait + 0.5 * h and m.free == 0.0 else 0.0
+    if m.touched > _TOUCH:
+        m.touched = 0.0
+        _torsion_row(m, found, torsion, x[ZERO], wound, soft, ratio, p, c)
+        _begin_anew(m, c)
     H[:] = 0.0
     H[SPRING], H[WAVE_RATE], H[LINK_RATE] = 1.0, p.df * ratio, -p.df - p.bl
     variance = 0.0
@@ -518,7 +577,7 @@ def _step(m, s, p, c, o):
     if m.free > 0.0 and abs(x[EXTERNAL]) > sure:
         o.variance += x[EXTERNAL] ** 2
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
-    o.weight_error, o.friction_error, o.constant_error = x[WEIGHT], x[FRICTION], x[CONSTANT]
+    o.friction_error = x[FRICTION]
     return OK if math.isfinite(o.torque + o.variance) else NOT_FINITE
 
 
@@ -552,20 +611,21 @@ class Augmented(CausalEstimator):
     bristle: float = 5.5e-3
     presliding: float = 2.0
     level: float = 0.017
-    unsure: float = 3.0
+    unsure: float = 2.0
     surge: float = 1.1
-    free: float = 0.001
+    free: float = 0.0005
     back: float = 0.05
     gate: float = 4.0
     least: float = 0.03
     coarse: float = 0.01
     settled: float = 0.1
     pause: float = 0.5
-    every: float = 0.02
+    every: float = 0.05
     wait: float = 0.2
     memory: float = 0.8
     low: float = 5.0
     high: float = 12.0
+    learns: ClassVar[bool] = True
     innovation_unit: ClassVar[str] = "N·m"
     tuning: ClassVar[tuple[TuningParameter, ...]] = (
         TuningParameter("torque", 1e-4, 1.0), TuningParameter("push", 0.05, 100.0), TuningParameter("free", 1e-4, 0.1),
@@ -595,7 +655,10 @@ class Augmented(CausalEstimator):
         c["presliding"] = (self.presliding * joint.friction) ** 2 * 2.0 * Fc / p["s0"]
         c["spring_walk"] = (self.torque * scale) ** 2
         c["loose"] = (_LOOSE * scale) ** 2
-        c["external_quiet"], c["external_loud"] = self.external * scale, self.push * scale
+        c["external_quiet"], c["external_loud"] = (
+            math.hypot(self.external * scale, _CARRIED * joint.load_error),
+            self.push * scale,
+        )
         c["level"], c["level_loud"] = math.hypot(self.level, self.unsure * joint.friction) * Fc, self.surge * Fc
         c["level_time"] = _LEVEL_TIME
         c["free"], c["gate"], c["back"] = self.free * scale, self.gate, self.back
@@ -606,7 +669,9 @@ class Augmented(CausalEstimator):
         c["sliding"] = 2.5 * p["vs"]
         c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
         c["interval"] = interval
-        c["pause"], c["every"], c["wait"] = self.pause, self.every, self.wait
+        c["pause"], c["every"] = self.pause, self.every
+        # An unknown load is a touch that lasts.
+        c["wait"] = self.wait if joint.load_error == 0.0 else math.inf
         prior = c["prior"]
         prior[[LINK, LINK_RATE, ROTOR, WAVE_RATE]] = math.sqrt(link), 1.0 / p["N"], 1.0, 1.0
         prior[[WOUND, BRISTLE, SPRING, MESH]] = 0.1 / p["Cw"], p["Fs"] / p["s0"], scale, c["level"]
@@ -614,12 +679,14 @@ class Augmented(CausalEstimator):
             pulsation = 2.0 * math.pi * p["flexible_frequency"]
             prior[SWING] = 0.1 * scale / (p["flexible_share"] * p["Jl"] * pulsation**2)
             prior[SWING_RATE] = pulsation * prior[SWING]
-        prior[EXTERNAL], prior[COUNT] = 0.2 * scale, count / math.sqrt(12.0)
+        prior[EXTERNAL], prior[COUNT] = math.hypot(0.2 * scale, joint.load_error), count / math.sqrt(12.0)
         prior[LATE] = _SAMPLES
         prior[STIFFNESS], prior[ZERO] = spread.stiffness, joint.link_zero
         prior[WAVE], prior[CURVE] = spread.wave_generator, spread.wave_generator_curve
         prior[WEIGHT], prior[INERTIA] = spread.gravity, spread.inertia
         prior[FRICTION], prior[CONSTANT] = joint.friction, spread.torque_constant
+        c["learned"] = 1.0
+        c["learned"][list(_CONSIDERED)] = 0.0
         largest = np.argsort(-spread.kinematic, kind="stable")[:ORDERS]
         for k, i in enumerate(largest):
             if spread.kinematic[i] > 0.0:

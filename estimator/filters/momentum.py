@@ -38,7 +38,7 @@ from ...models.kernels import kernel
 from ...models.step import NOT_FINITE, OK, Step, step_of
 from ..compliance import TORSION, measure
 from ..estimator import CausalEstimator, KnownJoint
-from ..sensing import motor_current, temperature
+from ..sensing import arm_torque, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
 OBSERVER = np.dtype([(name, np.float64) for name in (
@@ -83,7 +83,7 @@ def observe(m, s, found, c, p):
     m.ratio += K * h * (ratio - m.ratio) / (1.0 + K * h)
     m.load = -m.drive_residual / m.ratio
     m.joint_torque = m.load - p.bl * v
-    m.link_sum += h * dynamics.link_torque(state, m.load, p)
+    m.link_sum += h * (dynamics.link_torque(state, m.load, p) + arm_torque(s))
     m.link_residual = K * (p.Jl * v - m.link_sum) / (1.0 + K * h)
     m.link_sum += h * m.link_residual
 

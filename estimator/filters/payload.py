@@ -23,7 +23,7 @@ from .. import smoothed
 from ..estimator import CausalEstimator, Estimator, KnownJoint, Posterior
 from ..motion import CUTOFF, smooth
 from ..payload_model import INTERVAL, MEMORY, SIZE, KnownPayload, Seen, external_torque, forget, noise, prior, update
-from ..sensing import LOWPASS, lowpass, motor_current, temperature
+from ..sensing import LOWPASS, arm_torque, lowpass, motor_current, temperature
 from ..tuning_parameters import TuningParameter
 
 DECIMATION = 4
@@ -66,10 +66,10 @@ def _step(m, s, p, c, o):
     else:
         forget(x, P, math.exp(-h / MEMORY), c.prior[4, 1] ** 2)
         seen = dynamics.drive_state(m.motor[1].value, w, m.link[1].value, v, dynamics.UNREAD, current, s.time, heat)
-        own = p.Jl * a - dynamics.link_torque(seen, 0.0, p)
+        own = p.Jl * a - dynamics.link_torque(seen, 0.0, p) - arm_torque(s)
         update(x, P, Seen(seen, m.motor[1].acceleration, a, m.drive[1].value, own), x.copy(), c.noise, p)
     o.external_torque = external_torque(x, link, a)
-    o.torque = p.Jl * a - dynamics.link_torque(now, 0.0, p) - o.external_torque
+    o.torque = p.Jl * a - dynamics.link_torque(now, 0.0, p) - arm_torque(s) - o.external_torque
     o.payload_sin, o.payload_cos, o.payload_inertia = x[0], x[1], x[2]
     o.back_driven_friction, o.friction_error = x[3], x[4]
     return OK if math.isfinite(o.torque) else NOT_FINITE
@@ -127,6 +127,7 @@ class PayloadSmoothed(Estimator):
         current = slow_current(signals)  # before an hour's motion is there, 290 MB
         motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
         own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
+        own -= smoothed.arm_torque(motion, signals)
         x = observe(joint, motion.every(DECIMATION), own[::DECIMATION], current)
         known, grid, external = np.array(x[:4]), motion.time, np.empty(len(own))
         _external_torques(known, motion.link_position, motion.link_acceleration, external)

@@ -64,6 +64,7 @@ class Detector:
         size: Shape (runs, pushes), |torque| of pushes at their largest [N·m].
         before: Shape (runs, pushes), largest |external torque| in the half second before.
         rising: Shape (runs, pushes, ticks), largest |external torque| from the onset until then, held 0.1 s after the push.
+        untrusted: why its estimate is not to be trusted, of the runs without contact in which it is not (`estimator.trust`).
     """
 
     name: str
@@ -71,6 +72,7 @@ class Detector:
     size: np.ndarray
     before: np.ndarray
     rising: np.ndarray
+    untrusted: tuple[str, ...] = ()
 
     @property
     def hours(self) -> float:
@@ -123,6 +125,7 @@ class OperatingPoint:
         smallest: size of which 90 % are found [N·m]; infinite where none is.
         share, delay: of the large pushes the share that is found, and the median delay of those [s].
         diverged, runs: in how many of the runs without contact the estimate diverged.
+        untrusted: of `Detector`.
     """
 
     threshold: float
@@ -132,13 +135,18 @@ class OperatingPoint:
     delay: Interval
     diverged: int
     runs: int
+    untrusted: tuple[str, ...] = ()
 
     @property
     def reason(self) -> str:
-        """Why it has no threshold or finds no push, and whether its estimate diverged; empty where all is well."""
+        """Why it has no threshold or finds no push, whether its estimate diverged or is not to be trusted; empty where all is
+        well."""
         reasons = (
             [f"its estimate diverged in {self.diverged} of {self.runs} runs without contact"] if self.diverged else []
         )
+        if self.untrusted:
+            share = f"{len(self.untrusted)} of {self.runs} runs without contact"
+            reasons.append(f"its estimate is not to be trusted in {share}, in the first of them: {self.untrusted[0]}")
         if not math.isfinite(self.threshold):
             reasons.append("no threshold has so few false alarms")
         elif math.isinf(self.smallest.mean):
@@ -151,7 +159,7 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
     diverged, runs = detector.diverged, len(detector.quiet)
     if not math.isfinite(threshold):
         none = Interval(math.nan, math.nan, math.nan, 0)
-        return OperatingPoint(threshold, none, none, none, none, diverged, runs)
+        return OperatingPoint(threshold, none, none, none, none, diverged, runs, detector.untrusted)
     alarms, found, delays = detector.alarms(threshold), detector.found(threshold), detector.delays(threshold)
     large = detector.size >= LARGE
     rng = np.random.default_rng(seed)
@@ -175,7 +183,7 @@ def at(detector: Detector, threshold: float, resamples: int = 200, seed: int = 0
         ends = [tuple(_quantiles(column)) for column in drawn.T]
     counts = (n, m, m, m)
     each = [Interval(a, *e, k) for a, e, k in zip(mean, ends, counts, strict=True)]
-    return OperatingPoint(threshold, each[0], each[1], each[2], each[3], diverged, runs)
+    return OperatingPoint(threshold, each[0], each[1], each[2], each[3], diverged, runs, detector.untrusted)
 
 
 def curve(detector: Detector, tolerance: float) -> Iterator[dict[str, Any]]:
@@ -245,9 +253,9 @@ def pushes(scenario: Scenario, seed: int) -> list[Disturbance]:
 
 def external(
     name: str, estimator: Estimator | None, signals: Signals, reading: np.ndarray, known: KnownJoint
-) -> dict[str, np.ndarray]:
+) -> tuple[dict[str, np.ndarray], str | None]:
     """An estimator's external torque [N·m], shape (n,): its own where it has one, and that of the link's observer with its joint
-    torque, by name.
+    torque, by name; and why it is not to be trusted, if anything speaks against it.
 
     Args:
         estimator: None: the torque sensor. reading: of the sensor, shape (n,) [N·m].
@@ -258,10 +266,11 @@ def external(
     if estimator is None:
         p = known.p
         torque = (reading - p["torque_offset"] - p["torque_rate"] * known.since(signals.time)) / p["torque_gain"]
-        return {name: external_torque(signals, torque, known)}
+        return {name: external_torque(signals, torque, known)}, None
     found = estimator.estimate(signals, known)
     by_link = external_torque(signals, found.mean, known)
-    return {name: by_link} if found.external is None else {name: found.external, f"{name}{BY_LINK}": by_link}
+    own = {name: by_link} if found.external is None else {name: found.external, f"{name}{BY_LINK}": by_link}
+    return own, found.untrusted
 
 
 def check(scenario: Scenario, estimators: Mapping[str, Estimator], hours: float, rate: float | None = None) -> None:
@@ -332,25 +341,31 @@ def assess(
     scenario = scenario.model_copy(update={"disturbances": []})
     every: dict[str, Estimator | None] = {SENSOR: None, **estimators}
 
-    def one(index: int) -> dict[str, list[np.ndarray]]:
+    def one(index: int) -> tuple[dict[str, list[np.ndarray]], dict[str, str]]:
         quiet = _simulated(scenario, folder, 2 * index + 1, tolerance, [])
         chosen = pushes(scenario, 2 * index + 2)
         touched = _simulated(scenario, folder, 2 * index + 2, tolerance, chosen)
-        found = {}
+        found, untrusted = {}, {}
         for name, each in every.items():
-            silent, heard = _heard(name, each, *quiet), _heard(name, each, *touched)
+            (silent, why), (heard, _) = _heard(name, each, *quiet), _heard(name, each, *touched)
+            if why is not None:
+                untrusted[name] = why
             for label in silent.keys() | heard.keys():
                 a, b = (x.get(label, x.get(name)) for x in (silent, heard))
                 assert a is not None and b is not None
                 found[label] = [_seconds(a, scenario), *_around(b, chosen)]
         progress()
-        return found
+        return found, untrusted
 
     with ThreadPoolExecutor(threads, thread_name_prefix="contact") as pool:
-        done = list(pool.map(one, range(runs_of(scenario, hours))))
+        done, doubts = zip(*pool.map(one, range(runs_of(scenario, hours))), strict=True)
     labels = [label for name in every for label in (name, f"{name}{BY_LINK}") if any(label in d for d in done)]
     return [
-        Detector(label, *(np.array([d.get(label, d.get(_plain(label), []))[i] for d in done]) for i in range(4)))
+        Detector(
+            label,
+            *(np.array([d.get(label, d.get(_plain(label), []))[i] for d in done]) for i in range(4)),
+            tuple(why[_plain(label)] for why in doubts if _plain(label) in why),
+        )
         for label in labels
     ]
 
@@ -372,14 +387,16 @@ def _simulated(
     return simulation, told(experiment.known, tolerance, tared=True)
 
 
-def _heard(name: str, estimator: Estimator | None, simulation: Simulation, known: KnownJoint) -> dict[str, np.ndarray]:
-    """|External torque| [N·m], shape (n,), by name; infinite where the estimator diverged."""
+def _heard(
+    name: str, estimator: Estimator | None, simulation: Simulation, known: KnownJoint
+) -> tuple[dict[str, np.ndarray], str | None]:
+    """|External torque| [N·m], shape (n,), by name, infinite where the estimator diverged; why it is not to be trusted."""
     signals = signals_of(simulation)
     try:
-        found = external(name, estimator, signals, simulation.readings["joint_torque"], known)
+        found, untrusted = external(name, estimator, signals, simulation.readings["joint_torque"], known)
     except FilterDiverged:
-        return {name: np.full(len(signals.time), np.inf)}
-    return {label: np.abs(values) for label, values in found.items()}
+        return {name: np.full(len(signals.time), np.inf)}, None
+    return {label: np.abs(values) for label, values in found.items()}, untrusted
 
 
 def _seconds(heard: np.ndarray, scenario: Scenario) -> np.ndarray:

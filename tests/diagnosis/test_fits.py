@@ -14,9 +14,8 @@ from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, evaluate_point, prior_cost
-from flexspline.diagnosis.search import settle
-from flexspline.diagnosis.search.acceptance import AcceptSettings, alone
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, better, calibrate
+from flexspline.diagnosis.search.worth import alone
 from flexspline.models import causes
 from flexspline.models.joint import Effect, Estimate, load_joint
 
@@ -69,7 +68,7 @@ def test_numbers_that_the_data_hardly_tell_stay_near_the_description_where_more_
     assert known.sum() >= 3
     assert np.all(np.abs(found.theta - fit.theta)[known] < 0.15)
     assert prior_cost(problem, found.theta, ()) < 0.7 * prior_cost(problem, fit.theta, ())
-    assert np.all(np.diag(found.covariance) > 0.99 * np.diag(fit.covariance))
+    assert np.linalg.slogdet(found.covariance)[1] > np.linalg.slogdet(fit.covariance)[1]  # and less is known of them altogether
 
 
 @pytest.mark.parametrize("name", causes.names())
@@ -126,39 +125,6 @@ def test_a_size_at_the_end_of_what_it_can_be_is_not_known_exactly(name):
     inside, at_its_end = (effect.deviation(u, covariance) for u in (0.5 * effect.confine(0.02 * end), end))
     for q in effect.free:
         assert inside[q.name] > 0.0 and at_its_end[q.name] > 0.0, q.name
-
-
-def test_an_effect_that_the_data_need_is_asked_for_once(monkeypatch):
-    """What is kept though the linear model finds it slight was found so again and again, and nothing else was looked at."""
-    slight, unsure, good = (
-        SimpleNamespace(cause=SimpleNamespace(name=name), fixed={}) for name in ("slight", "unsure", "good")
-    )
-
-    def fit(*model):
-        return SimpleNamespace(model=model, log_evidence=float(len(model) + (slight in model)))
-
-    for name, stub in {
-        "with_dispersion": lambda problem, f: f,
-        "tamed": lambda problem, f: f,
-        "left_by": lambda problem, f: 1.0,
-        "quiet_rms": lambda problem, f: 1.5,
-        "worth_of": lambda problem, f, linear, i: SimpleNamespace(rms=0.1 if f.model[i] is slight else 1.0, share=1.0),
-        "size_of": lambda problem, f, i: 1.0,
-        "significance": lambda problem, f, i: 1.0 if f.model[i] is unsure else 9.0,
-        "is_calibration": lambda *_: False,
-        "drowned": lambda *_: "",
-        "_quickly_without": lambda fitter, f, i, beside=None: fit(*(h for j, h in enumerate(f.model) if j != i)),
-        "_not_lost": lambda fitter, f, other, settings, beside: other,
-        "why_needed": lambda problem, f, other, settings: "" if slight in other.model else "nothing else explains it",
-    }.items():
-        monkeypatch.setattr(settle, name, stub)
-    problem = SimpleNamespace(problem=None)
-    found, _, decisions = settle._prune(problem, fit(slight, unsure, good), [], AcceptSettings())
-    assert found.model == (slight, good)
-    assert [(d.cause, d.taken) for d in decisions] in (
-        [("slight", True), ("unsure", False)],
-        [("unsure", False), ("slight", True)],
-    )
 
 
 def test_an_effect_is_taken_away_from_absent():

@@ -16,7 +16,7 @@ from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.regions import drawn_back
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fitter
-from flexspline.diagnosis.search import stages
+from flexspline.diagnosis.search import explore
 from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import Measurement, read_measurement
@@ -117,11 +117,11 @@ def test_a_stage_for_which_there_was_no_time_is_told(monkeypatch):
     """Where time ran out after the first causes, nobody was told that others were not looked for."""
     one, now = recording(seconds=8.0), [0.0]
     columns = one.columns | {"motor_current": one.columns["motor_current"] + 0.2}
-    for module in (stages, of_diagnosis):
+    for module in (explore, of_diagnosis):
         monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
 
     def progress(stage: str, share: float) -> None:
-        if stage == "selecting further causes":
+        if stage == "searching for causes" and share > 0.1:
             now[0] = 1e3
 
     measurement = Measurement("swing", Path("swing"), (replace(one, columns=columns),))

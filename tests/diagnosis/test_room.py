@@ -10,7 +10,6 @@ from swing import recording
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.fit.coordinates import hypotheses
 from flexspline.diagnosis.fit.residual import Problem
-from flexspline.diagnosis.search.select import others_than
 from flexspline.models import causes
 from flexspline.models.joint import as_joint, load_joint
 from flexspline.models.parameters import N_ORDERS
@@ -25,7 +24,7 @@ def test_no_order_is_tried_that_the_joint_has_no_room_for():
     problem = Problem(*segments([recording(seconds=3.0)], joint), joint)
     record = problem.calibration.record(np.zeros(problem.calibration.size))
     tried = hypotheses(causes.get("cogging"), record)
-    assert others_than(problem, tried, ()) == tried  # one is left …
-    assert others_than(problem, tried, (tried[0],)) == []  # … and then none
+    assert problem.with_room((), tried) == tried  # one is left …
+    assert problem.with_room((tried[0],), tried) == [tried[0]]  # … and then none but the one that is there
     ripple = hypotheses(causes.get("kinematic_error"), record)
-    assert others_than(problem, ripple, (tried[0],)) == ripple
+    assert problem.with_room((tried[0],), ripple) == ripple

@@ -16,7 +16,6 @@ from flexspline.diagnosis.extension import calibrated
 from flexspline.diagnosis.fit.regions import Region, drawn_back, held_out_regions, region_masks, valid_range
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, evaluate_point, with_dispersion
-from flexspline.diagnosis.search.acceptance import by_chance
 from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.uncertainty import growth, larger, of_description, stated
@@ -302,15 +301,3 @@ def test_one_encoder_has_bands_too():
     recordings = tuple(r.without("link_position") for r in drawn.measurement.recordings)
     found = validate(Measurement("one encoder", Path(), recordings), joint)
     assert found.residual["motor_current"].inside > 0.9
-
-
-@pytest.mark.parametrize("dimensions", [1, 2])
-def test_the_farthest_of_many_is_that_far_by_chance(dimensions):
-    """Bonferroni's bound holds, and is no more than half as large again where it says something."""
-    print(f"seed {SEED}")
-    rng, many, draws = np.random.default_rng(SEED), 40, 4000
-    away = np.sqrt(np.max(np.sum(rng.standard_normal((draws, many, dimensions)) ** 2, axis=-1), axis=-1))
-    for limit in np.quantile(away, (0.7, 0.9, 0.97)):
-        share, most = np.mean(away > limit), by_chance(float(limit), dimensions, many)
-        assert share - 3 * np.sqrt(share * (1 - share) / draws) < most < 1.5 * share
-    assert by_chance(1.0, dimensions, many) == 1.0 and by_chance(np.inf, dimensions, many) == 0.0

@@ -133,6 +133,10 @@ def draw_motion(rng: np.random.Generator, joint: DrawnJoint, kind: str, duration
     count = 2.0 * math.pi / 4096
     gains = np.array([rng.uniform(5, 12), rng.uniform(0.05, 0.12), rng.uniform(0, 30), count, joint.cyclic])
     _simulate(numbers, command, speed, external, gains, state, torque, current)
+    if not np.isfinite(
+        state
+    ).all():  # the controller is unstable, and winds the wave generator beyond what it can be wound
+        return draw_motion(rng, joint, kind, duration)
     motor = state[:, 0] + joint.cyclic * np.sin(state[:, 0])
     ripple = joint.ripple * np.sin(14.0 * state[:, 0] + joint.ripple_phase)
     cell = 2.0 * math.pi / 2**20

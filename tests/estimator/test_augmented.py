@@ -82,11 +82,10 @@ def test_an_exact_joint_has_nothing_to_learn(pushed):
     """Without spread every constant stays what the record says; with it, they move, within what is known of them."""
     told = registry.get("augmented").estimate(pushed.signals, pushed.known)
     exact = registry.get("augmented").estimate(pushed.signals, pushed.known.within(0.0))
-    for name in ("stiffness_error", "wave_generator_error", "weight_error", "friction_error", "constant_error"):
+    for name in ("stiffness_error", "wave_generator_error", "friction_error"):
         assert not exact.columns[name].any()
         assert told.columns[name].any()
     spread = pushed.known.spread
-    assert abs(told.columns["weight_error"][-1]) < 3 * spread.gravity
     assert abs(told.columns["stiffness_error"][-1]) < 3 * spread.stiffness
 
 
@@ -101,8 +100,7 @@ def test_still_at_rest():
     assert np.ptp(means) < 0.05
     assert np.sqrt(found.variance[-1]) > 0.01
     spread = one.known.spread
-    known = {"stiffness": spread.stiffness, "weight": spread.gravity, "constant": spread.torque_constant}
-    for name, prior in {**known, "friction": one.known.friction}.items():
+    for name, prior in (("stiffness", spread.stiffness), ("friction", one.known.friction)):
         assert np.ptp(found.columns[f"{name}_error"][10000:]) < 0.1 * prior, "rest teaches little"
 
 

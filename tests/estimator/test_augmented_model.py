@@ -287,7 +287,8 @@ def test_what_torsion_shows_of_the_joints_numbers():
 @pytest.mark.parametrize("learn", [True, False])
 @pytest.mark.parametrize("case", ["plain", "rich"])
 def test_it_is_a_kalman_filter_that_may_consider(case, learn):
-    """The textbook's update along the innovation's own derivative; without leave to learn, what is constant stays (Schmidt)."""
+    """The textbook's update along the innovation's own derivative; what is constant stays without leave to learn (Schmidt), and
+    weight, inertia and torque constant always do."""
     midway = seeing(case)
     rng = np.random.default_rng(9)
     L = rng.standard_normal((SIZE, SIZE)) * UNITS[:, None]
@@ -296,6 +297,7 @@ def test_it_is_a_kalman_filter_that_may_consider(case, learn):
         L[len(NAMES) + 2 * k :][:2] = 0.0
     calm = {"calm": 1e3, "slid": 1e3 * learn, "free": 1.0, "torsion_ratio": 1.0, "link_ratio": 1.0}
     midway.settings["coarse"] = np.inf
+    assert [AT[n] for n in ("constant", "weight", "inertia")] == list(np.flatnonzero(midway.settings["learned"] == 0.0))
     x, P, o, _ = midway.after(P=L @ L.T, **calm)
     H = -np.array([
         (midway.after(midway.moved(j, UNITS[j]))[2]["innovation"] - midway.after(midway.moved(j, -UNITS[j]))[2]["innovation"])
@@ -309,7 +311,7 @@ def test_it_is_a_kalman_filter_that_may_consider(case, learn):
     S = o["innovation_variance"]
     assert S == pytest.approx(H @ before @ H + S0(midway), rel=1e-3)
     gain = before @ H / S
-    changed = np.ones(SIZE, bool) if learn else np.arange(SIZE) < FIXED
+    changed = (np.arange(SIZE) < FIXED) | (midway.settings["learned"] != 0.0 if learn else False)
     expected = np.where(changed, gain * o["innovation"], 0.0)
     moved = x - np.where(np.arange(SIZE) == AT["count"], 0.0, midway.memory["x"])
     assert np.allclose(moved / UNITS, expected / UNITS, rtol=5e-3, atol=5e-3 * np.abs(expected / UNITS).max())
@@ -333,7 +335,7 @@ def test_constants_are_learned_after_a_tenth_of_a_second_of_sliding():
 
 
 def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
-    """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then every 20 ms."""
+    """All three; any of them ends it, and with it the time that was slid. It is due at half a second, then again and again."""
     midway = seeing("plain")
     midway.sample["interval"], h = 1e-3, 1e-3
     c, still = midway.settings, 0.9 * midway.settings["sliding"]
@@ -352,7 +354,7 @@ def test_calm_is_when_no_sensor_contradicts_and_nobody_touches_the_joint():
         assert m["calm"] == pytest.approx(0.1 + h)
     for calm, due in ((0.498, False), (0.4984, False), (0.4989, True), (0.52, True)):
         m = midway.after(**quiet | {"calm": calm})[3]
-        assert m["calm"] == pytest.approx(calm + h - 0.02 * due)
+        assert m["calm"] == pytest.approx(calm + h - c["every"] * due)
     assert still > 0.0
 
 
@@ -441,7 +443,12 @@ def test_a_count_that_both_encoders_keep_is_worth_less_with_every_sample():
         (0.0, 0.0, 0.0, 1.0), (6.0, 0.0, 0.0, 7.0), (6.0, 0.9 * half, -0.9 * motor_half, 7.0), (6.0, 1.1 * half, 0.0, 0.0),
         (6.0, -1.1 * half, 0.0, 0.0), (6.0, 0.0, 1.1 * motor_half, 0.0), (6.0, 0.0, -1.1 * motor_half, 0.0),
     ):  # fmt: skip
-        before = {"link_reading": s["link_position"] + link, "motor_reading": s["motor_position"] + motor}
+        before = {
+            "link_reading": s["link_position"] + link,
+            "motor_reading": s["motor_position"] + motor,
+            "jitter": 0.0,
+            "belief": 1.0,
+        }
         _, _, o, m = midway.after(**before, held=held, link_ratio=1.0, torsion_ratio=1.0)
         assert m["held"] == expected
         none = midway.after(
@@ -511,13 +518,13 @@ def test_the_torque_is_the_joints():
 
 
 def test_constants_are_learned_in_calm_motion_and_now_and_then():
-    """Not before half a second of calm and a tenth of sliding, then every 20 ms; after a push not before as long again."""
+    """Not before half a second of calm and a tenth of sliding, then every 50 ms; after a push not before as long again."""
     known = seen("plain")[1]
     calm, pushed = (signals_of(PLAIN, SEED, push)[0].part(slice(0, 6000)) for push in (False, True))
     sliding = np.abs(np.gradient(calm["motor_position"], calm.time)) > 2.5 * known.p["vs"]
     learned = {}
     for name, signals in (("calm", calm), ("pushed", pushed)):
-        errors = registry.get("augmented").estimate(signals, known).columns["weight_error"]
+        errors = registry.get("augmented").estimate(signals, known).columns["stiffness_error"]
         learned[name] = np.flatnonzero(np.diff(errors) != 0.0) + 1
     print(
         {
@@ -527,8 +534,8 @@ def test_constants_are_learned_in_calm_motion_and_now_and_then():
     )
     assert learned["calm"][0] >= 500
     in_motion = learned["calm"][sliding[learned["calm"]]]
-    assert len(in_motion) > 50 and np.median(np.diff(in_motion)) == 20
-    assert np.diff(learned["calm"]).min() == np.diff(learned["pushed"]).min() == 20
+    assert len(in_motion) > 50 and np.median(np.diff(in_motion)) == 50
+    assert np.diff(learned["calm"]).min() == np.diff(learned["pushed"]).min() == 50
     assert len(learned["pushed"]) < 0.7 * len(learned["calm"])
 
 
@@ -635,3 +642,44 @@ def test_stamps_are_followed_as_far_as_they_are_believed():
     assert told[40.0] == pytest.approx(0.5 + 1.5 * weight, rel=1e-3)
     assert told[-40.0] == pytest.approx(0.5 - 1.5 * weight, rel=1e-3)
     assert told[-40.0] < told[0.0] < told[40.0]
+
+
+def test_samples_that_are_off_in_time_are_found_out():
+    """Even stamps, readings of a moving link 0.2 ms off: the time is found to a third, and no jitter where there is none."""
+    signals, known = signals_of(PLAIN, SEED, False)[0].part(slice(0, 4000)), seen("plain")[1]
+    step = registry.get("augmented").step(known, 1e-3)
+    off = np.clip(2e-4 * np.random.default_rng(4).standard_normal(len(signals.time)), -5e-4, 5e-4)
+    names = ("motor_position", "link_position", "motor_current")
+    late = {name: np.interp(signals.time + off, signals.time, signals[name]) for name in names}
+    found = {}
+    for name, some in (("even", signals), ("late", Signals(signals.time, late))):
+        arrays = step.arrays()
+        go_on(arrays, as_samples(some, (), known), np.zeros((len(some.time), step.outputs)))
+        found[name] = arrays[1].view(MEMORY)[0]["jitter"] ** 0.5
+    print(f"seed 4: {1e3 * found['late']:.3f} ms, of even samples {1e3 * found['even']:.3f} ms")
+    assert found["late"] == pytest.approx(2e-4, rel=0.35) and found["even"] < 5e-5
+
+
+def test_a_bristle_that_is_stiff_in_damping_does_not_shake():
+    """A bristle of three times the damping that turns round at rest: errors of the state do not grow from sample to sample."""
+    midway = Midway.of("plain", s1=0.03).blind()
+    x = midway.memory["x"].copy()
+    x[AT["wave_rate"]], x[AT["bristle"]] = -1e-3, float(midway.joint.p["Fc"] / midway.joint.p["s0"])
+    P = np.zeros((SIZE, SIZE))
+    P[AT["wave_rate"], AT["wave_rate"]], midway.settings["mesh_walk"] = 1.0, 0.0
+    assert midway.after(x, P)[1][AT["wave_rate"], AT["wave_rate"]] < 1.0
+
+
+def test_a_touch_that_constants_could_be_is_taken_for_them():
+    """An external torque that has lasted for two seconds: constants begin anew. One that is more than they could be stays."""
+    midway = disturbed(Midway.of("plain"), external=0.1)
+    c, i = midway.settings, AT["external"]
+    c["wait"], c["least"] = 0.2, 1e-3
+    x = midway.memory["x"].copy()
+    for size, stays in ((0.1, False), (30.0, True)):
+        x[i], x[AT["stiffness"]] = size, 0.01
+        P = np.diag(np.r_[np.full(FIXED, 1e-12), np.full(SIZE - FIXED, 1e-10)])
+        found, after, _, m = midway.after(x, P, untouched=5.0, touched=2.0, link_ratio=1.0)
+        assert m["touched"] == m["free"] == 0.0
+        assert (found[i] == 0.0 and found[AT["stiffness"]] == 0.0) != stays
+        assert (after[AT["stiffness"], AT["stiffness"]] == c["prior"][AT["stiffness"]] ** 2) != stays

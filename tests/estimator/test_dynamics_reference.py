@@ -36,7 +36,7 @@ class Reference:
     @classmethod
     def of(cls, known: KnownJoint, noise: np.void, kappa: float | None, motor: float, link: float) -> Reference:
         x = np.zeros(SIZE)
-        joint_model.start(motor, link, 0.0, known.p, x)
+        joint_model.start(motor, link, 0.0, 0.0, known.p, x)
         active = noise["active"][: int(noise["count"])].astype(int)
         return cls(known, noise, kappa, x, np.diag(noise["start"][active]))
 

@@ -60,13 +60,23 @@ def test_drawn_joints(imperfect, mean, worst):
     assert found[0] < mean and found[1] < worst
 
 
-def test_load_of_an_arm_reaches_augmented():
-    for run in fs.simulate_arm("two_joints", duration=4).values():
-        torque = run.truth("joint_torque")
-        signals = run.signals.with_columns(arm_torque=run.as_recording().torque_of_arm)
-        estimator = registry.get("augmented")
-        alone, known = (
-            float(np.sqrt(np.mean((estimator.estimate(s, run.known).mean - torque)[1000:] ** 2)))
-            for s in (run.signals, signals)
-        )
-        assert known < 0.5 * alone
+@pytest.mark.parametrize(
+    "name",
+    ["augmented", "momentum", "momentum_torsion", "dynamics_ekf", "dynamics_ukf", "rts_smoother", "payload_smoothed"],
+)
+def test_load_of_an_arm_reaches_who_uses_the_link_s_balance(arm, name):
+    """Nobody touches the shoulder: the median of the external torque is less than half of what it is without the elbow's."""
+    signals, run = arm
+    estimator, median = registry.get(name), {}
+    for kind, some in (("alone", signals.without("arm_torque")), ("known", signals)):
+        found = estimator.estimate(some, run.known).external
+        median[kind] = float(np.median(np.abs(found[1000:])))
+    print(f"{name}: {median} N·m")
+    assert median["known"] < 0.5 * median["alone"]
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """The shoulder of two joints that move, 4 s, nobody touching it: signals with what the elbow puts on it, and the run."""
+    run = fs.simulate_arm("two_joints", duration=4)["shoulder"]
+    return run.signals.with_columns(arm_torque=run.as_recording().torque_of_arm), run

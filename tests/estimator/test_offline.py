@@ -322,27 +322,42 @@ def test_zero_of_a_joint_that_moves_both_ways(rng):
     direction = np.where(np.arange(n) // 100 % 2, -1.0, 1.0)
     compliance = np.full(n, 1e-4)
     seen = 2e-4 + compliance * (0.4 * direction + 0.1 * rng.standard_normal(n))
-    zero, std = track_zero(seen, compliance, direction, np.zeros(n), np.full(n, 0.01), 1e-3, 0.0, 0.5, 0.1)
+    none = np.zeros((n, 0))
+    zero, std, *_ = track_zero(seen, compliance * direction, none, 0.1 * compliance, np.full(n, 0.01), 1e-3, 0.0, 0.5)
     assert np.all(np.abs(zero - 2e-4) < 4 * std) and std.max() < 3e-5
 
 
 def test_the_zero_is_the_most_probable_one(rng):
-    """A smoother of two states is the mean of all of them given all that was seen: with dense covariances of a walk by travel and
-    of an error that forgets, at once."""
+    """The smoother is the mean of all zeros given all that was seen: with dense covariances of a walk by travel, of an error that
+    forgets and of constants, at once. What is seen is drawn from them, so that no sample counts less than its noise says."""
     n, spread, wander, friction, noise = 60, 3e-4, 2e-4, 0.6, 0.15
     compliance, direction = rng.uniform(0.5e-4, 2e-4, n), rng.choice([-1.0, 1.0], n)
     slow, travel = rng.uniform(0.0, 0.5, n), rng.uniform(0.0, 0.05, n)
-    seen = 2e-4 + compliance * rng.standard_normal(n)
+    constants = 1e-4 * rng.standard_normal((n, 2))
     walked = np.cumsum(np.r_[0.0, travel[1:]])
     apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * smoothed.STEP * 20  # 50 a second
     of_zero = spread**2 + wander**2 * np.minimum.outer(walked, walked)
     by_friction = compliance * direction
     of_friction = friction**2 * np.exp(-apart / MEMORY) * np.outer(by_friction, by_friction)
-    total = of_zero + of_friction + np.diag(compliance**2 * (noise**2 + slow**2))
+    noises = compliance * np.hypot(noise, slow)
+    total = of_zero + of_friction + constants @ constants.T + np.diag(noises**2)
+    seen = 0.5 * np.linalg.cholesky(total) @ np.clip(rng.standard_normal(n), -1.0, 1.0)
     gain = np.linalg.solve(total, of_zero).T
-    zero, std = track_zero(seen, compliance, direction, slow, travel, spread, wander, friction, noise)
+    zero, std, *_ = track_zero(seen, by_friction, constants, noises, travel, spread, wander, friction)
     np.testing.assert_allclose(zero, gain @ seen, rtol=1e-6)
     np.testing.assert_allclose(std, np.sqrt(np.diag(of_zero - gain @ of_zero)), rtol=1e-6)
+
+
+def test_a_start_that_shakes_does_not_set_the_zero(rng):
+    """A tenth of the samples are ten times as far off as their noise says: they count accordingly."""
+    n = 500
+    compliance, direction = np.full(n, 1e-4), np.where(np.arange(n) // 100 % 2, -1.0, 1.0)
+    seen = 2e-4 + 1e-5 * rng.standard_normal(n)
+    seen[:50] += 1e-4 * (1.0 + rng.standard_normal(50))
+    zero, std, *_ = track_zero(
+        seen, compliance * direction, np.zeros((n, 0)), np.full(n, 1e-5), np.full(n, 0.01), 1e-3, 0.0, 0.0
+    )
+    assert np.all(np.abs(zero - 2e-4) < 4 * std) and std.max() < 1e-6
 
 
 def test_white_noise_ignores_motion_and_uneven_time(rng):

@@ -6,6 +6,7 @@ that is added to what it is no like of shows as none.
 
 from __future__ import annotations
 
+import math
 from dataclasses import fields, replace
 
 import numpy as np
@@ -200,28 +201,31 @@ def test_sizes_of_the_augmented_filter():
     fc, t2, count = float(p["Fc"]), float(p["T2"]), NOISE.motor_resolution / float(p["N"])
     white = NOISE.link_noise**2 + NOISE.link_error**2 + 2.0 * uniform(NOISE.link_resolution)
     motor = (NOISE.motor_noise**2 + NOISE.motor_error**2) / p["N"] ** 2
-    friction = 3.0 * joint.friction  # every relative error of its model counts three times
+    friction = 2.0 * joint.friction  # every relative error of its model counts twice
     bent = fc / p["s0"]
     expected = {
         "link_variance": white, "torsion_variance": white + motor + (count / 10) ** 2, "rotor_walk": p["Jm"] ** -2.0,
         "torque_variance": p["Kt"] ** 2 * NOISE.current_variance(1e-3), "mesh_walk": (1.5e-3 * fc / p["Jw"]) ** 2,
         "bristle_walk": (5.5e-3 * bent) ** 2, "presliding": 2.0 * bent * (2.0 * joint.friction) ** 2,
         "spring_walk": (0.007 * t2) ** 2, "loose": (2.0 * t2) ** 2, "external_quiet": 4e-4 * t2, "external_loud": 8.0 * t2,
-        "level": np.sqrt(0.017**2 + friction**2) * fc, "level_loud": 1.1 * fc, "level_time": 5.0, "free": 1e-3 * t2, "gate": 4.0,
+        "level": np.sqrt(0.017**2 + friction**2) * fc, "level_loud": 1.1 * fc, "level_time": 5.0, "free": 5e-4 * t2, "gate": 4.0,
         "back": 0.05, "least": 0.03 * t2, "wait": 0.2, "memory": 0.8, "low": 5.0, "high": 12.0, "wander": 1e-5, "interval": 1e-3,
-        "half": NOISE.motor_resolution / 2, "sliding": 2.5 * p["vs"], "settled": 0.1, "pause": 0.5, "every": 0.02,
+        "half": NOISE.motor_resolution / 2, "sliding": 2.5 * p["vs"], "settled": 0.1, "pause": 0.5, "every": 0.05,
         "link_half": NOISE.link_resolution / 2, "link_count": 2.0 * uniform(NOISE.link_resolution),
         "coarse": (0.01 * t2) ** 2, "stiffest": 1.25 * p["Cw"] * joint.rated_torque / p["N"],
     }  # fmt: skip
     for name, value in expected.items():
         assert c[name] == pytest.approx(value, rel=1e-9), name
-    assert set(expected) == set(augmented.SETTINGS.names) - {"prior", "order"} and a.unsure == 3.0
+    assert set(expected) == set(augmented.SETTINGS.names) - {"prior", "learned", "order"} and a.unsure == 2.0
     prior = {
         "LINK": np.sqrt(white), "LINK_RATE": 1.0 / p["N"], "ROTOR": 1.0, "WAVE_RATE": 1.0, "WOUND": 0.1 / p["Cw"],
         "BRISTLE": p["Fs"] / p["s0"], "SPRING": t2, "EXTERNAL": 0.2 * t2, "MESH": c["level"], "COUNT": np.sqrt(uniform(count)),
     }  # fmt: skip
     for name, value in prior.items():
         assert c["prior"][getattr(augmented, name)] == pytest.approx(value, rel=1e-9), name
+    other = a.settings(replace(joint, load_error=7.0), 1e-3)[0]
+    assert other["wait"] == np.inf and other["external_quiet"] == pytest.approx(math.hypot(4e-4 * t2, 0.5 * 7.0))
+    assert other["prior"][augmented.EXTERNAL] == pytest.approx(math.hypot(0.2 * t2, 7.0))
     late = a.settings(known(link_delay=3e-3), 1e-3)[0]
     assert late["link_variance"] - white == pytest.approx((3.0 * count) ** 2)
     assert late["torsion_variance"] - c["torsion_variance"] == pytest.approx((3.0 * count) ** 2)

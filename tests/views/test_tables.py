@@ -79,6 +79,18 @@ def test_comparison_is_whole_at_80_columns():
         assert any(line.split() == [*name.split(), *cells] for line in text.splitlines()), (scenario, name)
 
 
+def test_what_is_not_to_be_trusted_is_marked_and_never_the_best():
+    run = METRICS["push"] | {"untrusted": {"RAREKF": "torque of 120 N·m"}}
+    table = comparison_table({"push": run})
+    assert [str(cell).split() for cell in table.columns[0].cells][1:] == [["raw", "model"], ["EKF"], ["RAREKF", "†"]]
+    assert not any(str(cell) == "0.250" and "bold" in str(cell.style) for cell in table.columns[1].cells)
+    assert "† not to be trusted" in str(table.caption)
+    markdown = comparison_markdown({"push": run})
+    assert "| push | RAREKF † | 0.250 |" in markdown
+    assert "† push: RAREKF is not to be trusted: torque of 120 N·m." in markdown
+    assert "†" not in comparison_markdown(METRICS) + str(comparison_table(METRICS).caption)
+
+
 def test_headings_are_text_not_markup():
     assert heading("delay", "ms").plain == "delay\n[ms]"
     assert heading("noise ratio").plain == "noise\nratio"

@@ -28,7 +28,7 @@ from .rendering import number, percent, render, squeezed, with_std
 if TYPE_CHECKING:
     from ...diagnosis.answer import Diagnosis, Finding
     from ...diagnosis.data.mistakes import Mistake
-    from ...diagnosis.search.acceptance import Decision
+    from ...diagnosis.search.explore import Decision
 
 UNIT = "N·m"
 NOISY = 1.6
@@ -238,14 +238,11 @@ def _cause(report: Report, c: Finding) -> dict[str, Any]:
     }
 
 
-_STAGES = {"fit": "first cause", "select": "further causes", "settle": "once all are fitted together"}
+_STAGES = {"add": "a cause more", "drop": "a cause less", "swap": "in another's place"}
 
 
 def _decisions(d: Diagnosis) -> list[dict[str, Any]]:
-    """What became of every hypothesis: those that were taken first, of a cause's others the best of each stage.
-
-    A later stage that decides as an earlier one did stands in the same row.
-    """
+    """What became of every proposal: those that were taken first, of a cause's others the best of each kind of proposal."""
     best: dict[tuple[str, str, str | None], list[Decision]] = {}
     for x in d.decisions:
         best.setdefault((x.stage, x.cause, str(x.fixed) if x.taken else None), []).append(x)
@@ -256,13 +253,11 @@ def _decisions(d: Diagnosis) -> list[dict[str, Any]]:
             "cause": plain(x.cause) + "".join(f" ({k} {v:g})" for k, v in x.fixed.items()),
             "others": len(alike) - 1,
             "gain": f"{x.gain:.0f}".replace("-", "−") if np.isfinite(x.gain) else "–",
-            "worth": f"{number(x.worth, 2)}" if np.isfinite(x.worth) else "–",
             "taken": x.taken,
             "reason": re.sub(r"(?<![\w.])-(?=\d)", "−", x.reason),
         }
         kept = rows.setdefault(tuple(map(str, row.values())), row | {"stages": [], "order": x.gain})
-        stage, _, index = x.stage.partition(" ")
-        kept["stages"].append(_STAGES.get(stage, stage) + (f", number {index}" if index else ""))
+        kept["stages"].append(_STAGES.get(x.stage, x.stage))
     return sorted(rows.values(), key=lambda row: (not row["taken"], -np.nan_to_num(row["order"])))
 
 

@@ -16,7 +16,7 @@ from ...models import plugins
 from ...models.parameters import as_floats
 from ..report import listed
 from ..style import FILTERS
-from ..tables import COLUMNS, RAW_MODEL
+from ..tables import COLUMNS, RAW_MODEL, doubts, marked
 from .chart import Chart, limits
 from .provenance import fingerprint, now, versions
 from .rendering import number, render, squeezed
@@ -88,10 +88,13 @@ def _common(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tupl
 
 
 def _means(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tuple[str, float]]:
-    """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first; of those that are in all."""
+    """Geometric mean over the scenarios of each estimator's error [N·m], the smallest first; of those that are in all, and are to
+    be trusted in all."""
     found = []
     for name in names:
         errors = np.array([_error(run, name) for run, _ in runs])
+        if any(name in run.metrics["untrusted"] for run, _ in runs):
+            continue
         if len(errors) and np.all(np.isfinite(errors)) and np.all(errors > 0):
             found.append((name, float(np.exp(np.mean(np.log(errors))))))
     return sorted(found, key=lambda one: one[1])
@@ -195,8 +198,9 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
     entries = {RAW_MODEL: metrics["model"]} if metrics.get("model") else {}
     rows = []
     for name, values in (entries | dict(metrics["filters"])).items():
-        rows.append((name, kinds.get(name, "measured"), [column.text(values) for column in COLUMNS]))
-    own = [row for row in rows if row[0] != RAW_MODEL]
+        rows.append((marked(name, metrics), kinds.get(name, "measured"), [column.text(values) for column in COLUMNS]))
+    doubted = {RAW_MODEL, *(marked(name, metrics) for name in metrics["untrusted"])}
+    own = [row for row in rows if row[0] not in doubted]
     best = {
         k: min(own, key=lambda row: float(row[2][k]))[0]
         for k, column in enumerate(COLUMNS)
@@ -211,8 +215,13 @@ def _scenario(run: Run, folder: Path, kinds: dict[str, str], joint: bool) -> dic
         "seed": run.scenario.seed,
         "folder": str(folder),
         "rows": rows,
+        "doubts": doubts({folder.name if joint else run.name: metrics}),
         "best": best,
-        "legend": [("after", "true"), ("measured", "torque sensor"), *((kinds[n], n) for n in run.estimates)],
+        "legend": [
+            ("after", "true"),
+            ("measured", "torque sensor"),
+            *((kinds[n], marked(n, metrics)) for n in run.estimates),
+        ],
         "motion": [("after", "true"), ("measured", "measured"), ("backward", "external")],
         "charts": _charts(run, kinds),
     }
