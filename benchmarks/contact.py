@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flexspline.commands.contact import DEFAULT
+from flexspline.models.files import write_rows
 from flexspline.scenarios.evaluation import contact
 from flexspline.scenarios.filters import estimators
 from flexspline.scenarios.scenario import load_scenario
@@ -61,7 +62,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         "[figure](figures/contact.png)."
     )
     fill(asked.page, {"contact about": about, "contact": "\n\n".join(parts)})
-    contact_views.write_curves(rows, asked.page.parent / "contact.csv")
+    write_rows(asked.page.parent / "contact.csv", rows)
     save(contact_views.contact_figure(drawn, "collision"), asked.page.parent / "figures" / "contact.png")
 
 

@@ -28,7 +28,7 @@ from flexspline.models.errors import InputError
 from flexspline.models.files import write_into_place
 from flexspline.models.joint import load_joint
 from flexspline.scenarios.evaluation import metrics
-from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, geometric, geometric_over, rms
+from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, geometric, rms
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim.loop import CONTROL_PERIOD
@@ -170,6 +170,16 @@ class Results:
         """Likewise over the three experiments."""
         both = [[self.values(s, tolerance, n) for s in SCENARIOS] for n in (name, REFERENCE)]
         return geometric_over(*both)
+
+
+def geometric_over(values: Sequence[np.ndarray], reference: Sequence[np.ndarray]) -> Interval:
+    """`geometric` over several scenarios with the same draws: each scenario counts alike.
+
+    A draw's joint is the same in all of them, so the draw, not the run, is what is independent.
+    """
+    logs = np.mean([np.log(np.asarray(v) / np.asarray(r)) for v, r in zip(values, reference, strict=True)], axis=0)
+    found = interval(logs)
+    return Interval(np.exp(found.mean), np.exp(found.low), np.exp(found.high), found.n)
 
 
 def overall_table(results: Results) -> str:

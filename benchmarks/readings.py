@@ -22,14 +22,14 @@ import numpy as np
 from flexspline.estimator import recursion, registry
 from flexspline.models.errors import InputError
 from flexspline.models.files import write_into_place
-from flexspline.scenarios.evaluation.draws import draw_of, drawn_record, geometric, geometric_over, rms, told, varied
+from flexspline.scenarios.evaluation.draws import draw_of, drawn_record, geometric, rms, told, varied
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
 
 from . import kept
 from .claims import READINGS, V, settings
-from .estimators import REALISTIC, TOLERANCES
+from .estimators import REALISTIC, TOLERANCES, geometric_over
 from .pages import ROOT, fill, text
 
 EXPERIMENTS: tuple[tuple[str, float | None], ...] = (

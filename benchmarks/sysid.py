@@ -42,11 +42,11 @@ from flexspline.diagnosis.trials.motions import CONTROLLER
 from flexspline.models import laws
 from flexspline.models.calibration import Calibration
 from flexspline.models.files import write_into_place
-from flexspline.models.joint import load_joint
+from flexspline.models.joint import load_joint, shipped
 from flexspline.models.parameters import as_floats
 from flexspline.models.pointers import floats_at, word_at
 from flexspline.models.recording import Recording
-from flexspline.sim import native, structure
+from flexspline.sim import native
 from flexspline.sim.loop import CONTROL_PERIOD
 from flexspline.views.limit_tables import markdown
 
@@ -181,7 +181,7 @@ class Rollouts:
     def _spec(self, recording: Recording, record: np.ndarray) -> mujoco.MjSpec:
         """The joint's MJCF with the numbers of a record, the commands, and the link's servo."""
         p = record[0]
-        spec = structure.read(self.joint.mjcf)
+        spec = mujoco.MjSpec.from_file(str(shipped("test_joint.xml")))
         set_numbers(spec, p, TIMESTEP)
         spec.option.integrator = INTEGRATOR
         spec.modelname = recording.name

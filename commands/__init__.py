@@ -270,15 +270,14 @@ def _end(number: int, frame: Any) -> NoReturn:
     Nothing is raised: compiled code and libraries would drop it.
     """
     output = sys.modules.get(f"{__name__.rpartition('.')[0]}.models.output")  # else nothing is being written
-    if output is not None:
-        output.abandon()
+    said = output.abandon() if output is not None else ""
     pools = sys.modules.get("multiprocessing.util")
     if pools is not None:
         pools._run_finalizers(0)  # else its tracker complains of semaphores
     if number == signal.SIGINT:
         with contextlib.suppress(OSError):
             cursor = b"\r\x1b[2K\x1b[?25h" if os.isatty(2) else b""  # a progress bar hides it
-            os.write(2, cursor + b"flexspline: interrupted, nothing is half-written\n")
+            os.write(2, cursor + f"{said or 'flexspline: interrupted, nothing is half-written'}\n".encode())
     os._exit(128 + number)
 
 

@@ -53,7 +53,7 @@ def command(
     """
     from ..models import plugins
     from ..models.errors import InputError
-    from ..models.files import json_text
+    from ..models.files import json_text, write_rows
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import contact
     from ..scenarios.filters import estimators
@@ -105,7 +105,7 @@ def command(
     if out is not None:
         with output_folder(out, "contact") as new:
             (new / "contact.json").write_text(json_text(answer), encoding="utf-8")
-            contact_views.write_curves(curves, new / "contact.csv")
+            write_rows(new / "contact.csv", curves)
             text = "".join(
                 f"## {title}\n\n{contact_views.contact_markdown(own)}\n\n"
                 for title, own in contact_views.titles(answer)

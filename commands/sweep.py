@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -64,10 +63,8 @@ def command(
     with progress(counting=True, remaining=True) as bar:
         task = bar.add_task(f"{asked.name}: runs", total=design.runs, completed=dataset.done())
 
-        def stopped() -> None:
-            bar.stop()
-            done = f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
-            print(done, file=sys.stderr, flush=True)  # also where no bar is shown
+        def stopped() -> str:
+            return f"stopped; {dataset.done()} of {design.runs} runs are in {out}; the same command goes on"
 
         with at_end(stopped):
             sweep(

@@ -18,7 +18,7 @@ itself: the root of the sum of squares of
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import pairwise
 from typing import Any
 
@@ -63,17 +63,6 @@ class ChannelError:
     unit: str
     inside: float
     samples: int
-
-    def to_json(self) -> dict[str, Any]:
-        """As it stands in `validation.json`."""
-        return {
-            "rms": self.rms,
-            "mean": self.mean,
-            "noise": self.noise,
-            "unit": self.unit,
-            "inside": self.inside,
-            "samples": self.samples,
-        }
 
 
 @dataclass(frozen=True)
@@ -191,7 +180,7 @@ class Validation:
         return {
             "format": 1,
             "joint": self.joint,
-            "residual": {name: error.to_json() for name, error in self.residual.items()},
+            "residual": {name: asdict(error) for name, error in self.residual.items()},
             "regions": [region.to_json() for region in self.regions],
             "beyond": self.beyond,
             "mistakes": [m.to_json() for m in self.mistakes],

@@ -254,11 +254,6 @@ class Posterior:
     external: np.ndarray | None = None
     untrusted: str | None = None
 
-    @property
-    def trusted(self) -> bool:
-        """Whether nothing in the estimator's own record speaks against the estimate."""
-        return self.untrusted is None
-
     def __post_init__(self) -> None:
         for name in ("mean", "variance", "external"):
             found = getattr(self, name)

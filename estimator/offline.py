@@ -202,8 +202,7 @@ def estimate_recording(
         blind = blind.with_columns(arm_torque=recording.torque_of_arm)
     n = len(recording.time)
     found, deviation = (
-        {what: _Held(n) if spool is None else Spool(spool, f"{recording.name}_{kind}{what}", n) for what in _QUANTITIES}
-        for kind in ("", "deviation_")
+        {what: Spool(n, spool, f"{recording.name}_{kind}{what}") for what in _QUANTITIES} for kind in ("", "deviation_")
     )
     left_out: dict[str, str] = {}
     untrusted: dict[str, str] = {}
@@ -295,26 +294,6 @@ def _lacking(estimator: Estimator, there: Collection[str], measured: Collection[
         if channel not in measured and set(estimator.needs) >= set(POSITIONS):
             return f"expected the column {channel!r}, the recording has none: torsion cannot be read with one encoder"
     return None
-
-
-class _Held(dict[str, np.ndarray]):
-    """Columns by name, shape (n,) each, in memory."""
-
-    def __init__(self, n: int):
-        super().__init__()
-        self._n = n
-
-    def put(self, name: str, part: slice, values: np.ndarray) -> None:
-        """As of `Spool`."""
-        if name not in self:
-            self[name] = np.full(self._n, np.nan)
-        self[name][part] = values
-
-    def keep(self, names: Sequence[str]) -> None:
-        """As of `Spool`."""
-        found = {name: self[name] if name in self else np.full(self._n, np.nan) for name in names}
-        self.clear()
-        self.update(found)
 
 
 def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:

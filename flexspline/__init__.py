@@ -328,7 +328,7 @@ def estimate(
     for name in named:
         if name in found.left_out:
             raise InputError(f"estimator {name!r}: {found.left_out[name]}")
-    table = pd.DataFrame(found.torque, index=pd.Index(found.time, name="time [s]"))
+    table = pd.DataFrame(dict(found.torque), index=pd.Index(found.time, name="time [s]"))
     table.attrs |= {"unit": "N·m", "left_out": found.left_out}
     return table
 

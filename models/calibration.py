@@ -220,11 +220,6 @@ def factor_of(tolerance: np.ndarray, x: np.ndarray) -> np.ndarray:
     return np.where(tolerance > NARROW, (1 + tolerance) ** x, normal)
 
 
-def variable_of(tolerance: float, factor: float) -> float:
-    """The standard deviations at which a tolerance makes a factor of `_LEAST` or more: the inverse of `factor_of`."""
-    return float(np.log(factor) / np.log1p(tolerance)) if tolerance > NARROW else (factor - 1) / tolerance
-
-
 def _least(slot: Slot) -> float:
     """The least that a number may be: no symbol's and no scale of the link is negative, however wide its deviation."""
     scale = slot.field in ("Jl", "Mg")

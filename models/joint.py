@@ -117,7 +117,7 @@ class Placed(NamedTuple):
 
     name: str
     field: str
-    index: int
+    at: int
     number: Number
     where: str
     unit: str

@@ -140,7 +140,7 @@ _at_end: list[Callable[[], object]] = []
 
 @contextmanager
 def at_end(action: Callable[[], object]) -> Iterator[None]:
-    """Have `abandon` do something where the process is asked to end inside the block."""
+    """Have `abandon` do something where the process is asked to end inside the block; what it returns is said then."""
     _at_end.append(action)
     try:
         yield
@@ -148,11 +148,17 @@ def at_end(action: Callable[[], object]) -> Iterator[None]:
         _at_end.remove(action)
 
 
-def abandon() -> None:
-    """Remove what is being written: for a process that ends without waiting for its threads. What is complete stays."""
+def abandon() -> str:
+    """Remove what is being written: for a process that ends without waiting for its threads. What is complete stays.
+
+    Returns:
+      What an action has to say of it; empty where none has.
+    """
+    said = ""
     for action in reversed(list(_at_end)):
         with suppress(Exception):
-            action()
+            said = str(action() or said)
+    return said
 
 
 def recover(path: Path) -> None:

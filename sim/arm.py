@@ -23,6 +23,7 @@ from ..models.errors import InputError
 from ..models.joint import Joint
 from ..models.parameters import GRAVITY
 from . import native, plant
+from .shape import shape
 
 _MASSLESS = 1e-9  # kg: MuJoCo wants every body to have some
 
@@ -63,14 +64,13 @@ def build(joints: Sequence[ArmJoint], timestep: float = plant.TIMESTEP, ideal_cu
       The model. Coordinates and activations as of `plant.build`, joint after joint; names begin with `ArmJoint.prefix`.
 
     Raises:
-      InputError: an MJCF that cannot be read, is not a joint's, or acts.
+      InputError: an MJCF that cannot be shown.
     """
     arm = mujoco.MjSpec()
     at = arm.worldbody
     for i, one in enumerate(joints):
-        # Alone first: everything in its MJCF that acts is found there.
-        plant.build(one.joint, timestep=timestep, record=one.record, ideal_current=ideal_current)
-        spec = plant.describe(one.joint, one.record, timestep, ideal_current)
+        shape(one.joint)
+        spec = plant.describe(one.record, timestep, ideal_current)
         for name in ("rotor", "wave_generator", "flange"):
             spec.body(name).mass = _MASSLESS
         if i == 0:

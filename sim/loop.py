@@ -176,12 +176,13 @@ class ClosedLoop:
         )  # fmt: skip
         self.done, n = 0, given.stamps.shape[1]
         many = (len(joints), n)
-        self._given, self._took = (
-            given,
-            _Took(np.zeros(many, TRUTH), np.zeros(many, READINGS), np.zeros(many), np.zeros((*sensors.shape, n))),
+        readings = np.zeros(many, READINGS)
+        took = _Took(
+            np.zeros(many, TRUTH), readings, _as_floats(readings), np.zeros(many), np.zeros((*sensors.shape, n))
         )
+        self._given, self._took = given, took
         self._failed = np.array([[n, 0]] * len(joints), dtype=np.int64)
-        time, took = np.arange(n) * (substeps * timestep), self._took
+        time = np.arange(n) * (substeps * timestep)
         self._simulations = tuple(
             Simulation(time, took.truth[i], took.readings[i], took.command[i], (n, 0), one.stamps, one.commanded)
             for i, one in enumerate(joints)
@@ -208,19 +209,14 @@ class ClosedLoop:
         if self._failed[:, 0].min() < n:
             return slice(begin, begin)
         end = min(begin + ticks, n)
-        given, took = self._given, self._took
         with native.quiet(), native.untimed():
-            _loop(
-                *self._constant, given.position, given.velocity, given.external, given.temperature, given.noise,
-                _as_floats(given.noise), given.tip_force, given.stamps, took.truth, took.readings,
-                _as_floats(took.readings), took.command, took.seen, self._failed, begin, end,
-            )  # fmt: skip
+            _loop(self._constant, self._given, self._took, self._failed, begin, end)
         self.done = min(end, int(self._failed[:, 0].min()))
         return slice(begin, self.done)
 
 
 class _Given(NamedTuple):
-    """What drives joints, by joint and tick, shape (joints, n), as in `Driven`."""
+    """What drives joints, by joint and tick, shape (joints, n), as in `Driven`; noise shape (joints, n, channels)."""
 
     position: np.ndarray
     velocity: np.ndarray
@@ -244,16 +240,17 @@ class _Given(NamedTuple):
                     array[i] = given
         return cls(
             np.stack([one.position for one in joints]), np.stack([one.velocity for one in joints]), external, temperature,
-            np.stack([np.ascontiguousarray(one.noise) for one in joints]), tip_force, stamps,
+            _as_floats(np.stack([np.ascontiguousarray(one.noise) for one in joints])), tip_force, stamps,
         )  # fmt: skip
 
 
 class _Took(NamedTuple):
     """What became of joints, by joint and tick, shape (joints, n): `seen`, shape (joints, channels, n), is what the sensors see
-    before delay, noise and quantisation."""
+    before delay, noise and quantisation; `reading_of`: `readings` as floats, shape (joints, n, channels)."""
 
     truth: np.ndarray
     readings: np.ndarray
+    reading_of: np.ndarray
     command: np.ndarray
     seen: np.ndarray
 
@@ -302,11 +299,13 @@ def _input(command, j, step, delay, substeps, Kt):
 
 
 @kernel
-def _loop(
-    step, model, data, addresses, substeps, h, record, sensors, controller, estimators, commanded, raw, drive,
-    began, crosstalk, position, velocity, external, temperature, noise, noise_of, tip_force, stamps, truth, readings,
-    reading_of, command, seen, failed, begin, end,
-):  # fmt: skip
+def _loop(constant, drives, took, failed, begin, end):
+    (
+        step, model, data, addresses, substeps, h, record, sensors, controller, estimators, commanded, raw, drive, began,
+        crosstalk,
+    ) = constant  # fmt: skip
+    position, velocity, external, temperature, noise_of, tip_force, stamps = drives
+    truth, readings, reading_of, command, seen = took
     at = addresses[0]
     act = floats_at(word_at(data + 8 * at.act))
     ctrl = floats_at(word_at(data + 8 * at.ctrl))

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,7 +11,6 @@ from matplotlib.figure import Figure
 from rich.table import Table
 from rich.text import Text
 
-from ..models.files import write_into_place
 from .figures.sheet import BETWEEN, LEFT, RIGHT, WIDTH, blank, place, styled
 from .limit_figures import contender_color
 from .limit_tables import markdown
@@ -110,14 +107,6 @@ def as_data(points: Mapping[str, OperatingPoint], tolerance: float) -> list[dict
 
 def _finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
-
-
-def write_curves(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
-    """Curves, rows of `contact.curve`, as CSV; empty where a measure is not defined."""
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 @styled

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 
-from ..models.files import write_into_place
+from ..models.files import write_into_place, write_rows
+from ..models.tables import write_table
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.limits import Limits
@@ -38,10 +36,10 @@ def write_limits(limits: Limits, path: Path) -> None:
             columns[f"error_{e.name}"] = ("N·m", e.error)
         if e.nees_over_time is not None:
             columns[f"nees_{e.name}"] = ("1", e.nees_over_time)
-    fields = [pa.field(name, pa.float64(), metadata={"unit": unit}) for name, (unit, _) in columns.items()]
-    table = pa.Table.from_arrays([pa.array(values) for _, values in columns.values()], schema=pa.schema(fields))
     with write_into_place(path) as temporary:
-        pq.write_table(table, temporary, compression="zstd")
+        write_table(
+            temporary, {name: x for name, (_, x) in columns.items()}, {name: u for name, (u, _) in columns.items()}
+        )
 
 
 def summary_rows(found: Sequence[Limits]) -> Iterator[dict[str, Any]]:
@@ -61,7 +59,4 @@ def summary_rows(found: Sequence[Limits]) -> Iterator[dict[str, Any]]:
 
 def write_summary(found: Sequence[Limits], path: Path) -> None:
     """`summary_rows` as CSV; empty where a measure is not defined."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, SUMMARY)
-        writer.writeheader()
-        writer.writerows(summary_rows(found))
+    write_rows(path, list(summary_rows(found)), SUMMARY)

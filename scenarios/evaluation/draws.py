@@ -179,13 +179,3 @@ def geometric(values: np.ndarray | Sequence[float], reference: np.ndarray | Sequ
         logs = np.log(np.asarray(values, dtype=np.float64) / np.asarray(reference, dtype=np.float64))
     found = interval(logs)
     return Interval(math.exp(found.mean), math.exp(found.low), math.exp(found.high), found.n)
-
-
-def geometric_over(values: Sequence[np.ndarray], reference: Sequence[np.ndarray]) -> Interval:
-    """`geometric` over several scenarios with the same draws: each scenario counts alike.
-
-    A draw's joint is the same in all of them, so the draw, not the run, is what is independent.
-    """
-    logs = np.mean([np.log(np.asarray(v) / np.asarray(r)) for v, r in zip(values, reference, strict=True)], axis=0)
-    found = interval(logs)
-    return Interval(math.exp(found.mean), math.exp(found.low), math.exp(found.high), found.n)

@@ -23,6 +23,7 @@ import pyarrow.parquet as pq
 
 from ...models.errors import InputError
 from ...models.files import check_format, read_json, write_into_place
+from ...models.output import MANIFEST
 from .design import Design
 
 try:
@@ -68,7 +69,9 @@ class Dataset:
         study = design.study.model_dump(mode="json")
         seeds = list(design.study.seed_list)
         if not note.is_file():
-            if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            if folder.exists() and not (
+                folder.is_dir() and all(one.name.startswith(MANIFEST) for one in folder.iterdir())
+            ):
                 raise InputError(f"{folder}: expected an empty or new folder, or one of a sweep, got something else")
         else:
             before = read_note(note)

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ...models.errors import InputError
-from ...models.files import write_into_place
+from ...models.files import write_rows
 from ..evaluation.intervals import Interval, interval, paired
 from .dataset import Dataset
 from .design import Design
@@ -153,7 +153,4 @@ def write_csv(aggregates: list[Aggregate], design: Design, path: Path, digits: i
         return f"{value:.{digits}g}" if digits is not None and isinstance(value, float) else value
 
     rows = [{key: text(value) for key, value in row.items()} for row in summary_rows(aggregates, design)]
-    with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]) if rows else [])
-        writer.writeheader()
-        writer.writerows(rows)
+    write_rows(path, rows)

@@ -129,8 +129,8 @@ def test_seeds_that_are_listed_are_not_twice_as_many(tmp_path, monkeypatch, caps
 def test_ctrl_c_says_that_the_same_command_goes_on(tmp_path):
     """Also where stderr is no terminal."""
     stopped = (
-        "import sys\nfrom flexspline import commands\nfrom flexspline.scenarios.studies import sweep\n"
-        "def stop(*a): raise KeyboardInterrupt\nsweep.sweep = stop\n"
+        "import signal, sys\nfrom flexspline import commands\nfrom flexspline.scenarios.studies import sweep\n"
+        "def stop(*a): signal.raise_signal(signal.SIGINT)\nsweep.sweep = stop\n"
         "sys.argv[1:1] = ['sweep']\ncommands.main()"
     )
     words = [sys.executable, "-c", stopped, str(write(tmp_path)), "--out", str(tmp_path / "out")]

@@ -9,7 +9,7 @@ from flexspline import views
 
 ALLOWED = {"models", "estimator"}
 """Rooms below: what a joint is, and equations to evaluate."""
-QUIET = "sim.native"
+QUIET = ("sim.native", "sim.shape")
 """MuJoCo's own library: shapes are read without its warnings. It steps nothing."""
 ROOT = Path(views.__file__).parent
 
@@ -36,6 +36,6 @@ def test_views_load_no_room_that_computes():
         (file.relative_to(ROOT).as_posix(), module)
         for file in ROOT.rglob("*.py")
         for module in loaded(file)
-        if module.split(".")[0] not in ALLOWED and module != QUIET
+        if module.split(".")[0] not in ALLOWED and module not in QUIET
     }
     assert found == set()

@@ -15,6 +15,7 @@ import pytest
 from browser import assert_fits, look, sheets
 
 from flexspline.models.errors import InputError
+from flexspline.models.files import write_rows
 from flexspline.models.joint import load_joint
 from flexspline.models.recording import write_recording
 from flexspline.models.tables import read_table, write_table
@@ -24,7 +25,6 @@ from flexspline.scenarios.run_folder import save_run
 from flexspline.scenarios.studies.statistics import Aggregate, Interval, read_csv, summary_rows, write_csv
 from flexspline.scenarios.studies.study import Study
 from flexspline.views import contact_views
-from flexspline.views.contact_views import write_curves
 from flexspline.views.pages.contact import contact_html, read_answer, read_curves
 from flexspline.views.pages.rendering import TEMPLATES, number
 from flexspline.views.pages.run import line_kinds, runs_html
@@ -156,7 +156,7 @@ def contact_folder(tmp_path_factory) -> Path:
         "joint=my joint.yaml", "--plugin", "mine.py"], "detectors": detectors,
     }  # fmt: skip
     (folder / "contact.json").write_text(json.dumps(answer), encoding="utf-8")
-    write_curves(curves, folder / "contact.csv")
+    write_rows(folder / "contact.csv", curves)
     return folder
 
 
@@ -301,7 +301,7 @@ def test_an_answer_of_contact_that_is_none_is_one_line(contact_folder, flexsplin
 def test_curves_with_a_number_that_is_none_are_one_line(contact_folder, flexspline, tmp_path, column, cell):
     rows = list(csv.DictReader((contact_folder / "contact.csv").read_text().splitlines()))
     rows[1][column] = cell
-    write_curves(rows, tmp_path / "contact.csv")
+    write_rows(tmp_path / "contact.csv", rows)
     (tmp_path / "contact.json").write_bytes((contact_folder / "contact.json").read_bytes())
     code, _, err = flexspline("report", tmp_path, "--out", tmp_path / "page.html")
     assert code == 2 and err.count("\n") == 1 and f"row 1: {column}: expected a finite number" in err

@@ -10,10 +10,11 @@ from rerun.chunk import RrdReader
 
 from flexspline.models.errors import InputError
 from flexspline.sim import plant
+from flexspline.sim.shape import shape
 from flexspline.views.rerun import ModelledChannel, rerun_measurement, write_rerun
 from flexspline.views.rerun.arrows import DEGREES_PER_TORQUE
 from flexspline.views.rerun.recording import recording as opened
-from flexspline.views.rerun.scene import send_geoms, shape_of
+from flexspline.views.rerun.scene import send_geoms
 
 
 def series(reader: RrdReader, entity: str) -> tuple[np.ndarray, np.ndarray]:
@@ -110,7 +111,7 @@ def test_measured_against_simulated(tmp_path):
 
 def test_the_shape_is_the_plants(pushed):
     """Bodies stand where those of the simulated model stand, which the views do not build."""
-    simulated, shown = plant.build(pushed.joint), shape_of(pushed.joint)
+    simulated, shown = plant.build(pushed.joint), shape(pushed.joint)
     places = []
     for model in (simulated, shown):
         data = mujoco.MjData(model)

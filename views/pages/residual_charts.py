@@ -29,7 +29,6 @@ class Group:
     before: float = 0.0
     after: float = 0.0
     noise: float = 0.0
-    sensed: bool = True
 
 
 def over_time(rows: list[list[Overlay]]) -> list[Group]:
@@ -38,8 +37,7 @@ def over_time(rows: list[list[Overlay]]) -> list[Group]:
     for row in rows:
         both = np.concatenate([x for o in row for x in (o.before, o.after)])
         y = limits(both, 0.3, 0.1, 2.5 * row[0].noise)
-        sensed = any(o.measured is not None for o in row)
-        found.append(Group(row[0].channel, row[0].unit, [_overlay(o, y) for o in row], sensed=sensed))
+        found.append(Group(row[0].channel, row[0].unit, [_overlay(o, y) for o in row]))
     return found
 
 

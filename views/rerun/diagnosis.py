@@ -10,13 +10,14 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from ...sim.shape import shape
 from ..report import Report, markdown, plain
 from ..residuals import Overlay, overlays
 from ..style import SENSOR
 from .blueprint import joint_view
 from .channels import AFTER, BEFORE, ModelledChannel, send_channel
 from .recording import TIMELINE, layout, recording, series_view
-from .scene import reach, send_bodies, send_torques, shape_of, thin_frames
+from .scene import reach, send_bodies, send_torques, thin_frames
 
 if TYPE_CHECKING:
     import mujoco
@@ -34,7 +35,7 @@ def write_rerun_report(report: Report, path: Path) -> Path:
     parts = [
         (r, [o for row in shown for o in row if o.name == r.name]) for r in report.measurement.recordings
     ]  # fmt: skip
-    model = shape_of(report.joint)
+    model = shape(report.joint)
     notes = rrb.TextDocumentView(origin="notes", name="Diagnosis")
     tabs = [_panel(r, found, reach(model), notes) for r, found in parts if found]
     end = max((float(o.time[-1]) for _, found in parts for o in found), default=0.0)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from ...sim.shape import shape
 from ..posteriors import innovations, modes, settled
 from ..style import filter_colors
 from .blueprint import SHARE_WINDOW, run_panels
@@ -25,7 +26,7 @@ from .run import (
     window_samples,
     windows,
 )
-from .scene import reach, shape_of
+from .scene import reach
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -42,7 +43,7 @@ class LiveRecording:
           start: the run before anything has happened.
         """
         self._stream, self._time = stream, start.time
-        self._model = shape_of(start.joint)
+        self._model = shape(start.joint)
         self._colors = filter_colors(f.name for f in start.scenario.filters)
         self._pushed = bool(np.any(start.external_torque))
         self._along: dict[str, str] = {}

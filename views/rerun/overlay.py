@@ -10,10 +10,11 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from ...sim.shape import shape
 from ..style import FILTERS, SPARE, TRUTH
 from .blueprint import joint_view
 from .recording import TIMELINE, layout, recording, send_series, series_view
-from .scene import reach, send_bodies, send_torques, shape_of, thin_frames
+from .scene import reach, send_bodies, send_torques, thin_frames
 
 if TYPE_CHECKING:
     from ...scenarios.run import Run
@@ -32,7 +33,7 @@ def write_rerun_overlay(runs: Sequence[tuple[str, Run]], path: Path) -> Path:
     Raises:
       InputError: the file cannot be written.
     """
-    models = [shape_of(run.joint) for _, run in runs]
+    models = [shape(run.joint) for _, run in runs]
     end = max(float(run.time[-1]) for _, run in runs)
     with recording(path, "several runs", layout(_panels(runs, max(map(reach, models))), end)) as stream:
         for i, ((name, run), model) in enumerate(zip(runs, models, strict=True)):

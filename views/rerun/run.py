@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from ...sim.shape import shape
 from ..posteriors import innovations, modes, switching
 from ..series import share
 from ..style import COMMAND, EXTERNAL, MODEL, PARTS, SENSOR, TRUTH, filter_colors
 from ..tables import comparison_markdown
 from .blueprint import SHARE_WINDOW, run_blueprint
 from .recording import POINTS, TIMELINE, is_new, recording, rgb, send_series
-from .scene import reach, send_scene, shape_of
+from .scene import reach, send_scene
 
 if TYPE_CHECKING:
     import mujoco
@@ -39,7 +40,7 @@ def write_rerun(run: Run, path: Path) -> Path:
     Raises:
       InputError: the file cannot be written.
     """
-    model = shape_of(run.joint)
+    model = shape(run.joint)
     colors = filter_colors(run.estimates)
     with recording(path, run.name, run_blueprint(run, reach(model))) as stream:
         send_run(stream, run, model, colors, bool(np.any(run.external_torque)))

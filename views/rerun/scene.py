@@ -9,33 +9,15 @@ import mujoco
 import numpy as np
 import rerun as rr
 
-from ...models.errors import InputError
-from ...models.mjcf import check_mjcf
-from ...sim.native import quiet
 from ..style import TRUTH, main_filter
 from .arrows import send_arc, send_push
 from .recording import TIMELINE, is_new
 
 if TYPE_CHECKING:
-    from ...models.joint import Joint
     from ...scenarios.run import Run
 
 FRAME_RATE = 50.0
 """Poses of the 3D scene per second."""
-
-
-def shape_of(joint: Joint) -> mujoco.MjModel:
-    """The joint's bodies and axes as its MJCF has them: for looks and places only, its dynamics are not the joint's.
-
-    Raises:
-      InputError: an MJCF that cannot be read.
-    """
-    check_mjcf(joint.mjcf)
-    try:
-        with quiet():
-            return mujoco.MjModel.from_xml_path(str(joint.mjcf))
-    except ValueError as error:
-        raise InputError(f"{joint.mjcf}: not a readable MJCF: {' '.join(str(error).split())}") from error
 
 
 def reach(model: mujoco.MjModel) -> float:

@@ -7,12 +7,12 @@ import itertools
 import numpy as np
 import pytest
 
+from benchmarks.estimators import geometric_over
 from flexspline.scenarios.evaluation.draws import (
     TURNS,
     draw,
     drawn_record,
     geometric,
-    geometric_over,
     told,
     varied,
 )

@@ -1,0 +1,34 @@
+"""How a joint looks: the bodies and axes of its MJCF, of which nothing acts."""
+
+from __future__ import annotations
+
+import mujoco
+
+from ..models.errors import InputError
+from ..models.joint import Joint
+from ..models.mjcf import check_mjcf
+from . import native
+
+JOINTS = ("rotor", "wave_generator", "link")
+"""The joints of every joint's MJCF, in this order."""
+
+
+def shape(joint: Joint) -> mujoco.MjModel:
+    """The joint's bodies and axes as its MJCF has them: for looks and places alone, whatever acts in it.
+
+    Raises:
+      InputError: an MJCF that cannot be read, names files outside its folder, or is not a joint's; one line.
+    """
+    path = joint.mjcf
+    check_mjcf(path)
+    try:
+        with native.quiet():
+            model = mujoco.MjModel.from_xml_path(str(path))
+    except ValueError as error:
+        raise InputError(f"{path}: not a readable MJCF: {' '.join(str(error).split())}") from error
+    names = [model.joint(i).name for i in range(model.njnt)]
+    if tuple(names) != JOINTS:
+        raise InputError(
+            f"{path}: expected the joints {', '.join(JOINTS)} in this order, got {', '.join(names) or 'none'}"
+        )
+    return model
