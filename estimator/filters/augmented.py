@@ -551,7 +551,7 @@ def _step(memory, sample, record, settings, out):
     o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion, c)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance
     # Nobody touches it.
-    m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
+    m.untouched = m.untouched + h if m.link_ratio < c.low and m.torsion_ratio < c.high else 0.0
     sure = c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2)
     m.free = 0.0
     if m.untouched > c.wait + 0.5 * h and abs(x[EXTERNAL]) < max(sure, c.least):
