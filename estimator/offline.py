@@ -519,6 +519,8 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
         zero, std, wander, plain = tared(signals, joint, motion, torque)
         lasting = plain - zero
         signals = signals.with_columns(link_position=signals["link_position"] - zero)
+        if wander > joint.link_wander:
+            note |= {"torsion_error": wander * float(joint.p["K2"])}
         joint = replace(joint, link_zero=std, link_wander=wander)
         note |= {"zero": float(np.mean(zero)), "zero_std": std}
         walk = likely_walk(_shifted(signals, lasting), joint)

@@ -103,6 +103,7 @@ def test_augmented_with_a_payload_that_nobody_described(recording, name, most):
     print(name, rms)
     assert rms["augmented"] < most * min(rms["RAREKF"], rms["current"])
     assert found.notes[0]["load_error"] > 15.0
+    assert ("torsion_error" in found.notes[0]) == (name == "lara8-joint3")
 
 
 def test_the_whole_sweep_under_assumed_truths(recording, lara8):
@@ -138,6 +139,8 @@ def test_commands(flexspline, log, tmp_path):
     assert {"time", "torque_model", "torque_RAREKF", "torque_current", "external_torque_EKF"} <= set(names)
     metrics = json.loads((tmp_path / "e" / "metrics.json").read_text())
     assert metrics["joint3_outbound"]["external_torque"]["payload_smoothed"]["rms"] < 1.5
+    code, text, error = flexspline("estimate", tmp_path / "m", "--filter", "augmented", "--out", tmp_path / "nominal")
+    assert code == 0 and "the load is not as described" in text and "torsion contradicts the current" in text, error
 
 
 @pytest.mark.slow
