@@ -22,6 +22,7 @@ NAMED_ONLY = (
     "readings",
     "mistakes",
     "calibrated",
+    "independent",
     "bands",
     "sysid",
     "contact",

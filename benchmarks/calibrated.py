@@ -1,5 +1,4 @@
-"""Calibrate, then estimate: `python -m benchmarks calibrated` writes docs/calibrated.csv, a section of docs/estimators.md and the
-opening table of README.md.
+"""Calibrate, then estimate: `python -m benchmarks calibrated` writes docs/calibrated.csv and a section of docs/estimators.md.
 
 A draw is a joint within its tolerances, alone or with one hidden effect of ordinary size, recorded for about 85 s on drawn
 motions (`diagnosis.trials.draw`), with `--real` with a real joint's small imperfections. `diagnose` gets the recordings and the
@@ -46,7 +45,6 @@ NAMES = ("augmented", "dynamics_ekf", "momentum_torsion", "current", "model", "R
 KNOWLEDGE = ("before", "after", "exact")
 PARTS = ("rms", "moving", "resting")
 LABELS = {"none": "nothing hidden", "one": "one hidden cause"}
-OPENING = ("augmented", "dynamics_ekf", "momentum_torsion", "current", "RAREKF")  # in README.md
 SHOWN = ("augmented", "momentum_torsion", "RAREKF")  # cause by cause
 
 
@@ -237,27 +235,6 @@ def cause_table(results: Results, real: bool) -> str:
     return markdown(heads, rows)
 
 
-def opening_table(results: Results, real: bool = False, names: Sequence[str] = OPENING) -> str:
-    """README's: what a diagnosis is worth to an estimator."""
-    kinds = [h for h in LABELS if results.draws(h, real)]
-    heads = ["estimator"]
-    for hidden in kinds:
-        n = len(results.draws(hidden, real))
-        heads += [
-            f"{LABELS[hidden]} ({n} {'joint' if n == 1 else 'joints'}): before [N·m]",
-            "after `diagnose`",
-            "exact knowledge",
-        ]
-    rows = [
-        (
-            f"`{name}`",
-            *(_level(results.values(h, real, name, k)) for h in kinds for k in KNOWLEDGE),
-        )
-        for name in names
-    ]
-    return markdown(heads, rows)
-
-
 def tables(results: Results, names: Sequence[str] = NAMES) -> dict[str, str]:
     """The tables of docs/estimators.md, by marker; those with imperfections under one, with their headings."""
     found = {
@@ -316,7 +293,6 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser.add_argument("--minutes", type=float, default=np.inf, help="after which no further draw begins")
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "calibrated.csv")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
-    parser.add_argument("--readme", type=Path, default=ROOT / "README.md")
     asked = parser.parse_args(arguments)
     rows, began = read(asked.kept), time.monotonic()
     have = {(r.hidden, r.real, r.draw) for r in rows}
@@ -331,8 +307,9 @@ def main(arguments: Sequence[str] = ()) -> None:
         print(f"{last.hidden} {last.draw} {last.cause}: {last.named}; {minutes:.1f} min", flush=True)
     results = Results(rows)
     fill(asked.page, tables(results))
-    fill(asked.readme, {"calibrated": opening_table(results), "calibrated counts": counts(results, False)})
-    print(opening_table(results, asked.real))
+    for hidden, label in LABELS.items():
+        if results.draws(hidden, asked.real):
+            print(f"{label}\n{kind_table(results, hidden, asked.real)}")
 
 
 if __name__ == "__main__":

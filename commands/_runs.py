@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import os
+import shlex
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from ..scenarios.run import Run
     from ..scenarios.scenario import Scenario
 
+_TUNED_FOR = "test-joint"
+"""The joint for which the estimators' defaults were tuned."""
 PAPER = ["no_load", "link_sweep", "external_push"]
 """The paper's three experiments."""
 
@@ -108,7 +111,18 @@ def metrics_of(runs: list[tuple[Run, Path]]) -> dict[str, Any]:
 
 
 def tell(terminal: Console, runs: list[tuple[Run, Path]]) -> None:
-    """Print what whoever reads the runs' measures should know."""
-    for run, _ in runs:
+    """Print what whoever reads the runs' measures should know; and how to tune what misjudges itself on a joint of one's own."""
+    from ..models import plugins
+    from ..views.tables import misjudged
+
+    for run, folder in runs:
         for note in run.notes:
             terminal.print(f"{run.name}: {note}", style="yellow")
+        off = misjudged(run.metrics)
+        if off and run.joint.name != _TUNED_FOR:
+            listed = ", ".join(f"{name} {nis:.2g}" for name, nis in off.items())
+            place = shlex.quote((folder / "scenario.yaml").as_posix())
+            terminal.print(
+                f"{run.name}: mean NIS is not about 1: {listed}. Tune for this joint: "
+                f"flexspline tune {place} --filter {next(iter(off))} --out tuned{plugins.options()}"
+            )

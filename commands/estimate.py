@@ -28,6 +28,15 @@ EXAMPLES = (
 )
 
 
+_CONTRADICTED = {
+    "load_error": "the load is not as described: current and link balance differ by {:.3g} N·m in most of the motion. "
+    "Correct `link` (inertia, gravity_moment) of the recording; until then take no estimator that needs the load.",
+    "torsion_error": "torsion contradicts the current by {:.3g} N·m: an encoder is eccentric, late or slips, or the stiffness "
+    "is wrong. Diagnose the joint; until then take no estimator that needs torsion.",
+}
+"""What a recording's notes say of its description, in words."""
+
+
 @with_plugins
 def command(
     measurement: MeasurementPath,
@@ -171,6 +180,10 @@ def _remarks(
         )
     for estimator, why in report["untrusted"].items():
         terminal.print(f"{name}: {estimator} is not to be trusted: {why}", style="yellow")
+    for key, text in _CONTRADICTED.items():
+        off = max((note.get(key, 0.0) for note in report["notes"]), default=0.0)
+        if off > 0.0:
+            terminal.print(f"{name}: {text.format(off)}", style="yellow")
     if report["beyond"]:
         terminal.print(f"{name}: {beyond_sentence(report['beyond'])}")
     for why in dict.fromkeys(report["left_out"].values()):

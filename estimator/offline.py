@@ -9,8 +9,10 @@ was read and the joint's description, and the encoders' zeros are set against ea
 * **Delay** of the link encoder: a recording is over, so its readings are simply taken earlier.
 * **Zero.** Where both encoders' zeros are not known against each other, the compliance model has an offset of stiffness times
   that. A joint states how well it is known (`sensors.link_encoder.zero`: `std`, or else `deviation`); the motor current knows it
-  up to the friction's uncertainty over the stiffness. Both are combined by their variances; where the joint has a link encoder
-  eccentricity with a standard deviation, the zero may wander with the link angle by that much (`track_zero`).
+  up to the errors of the joint's constants, which are open with their tolerances (`track_zero`). Where the joint has a link
+  encoder eccentricity with a standard deviation, or torsion contradicts the current, the zero may wander with the link angle.
+* **Load.** Where the current contradicts the link's balance in most of the motion, the load is another one (`unlike`): by how
+  much is `KnownJoint.load_error`.
 * **W** of the paper's filters is the one of `WALKS` that makes the EKF's innovations most likely: how fast the load changes is a
   property of the motion, not of the joint.
 
@@ -496,6 +498,8 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
         zero, std, wander, plain = tared(signals, joint, motion, torque)
         lasting = plain - zero
         signals = signals.with_columns(link_position=signals["link_position"] - zero)
+        if wander > joint.link_wander:
+            note |= {"torsion_error": wander * float(joint.p["K2"])}
         joint = replace(joint, link_zero=std, link_wander=wander)
         note |= {"zero": float(np.mean(zero)), "zero_std": std}
         walk = likely_walk(_shifted(signals, lasting), joint)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -166,6 +167,8 @@ def _estimate_columns(run: Run) -> tuple[dict[str, np.ndarray], dict[str, str], 
             if "innovation" in quantity:
                 units[column] = own if "variance" not in quantity else f"({own})²" if "·" in own else f"{own}²"
             of[column] = {"filter": name, "quantity": quantity}
+        if found.untrusted is not None:
+            of[f"torque_{name}"]["untrusted"] = found.untrusted
         if found.nis is not None and "nis" not in found.columns:  # follows from the others
             columns[f"nis_{name}"], units[f"nis_{name}"] = found.nis, "1"
     return columns, units, of
@@ -208,10 +211,14 @@ def _read_estimates(folder: Path, scenario: Scenario, time: np.ndarray) -> dict[
     if not np.array_equal(_column(columns, "time", folder), time):
         raise InputError(f"{path}: column 'time': expected that of signals.parquet, got another")
     by_filter: dict[str, dict[str, np.ndarray]] = {entry.name: {} for entry in scenario.filters}
+    untrusted: dict[str, str] = {}
     for column, note in notes.items():
         if note.get("filter") in by_filter and "quantity" in note:
             by_filter[note["filter"]][note["quantity"]] = columns[column]
-    return {name: _posterior(name, time, found, path) for name, found in by_filter.items()}
+            if "untrusted" in note:
+                untrusted[note["filter"]] = note["untrusted"]
+    read = {name: _posterior(name, time, found, path) for name, found in by_filter.items()}
+    return {name: replace(found, untrusted=untrusted.get(name)) for name, found in read.items()}
 
 
 def _posterior(name: str, time: np.ndarray, found: dict[str, np.ndarray], path: Path) -> Posterior:

@@ -48,7 +48,7 @@ def test_knowing_the_joint_pays_and_tables_say_so(one: Draw, tmp_path: Path):
     expected = np.exp(np.mean([np.log(r.exact_rms) for r in rows if r.estimator == "RAREKF"]))
     assert results.values("none", False, "RAREKF", "exact") == pytest.approx(expected)
     assert "1 joint with nothing hidden" in calibrated.tables(results, names)["calibrated about"]
-    assert "`RAREKF`" in calibrated.opening_table(results, names=names)
+    assert "`RAREKF`" in calibrated.kind_table(results, "none", False, names)
 
 
 def test_exact_knowledge_is_without_a_doubt(one: Draw):

@@ -17,6 +17,8 @@ from .style import filter_colors
 _SHORT, _NAME, _NUMBER = 7, 15, 6  # characters of a line of a heading, of a name, and of a number
 UNTRUSTED = " †"
 """Behind the name of an estimator whose estimate is not to be trusted (`estimator.trust`)."""
+HONEST = (0.7, 1.4)
+"""Mean NIS between which an estimator's own variance is about right."""
 RAW_MODEL = "raw model"
 """How the compliance model without any filter is called in a table."""
 
@@ -80,6 +82,13 @@ def comparison_rows(metrics: Mapping[str, Mapping]) -> list[tuple[str, ...]]:
 def marked(name: str, run: Mapping) -> str:
     """The name of a filter as a run's tables show it: with `UNTRUSTED` where its estimate is not to be trusted."""
     return name + UNTRUSTED if name in run.get("untrusted", {}) else name
+
+
+def misjudged(run: Mapping) -> dict[str, float]:
+    """Mean NIS of the filters of a run whose own variance is not right (`HONEST`), those that are farthest off first."""
+    nis = {name: measures.get("mean_nis") for name, measures in run["filters"].items()}
+    off = {name: value for name, value in nis.items() if value and not HONEST[0] <= value <= HONEST[1]}
+    return dict(sorted(off.items(), key=lambda one: -abs(math.log(one[1]))))
 
 
 def doubts(metrics: Mapping[str, Mapping]) -> list[str]:

@@ -547,7 +547,7 @@ def _step(m, s, p, c, o):
     o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion, c)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance
     # Nobody touches it.
-    m.untouched = m.untouched + h if m.link_ratio < c.low else 0.0
+    m.untouched = m.untouched + h if m.link_ratio < c.low and m.torsion_ratio < c.high else 0.0
     sure = c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2)
     m.free = 0.0
     if m.untouched > c.wait + 0.5 * h and abs(x[EXTERNAL]) < max(sure, c.least):
@@ -655,10 +655,7 @@ class Augmented(CausalEstimator):
         c["presliding"] = (self.presliding * joint.friction) ** 2 * 2.0 * Fc / p["s0"]
         c["spring_walk"] = (self.torque * scale) ** 2
         c["loose"] = (_LOOSE * scale) ** 2
-        c["external_quiet"], c["external_loud"] = (
-            math.hypot(self.external * scale, _CARRIED * joint.load_error),
-            self.push * scale,
-        )
+        c["external_quiet"], c["external_loud"] = self.external * scale, self.push * scale
         c["level"], c["level_loud"] = math.hypot(self.level, self.unsure * joint.friction) * Fc, self.surge * Fc
         c["level_time"] = _LEVEL_TIME
         c["free"], c["gate"], c["back"] = self.free * scale, self.gate, self.back
@@ -670,8 +667,9 @@ class Augmented(CausalEstimator):
         c["settled"], c["coarse"] = self.settled, (self.coarse * scale) ** 2
         c["interval"] = interval
         c["pause"], c["every"] = self.pause, self.every
-        # An unknown load is a touch that lasts.
-        c["wait"] = self.wait if joint.load_error == 0.0 else math.inf
+        c["wait"] = self.wait
+        if joint.load_error > 0.0:  # an unknown load is a touch that lasts, and pushes are a part of it
+            c["external_quiet"], c["external_loud"], c["wait"] = _CARRIED * joint.load_error, 0.0, math.inf
         prior = c["prior"]
         prior[[LINK, LINK_RATE, ROTOR, WAVE_RATE]] = math.sqrt(link), 1.0 / p["N"], 1.0, 1.0
         prior[[WOUND, BRISTLE, SPRING, MESH]] = 0.1 / p["Cw"], p["Fs"] / p["s0"], scale, c["level"]

@@ -7,7 +7,7 @@ Backwards from the last sample (Rauch, Tung & Striebel 1965; Särkkä, "Bayesian
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -21,6 +21,7 @@ from ..estimator import Estimator, KnownJoint, Posterior, fields_of, part_sample
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
 from ..motion import BLOCK
 from ..smoothed import in_time
+from ..trust import Watch
 from ..tuning_parameters import TuningParameter
 from .dynamics_ekf import DynamicsEKF
 
@@ -117,9 +118,11 @@ class RTSSmoother(Estimator):
                 raise FilterDiverged(self.name, at, float(signals.time[at]), why)
             return samples
 
+        watch = Watch(joint.rated_torque, fields_of(OUT))
         for i, part in enumerate(parts):
             known[i] = memory[0]
             samples = run(part)
+            watch.add(samples["time"], kept.outputs(len(samples)))
         column = {name: np.empty(n) for name in names}
         for i, part in reversed(list(enumerate(parts))):
             if part.stop < n:
@@ -132,7 +135,7 @@ class RTSSmoother(Estimator):
                 raise FilterDiverged(self.name, n - 1, float(signals.time[-1]), f"its smoother: {error}") from error
             for name, values in column.items():
                 values[part] = out[:, fields_of(OUT).index(name)]
-        return filtered.posterior(signals.time, column)
+        return replace(filtered.posterior(signals.time, column), untrusted=watch.reason)
 
 
 class _Kept:
@@ -150,6 +153,10 @@ class _Kept:
         return int(forward(
             samples, settings, record, memory, self._out[:n], self._F, self._predicted, self._covariance, self._P
         ))  # fmt: skip
+
+    def outputs(self, n: int) -> np.ndarray:
+        """Outputs of the filter over a block of n samples, shape (n, outputs)."""
+        return self._out[:n]
 
     def first_of_the_next(self, n: int) -> None:
         """Take the first sample, which is smoothed, as the one after a block of n samples."""

@@ -360,14 +360,14 @@ def assess(
     with ThreadPoolExecutor(threads, thread_name_prefix="contact") as pool:
         done, doubts = zip(*pool.map(one, range(runs_of(scenario, hours))), strict=True)
     labels = [label for name in every for label in (name, f"{name}{BY_LINK}") if any(label in d for d in done)]
-    return [
-        Detector(
-            label,
-            *(np.array([d.get(label, d.get(_plain(label), []))[i] for d in done]) for i in range(4)),
-            tuple(why[_plain(label)] for why in doubts if _plain(label) in why),
+    detectors = []
+    for label in labels:
+        quiet, size, before, rising = (
+            np.array([d.get(label, d.get(_plain(label), []))[i] for d in done]) for i in range(4)
         )
-        for label in labels
-    ]
+        untrusted = tuple(why[_plain(label)] for why in doubts if _plain(label) in why)
+        detectors.append(Detector(label, quiet, size, before, rising, untrusted))
+    return detectors
 
 
 def _plain(label: str) -> str:

@@ -479,9 +479,9 @@ def test_nobody_touches_it():
         expected = before * variance / (before + variance) if free else before
         assert after[i, i] == pytest.approx(expected, rel=1e-6)
         assert x[i] == pytest.approx(0.02 * expected / before, rel=1e-4) and o["external_torque"] == x[i]
-    assert midway.after(P=P, untouched=5.0, link_ratio=2.0 * c["low"])[3]["untouched"] == 0.0, (
-        "an encoder that contradicts"
-    )
+    for name, end in (("link_ratio", "low"), ("torsion_ratio", "high")):
+        contradicted = midway.after(P=P, untouched=5.0, **{"link_ratio": 1.0, name: 2.0 * c[end]})[3]
+        assert contradicted["untouched"] == 0.0, name
     # A push is none of that, and what lies between counts for less, and for doubt.
     P[i, i] = 0.07**2
     before = P[i, i] + h * c["external_quiet"] ** 2

@@ -1,39 +1,21 @@
 """`augmented` and RAREKF on a second plant, whose joints, motions, pushes and imperfections are drawn."""
 
-import math
-
 import independent_plant as plant
 import numpy as np
 import pytest
 
 import flexspline as fs
+from benchmarks.independent import error, measured
 from flexspline.estimator import registry
-from flexspline.estimator.offline import estimate_recording
-from flexspline.models.joint import Mounting, load_joint
-from flexspline.models.recording import Recording
 from flexspline.scenarios.evaluation.draws import geometric
 
 
-def errors(seed, imperfect, duration, kinds=("free", "sweep", "push")):
-    """RMS error [N·m] over all motions of a drawn joint, by estimator, from the description alone."""
-    rng = np.random.default_rng([seed, int(imperfect)])
-    joint, total, count = plant.draw_joint(rng, imperfect), {}, 0
-    for kind in kinds:
-        drawn = plant.draw_motion(rng, joint, kind, duration)
-        link = Mounting(inertia=drawn.inertia, gravity_moment=drawn.gravity)
-        recording = Recording(kind, drawn.time, drawn.columns, "test-joint", "", link, "unmeasured")
-        found = estimate_recording(recording, load_joint("test-joint"), ["RAREKF", "augmented"])
-        for name, torque in found.torque.items():
-            total[name] = total.get(name, 0.0) + float(np.sum((torque - drawn.torque) ** 2))
-        count += len(drawn.time)
-    return {name: math.sqrt(square / count) for name, square in total.items()}
-
-
 def ratios(seeds, imperfect, duration=None):
-    found = [errors(seed, imperfect, duration) for seed in seeds]
-    print(f"seeds {seeds}, imperfect {imperfect}: {found}")
-    mean = geometric([f["augmented"] for f in found], [f["RAREKF"] for f in found]).mean
-    return mean, max(f["augmented"] / f["RAREKF"] for f in found)
+    """Geometric mean and largest of the ratio of `augmented`'s error to RAREKF's, from the description alone."""
+    rows = [row for seed in seeds for row in measured(seed, imperfect, duration, ("RAREKF", "augmented"))]
+    own, reference = (error(rows, imperfect, name) for name in ("augmented", "RAREKF"))
+    print(f"seeds {seeds}, imperfect {imperfect}: augmented {own}, RAREKF {reference} N·m")
+    return geometric(own, reference).mean, np.max(own / reference)
 
 
 def test_the_plant_balances():

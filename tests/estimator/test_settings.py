@@ -224,7 +224,7 @@ def test_sizes_of_the_augmented_filter():
     for name, value in prior.items():
         assert c["prior"][getattr(augmented, name)] == pytest.approx(value, rel=1e-9), name
     other = a.settings(replace(joint, load_error=7.0), 1e-3)[0]
-    assert other["wait"] == np.inf and other["external_quiet"] == pytest.approx(math.hypot(4e-4 * t2, 0.5 * 7.0))
+    assert other["wait"] == np.inf and other["external_quiet"] == pytest.approx(3.5) and other["external_loud"] == 0.0
     assert other["prior"][augmented.EXTERNAL] == pytest.approx(math.hypot(0.2 * t2, 7.0))
     late = a.settings(known(link_delay=3e-3), 1e-3)[0]
     assert late["link_variance"] - white == pytest.approx((3.0 * count) ** 2)

@@ -16,7 +16,7 @@ from ...models import plugins
 from ...models.parameters import as_floats
 from ..report import listed
 from ..style import FILTERS
-from ..tables import COLUMNS, RAW_MODEL, doubts, marked
+from ..tables import COLUMNS, RAW_MODEL, doubts, marked, misjudged
 from .chart import Chart, limits
 from .provenance import fingerprint, now, versions
 from .rendering import number, render, squeezed
@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from ...scenarios.run import Run
 
 _WIDTH = 540
-_HONEST = (0.7, 1.4)
-"""Mean NIS between which an estimator's own variance is about right."""
 _NEAR = 1.25
 """As much larger an error is no better or worse on a single run, whose noise is drawn once."""
 
@@ -114,6 +112,8 @@ def _verdict(runs: Sequence[tuple[Run, Path]], names: Sequence[str], of: str) ->
             return f"No estimator has an error in any of these {of}."
         return f"None of these {of} has all estimators; closest to the true joint torque is {', '.join(best)}."
     ranked = _means(common, names)
+    if not ranked:
+        return f"No estimator is to be trusted in all of these {of}."
     (best_name, error), rest = ranked[0], ranked[1:]
     over = f" (geometric mean over {len(common)} {of})" if len(common) > 1 else ""
     if len(common) < len(runs):
@@ -161,10 +161,8 @@ def _honest(
     """Estimators whose own variance is not right: which way, then scenario, name, mean NIS."""
     found: dict[str, list[tuple[str, str, float]]] = {}
     for s, (run, _) in zip(scenarios, runs, strict=True):
-        for name, measures in run.metrics["filters"].items():
-            nis = measures.get("mean_nis")
-            if nis is not None and not _HONEST[0] <= nis <= _HONEST[1]:
-                found.setdefault("more" if nis > 1 else "less", []).append((s["name"], name, float(nis)))
+        for name, nis in misjudged(run.metrics).items():
+            found.setdefault("more" if nis > 1 else "less", []).append((s["name"], name, nis))
     return found
 
 
@@ -172,12 +170,16 @@ def _commands(runs: Sequence[tuple[Run, Path]], names: Sequence[str]) -> list[tu
     """Command lines to go on with, and what they do."""
     folder = runs[0][1]
     place = shlex.quote(folder.as_posix())
-    best = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
+    chosen = next((name for name, _ in _means(_common(runs, names), names)), None) or (names or ["RAREKF"])[0]
+    why = "for this motion"
+    for name, nis in misjudged(runs[0][0].metrics).items():  # the farthest off
+        chosen, why = name, f"for this joint and motion: its mean NIS is {number(nis, 2)}"
+        break
     scenario, own = f"{place}/scenario.yaml", plugins.options()
     return [
-        (f"flexspline view {place}", "looks at it: the joint in motion, estimates, innovations"),
+        (f"flexspline view {place}{own}", "looks at it: the joint in motion, estimates, innovations"),
         (f"flexspline bound {scenario} --seeds 10{own}", "says with intervals how far each is from what is possible"),
-        (f"flexspline tune {scenario} --filter {best} --out tuned{own}", f"tunes {best} for this motion"),
+        (f"flexspline tune {scenario} --filter {chosen} --out tuned{own}", f"tunes {chosen} {why}"),
     ]  # fmt: skip
 
 
