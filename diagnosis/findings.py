@@ -17,7 +17,6 @@ from .fit.residual import Problem
 from .fit.solver import Fit, normal_equations, tamed
 from .improvement import removed
 from .search import discrepancy
-from .search.posterior import quiet_rms
 from .search.worth import left_by, noise_of, size_of, without_it, worth_of
 
 
@@ -136,8 +135,3 @@ def out_of_proportion(problem: Problem, name: str, values: Mapping[str, float]) 
     q = causes.get(name).parameters[0]
     factor = values[q.name] / (float(problem.joint.record()[0][q.relative]) if q.relative else 1.0)
     return factor if not 1 / most < factor < most else 0.0
-
-
-def real(problem: Problem, f: Fit) -> bool:
-    """Whether more than noise is left."""
-    return quiet_rms(problem, f) > ANSWER.quiet

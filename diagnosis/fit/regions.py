@@ -223,11 +223,6 @@ def held_out_regions(
     return tuple(sorted(found, key=lambda r: -r.ratio))
 
 
-def mean_ratio(regions: Sequence[Region]) -> float:
-    """Geometric mean of the regions' ratios; one where there are none."""
-    return float(np.exp(np.mean([np.log(max(r.ratio, 1e-6)) for r in regions]))) if regions else 1.0
-
-
 def _rms(residual: Columns, use: list[np.ndarray], scale: np.ndarray) -> np.ndarray:
     """Root mean square over samples in use by balance [N·m at the output], shape (len(BALANCES),); NaN where there are none."""
     total, count = np.zeros(len(BALANCES)), np.zeros(len(BALANCES))

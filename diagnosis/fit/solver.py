@@ -13,7 +13,7 @@ objective, gradient and curvature; taking it out leaves what the signal says (co
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -286,15 +286,6 @@ def _scaled(rows, factor):
                 found[k, j] = factor[i] * rows[i, j]
             k += 1
     return found[:k]
-
-
-def losses_of(problem: Problem, noise: Noise, near: Fit, residuals: Sequence[Columns]) -> list[float]:
-    """Robust losses of residuals about a fit under a noise, rows of extreme leverage there counting as little as in a fit."""
-    whole = [np.stack(parts, -1) for parts in zip(*residuals, strict=True)]
-    common = [j[..., : problem.size] for j in near.jacobian]
-    rows = whiten(problem.segments, noise, whole, common).rows
-    weight = leverage_weight(rows[:, len(residuals) :], SETTINGS.leverage)
-    return [float(np.sum(weight * huber_loss(rows[:, i], SETTINGS.huber))) for i in range(len(residuals))]
 
 
 def normal_equations(

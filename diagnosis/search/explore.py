@@ -220,8 +220,10 @@ class Explorer:
             for x in likely[: self.settings.beam]:
                 theta = np.concatenate([at.theta + x.shift, x.start])
                 proposed.append((x, post.judge(self._fit((*at.model, x.hypothesis), theta, at, at))))
-            x, top = max(proposed, key=lambda p: p[1].score, default=(None, now))
-            if x is not None and now.score - self.settings.window < top.score <= now.score + self.settings.window:
+            if not proposed:
+                return at
+            x, top = max(proposed, key=lambda p: p[1].score)
+            if now.score - self.settings.window < top.score <= now.score + self.settings.window:
                 top = max(top, self._whole(post, top.fit, at), key=lambda p: p.score)
                 proposed = [(y, top if y is x else p) for y, p in proposed]
             for y, p in proposed:
@@ -234,7 +236,7 @@ class Explorer:
                     else "another is likelier"
                 )
                 self._decide("add", y.hypothesis, gain, size_of(self.problem, p.fit), taken, why)
-            if x is None or top.score <= now.score:
+            if top.score <= now.score:
                 return at
             at = top.fit
             left = left.keeping(
@@ -276,7 +278,7 @@ class Explorer:
         lost = {i: x for i, _, x in dropped}
         now = post.judge(best, lost, {i: unexplained_size(problem, best, linear, i, effects) for i in own})
         models = [now, *(m for _, m, _ in dropped)]
-        pairs = [(i,) for i in own]
+        pairs: list[tuple[int, ...]] = [(i,) for i in own]
         pairs += [(i, j) for i in own for j in range(len(best.model)) if j != i and _correlated(problem, best, i, j)]
         pairs = list({frozenset(pair): pair for pair in pairs}.values())
         for gone in pairs:

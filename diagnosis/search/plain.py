@@ -88,14 +88,3 @@ def in_motion(problem: Problem) -> Problem:
         return replace(s, usable=s.usable & fast, held_out=s.held_out & fast)
 
     return problem.with_segments(moving)
-
-
-def held_out_square(problem: Problem, f: Fit) -> float:
-    """Mean square that a fit leaves in motion of the blocks that it has not seen, of all where there are none, over all balances
-    [N·m at the output]²."""
-    moving, total = in_motion(problem), 0.0
-    for b, scale in enumerate(problem.output_scale):
-        use = [k[:, b] for k in moving.judged]
-        squares = np.concatenate([r[u, b] ** 2 for r, u in zip(f.point.residual, use, strict=True)])
-        total += float(np.mean(squares)) * scale**2 if len(squares) else 0.0
-    return total

@@ -122,7 +122,7 @@ class ModelPosterior:
         ordinary, small, trace = [], [], []
         for i, h in enumerate(f.model):
             if h.cause.name == "unknown":  # neighbouring coefficients are alike: its evidence is tempered as a whole
-                ordinary.append(-np.log(self.number) - s.unknown * (1 if h.usual else 2))
+                ordinary.append(-np.log(self.number) - s.unknown * (1 if getattr(h, "usual", False) else 2))
                 small.append(-np.inf)
                 trace.append(-np.inf)
                 continue

@@ -174,15 +174,6 @@ def magnitudes_at(problem: Problem, f: Fit, index: int) -> np.ndarray:
     return problem.place(f.model, index).start + np.asarray(f.model[index].magnitudes)
 
 
-def significance(problem: Problem, f: Fit, index: int = -1) -> float:
-    """How many of its standard deviations one of a fit's effects is away from absent."""
-    h = f.model[index]
-    block = problem.place(f.model, index % len(f.model))
-    where = block.start + np.asarray(h.magnitudes)
-    away = amount_of(problem, f, index)[h.magnitudes]
-    return float(np.sqrt(max(float(away @ np.linalg.solve(f.covariance[np.ix_(where, where)], away)), 0.0)))
-
-
 def worth_of(problem: Problem, f: Fit, linear: Fit, index: int, spread: np.ndarray | None = None) -> Worth:
     """What one of a fit's effects is worth; `linear`: the fit with `solver.tamed` derivatives, `spread` as of `worth`."""
     columns = _as_without(problem, f, linear.jacobian, index)

@@ -80,7 +80,9 @@ def test_nothing_hidden_is_consistent(joint, seed):
 def test_what_is_taken_back_is_not_called_consistent(joint, monkeypatch):
     """Calibration explains a joint within tolerance; where it is not believed the description is left, and that is off."""
     measurement, _ = measure(joint, 600)
-    monkeypatch.setattr(regions, "SETTINGS", replace(regions.SETTINGS, worse=0.0, most=0.0))  # worse wherever it has not been
+    monkeypatch.setattr(
+        regions, "SETTINGS", replace(regions.SETTINGS, worse=0.0, most=0.0)
+    )  # worse wherever it has not been
     d = diagnose(measurement, joint)
     current = d.residual["motor_current"]
     assert current.after > 2 * current.noise

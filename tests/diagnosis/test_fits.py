@@ -68,7 +68,9 @@ def test_numbers_that_the_data_hardly_tell_stay_near_the_description_where_more_
     assert known.sum() >= 3
     assert np.all(np.abs(found.theta - fit.theta)[known] < 0.15)
     assert prior_cost(problem, found.theta, ()) < 0.7 * prior_cost(problem, fit.theta, ())
-    assert np.linalg.slogdet(found.covariance)[1] > np.linalg.slogdet(fit.covariance)[1]  # and less is known of them altogether
+    assert (
+        np.linalg.slogdet(found.covariance)[1] > np.linalg.slogdet(fit.covariance)[1]
+    )  # and less is known of them altogether
 
 
 @pytest.mark.parametrize("name", causes.names())
