@@ -7,6 +7,7 @@ import pytest
 
 import flexspline as fs
 from flexspline.estimator import FilterDiverged, registry
+from flexspline.models import plugins
 
 PLUGIN = """
 from dataclasses import dataclass
@@ -53,7 +54,8 @@ def plugin(tmp_path_factory):
     path = tmp_path_factory.mktemp("plugin") / "plain_steps.py"
     path.write_text(PLUGIN, encoding="utf-8")
     fs.load_plugin(path)
-    return path
+    yield path
+    plugins.forget(path)
 
 
 def test_the_list_says_that_it_is_slow(flexspline, plugin):
