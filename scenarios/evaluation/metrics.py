@@ -231,8 +231,8 @@ class Reference:
         }
 
     def evaluate_posterior(self, found: Posterior) -> dict[str, float | None]:
-        """All measures of what an estimator says: of its estimate, of what it believes of itself where it states that, and 1 where
-        the estimate is not to be trusted."""
+        """All measures of what an estimator says: of its estimate, of what it believes of itself, and 1 where it is not to be
+        trusted."""
         nis = found.nis
         return {
             **self.evaluate(found.mean),
