@@ -21,12 +21,18 @@ if TYPE_CHECKING:
 BETTER, WORSE = "▾", "▴"
 """Marks of a mean that is lower, or higher, than the reference's: the interval of the paired difference leaves out zero."""
 _UNLIMITED = 10_000  # characters: how wide a table would be with all the room that it wants
-_NOISE = Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state")
+_BEYOND_RUNS = (
+    Column("noise", "noise", "N·m", 1, 4, "of the error, faster than 0.2 s, in steady state"),
+    Column(
+        "untrusted", "not to be trusted", "%", 100, 0, "share of the runs in which the estimate is not to be trusted"
+    ),
+)
+"""Metrics of studies that runs' tables do not have."""
 
 
 def metric_column(metric: str) -> Column:
     """Heading, unit and scale of a metric."""
-    return next(c for c in (_NOISE, *COLUMNS) if c.key == metric)
+    return next(c for c in (*_BEYOND_RUNS, *COLUMNS) if c.key == metric)
 
 
 def with_interval(value: Interval, scale: float = 1.0) -> str:

@@ -231,12 +231,14 @@ class Reference:
         }
 
     def evaluate_posterior(self, found: Posterior) -> dict[str, float | None]:
-        """All measures of what an estimator says: of its estimate, and of what it believes of itself where it states that."""
+        """All measures of what an estimator says: of its estimate, of what it believes of itself, and 1 where it is not to be
+        trusted."""
         nis = found.nis
         return {
             **self.evaluate(found.mean),
             "robust_share": None if found.robust is None else float(np.mean(found.robust[self.kept])),
             "mean_nis": None if nis is None else float(np.mean(nis[self.kept])),
+            "untrusted": float(not found.trusted),
         }
 
 

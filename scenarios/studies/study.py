@@ -16,9 +16,9 @@ from ..filters import FilterEntry, paper_entries, parameters_of
 
 METRICS = (
     "rms", "max", "rms_to_sensor", "noise", "noise_ratio", "delay_ms", "response_ms", "missed",
-    "robust_share", "mean_nis",
+    "robust_share", "mean_nis", "untrusted",
 )  # fmt: skip
-"""What may be measured of an estimate; as in a run's `metrics.json`."""
+"""What may be measured of an estimate; as in a run's `metrics.json`, and `untrusted`: 1 where it is not to be trusted, else 0."""
 COLUMNS = ("scenario", "cell", "run", "seed", "key", "cause", "filter", "failure")
 """Columns of the dataset that no axis may be called."""
 MOST_SEEDS = 10_000_000

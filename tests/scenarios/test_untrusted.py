@@ -43,3 +43,22 @@ def test_what_works_is_not_marked(flexspline, runaway):
         runaway / "sound",
     )  # fmt: skip
     assert code == 0 and "†" not in text, err
+
+
+def test_tuning_is_proposed_for_a_joint_of_one_s_own(flexspline, runaway):
+    """Where the mean NIS is not about 1: in the terminal and on the page, with the scenario that holds the joint."""
+    code, text, err = flexspline(
+        "run", "no_load", "--set", "joint=csg-17-80-ec60", "--set", "duration=2", "--set", "filters=[RAREKF]", "--no-figures",
+        "--no-recording", "--out", runaway / "own",
+    )  # fmt: skip
+    assert code == 0, err
+    folder = runaway / "own" / "no_load"
+    command = f"flexspline tune {folder}/scenario.yaml --filter RAREKF --out tuned"
+    assert command in " ".join(text.split())
+    assert flexspline("report", folder, "--out", runaway / "own.html")[0] == 0
+    page = (runaway / "own.html").read_text(encoding="utf-8")
+    assert command in page and "its mean NIS is" in page
+    assert (
+        "joint: csg-17-80-ec60" in (folder / "scenario.yaml").read_text(encoding="utf-8")
+        or (folder / "joint.yaml").exists()
+    )

@@ -136,10 +136,12 @@ def test_evaluate_puts_it_together(rng):
     assert got["response_ms"] is None
     assert got["delay_ms"] == pytest.approx(0, abs=1.0)
     nothing = reference.evaluate_posterior(Posterior("plain", T, estimate))
-    assert nothing == got | {"robust_share": None, "mean_nis": None}
+    assert nothing == got | {"robust_share": None, "mean_nis": None, "untrusted": 0.0}
     S = np.full((len(T), 1, 1), 4.0)
     all_of_it = Posterior("full", T, estimate, None, np.full((len(T), 1), 6.0), S, T < 10.5)
-    assert reference.evaluate_posterior(all_of_it) == got | {"robust_share": pytest.approx(0.5), "mean_nis": 9.0}
+    assert reference.evaluate_posterior(all_of_it) == got | {
+        "robust_share": pytest.approx(0.5), "mean_nis": 9.0, "untrusted": 0.0,
+    }  # fmt: skip
 
 
 def test_the_first_peak_is_scipys(rng):
