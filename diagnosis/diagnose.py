@@ -23,7 +23,7 @@ from .fit import tare
 from .fit.coordinates import Hypothesis, hypotheses
 from .fit.instruments import instrumented
 from .fit.noise_bias import without_noise_bias
-from .fit.regions import drawn_back
+from .fit.regions import drawn_back, held_out_regions
 from .fit.residual import Problem
 from .fit.solver import Fit, Fitter, with_dispersion
 from .improvement import serves
@@ -70,7 +70,8 @@ def diagnose(
     offered = _offered(problem, measurement)
     said = regressions(measurement, joint)
     progress("calibrating the joint", 0.02)
-    if problem.link_measured:
+    slow_too = problem.link_measured  # whether what lasts may be model discrepancy, or least squares has to hold it
+    if slow_too:
         fitter = Fitter(problem)
         base = start = calibrate(fitter)
     else:
@@ -93,9 +94,17 @@ def diagnose(
                 break
     else:
         found = replace(found, complete=False)
+    if slow_too and quiet_rms(problem, found.best) > ANSWER.far and time.monotonic() < deadline:
+        # A slow discrepancy can hold what causes would, and has a likelihood as good.
+        progress("searching by least squares", 0.9)
+        fitter = moving(problem)
+        base = fitter.fit((), tare.tared(problem, problem.start(None, ()), ()))
+        other = Explorer(fitter, offered, deadline=deadline).explore(base, base)
+        if _unseen(problem, other.best) < _unseen(problem, found.best):
+            found, unknown, slow_too = other, None, False
     progress("numbers and their uncertainty", 0.92)
-    if problem.link_measured:
-        problem, final = _corrected(problem, _at_its_end(fitter, found.best))
+    if slow_too:
+        problem, final = _corrected(problem, _at_its_end(Fitter(problem), found.best))
         judged = final = _inflated(problem, final)
     else:
         judged, final = (
@@ -116,6 +125,12 @@ def diagnose(
     )  # fmt: skip
     answer = replace(answer_of(conclusion, measurement), mistakes=mistakes, regressions=said)
     return _noted(replace(answer, seconds=time.monotonic() - begin), measurement)
+
+
+def _unseen(problem: Problem, f: Fit) -> float:
+    """Mean square that a fit leaves of regions that it has not seen, summed over these, of everything where there is none [N·m]²."""
+    regions = held_out_regions(problem, f)
+    return sum(r.unseen**2 for r in regions) if regions else left_by(problem, f)
 
 
 def _offered(problem: Problem, measurement: Measurement) -> list[Hypothesis]:

@@ -36,6 +36,8 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
         share = float(np.clip(explained * worths[i] ** 2 / total, 0.0, 1.0))
         there, effect = found.probabilities(h.key)
+        if h.cause.ripple and not problem.link_measured:
+            there, effect = 0.5 * there, 0.5 * effect  # of motor or gear: one encoder does not say which
         if unknown is not None and h is unknown.spline:
             findings[i] = Finding(
                 "unknown", unknown.spline.component, min(there, ANSWER.surest), {}, share, worths[i],

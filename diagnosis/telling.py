@@ -58,7 +58,14 @@ def answer_of(conclusion: Conclusion, measurement: Measurement) -> Diagnosis:
             "uncertainty": stated(problem, final, extended_joint, conclusion.drawn.regions),
         }
         extended_joint = extended_joint.model_copy(update=known)
-    alike = {(min(pair), max(pair)) for pair in (*conclusion.alike, *found.alike())}
+    ripples = [
+        (h.cause.name, name)
+        for h in conclusion.final.model
+        if h.cause.ripple and not problem.link_measured
+        for name in causes.of(joint)
+        if causes.get(name).ripple and name != h.cause.name
+    ]
+    alike = {(min(pair), max(pair)) for pair in (*conclusion.alike, *found.alike(), *ripples)}
     return Diagnosis(
         verdict=verdict,
         reasons=tuple(reasons),

@@ -122,7 +122,8 @@ class RTSSmoother(Estimator):
         for i, part in enumerate(parts):
             known[i] = memory[0]
             samples = run(part)
-            watch.add(samples["time"], kept.outputs(len(samples)))
+            out = kept.outputs(len(samples))
+            watch.add(samples["time"], out.view(np.float64).reshape(len(out), -1))
         column = {name: np.empty(n) for name in names}
         for i, part in reversed(list(enumerate(parts))):
             if part.stop < n:

@@ -238,7 +238,7 @@ class Reference:
             **self.evaluate(found.mean),
             "robust_share": None if found.robust is None else float(np.mean(found.robust[self.kept])),
             "mean_nis": None if nis is None else float(np.mean(nis[self.kept])),
-            "untrusted": float(not found.trusted),
+            "untrusted": float(found.untrusted is not None),
         }
 
 
