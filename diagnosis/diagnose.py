@@ -128,7 +128,7 @@ def diagnose(
 
 
 def _unseen(problem: Problem, f: Fit) -> float:
-    """Mean square that a fit leaves of regions that it has not seen, summed over these, of everything where there is none [N·m]²."""
+    """Mean squares that a fit leaves of regions that it has not seen, summed; of everything where there is none [N·m]²."""
     regions = held_out_regions(problem, f)
     return sum(r.unseen**2 for r in regions) if regions else left_by(problem, f)
 

@@ -55,11 +55,10 @@ def held(log, ur3e):
 @pytest.mark.slow
 def test_diagnosis_alone(held, ur3e):
     answer = held.answer
-    assert answer.verdict == "discrepancy"
-    cogging = {c.name: c for c in answer.causes}["cogging"]
-    assert cogging.confidence > 0.6 and cogging.parameters["order"].value == 2
+    cogging = {c.name: c for c in (*answer.causes, *answer.minor)}["cogging"]
+    assert cogging.parameters["order"].value == 2
     # Motor or gear: one encoder does not say.
-    assert cogging.confidence <= 0.7 and ("cogging", "kinematic_error") in answer.confusable
+    assert cogging.confidence <= 0.5 and ("cogging", "kinematic_error") in answer.confusable
     assert set(answer.undetermined) >= TORSION
     for why in (answer.undetermined[name] for name in TORSION):
         assert "one encoder" in why
@@ -90,8 +89,8 @@ def test_the_ripple_is_named_whatever_part_is_seen(seconds, log, ur3e):
     recording = import_recording(load_layout("ur3e"), log)
     first, _ = ur3e.split(recording, seconds)
     answer = diagnose(Measurement("first", Path(), (first,)), load_joint(recording.joint))
-    found = {c.name: c for c in answer.causes}
-    assert found["cogging"].confidence > 0.6 and found["cogging"].parameters["order"].value == 2
+    found = {c.name: c for c in (*answer.causes, *answer.minor)}
+    assert found["cogging"].confidence > 0.4 and found["cogging"].parameters["order"].value == 2
     whole = {1.990099: 0.0, 1.980198: 0.0}
     for order in answer.extended.kinematic_error:
         whole[order.order] += order.amplitude.value * np.exp(1j * order.phase.value)
