@@ -19,7 +19,7 @@ class AnswerSettings:
     Attributes:
       surest: largest confidence; unsure: of what does not hold where it was not fitted, or could be anything.
       small: share of a cause's probability that must be that of an effect, for it not to be minor; likely: probability of an
-        effect below which it is minor, too.
+        effect below which it is minor, too; slight: worth over what nothing explains (RMS) below which it is.
       quiet: normalised RMS against the sensors' noise up to which nothing but noise is left.
       nearly_all: share of the causes that could not have shown, from which on a measurement is inconclusive.
       about: part of what one effect is worth from which on another is worth about the same: it is known no better than that.
@@ -45,6 +45,7 @@ class AnswerSettings:
     unsure: float = 0.5
     small: float = 0.5
     likely: float = 0.25
+    slight: float = 0.3
     quiet: float = 1.25
     nearly_all: float = 2 / 3
     about: float = 0.9

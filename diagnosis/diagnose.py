@@ -107,10 +107,10 @@ def diagnose(
         problem, final = _corrected(problem, _at_its_end(Fitter(problem), found.best))
         judged = final = _inflated(problem, final)
     else:
-        judged, final = (
-            _inflated(p, with_dispersion(p, least_squares(p, found.best.model, found.best.theta)))
-            for p in (problem, problem.with_held_out())
-        )
+        # Which likelihood serves is seen where the fit has not been.
+        fits = (_by_least_squares, _annealed)
+        end = min(fits, key=lambda fit: _unseen(problem, fit(problem, found.best)))
+        judged, final = (_inflated(p, end(p, found.best)) for p in (problem, problem.with_held_out()))
     progress("regions that a fit has not seen", 0.97)
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))
@@ -189,6 +189,17 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     inflation = min(ratio, ANSWER.inflation) ** 2
     scaled = (vectors / (1.0 + np.maximum(values, 0.0) / inflation)) @ vectors.T
     return replace(f, covariance=scaled * spread[:, None] * spread + np.diag(inexact**2))
+
+
+def _by_least_squares(problem: Problem, f: Fit) -> Fit:
+    """A model by least squares in motion."""
+    return with_dispersion(problem, least_squares(problem, f.model, f.theta))
+
+
+def _annealed(problem: Problem, f: Fit) -> Fit:
+    """A model at its end with what lasts taken for model discrepancy."""
+    fitter = Fitter(problem)
+    return _at_its_end(fitter, fitter.fit(f.model, f.theta))
 
 
 def _at_its_end(fitter: Fitter, f: Fit) -> Fit:

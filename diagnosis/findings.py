@@ -30,7 +30,7 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
     explained = max(held_before - held_after, 0.0) / held_before if held_before > 0.0 else 0.0
     linear = tamed(problem, final)
     worths = [worth_of(problem, final, linear, i).rms for i in range(len(final.model))]
-    total = max(sum(w**2 for w in worths), 1e-30)
+    total, left = max(sum(w**2 for w in worths), 1e-30), left_by(problem, final) ** 0.5
     findings: dict[int, Finding] = {}  # by their places in the model
     minor: dict[int, Finding] = {}
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
@@ -53,6 +53,7 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
         # No answer, whatever it explains: a size at the end of what can be, or found in the encoders' noise.
         beyond = h.at_bound(u) or out_of_proportion(problem, h.cause.name, values) or _diluted(problem, final, i)
         small = effect < max(ANSWER.small * there, ANSWER.likely) or h.cause.name in conclusion.missing
+        small = small or worths[i] < ANSWER.slight * left
         confidence = min(there if small else effect, ANSWER.unsure if beyond else ANSWER.surest, conclusion.surest)
         one = Finding(h.cause.name, h.cause.component, confidence, parameters, share, worths[i])
         if one.determined:
