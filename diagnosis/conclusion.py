@@ -37,8 +37,8 @@ class AnswerSettings:
         more than `explained` of it is left with what was found.
       rezeroed: by how much the link encoder's zero differs between recordings from which on that is told, in torsions under the
         rated torque: a stiffness that is off does less; less: logarithm by which what the description leaves must become less.
-      lost: ratio of mean squares that are left after a correction and before it from which on it went astray, `chance` of the
-        sensors' noise (mean square) aside.
+      lost: ratio of mean squares that are left after a correction and before it from which on it went astray.
+      chance: part of the sensors' noise (mean square) by which what is left may differ by chance.
     """
 
     surest: float = 0.99

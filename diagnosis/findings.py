@@ -30,7 +30,8 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
     explained = max(held_before - held_after, 0.0) / held_before if held_before > 0.0 else 0.0
     linear = tamed(problem, final)
     worths = [worth_of(problem, final, linear, i).rms for i in range(len(final.model))]
-    total, left = max(sum(w**2 for w in worths), 1e-30), left_by(problem, final) ** 0.5
+    total, left = max(sum(w**2 for w in worths), 1e-30), left_by(problem, final)
+    left = (left + ANSWER.chance * noise_of(problem, final)) ** 0.5
     findings: dict[int, Finding] = {}  # by their places in the model
     minor: dict[int, Finding] = {}
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
