@@ -108,9 +108,9 @@ def diagnose(
         judged = final = _inflated(problem, final)
     else:
         # Which likelihood serves is seen where the fit has not been.
-        fits = (_by_least_squares, _annealed)
-        end = min(fits, key=lambda fit: _unseen(problem, fit(problem, found.best)))
-        judged, final = (_inflated(p, end(p, found.best)) for p in (problem, problem.with_held_out()))
+        fits = [(fit(problem, found.best), fit) for fit in (_by_least_squares, _annealed)]
+        judged, end = min(fits, key=lambda one: _unseen(problem, one[0]))
+        judged, final = _inflated(problem, judged), _inflated(problem, end(problem.with_held_out(), found.best))
     progress("regions that a fit has not seen", 0.97)
     no_worse = serves(measurement, joint)
     drawn = drawn_back(problem, final, serves=lambda f: no_worse(extended(problem, f, joint, unknown)))

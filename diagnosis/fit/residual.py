@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ...models.calibration import WITHIN, Calibration
+from ...models.calibration import Calibration
 from ...models.errors import InputError
 from ...models.joint import AnalogSpec, Joint, Mounting
 from ...models.parameters import SIZE as PARAMETERS_SIZE
@@ -350,18 +350,6 @@ class Problem:
         """Amplitude of the torque sensor's crosstalk at a fit, and what is not known of it [N·m], root of the sum of squares."""
         j = self.size - 1
         return float(self.crosstalk * np.sqrt(theta[j] ** 2 + covariance[j, j]))
-
-    def is_calibration(self, theta: np.ndarray, model: Model, within: float = WITHIN) -> bool:
-        """Whether tolerances can express what the last hypothesis makes of the joint: then it is no cause.
-
-        Args:
-          within: standard deviations that count as within tolerance.
-        """
-        records = self.records(theta, model)
-        before = self.records(theta[: len(theta) - model[-1].size], model[:-1])
-        return all(
-            self.calibration.expresses(*trio, within) for trio in zip(records, before, self.mountings, strict=True)
-        )
 
     def spread(self, model: Model) -> np.ndarray:
         """Prior standard deviation of every unknown; of those that are held next to nothing."""

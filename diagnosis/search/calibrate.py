@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..fit.noise import EVEN
-from ..fit.residual import REACH, Problem
+from ..fit.residual import Problem
 from ..fit.solver import Fit, Fitter
 from ..fit.tare import tared
 from .worth import left_by, noise_of
@@ -19,16 +19,12 @@ class CalibrateSettings:
 
     Attributes:
       iterations: of Gauss–Newton.
-      stuck: a number that the data know well and that sits so many standard deviations from nominal may stand in for an effect.
-      unsettled: normalised RMS against the sensors' noise from which on a second start is tried.
       slow: ratio of slow to fast model discrepancy from which on the fit is also tried from least squares.
       plainly: times as small as that of the likelier fit that the error of the other must be, to be the better one, `chance`
         of the sensors' noise (mean square) aside.
     """
 
     iterations: int = 9
-    stuck: float = 0.92 * REACH
-    unsettled: float = 1.35
     slow: float = 2.0
     plainly: float = 1.5
     chance: float = 0.1

@@ -18,9 +18,9 @@ import numpy as np
 from ..fit.coordinates import Hypothesis
 from ..fit.residual import Model, Problem
 from ..fit.solver import Fit, Fitter, tamed
-from .posterior import Judged, ModelPosterior, quiet_rms, unexplained_size
+from .posterior import EFFECT, Judged, ModelPosterior, quiet_rms, unexplained_size
 from .screen import Library, ranked, screen
-from .worth import amount_of, magnitudes_at, size_of
+from .worth import alone, magnitudes_at, size_of
 
 if TYPE_CHECKING:
     from .discrepancy import Unknown
@@ -273,7 +273,7 @@ class Explorer:
         problem, post = self.problem, self.posterior(best)
         linear = tamed(problem, best)
         effects = post.judge(best).effects
-        own = [i for i, effect in enumerate(effects) if effect >= 0.1]
+        own = [i for i, effect in enumerate(effects) if effect >= EFFECT]
         dropped = list(self._drops(best, linear, post, own))
         lost = {i: x for i, _, x in dropped}
         now = post.judge(best, lost, {i: unexplained_size(problem, best, linear, i, effects) for i in own})
@@ -287,7 +287,7 @@ class Explorer:
             for x in ranked(problem, less, left)[:2]:
                 if x.gain < self.settings.near * gained:
                     continue
-                stays = _others(problem, best, *gone)
+                _, stays, _ = alone(problem, best, *gone)
                 near = replace(less, jacobian=[J[..., stays] for J in best.jacobian])
                 theta = np.concatenate([less.theta + x.shift, x.start])
                 other = post.judge(self._fit((*less.model, x.hypothesis), theta, near, best))
@@ -308,12 +308,6 @@ _MORE = 0.1
 """Log posterior by which a swap must be more probable: less is what two fits of one model differ by."""
 
 
-def _others(problem: Problem, f: Fit, *indices: int) -> np.ndarray:
-    """Where all unknowns of a fit stand but those of some of its causes."""
-    blocks = [np.r_[problem.place(f.model, i)] for i in indices]
-    return np.setdiff1d(np.arange(len(f.theta)), np.concatenate(blocks))
-
-
 def _correlated(problem: Problem, f: Fit, i: int, j: int) -> bool:
     """Whether of two causes the one is half of what it is because the other is there: a third may stand for both."""
     a, b = magnitudes_at(problem, f, i), magnitudes_at(problem, f, j)
@@ -324,9 +318,7 @@ def _correlated(problem: Problem, f: Fit, i: int, j: int) -> bool:
 
 def _without(problem: Problem, best: Fit, *indices: int) -> tuple[Fit, float]:
     """A fit without some of its causes, in the linear model: the other unknowns answer. And the log likelihood that it loses."""
-    where = np.concatenate([magnitudes_at(problem, best, i) for i in indices])
-    keep = _others(problem, best, *indices)
-    u = np.concatenate([amount_of(problem, best, i)[best.model[i].magnitudes] for i in indices])
+    where, keep, u = alone(problem, best, *indices)
     V = best.covariance
     pull = np.linalg.solve(V[np.ix_(where, where)], u)
     step = -V[np.ix_(keep, where)] @ pull

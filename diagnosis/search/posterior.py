@@ -161,14 +161,14 @@ def unexplained_size(
     """
     spread = problem.spread(f.model)
     for i, effect in enumerate(effects):
-        if effect < _EFFECT:
+        if effect < EFFECT:
             spread[magnitudes_at(problem, f, i)] = _HELD
     share = worth_of(problem, f, linear, index, spread).share
     return settings.lookalike * size_of(problem, f, index) / max(share, 1e-12) ** 0.5
 
 
 _HELD = 1e-6  # spread of what does not move
-_EFFECT = 0.1
+EFFECT = 0.1
 """Probability of an effect below which a cause is taken for an imperfection."""
 
 

@@ -36,17 +36,13 @@ class ScreenSettings:
     """How hypotheses are screened.
 
     Attributes:
-      probe, coarse_probe: part of the ordinary size at which a cause is probed, where the residual is nearly noise and where
-        it is not.
-      quiet: normalised RMS of the residual against the sensors' noise below which it is nearly noise.
+      probe: part of the ordinary size at which a cause is probed.
       least_gain: linearised log evidence below which a hypothesis is left out.
       smallest: part of the ordinary size below which it is left out.
       again: hypotheses of either ranking that are judged again with the noise that they would leave.
     """
 
     probe: float = 0.03
-    coarse_probe: float = 0.3
-    quiet: float = 2.0
     least_gain: float = 3.5
     smallest: float = 0.015
     again: int = 5
