@@ -29,7 +29,7 @@ from flexspline.scenarios.evaluation.draws import geometric
 from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.views.limit_tables import markdown
 
-from . import kept
+from . import kept, plots
 from .pages import ROOT, fill, text
 
 FIRST = 600
@@ -128,6 +128,18 @@ def table(rows: Sequence[Row]) -> str:
     return markdown(heads, lines)
 
 
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Draw the ratios of `table`."""
+    panels = {
+        label: [
+            (name, "", geometric(error(rows, imperfect, name), error(rows, imperfect, REFERENCE)))
+            for name in NAMES[:-1]
+        ]
+        for imperfect, label in LABELS.items()
+    }
+    plots.intervals(path, panels, f"RMS error / {REFERENCE}'s")
+
+
 def beliefs(rows: Sequence[Row], name: str = NAMES[0]) -> str:
     """Whether an estimator knows how wrong it is, by kind of joint and recording."""
     lines = []
@@ -173,6 +185,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         print(f"seed {one[0]}, {LABELS[one[1]]}", flush=True)
     fill(asked.page, {"independent": table(rows), "independent beliefs": beliefs(rows)})
     fill(asked.readme, {"independent": table(rows)})
+    figure(rows, asked.page.parent / "figures" / "independent.png")
     print(table(rows))
 
 
