@@ -67,8 +67,8 @@ def main(arguments: Sequence[str] = ()) -> None:
     about = (
         f"Each case has {len(found[0].quiet)} runs of {scenario.duration:g} s without contact and as many with "
         f"{found[0].size.shape[1]} pushes each, of {contact.SIZES[0]:g} to {contact.SIZES[1]:g} N·m. The threshold gives "
-        f"{RATE:g} false alarms per hour on half of the runs without contact. Brackets are 95 % intervals, bootstrapped over runs. All "
-        "curves: [contact.csv](contact.csv)."
+        f"{RATE:g} false alarms per hour on half of the runs without contact. Brackets are 95 % intervals, bootstrapped over "
+        "runs. All curves: [contact.csv](contact.csv)."
     )
     heads = ("external torque by", *(f"{label(*case)}: smallest push [N·m]; delay [ms]" for case in CASES))
     table = markdown(heads, [(name, *(own.get(case, "–") for case in CASES)) for name, own in cells.items()])

@@ -31,7 +31,7 @@ def intervals(path: Path, panels: Mapping[str, Sequence[Point]], label: str, log
     rows = list(dict.fromkeys(row for points in panels.values() for row, _, _ in points))
     series = list(dict.fromkeys(name for points in panels.values() for _, name, _ in points))
     colors = dict(zip(series, (*style.FILTERS.values(), *style.SPARE), strict=False))
-    figure = Figure(figsize=(8.6, 1.1 + 0.28 * len(rows)), layout="constrained")
+    figure = Figure(figsize=(8.6, 1.1 + (0.28 if len(series) < 4 else 0.36) * len(rows)), layout="constrained")
     FigureCanvasAgg(figure)
     axes = figure.subplots(1, len(panels), sharey=True, sharex=True, squeeze=False)[0]
     for ax, (title, points) in zip(axes, panels.items(), strict=True):
