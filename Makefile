@@ -21,6 +21,7 @@ endif
 
 demo: $(DONE)
 	$(BIN)/flexspline compare --out runs
+	$(BIN)/flexspline challenge --hidden one --seed 3 --measurement runs/hidden
 
 test: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal
@@ -28,12 +29,11 @@ test: $(DONE)
 test-slow: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m slow
 
-# Of the slow tests what fits into minutes: all but most whole diagnoses, one for every cause, draw and question, an hour's recording, and further
-# cases of what `make test` runs a part of.
+# Slow tests that fit into minutes: without most whole diagnoses, an hour's recording, and further cases of what `make test` runs.
 test-most: $(DONE)
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "slow and not long"
 
-# The lowest versions that pyproject.toml allows, all at once: every fast test, of its parameters every eighth.
+# Fast tests, of their parameters every eighth, with the lowest versions that pyproject.toml allows.
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/python -m pip install --quiet uv
@@ -44,11 +44,12 @@ lint: $(DONE)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/python .ci/words.py
 
 docs: $(DONE)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
-# A wheel, and what it does in an empty environment, away from the sources.
+# Build a wheel and use it in an empty environment, away from the sources.
 wheel: $(DONE)
 	rm -rf build/wheel
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .

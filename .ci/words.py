@@ -1,0 +1,67 @@
+"""Check the project's English: count words that are not plain, and find long sentences in pages.
+
+`python .ci/words.py [FILE|FOLDER…]` prints the files with most of these words. It fails above `LIMIT` words, and for every sentence of
+README.md and docs/ with more than `LONGEST` words.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from pathlib import Path
+
+LIMIT = 2000
+"""Banned words in the whole repository. Lower it when the count falls; never raise it."""
+LONGEST = 35
+BANNED = re.compile(
+    r"\b(told|tells?|stands?|stood|beside|hangs?|hung|hanging|worth|whoever|whatever|anew|go(es)? by|as it is|as they are|taken for"
+    r"|drawn back|(un)?tare[ds]?|taring|knees?|swallow(s|ed|ing)?|lean(s|ed|ing)? on|comes? to nothing|one that|of (its|their) own"
+    r"|by hand|left alone|makes? up|let alone|in the way of|there is to|what is left|what it is|(there|where)of|wherein|thereby"
+    r"|goes on|there, too|at all)\b",
+    re.IGNORECASE,
+)
+KINDS = ("*.py", "*.md", "*.j2", "*.html")
+ROOT = Path(__file__).resolve().parents[1]
+LEFT_OUT = {".venv", ".venv-lowest", "build", "runs", "__pycache__", ".git"}
+
+
+def files(paths: list[Path]) -> list[Path]:
+    """List Python, Markdown and template files once, without this one."""
+    found = {p.resolve() for path in paths for kind in KINDS for p in ([path] if path.is_file() else path.rglob(kind))}
+    return sorted(p for p in found - {Path(__file__).resolve()} if not LEFT_OUT & {*p.relative_to(ROOT).parts})
+
+
+def sentences(text: str) -> list[str]:
+    """Split a page's prose into sentences, without code, tables and comments."""
+    text = re.sub(r"```.*?```|<!-- .*? -->", "", text, flags=re.DOTALL)
+    lines = [
+        "" if re.match(r"\||#|    |!\[", line) else re.sub(r"^\s*([*-]|\d+\.)\s", "\n\n", line)
+        for line in text.splitlines()
+    ]
+    paragraphs = (" ".join(part.split()) for part in "\n".join(lines).split("\n\n"))
+    return [
+        s
+        for p in paragraphs
+        for s in re.split(r"(?<=[.!?])(?:\*\*)?\s+(?=[A-Z`*\[])", re.sub(r"\]\([^)]*\)", "]", p))
+        if s
+    ]
+
+
+def main() -> int:
+    """Print what was found; return 1 if it is too much."""
+    whole = not sys.argv[1:]
+    counts = {p: len(BANNED.findall(p.read_text("utf-8"))) for p in files([Path(a) for a in sys.argv[1:]] or [ROOT])}
+    for path, count in sorted(counts.items(), key=lambda one: -one[1])[: 5 if whole else None]:
+        if count:
+            print(f"{path.relative_to(ROOT)}: {count}")
+    pages = [p for p in counts if p.suffix == ".md" and (p.parent.name == "docs" or p.parent == ROOT)]
+    long = [(p, s) for p in pages for s in sentences(p.read_text("utf-8")) if len(s.split()) > LONGEST]
+    for path, sentence in long:
+        print(f"{path.relative_to(ROOT)}: {len(sentence.split())} words in one sentence: {sentence[:90]}…")
+    total = sum(counts.values())
+    print(f"{total} banned words in {len(counts)} files (at most {LIMIT}); {len(long)} sentences over {LONGEST} words")
+    return int(total > LIMIT or bool(long))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
