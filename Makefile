@@ -1,15 +1,17 @@
 # Each target works alone on a fresh clone with Python (3.11 or newer) and make.
 PYTHON ?= python3
 VENV := .venv
-BIN := $(VENV)/bin
+SCRIPTS := $(if $(filter Windows_NT,$(OS)),Scripts,bin)
+BIN := $(VENV)/$(SCRIPTS)
 UV := $(shell command -v uv 2>/dev/null)
 DONE := $(VENV)/.installed
 
-.PHONY: setup demo test test-slow test-most test-lowest lint docs wheel bench clean
+.PHONY: setup demo test test-slow test-most test-lowest lint docs wheel package bench clean
 
 setup: $(DONE)
 
 $(DONE): pyproject.toml constraints.txt
+	@$(PYTHON) -c "import sys; v = sys.version_info[:2]; v < (3, 11) and sys.exit('flexspline needs Python 3.11 or newer, got %d.%d: make PYTHON=python3.12' % v)"
 	$(PYTHON) -m venv $(VENV)
 ifneq ($(UV),)
 	$(UV) pip install --quiet --python $(BIN)/python --editable ".[dev]" --constraint constraints.txt
@@ -36,9 +38,9 @@ test-most: $(DONE)
 # Fast tests, of their parameters every eighth, with the lowest versions that pyproject.toml allows.
 test-lowest:
 	$(PYTHON) -m venv .venv-lowest
-	.venv-lowest/bin/python -m pip install --quiet uv
-	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct --editable ".[test]"
-	.venv-lowest/bin/python -m pytest -n auto --dist worksteal --every 8
+	.venv-lowest/$(SCRIPTS)/python -m pip install --quiet uv
+	.venv-lowest/$(SCRIPTS)/uv pip install --quiet --python .venv-lowest/$(SCRIPTS)/python --resolution lowest-direct --editable ".[test]"
+	.venv-lowest/$(SCRIPTS)/python -m pytest -n auto --dist worksteal --every 8
 
 lint: $(DONE)
 	$(BIN)/ruff check .
@@ -54,10 +56,18 @@ wheel: $(DONE)
 	rm -rf build/wheel
 	$(BIN)/python -m pip wheel --quiet --no-deps --wheel-dir build/wheel .
 	$(PYTHON) -m venv build/wheel/venv
-	build/wheel/venv/bin/python -m pip install --quiet build/wheel/*.whl --constraint constraints.txt
-	cd build/wheel && venv/bin/flexspline --version
-	cd build/wheel && venv/bin/flexspline run no_load --set duration=2 --set "filters=[RAREKF]" --no-figures
-	cd build/wheel && venv/bin/flexspline report runs/no_load --json
+	build/wheel/venv/$(SCRIPTS)/python -m pip install --quiet build/wheel/*.whl --constraint constraints.txt
+	cd build/wheel && venv/$(SCRIPTS)/flexspline --version
+	cd build/wheel && venv/$(SCRIPTS)/flexspline run no_load --set duration=2 --set "filters=[RAREKF]" --no-figures
+	cd build/wheel && venv/$(SCRIPTS)/flexspline report runs/no_load --json
+
+# Build the source distribution, and a wheel from it, and check both for a package index.
+package:
+	rm -rf build/package
+	$(PYTHON) -m venv build/package/venv
+	build/package/venv/$(SCRIPTS)/python -m pip install --quiet build twine
+	build/package/venv/$(SCRIPTS)/python -m build --outdir build/package/dist >build/package/log
+	build/package/venv/$(SCRIPTS)/python -m twine check --strict build/package/dist/*
 
 bench: $(DONE)
 	$(BIN)/python -m benchmarks

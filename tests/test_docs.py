@@ -202,8 +202,10 @@ STEP = re.compile(
 
 
 def assert_shown(shown: str, said: str) -> None:
-    """Compare the lines of a page with the output, numbers to two per cent or one of their last decimal. A page may leave out lines
-    and their ends."""
+    """Compare a page's lines with the output, numbers to two per cent or one of their last decimal.
+
+    A page may leave out lines, and their ends.
+    """
 
     def same(a: str, b: str) -> bool:
         last = 1.01 * 10.0 ** -len(a.partition(".")[2]) if "." in a else 0.0
