@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from ..estimator.conditioning import Conditioned, condition
 from ..estimator.offline import Estimates, estimate_recording
 from ..models.joint import Joint
 from ..models.recording import Measurement, Recording
@@ -135,10 +136,11 @@ def improvement(measurement: Measurement, diagnosis: Diagnosis) -> Improvement |
 def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
     """Whether estimators do no worse with another joint than with this one: geometric mean of the ratios of errors of `MAIN` over
     all that was measured. Any does where nothing was measured to hold estimates against."""
-    before = _errors_with(measurement, joint)
+    sensed = _conditioned(measurement, joint)
+    before = _errors_with(sensed, joint)
 
     def no_worse(other: Joint) -> bool:
-        after = _errors_with(measurement, other)
+        after = _errors_with(sensed, other)
         ratios = [max(after.get(name, np.inf), 1e-12) / max(error, 1e-12) for name, error in before.items()]
         return not ratios or float(np.mean(np.log(ratios))) <= np.log(WORSE)
 
@@ -148,20 +150,33 @@ def serves(measurement: Measurement, joint: Joint) -> Callable[[Joint], bool]:
 def removed(measurement: Measurement, whole: Joint, without: Sequence[Joint]) -> list[float]:
     """Mean square of the estimators' error that a joint has less than each of others, [N·m]²: mean over `MAIN`, and all that was
     measured. Empty where no torque was."""
+    sensed = _conditioned(measurement, whole)
     with ThreadPoolExecutor(2) as pool:
-        best, *others = pool.map(lambda known: _errors_with(measurement, known), (whole, *without))
+        best, *others = pool.map(lambda known: _errors_with(sensed, known), (whole, *without))
     if not best:
         return []
     more = [[other.get(name, error) ** 2 - error**2 for name, error in best.items()] for other in others]
     return [max(float(np.mean(squares)), 0.0) for squares in more]
 
 
-def _errors_with(measurement: Measurement, known: Joint) -> dict[str, float]:
-    """RMS error of `MAIN` [N·m] over all that was measured, told one joint; none where no torque was measured."""
+_Conditioned = tuple[str, list[tuple[Recording, Conditioned]]]
+"""A quantity of `TRUTHS`, and the recordings in which it was measured."""
+
+
+def _conditioned(measurement: Measurement, joint: Joint) -> _Conditioned | None:
+    """Condition the recordings that estimates can be compared with; None where no torque was measured."""
     quantity = _measured_torque(measurement)
     if quantity is None:
+        return None
+    return (quantity, [(r, condition(r, joint)) for _, r in _sensed(measurement, quantity)])
+
+
+def _errors_with(sensed: _Conditioned | None, known: Joint) -> dict[str, float]:
+    """RMS error of the estimators `MAIN` [N·m] with a joint description; empty where no torque was measured."""
+    if sensed is None:
         return {}
-    estimates = [(r, estimate_recording(r, known, MAIN)) for _, r in _sensed(measurement, quantity)]
+    quantity, recordings = sensed
+    estimates = [(r, estimate_recording(r, known, MAIN, conditioned=c)) for r, c in recordings]
     found: dict[str, float] = {}
     for name in MAIN:
         pairs = [(recording, e) for recording, e in estimates if name in _of(e, quantity)]

@@ -42,7 +42,7 @@ from ..models.spool import Spool
 from ..models.tables import ROWS, TableWriter
 from . import recursion, registry, smoothed
 from .bands import SIGMAS, deviations, disagreement, motion_and_load, reference_torque
-from .conditioning import condition
+from .conditioning import Conditioned, condition
 from .errors import FilterDiverged
 from .estimator import Estimator, KnownJoint, sample_interval
 from .filters.current import MotorCurrent
@@ -181,6 +181,7 @@ def estimate_recording(
     bands: bool = False,
     spool: Path | None = None,
     record: np.ndarray | None = None,
+    conditioned: Conditioned | None = None,
 ) -> Estimates:
     """Run estimators over a recording of a joint.
 
@@ -192,13 +193,14 @@ def estimate_recording(
         (`Estimator.costly`) only where they are named: some ten times their work.
       spool: a folder whose files hold the estimates, for as long as they are read; by default they are in memory.
       record: parameter record that estimators know in place of the joint's own, shape (1,).
+      conditioned: the conditioned recording, where it is known already.
 
     Raises:
       InputError: a name that is none.
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
-    conditioned = condition(recording, joint)
+    conditioned = conditioned or condition(recording, joint)
     blind = conditioned.recording.signals.without("joint_torque", "external_torque")
     if recording.load is not None:
         blind = blind.with_columns(arm_torque=recording.torque_of_arm)

@@ -35,7 +35,7 @@ class RegionSettings:
     """
 
     end: float = 0.2
-    fewest: int = 40
+    fewest: int = 20
     worse: float = 1.05
     most: float = 2.0
     shares: tuple[float, ...] = (1.0, 0.7, 0.4, 0.2, 0.0)

@@ -164,8 +164,12 @@ class Explorer:
             if late := time.monotonic() > self.deadline:
                 break
             other = self._grown(best, library)
-            if other is best:
-                other, models = self.neighbours(best, library)
+            if other is not best and not self._little(best, other):
+                models = []
+            else:
+                if other is not best:
+                    best = self._pruned(other)
+                other, models = self.neighbours(best, library.keeping(self._room(best)))
             if other is best or (keys := frozenset(h.key for h in other.model)) in self._seen:
                 break  # or back where it was: between models that are as probable
             self._seen.add(keys)
@@ -201,10 +205,18 @@ class Explorer:
         """A model fitted to its end: where calibration has a long way back, a few steps do not get there."""
         return post.judge(self.fitter.fit(f.model, f.theta, None, self.settings.whole, beside))
 
+    def _little(self, best: Fit, other: Fit) -> bool:
+        """Whether a model is so little more probable that nothing else would be seen from there."""
+        post = self.posterior(other)
+        return post.judge(other).score < post.judge(best).score + self.settings.window
+
+    def _room(self, best: Fit) -> list[Hypothesis]:
+        have = {h.key for h in best.model}
+        return self.problem.with_room(best.model, [h for h in self.offered if h.key not in have])
+
     def _library(self, best: Fit) -> Library:
         """Columns of every hypothesis that the best model has not, and for which there is room."""
-        have = {h.key for h in best.model}
-        left = self.problem.with_room(best.model, [h for h in self.offered if h.key not in have])
+        left = self._room(best)
         far = quiet_rms(self.problem, best) > self.settings.far and not best.model
         return Library(self.problem, best, left, self.settings.coarse if far else self.settings.fine)
 
