@@ -159,12 +159,6 @@ def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
 
 
-def test_prose_is_plain():
-    """Words and lengths of sentences, as in `make lint`."""
-    done = subprocess.run([sys.executable, ".ci/words.py"], cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout
-
-
 def demo() -> list[list[str]]:
     """Return the commands of `make demo`."""
     recipe = (ROOT / "Makefile").read_text(encoding="utf-8").split("\ndemo: ")[1].split("\n\n")[0]
