@@ -87,7 +87,7 @@ def _recorded(
 
 
 def smaller(scenario: Scenario, share: float) -> Scenario:
-    """The same motion with all angles `share` times as large; pushes as they are."""
+    """The same motion with all angles `share` times as large; pushes unchanged."""
     points = [w.model_copy(update={"position": share * w.position}) for w in scenario.trajectory]
     return scenario.model_copy(update={"trajectory": points})
 

@@ -20,7 +20,7 @@ NAMES = ("augmented", "dynamics_ekf", "momentum_torsion", "RAREKF")
 
 
 def table(found: Sequence[Limits]) -> str:
-    """By scenario: intensity, both bounds, and errors of estimators that are told the true numbers."""
+    """By scenario: intensity, both bounds, and errors of estimators that know the true numbers."""
     rows = []
     for limits in found:
         errors = {e.name: text(interval(e.rms), 4) for e in limits.estimators}

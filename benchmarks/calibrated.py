@@ -71,12 +71,12 @@ class Row:
 
 
 def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray) -> dict[str, KnownJoint]:
-    """What the estimators are told of a joint, by knowledge."""
+    """Return what the estimators know of a joint, by knowledge."""
     described = KnownJoint.of(one.nominal, experiment.mounting)
-    tared = replace(described.told(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
+    before = replace(described.told(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
     mounting = experiment.scenario.mounting or None
     return {
-        "before": tared,
+        "before": before,
         "after": KnownJoint.of(extended, extended.mount(mounting)),
         "exact": KnownJoint.of(one.nominal, experiment.mounting, record).within(0.0),
     }
@@ -111,11 +111,11 @@ def errors(
             for record, recording in zip(one.records, one.measurement.recordings, strict=True)
             if recording.link == experiment.mounting
         )
-        told = known(one, extended, experiment, record)
+        each = known(one, extended, experiment, record)
         simulation = experiment.simulate(seed, record, experiment.build(record))
-        fresh = draw_of(experiment, simulation, record, told["exact"], seed)
+        fresh = draw_of(experiment, simulation, record, each["exact"], seed)
         for estimator in names:
-            values = [value for knowledge in KNOWLEDGE for value in _errors(estimator, told[knowledge], fresh)]
+            values = [value for knowledge in KNOWLEDGE for value in _errors(estimator, each[knowledge], fresh)]
             rows.append(Row(*said, name, estimator, *values))
     return rows
 
@@ -266,7 +266,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     asked = parser.parse_args(arguments)
     rows, began = read(asked.kept), time.monotonic()
     have = {(r.hidden, r.real, r.draw) for r in rows}
-    # One kind beside the other, so that a run that is cut has as many of both.
+    # Alternate between the kinds, so that a stopped run has as many of both.
     wanted = [(h, asked.real, k) for k in range(asked.draws) for h in LABELS]
     waiting = [one for one in wanted if one not in have]
     for _, done in kept.computed(assessed, waiting, asked.processes, asked.minutes):

@@ -94,7 +94,7 @@ def drawn(
       tared: whether the encoder offset is known.
     """
     of = "".join(f"_{change}" for change in changes) + ("" if load is None else f"_load={load:g}")
-    of += "" if tared else "_untared"
+    of += "" if tared else "_offset"
     kept = None if folder is None else folder / f"{scenario}_{tolerance:g}_{seed}{of}.pkl"
     if kept is not None and kept.is_file():
         with kept.open("rb") as file:
@@ -231,7 +231,7 @@ MEASURES = ("rms", "moving", "resting", "nees", "response", "missed")
 
 def write_csv(results: Results, path: Path) -> None:
     """Means over draws and the ratio, each with its interval, a line for each scenario, tolerance and estimator; the ratio over
-    all three experiments in lines of its own."""
+    all three experiments in separate lines."""
 
     def cells(found: Interval) -> list[str]:
         return ["" if np.isnan(x) else f"{x:.5g}" for x in (found.mean, found.low, found.high)]

@@ -1,7 +1,7 @@
 """Estimators on joints of another simulator: `python -m benchmarks independent` writes docs/independent.csv, a section of
 docs/estimators.md and README's first table.
 
-The plant is `tests/estimator/independent_plant.py`: equations and integration of its own. A draw is a joint within its
+The plant is `tests/estimator/independent_plant.py`: separate equations and integration. A draw is a joint within its
 tolerances with three recordings (free, loaded, loaded and pushed), whose motions, loads and pushes are drawn as well. Estimators
 know the nominal description and the nominal load, and run as `flexspline estimate` runs them. Errors are RMS over all samples
 against the true torque. The augmented filter was tuned on seeds 200 to 229; some joints of seeds 300 to 531 were looked at.

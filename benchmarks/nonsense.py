@@ -223,7 +223,7 @@ def _estimated(path: Path) -> str:
 
 
 def nonsense(count: int, seed: int, processes: int, until: float, seconds: float = 0.0) -> list[Answered]:
-    """Answer so many inputs of a seed in processes of their own, as many as there is time for.
+    """Answer so many inputs of a seed in separate processes, as many as time allows.
 
     Args:
       count, seed: of the inputs.

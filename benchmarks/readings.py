@@ -93,9 +93,9 @@ class Results:
         """RMS error of every draw, shape (draws,) [N·m]."""
         return np.array(self._by[sensors, tolerance, where[0], where[1] or 0.0, reading, v])
 
-    def overall(self, sensors: str, tolerance: float, reading: str, v: str, beside: tuple[str, str]) -> str:
+    def overall(self, sensors: str, tolerance: float, reading: str, v: str, reference: tuple[str, str]) -> str:
         """Ratio to a reading with a V, over all experiments."""
-        both = [[self.values(sensors, tolerance, e, *one) for e in EXPERIMENTS] for one in ((reading, v), beside)]
+        both = [[self.values(sensors, tolerance, e, *one) for e in EXPERIMENTS] for one in ((reading, v), reference)]
         return text(geometric_over(*both))
 
 

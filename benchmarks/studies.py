@@ -81,8 +81,7 @@ def chosen(name: str, whole: bool) -> tuple[Study, Path]:
 
 
 def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at: Mapping[str, Sequence[Any]]) -> str:
-    """Means with intervals and marks: a row for each point of the plant's axes and measure, a column for each filter as it is
-    varied."""
+    """Make a table of means: a row for each point of the plant's axes and measure, a column for each variant of a filter."""
     filters = [axis.name for axis in design.study.filter_axes]
     of: dict[tuple, dict[tuple, Aggregate]] = {}
     for one in found:
@@ -106,7 +105,7 @@ def table(found: Sequence[Aggregate], design: Design, metrics: Sequence[str], at
 
 
 def _head(name: str, values: Iterable[tuple[str, Value | None]]) -> str:
-    """A filter as it is varied: `RAREKF, k 0.25`."""
+    """Name a variant of a filter: `RAREKF, k 0.25`."""
     return ", ".join([name, *(f"{axis} {value_text(value)}" for axis, value in values if value is not None)])
 
 
@@ -127,7 +126,7 @@ def write(name: str, dataset: Dataset, design: Design, whole: Design, page: Path
 
     Args:
       design: of the dataset, or with more draws than it has.
-      whole: as it is shipped.
+      whole: the shipped study.
     """
     found = list(aggregate(dataset))
     runs = [len(dataset.read(cell.index, ["run"])) // len(design.variants) for cell in design.cells]

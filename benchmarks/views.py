@@ -19,7 +19,7 @@ RECORDING = 0.5
 
 
 def main() -> None:
-    """Print the wall times, and what loading matplotlib and Rerun takes beside them."""
+    """Print the wall times, and the time to load matplotlib and Rerun."""
     begin = time.perf_counter()
     import matplotlib.figure  # noqa: F401
 
