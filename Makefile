@@ -17,7 +17,7 @@ ifneq ($(UV),)
 	$(UV) pip install --quiet --python $(BIN)/python --editable ".[dev]" --constraint constraints.txt
 else
 	$(BIN)/python -m pip install --quiet --upgrade pip
-	$(BIN)/python -m pip install --quiet --editable ".[dev]" --constraint constraints.txt
+	PYTHONWARNINGS="ignore:Editable installation" $(BIN)/python -m pip install --quiet --editable ".[dev]" --constraint constraints.txt
 endif
 	touch $@
 
