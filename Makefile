@@ -66,7 +66,7 @@ package:
 	rm -rf build/package
 	$(PYTHON) -m venv build/package/venv
 	build/package/venv/$(SCRIPTS)/python -m pip install --quiet build twine
-	build/package/venv/$(SCRIPTS)/python -m build --outdir build/package/dist >build/package/log
+	build/package/venv/$(SCRIPTS)/python -m build --outdir build/package/dist >build/package/log 2>&1 || { cat build/package/log; false; }
 	build/package/venv/$(SCRIPTS)/python -m twine check --strict build/package/dist/*
 
 bench: $(DONE)
