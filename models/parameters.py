@@ -55,6 +55,7 @@ PARAMETERS = np.dtype(
         ("friction_temperature", _F), ("reference_temperature", _F), ("viscous_exponent", _F),
         # effects at the link
         ("cable_stiffness", _F), ("cable_rest", _F), ("stop_angle", _F), ("stop_stiffness", _F),
+        ("link_friction", _F), ("link_damping", _F),
         ("flexible_share", _F), ("flexible_frequency", _F), ("flexible_damping", _F),
         # what the sensors make of it
         ("motor_eccentricity", _F), ("motor_eccentricity_phase", _F),

@@ -79,12 +79,12 @@ _LEAD_TRAVEL = 0.1
 READ_OUT = (
     "Jm", "Kt", "Kt_drive", "bm", "R", "L", "supply_voltage", "current_limit", "bl", "Jl", "Mg", "gravity_angle",
     "cogging_order", "cogging_amplitude", "cogging_phase", "cable_stiffness", "cable_rest", "stop_angle",
-    "stop_stiffness", "flexible_share", "flexible_frequency", "flexible_damping", "current_offset", "torque_gain",
+    "stop_stiffness", "link_friction", "link_damping", "flexible_share", "flexible_frequency", "flexible_damping", "current_offset", "torque_gain",
     "torque_offset", "torque_rate",
 )  # fmt: skip
 """Numbers that change what the sensors read, but nothing inside a transmission whose both ends move as measured."""
 _LINK_NUMBERS = (
-    "bl", "Jl", "Mg", "gravity_angle", "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness", "flexible_share",
+    "bl", "Jl", "Mg", "gravity_angle", "cable_stiffness", "cable_rest", "stop_angle", "stop_stiffness", "link_friction", "link_damping", "flexible_share",
     "flexible_frequency", "flexible_damping",
 )  # fmt: skip
 """Of these, numbers that do change it where the link's motion is simulated."""
