@@ -347,7 +347,7 @@ def _of_joint(
     meanings: dict[str, tuple[str, str, Callable[[np.void], float]]] = {
         "sensor torque": ("Kt", "N·m/A", lambda r: r["Kt"]),
         "gravity": ("gravity_moment", "N·m", lambda r: r["Mg"]),
-        "arm": ("arm_scale", "1", lambda r: 1.0),
+        "arm": ("arm_scale", "1", lambda r: r["arm_scale"]),
         "inertia": (
             "rotor_inertia" if alone else "inertia",
             "kg·m²",

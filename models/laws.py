@@ -256,7 +256,7 @@ def link_torque(theta_l, p):
 
 @kernel
 def link_friction(velocity, p):
-    """Friction torque of bearing and seal on the link [N·m] at its velocity [rad/s]; below some 0.01 rad/s it changes sign smoothly."""
+    """Friction torque of bearing and seal on the link [N·m] at a velocity [rad/s]; its sign changes smoothly about rest."""
     return -p.link_friction * math.tanh(velocity / _LINK_SLIDES) - p.link_damping * velocity
 
 
