@@ -155,6 +155,13 @@ def test_every_key_of_a_diagnosis_is_documented():
     assert not {key for part in parts for key in part} - documented
 
 
+def test_every_cause_is_documented():
+    from flexspline.models import causes
+
+    table = (ROOT / "docs/diagnosis.md").read_text(encoding="utf-8").split("## The causes")[1]
+    assert not {name for name in causes.names() if f"`{name}`" not in table}
+
+
 def test_the_readme_is_short():
     assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 110
 
