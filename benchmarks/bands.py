@@ -19,9 +19,10 @@ import numpy as np
 
 from benchmarks import band_draws as bands
 from flexspline.diagnosis.trials.draw import Challenge, Hidden
+from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.views.limit_tables import markdown
 
-from . import kept
+from . import kept, plots
 from .pages import ROOT, fill, share
 
 SEED = 531
@@ -72,8 +73,7 @@ def about(rows: Sequence[Row]) -> str:
     """How many draws there are, and of what."""
     real, sound = (sorted({r.draw for r in rows if r.real == kind}) for kind in (True, False))
     return (
-        f"({len(real)} joints with a real joint's imperfections, {len(sound)} without, seed {SEED}; every other one hides an "
-        "effect)"
+        f"({len(real)} joints with imperfections, {len(sound)} without, seed {SEED}; every other one hides an effect)"
     )
 
 
@@ -88,12 +88,22 @@ def table(rows: Sequence[Row]) -> str:
         body.append((label, *cells))
     heads = (
         "95 % band of",
-        "real joints: inside [%]",
+        "with imperfections: inside [%]",
         "draws with ≥ 90 %",
-        "sound joints: inside [%]",
+        "without: inside [%]",
         "draws with ≥ 90 %",
     )
     return markdown(heads, body)
+
+
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Draw the shares inside, by channel."""
+    panels: dict[str, list[plots.Point]] = {}
+    for real, title in ((True, "with imperfections"), (False, "without imperfections")):
+        for name, label in LABELS.items():
+            some = [100 * r.inside for r in rows if r.real == real and r.channel == name and r.samples >= ENOUGH]
+            panels.setdefault(title, []).append((label.replace("`", ""), "", interval(some)))
+    plots.intervals(path, panels, "samples inside the 95 % band [%]", log=False)
 
 
 def main(arguments: Sequence[str] = ()) -> None:
@@ -116,6 +126,7 @@ def main(arguments: Sequence[str] = ()) -> None:
         minutes = (time.monotonic() - began) / 60
         print(f"{len({(r.real, r.draw) for r in rows})} draws; {minutes:.1f} min", flush=True)
     fill(asked.page, {"bands": table(rows), "bands about": about(rows)})
+    figure(rows, asked.page.parent / "figures" / "bands.png")
     print(table(rows))
 
 

@@ -22,7 +22,7 @@ from flexspline.scenarios.evaluation.intervals import Interval, median
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.views.limit_tables import markdown
 
-from . import kept
+from . import kept, plots
 from .pages import ROOT, fill
 
 SENSOR, NONE = "torque sensor", "no torque loop"
@@ -85,6 +85,16 @@ def table(rows: Sequence[Row]) -> str:
     return markdown(heads, [row for _, row in sorted(cells, key=lambda cell: cell[0])])
 
 
+def figure(rows: Sequence[Row], path: Path) -> None:
+    """Draw gain margins and errors."""
+    panels: dict[str, list[plots.Point]] = {"gain margin": [], "error [N·m]": []}
+    for name in NAMES[1:]:
+        own = [r for r in rows if r.estimator == name]
+        panels["gain margin"].append((name, "", median([r.gain_margin for r in own])))
+        panels["error [N·m]"].append((name, "", median([r.error for r in own if r.gain_margin >= 1.0])))
+    plots.intervals(path, panels, "median over joints", log=False, shared=False)
+
+
 def write(path: Path, rows: Sequence[Row]) -> None:
     """Keep rows, in order."""
     kept.write(path, sorted(rows, key=lambda r: (NAMES.index(r.estimator), r.draw)), Row)
@@ -107,10 +117,10 @@ def main(arguments: Sequence[str] = ()) -> None:
     about = (
         f"{draws} joints within tolerance ×{TOLERANCE:g}; torque loop gain {DEFAULT.gain:g}, impedance {DEFAULT.stiffness:g} "
         f"N·m/rad, {DEFAULT.damping:g} N·m·s/rad. Medians over draws with distribution-free 95 % intervals. Margins are found "
-        "by bisection to within 10 %: draws that fall into the same step have the same, and an interval of no width says so. "
-        "Every draw: [torque_control.csv](torque_control.csv)."
+        "by bisection to within 10 %, so intervals can have no width. Every draw: [torque_control.csv](torque_control.csv)."
     )
     fill(asked.page, {"control about": about, "control": table(rows)})
+    figure(rows, asked.page.parent / "figures" / "torque_control.png")
 
 
 if __name__ == "__main__":
