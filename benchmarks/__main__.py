@@ -17,7 +17,6 @@ NAMES = ("closed_loop", "updates", "compiled_loop", "sweep", "commands", "views"
 NAMED_ONLY = (
     "convergence",
     "estimators",
-    "quotes",
     "claims",
     "readings",
     "mistakes",
@@ -31,6 +30,7 @@ NAMED_ONLY = (
     "studies",
     "arms",
     "real_logs",
+    "accuracy",
 )
 
 
