@@ -1,9 +1,8 @@
-"""Bands where the fit has not been: `python -m benchmarks bands` writes docs/bands.csv and a table of docs/diagnosis.md.
+"""Bands outside the range of the fit: `python -m benchmarks bands` writes docs/bands.csv and a table of docs/diagnosis.md.
 
-A draw is a joint (`diagnosis.trials.draw`), by turns alone and with one hidden effect of ordinary size, with a real joint's small
-imperfections or without. 60 % of its angles, and with them of speeds and loads, are diagnosed; then it moves through all of its
-range (`benchmarks.band_draws`). Counted are samples in motion beyond the data in which the noise-free reading lies in its 95 %
-band. Draws are kept as they come (`--kept`), and those that are kept are not computed again.
+A draw is a joint (`diagnosis.trials.draw`), with imperfections or without; every other one has one hidden effect. 60 % of its
+angles are diagnosed. Then it moves through its whole range (`benchmarks.band_draws`). Samples in motion outside the data count if
+the noise-free reading lies in its 95 % band. Draws are kept (`--kept`) and not computed again.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Inputs that nobody would write, and those that people do write: mutations of every shipped file, descriptions drawn from
-the schemas, damaged tables; and whether each is used or refused in one line.
+"""Random inputs: mutations of every shipped file, descriptions drawn from the schemas, damaged tables. Each must be used, or refused in
+one line.
 
-Every input is made of (seed, number) alone, so that any of them can be made again.
+An input is made from (seed, number) alone, so that it can be made again.
 """
 
 from __future__ import annotations

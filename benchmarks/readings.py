@@ -1,10 +1,8 @@
-"""Which reading of Eq. (23) serves users best: `python -m benchmarks readings` writes tables of docs/paper.md, docs/readings.csv.
+"""Which reading of Eq. (23) is best: `python -m benchmarks readings` writes a table of docs/paper.md, and docs/readings.csv.
 
-RAREKF with each reading over draws that no other table uses (joint within a share of its tolerances, start, pace, pushes,
-noise: `scenarios.evaluation.draws`), over experiments with light and heavy loads, and described and realistic sensors; all of a
-draw share its signals and the measurement Y. Ratios are geometric means of the ratio of RMS errors. Draws are kept
-as they come (`--kept`), and those that are kept are not computed again; a draw with a load that its joint cannot bear is left out
-for the next one.
+RAREKF with each reading over draws that no other table uses, over experiments with light and heavy loads, with described and realistic
+sensors. All filters of a draw share its signals and the measurement Y. Ratios are geometric means of the ratio of RMS errors. Draws are
+kept (`--kept`) and not computed again. A draw whose joint cannot bear the load is replaced by the next one.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Reliability in numbers: inputs made at random, plausible wrong inputs, processes killed, disks that fill up, memory.
+"""Reliability in numbers: random inputs, plausible wrong inputs, killed processes, full disks, memory.
 
-`python -m benchmarks.reliability` runs as much of every part as `--minutes` allow (10); with names of parts (fuzz, nonsense,
-exchanges, kills, disk, memory) these. `--inputs`, `--wrong`, `--kills` and `--seed` say how much of it at most; what was done is
-counted. Exit code 1 where anything failed. docs/reliability.md has the figures.
+`python -m benchmarks.reliability` runs as much of every part as `--minutes` (10) allow; names of parts (fuzz, nonsense, exchanges, kills,
+disk, memory) select them. `--inputs`, `--wrong`, `--kills` and `--seed` limit them. Exit code 1 after a failure. The figures are in
+docs/reliability.md.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a run's pictures take: all figures, and the Rerun recording, of 80 s at 1 kHz with four filters."""
+"""Time of a run's figures and its Rerun recording: 80 s at 1 kHz with four filters."""
 
 from __future__ import annotations
 
