@@ -1,8 +1,8 @@
 """Bands outside the range of the fit: `python -m benchmarks bands` writes docs/bands.csv and a table of docs/diagnosis.md.
 
-A draw is a joint (`diagnosis.trials.draw`), with imperfections or without; every other one has one hidden effect. 60 % of its
-angles are diagnosed. Then it moves through its whole range (`benchmarks.band_draws`). Samples in motion outside the data count if
-the noise-free reading lies in its 95 % band. Draws are kept (`--kept`) and not computed again.
+A draw is a joint (`diagnosis.trials.draw`), with imperfections or without; every other one has one hidden effect. 60 % of
+its angles are diagnosed. Then it moves through its whole range (`benchmarks.band_draws`). Samples in motion outside the
+data count if the noise-free reading lies in its 95 % band. Draws are kept (`--kept`) and not computed again.
 """
 
 from __future__ import annotations

@@ -1,5 +1,6 @@
-"""Distance of the estimators to the bound: `python -m benchmarks bound` writes a table of docs/estimators.md. Bounds and errors are
-those of `flexspline bound`, over independent draws of start, pace, pushes and noise."""
+"""Distance of the estimators to the bound: `python -m benchmarks bound` writes a table of docs/estimators.md. Bounds and
+errors are those of `flexspline bound`, over independent draws of start, pace, pushes and noise.
+"""
 
 from __future__ import annotations
 

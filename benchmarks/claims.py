@@ -1,8 +1,9 @@
-"""The paper's claims, measured: `python -m benchmarks claims` writes tables and a figure of docs/paper.md, and docs/paper.csv.
+"""The paper's claims, measured: `python -m benchmarks claims` writes tables and a figure of docs/paper.md, and
+docs/paper.csv.
 
-Every claim over the readings of Eq. (23), V, W and calibration errors, on independent draws of one joint (start, pace, pushes and
-noise per seed: `scenarios.evaluation.draws`). A calibration error changes what the filter knows, so all filters see the same
-signals. The filters of one line share the measurement Y and differ in the recursion alone.
+Every claim over the readings of Eq. (23), V, W and calibration errors, on independent draws of one joint (start, pace,
+pushes and noise per seed: `scenarios.evaluation.draws`). A calibration error changes what the filter knows, so all
+filters see the same signals. The filters of one line share the measurement Y and differ in the recursion alone.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Collision detection on each estimator's external torque: `python -m benchmarks contact` writes the section *Contact* of
 docs/estimators.md, its curves docs/contact.csv and docs/figures/contact.png.
 
-Runs without and with contact are drawn (`scenarios.evaluation.contact`): joint within a share of its tolerances, motion, pushes,
-noise, and with realistic sensors the drive's lag. Tables go between the markers `<!-- begin NAME -->` and `<!-- end NAME -->`.
+Runs without and with contact are drawn (`scenarios.evaluation.contact`): joint within a share of its tolerances, motion,
+pushes, noise, and with realistic sensors the drive's lag. Tables go between the markers `<!-- begin NAME -->` and `<!--
+end NAME -->`.
 """
 
 from __future__ import annotations

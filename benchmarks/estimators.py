@@ -1,9 +1,10 @@
 """Errors of every estimator on joints within a tolerance: `python -m benchmarks estimators` runs them and writes
 docs/estimators.csv, then the tables and the figure of docs/estimators.md from all CSVs (`--tables`: only these).
 
-Every number is over independent draws (`scenarios.evaluation.draws`): joint within a share of its tolerances, start, pace, pushes
-and noise are drawn per seed; every estimator gets the same signals. Ratios are geometric means of the ratio of RMS errors to
-RAREKF's, draw by draw. `--draws FOLDER` keeps the signals, so that a changed estimator is measured without simulating again.
+Every number is over independent draws (`scenarios.evaluation.draws`): joint within a share of its tolerances, start,
+pace, pushes and noise are drawn per seed; every estimator gets the same signals. Ratios are geometric means of the ratio
+of RMS errors to RAREKF's, draw by draw. `--draws FOLDER` keeps the signals, so that a changed estimator is measured
+without simulating again.
 """
 
 from __future__ import annotations

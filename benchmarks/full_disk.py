@@ -1,7 +1,7 @@
 """A disk that is full from the n-th write on, for every n: a command must end in one line and leave nothing half-written.
 
-A library that is loaded before the C library (LD_PRELOAD) counts the writes below a folder and refuses them from the n-th on. Linux,
-with a C compiler.
+A library that is loaded before the C library (LD_PRELOAD) counts the writes below a folder and refuses them from the n-th
+on. Linux, with a C compiler.
 """
 
 from __future__ import annotations

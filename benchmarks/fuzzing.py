@@ -1,5 +1,5 @@
-"""Random inputs: mutations of every shipped file, descriptions drawn from the schemas, damaged tables. Each must be used, or refused in
-one line.
+"""Random inputs: mutations of every shipped file, descriptions drawn from the schemas, damaged tables. Each must be used, or
+refused in one line.
 
 An input is made from (seed, number) alone, so that it can be made again.
 """

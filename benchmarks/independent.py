@@ -2,9 +2,10 @@
 docs/estimators.md and README's first table.
 
 The plant is `tests/estimator/independent_plant.py`: separate equations and integration. A draw is a joint within its
-tolerances with three recordings (free, loaded, loaded and pushed), whose motions, loads and pushes are drawn as well. Estimators
-know the nominal description and the nominal load, and run as `flexspline estimate` runs them. Errors are RMS over all samples
-against the true torque. The augmented filter was tuned on seeds 200 to 229; some joints of seeds 300 to 531 were looked at.
+tolerances with three recordings (free, loaded, loaded and pushed), whose motions, loads and pushes are drawn as well.
+Estimators know the nominal description and the nominal load, and run as `flexspline estimate` runs them. Errors are RMS
+over all samples against the true torque. The augmented filter was tuned on seeds 200 to 229; some joints of seeds 300 to
+531 were looked at.
 """
 
 from __future__ import annotations

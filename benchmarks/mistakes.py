@@ -1,8 +1,8 @@
 """Mistakes hidden in sound measurements: how many are found, and what is claimed of sound ones.
 
-`python -m benchmarks.mistakes` hides every kind of mistake, in several sizes, in every example (`--folder`). Sound measurements are the
-examples, the same with fewer channels or cut short, and drawn joints with imperfections. `python -m benchmarks mistakes` uses every
-fifth example.
+`python -m benchmarks.mistakes` hides every kind of mistake, in several sizes, in every example (`--folder`). Sound
+measurements are the examples, the same with fewer channels or cut short, and drawn joints with imperfections. `python -m
+benchmarks mistakes` uses every fifth example.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Plausible wrong inputs: silent nonsense is a wrong number without a warning.
 
-A sound measurement of two recordings is simulated on a drawn joint, free and with pushes. Then one thing is made wrong: another joint's
-description, a load, the clock, the direction of time, swapped recordings, a damaged sensor, a number of the description. `check` answers
-with a mistake by name, `estimate` with a refusal or a warning. `diagnose`, if there is time, may find the data inconclusive. An input is
-made from its seed and number alone.
+A sound measurement of two recordings is simulated on a drawn joint, free and with pushes. Then one thing is made wrong:
+another joint's description, a load, the clock, the direction of time, swapped recordings, a damaged sensor, a number of
+the description. `check` answers with a mistake by name, `estimate` with a refusal or a warning. `diagnose`, if there is
+time, may find the data inconclusive. An input is made from its seed and number alone.
 """
 
 from __future__ import annotations

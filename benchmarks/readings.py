@@ -1,8 +1,9 @@
 """Which reading of Eq. (23) is best: `python -m benchmarks readings` writes a table of docs/paper.md, and docs/readings.csv.
 
-RAREKF with each reading over draws that no other table uses, over experiments with light and heavy loads, with described and realistic
-sensors. All filters of a draw share its signals and the measurement Y. Ratios are geometric means of the ratio of RMS errors. Draws are
-kept (`--kept`) and not computed again. A draw whose joint cannot bear the load is replaced by the next one.
+RAREKF with each reading over draws that no other table uses, over experiments with light and heavy loads, with described
+and realistic sensors. All filters of a draw share its signals and the measurement Y. Ratios are geometric means of the
+ratio of RMS errors. Draws are kept (`--kept`) and not computed again. A draw whose joint cannot bear the load is replaced
+by the next one.
 """
 
 from __future__ import annotations

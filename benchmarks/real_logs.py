@@ -1,8 +1,8 @@
 """Logs of real joints: error of the description, a plain regression and a diagnosis on seconds that none of them has seen.
 
-Each log is split in time. Regression and diagnosis get the first part. The error is that of the current or torque in the last part,
-sample by sample, in motion (faster than 5 % of the usual largest speed). `python -m benchmarks real_logs` writes table and figure of
-docs/real_logs.md. The recordings are not part of this project: `--shared` is their folder.
+Each log is split in time. Regression and diagnosis get the first part. The error is that of the current or torque in the
+last part, sample by sample, in motion (faster than 5 % of the usual largest speed). `python -m benchmarks real_logs`
+writes table and figure of docs/real_logs.md. The recordings are not part of this project: `--shared` is their folder.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Reliability in numbers: random inputs, plausible wrong inputs, killed processes, full disks, memory.
 
-`python -m benchmarks.reliability` runs as much of every part as `--minutes` (10) allow; names of parts (fuzz, nonsense, exchanges, kills,
-disk, memory) select them. `--inputs`, `--wrong`, `--kills` and `--seed` limit them. Exit code 1 after a failure. The figures are in
-docs/reliability.md.
+`python -m benchmarks.reliability` runs as much of every part as `--minutes` (10) allow; names of parts (fuzz, nonsense,
+exchanges, kills, disk, memory) select them. `--inputs`, `--wrong`, `--kills` and `--seed` limit them. Exit code 1 after a
+failure. The figures are in docs/reliability.md.
 """
 
 from __future__ import annotations

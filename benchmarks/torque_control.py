@@ -1,9 +1,9 @@
-"""Torque control with each estimate fed back: `python -m benchmarks torque_control` writes a section of docs/estimators.md and
-docs/torque_control.csv.
+"""Torque control with each estimate fed back: `python -m benchmarks torque_control` writes a section of docs/estimators.md
+and docs/torque_control.csv.
 
-Each draw is a joint within a share of its tolerances (`benchmarks.torque_loops`). Gain margin, delay margin and bandwidth are with the
-output bolted to a bench, the torque error in the experiment external_push. Medians have distribution-free intervals, because margins
-may be infinite. Draws that are kept are not computed again.
+Each draw is a joint within a share of its tolerances (`benchmarks.torque_loops`). Gain margin, delay margin and bandwidth
+are with the output bolted to a bench, the torque error in the experiment external_push. Medians have distribution-free
+intervals, because margins may be infinite. Draws that are kept are not computed again.
 """
 
 from __future__ import annotations
