@@ -1,5 +1,5 @@
 """Collision detection on each estimator's external torque: `python -m benchmarks contact` writes the section *Contact* of
-docs/estimators.md, its curves docs/contact.csv and docs/figures/contact.png.
+docs/contact.md, its curves docs/contact.csv and docs/figures/contact.png.
 
 Runs without and with contact are drawn (`scenarios.evaluation.contact`): joint within a share of its tolerances, motion,
 pushes, noise, and with realistic sensors the drive's lag. Tables go between the markers `<!-- begin NAME -->` and `<!--
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.contact", description=__doc__)
     parser.add_argument("--hours", type=float, default=1.0, help="without contact, in every case")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "contact.md")
     asked = parser.parse_args(arguments)
     began, rows, drawn = time.perf_counter(), [], []
     cells: dict[str, dict[tuple[str, float], str]] = {}

@@ -1,4 +1,4 @@
-"""Torque control with each estimate fed back: `python -m benchmarks torque_control` writes a section of docs/estimators.md
+"""Torque control with each estimate fed back: `python -m benchmarks torque_control` writes a section of docs/contact.md
 and docs/torque_control.csv.
 
 Each draw is a joint within a share of its tolerances (`benchmarks.torque_loops`). Gain margin, delay margin and bandwidth
@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] = ()) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.torque_control", description=__doc__)
     parser.add_argument("--draws", type=int, default=30, help="joints; 0 writes the table of what is kept")
     parser.add_argument("--kept", type=Path, default=ROOT / "docs" / "torque_control.csv")
-    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "estimators.md")
+    parser.add_argument("--page", type=Path, default=ROOT / "docs" / "contact.md")
     asked = parser.parse_args(arguments)
     rows, began = kept.read(asked.kept, Row), time.perf_counter()
     have = {(r.estimator, r.draw) for r in rows}
