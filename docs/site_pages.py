@@ -19,6 +19,7 @@ from flexspline import commands
 from flexspline.commands.schema import KINDS, schema_of
 
 ROOT = Path(__file__).resolve().parents[1]
+ROOMS = ("models", "sim", "estimator", "scenarios", "diagnosis", "views", "commands")
 
 
 def on_files(files: Any, config: Any) -> Any:
@@ -30,6 +31,7 @@ def on_files(files: Any, config: Any) -> Any:
     made |= {
         "reference/commands.md": commands_page(),
         "reference/python.md": python_page(),
+        "reference/modules.md": modules_page(),
         "examples.md": examples_page(),
     }
     for path, text in made.items():
@@ -73,6 +75,22 @@ def python_page() -> str:
     for name in (n for n in public if not n.startswith("_")):
         where = f"flexspline.{elsewhere[name]}.{name}" if name in elsewhere else f"flexspline.{name}"
         parts.append(f"::: {where}")
+    return "\n\n".join(parts) + "\n"
+
+
+def modules_page() -> str:
+    """Every module of the package with the first paragraph of its docstring."""
+    parts = ["# Modules", "[Architecture](../architecture.md) says how the folders depend on each other."]
+    for room in ROOMS:
+        for folder in sorted({path.parent for path in (ROOT / room).rglob("*.py")}):
+            parts.append(f"## {folder.relative_to(ROOT).as_posix()}/")
+            rows = ["| module | purpose |", "|---|---|"]
+            for path in sorted(folder.glob("*.py")):
+                text = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or ""
+                first = " ".join(text.partition("\n\n")[0].split()).replace("|", "\\|")
+                if path.name != "__init__.py" or first:
+                    rows.append(f"| `{path.name}` | {first} |")
+            parts.append("\n".join(rows))
     return "\n\n".join(parts) + "\n"
 
 
