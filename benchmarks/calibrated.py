@@ -74,7 +74,7 @@ class Row:
 def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray) -> dict[str, KnownJoint]:
     """What the estimators are told of a joint, by knowledge."""
     described = KnownJoint.of(one.nominal, experiment.mounting)
-    tared = replace(described.told(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
+    tared = replace(described.with_numbers(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
     mounting = experiment.scenario.mounting or None
     return {
         "before": tared,

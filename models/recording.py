@@ -403,7 +403,7 @@ def in_arm(
     return replace(recording, link=link, load=load, arm=ArmRecord(spec, arm.mjcf(), positions))
 
 
-def carried_anew(recording: Recording, gear_ratio: float) -> Recording:
+def with_arm_load(recording: Recording, gear_ratio: float) -> Recording:
     """A recording whose angle has changed, with mounting and load from its arm at that angle; the same without an arm.
 
     Args:

@@ -15,7 +15,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...models.step import Step, step_of
-from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, tell
+from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, write_out
 from ..estimator import CausalEstimator, KnownJoint
 from ..joint_model import TUNING, ProcessNoise
 from ..tuning_parameters import TuningParameter
@@ -24,7 +24,7 @@ from ..tuning_parameters import TuningParameter
 @step_of(FILTER, SETTINGS, OUT)
 def _step(m, s, p, c, o):
     torque, variance = filter_step(m, s, c, p, False)
-    return tell(m, torque, variance, o)
+    return write_out(m, torque, variance, o)
 
 
 @dataclass(frozen=True)

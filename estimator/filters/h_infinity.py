@@ -19,7 +19,7 @@ import numpy as np
 from ...models.kernels import kernel
 from ...models.step import Step, step_of
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, write_out
 
 _NO_SOLUTION = 2
 
@@ -48,7 +48,7 @@ def _step(m, s, p, c, o):
     S = correct(m.filter, e, c.V, c.first) if s.interval != 0.0 else 0.0
     if S < 0.0:
         return _NO_SOLUTION
-    return tell(m.filter, e, S, o)
+    return write_out(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)

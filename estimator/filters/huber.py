@@ -19,7 +19,7 @@ from typing import ClassVar
 from ...models.kernels import kernel
 from ...models.step import Step, step_of
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, write_out
 
 _TOLERANCE, _MOST = 1e-9, 50
 
@@ -54,7 +54,7 @@ def correct(f, e, V, k, tolerance, most):
 def _step(m, s, p, c, o):
     e = innovation(m, s, p, c)
     S = correct(m.filter, e, c.V, c.first, _TOLERANCE, _MOST) if s.interval != 0.0 else 0.0
-    return tell(m.filter, e, S, o)
+    return write_out(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ def correct(f, e, V):
 
 
 @kernel
-def tell(f, e, S, o):
+def write_out(f, e, S, o):
     """Write the outputs; the status."""
     o.torque, o.variance, o.innovation, o.innovation_variance, o.torque_rate = f.torque, f.P00, e, S, f.torque_rate
     return OK if math.isfinite(f.torque + f.P00) else NOT_FINITE
@@ -81,7 +81,7 @@ def tell(f, e, S, o):
 def _step(m, s, p, c, o):
     e = innovation(m, s, p, c)
     S = correct(m.filter, e, c.V) if s.interval != 0.0 else 0.0
-    return tell(m.filter, e, S, o)
+    return write_out(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)

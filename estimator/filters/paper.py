@@ -237,12 +237,3 @@ ESTIMATORS = (
     PaperFilter("RAREKF", "rarekf"),
     PaperFilter("REKF", "robust"),
 )
-
-
-def paper_filters(**changes) -> tuple[PaperFilter, PaperFilter, PaperFilter]:
-    """EKF, AREKF and RAREKF with the same numbers; `changes` are fields of `PaperFilter`."""
-    return (
-        PaperFilter(rule="ekf", **changes),
-        PaperFilter(rule="arekf", **changes),
-        PaperFilter(rule="rarekf", **changes),
-    )

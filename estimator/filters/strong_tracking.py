@@ -16,7 +16,7 @@ from ...models.kernels import kernel
 from ...models.step import Step, step_of
 from ..compliance import measure
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, correct, start, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, correct, start, write_out
 
 _NOTHING_YET = -1.0
 
@@ -47,7 +47,7 @@ def _step(m, s, p, c, o):
     else:
         e, m.expected = predict(f, y, m.expected, s.interval, c)
         S = correct(f, e, c.V)
-    return tell(f, e, S, o)
+    return write_out(f, e, S, o)
 
 
 @dataclass(frozen=True)
