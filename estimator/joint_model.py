@@ -202,9 +202,9 @@ def rates(x, current, time, temperature, p, out):
     out[WAVE], out[WAVE_RATE] = x[WAVE_RATE], (b.on_wave_generator + x[MESH]) / p.Jw
     out[LINK] = x[LINK_RATE]
     if p.flexible_share > 0.0:
-        spring, hanging = laws.flexible_torque(x[FLEXIBLE], x[FLEXIBLE_RATE], p), laws.flexible_inertia(p)
-        out[LINK_RATE] = (b.on_link + x[EXTERNAL] + spring) / (p.Jl - hanging)
-        out[FLEXIBLE], out[FLEXIBLE_RATE] = x[FLEXIBLE_RATE], -spring / hanging - out[LINK_RATE]
+        spring, flexible = laws.flexible_torque(x[FLEXIBLE], x[FLEXIBLE_RATE], p), laws.flexible_inertia(p)
+        out[LINK_RATE] = (b.on_link + x[EXTERNAL] + spring) / (p.Jl - flexible)
+        out[FLEXIBLE], out[FLEXIBLE_RATE] = x[FLEXIBLE_RATE], -spring / flexible - out[LINK_RATE]
     else:
         out[LINK_RATE] = (b.on_link + x[EXTERNAL]) / p.Jl
 

@@ -284,7 +284,7 @@ def lacking(recording: Recording, names: Sequence[str]) -> dict[str, str]:
     if too_short(recording):
         return {}
     measured = set(recording.columns) - {"joint_torque", "external_torque"}
-    if "motor_torque" in measured:  # of which the current is told (`smoothed.in_amperes`)
+    if "motor_torque" in measured:  # converted to current (`smoothed.in_amperes`)
         measured.add("motor_current")
     reasons = {name: _lacking(registry.get(name), measured | set(POSITIONS), measured) for name in names}
     return {name: reason for name, reason in reasons.items() if reason is not None}

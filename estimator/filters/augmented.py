@@ -269,8 +269,8 @@ def _predict(m, s, found, change, h, p, c):
     weight -= slope * x[LINK]
     arm = arm_torque(s)
     F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
-    hanging = laws.flexible_inertia(p)
-    rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
+    flexible = laws.flexible_inertia(p)
+    rigid, before = (1.0 + x[INERTIA]) * p.Jl - flexible, x[LINK_RATE]
     F[LINK_RATE, WEIGHT] = h / rigid * (weight + slope * x[LINK])
     given = found.motor_torque - x[LATE] * change
     drive, damped = (1.0 + x[CONSTANT]) * given, ratio * p.df
@@ -322,10 +322,10 @@ def _predict(m, s, found, change, h, p, c):
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
         own = (1.0 + x[WEIGHT]) * (weight + slope * x[LINK]) + arm
         kick = d / rigid * (load - p.bl * x[LINK_RATE] + own + x[EXTERNAL])
-        if hanging > 0.0:
+        if flexible > 0.0:
             pull = laws.flexible_torque(x[SWING], x[SWING_RATE], p)
             kick += d / rigid * pull
-            x[SWING_RATE] -= d / hanging * pull + kick
+            x[SWING_RATE] -= d / flexible * pull + kick
             x[SWING] += d * x[SWING_RATE]
         x[LINK_RATE] += kick
         x[LINK] += d * x[LINK_RATE]
@@ -334,15 +334,15 @@ def _predict(m, s, found, change, h, p, c):
                 F[SPRING, j] + damped * F[WAVE_RATE, j] - (p.df + p.bl) * F[LINK_RATE, j] + slope * F[LINK, j]
                 + F[EXTERNAL, j]
             )  # fmt: skip
-            if hanging > 0.0:
+            if flexible > 0.0:
                 pull = laws.flexible_torque(F[SWING, j], F[SWING_RATE, j], p)
                 kick += d / rigid * pull
-                F[SWING_RATE, j] -= d / hanging * pull + kick
+                F[SWING_RATE, j] -= d / flexible * pull + kick
                 F[SWING, j] += d * F[SWING_RATE, j]
             F[LINK_RATE, j] += kick
             F[LINK, j] += d * F[LINK_RATE, j]
     F[LINK_RATE, INERTIA] = -p.Jl / rigid * (x[LINK_RATE] - before)
-    if hanging > 0.0:
+    if flexible > 0.0:
         F[SWING_RATE, WEIGHT], F[SWING_RATE, INERTIA] = -F[LINK_RATE, WEIGHT], -F[LINK_RATE, INERTIA]
     forget = math.exp(-h / c.level_time)
     x[MESH] *= forget

@@ -1,10 +1,9 @@
 """Joint-dynamics extended Kalman filter: encoders and current through the joint's own equations.
 
-State and laws: `joint_model`; the filter: `dynamics_filter`. The current is an input, the encoders are the measurements.
-
-It takes the record as it is. With `process.stiffness` and `process.motor_constant` (0.07 and 0.02, the tolerances of a data
-sheet) it estimates those two; kinematic error that is off then passes for stiffness, and on joints known within tolerance
-that is worse than leaving them (`augmented` is for those).
+State and laws: `joint_model`; the filter: `dynamics_filter`. The current is an input, the encoders are the
+measurements. The record counts as exact. With `process.stiffness` and `process.motor_constant` (0.07 and 0.02, the
+tolerances of a datasheet) it estimates these two. An error of the kinematic error then appears as stiffness: on
+joints known within tolerance that is worse than without (`augmented` is for those).
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class DynamicsEKF(CausalEstimator):
     """Extended Kalman filter on the joint's dynamics; see the module.
 
     Attributes:
-        process: how far the joint departs from its equations.
+      process: deviation of the joint from its equations.
     """
 
     name: str = "dynamics_ekf"

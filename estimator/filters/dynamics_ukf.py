@@ -27,8 +27,8 @@ class DynamicsUKF(DynamicsEKF):
     """Unscented Kalman filter on the joint's dynamics.
 
     Attributes:
-        process: how far the joint departs from its equations.
-        kappa: κ [1], spread of the sigma points.
+      process: deviation of the joint from its equations.
+      kappa: κ [1], spread of the sigma points.
     """
 
     name: str = "dynamics_ukf"

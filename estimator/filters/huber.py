@@ -1,13 +1,14 @@
 """Huber's M-estimator in a Kalman filter on the constant-rate torque model (Karlgaard & Schaub, "Huber-based divided
 difference filtering", J. Guidance, Control and Dynamics 30, 2007).
 
-Each update is the regression of prediction and measurement, whitened by P⁻ = A Aᵀ and √V, on the state, with Huber's loss
-instead of the square,
+Each update is the regression of prediction and measurement, whitened by P⁻ = A Aᵀ and √V, on the state, with Huber's
+loss instead of the square,
 
     x⁺ = argmin Σ ρ(rᵢ),   r = [A⁻¹ (x − x⁻); (y − H x)/√V],   ρ(r) = r²/2 within ±k, k|r| − k²/2 beyond
 
-by iterated reweighting: weights ψᵢ = min(1, k/|rᵢ|) divide the variances. It protects from outliers of the measurement; a
-push, which is an outlier of the prediction, is the worse followed the more the measurement is doubted.
+by iterated reweighting: weights ψᵢ = min(1, k/|rᵢ|) divide the variances. It protects from outliers of the
+measurement. A push is an outlier of the prediction: the less the measurement counts, the more slowly the filter
+follows.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ class Huber(TorqueFilter):
     """Huber's robust Kalman filter.
 
     Attributes:
-        k: where the loss turns linear [standard deviations]; 1.345 is 95 % efficient at normal noise.
+      k: residual from which the loss is linear [standard deviations]; 1.345 is 95 % efficient at normal noise.
     """
 
     name: str = "huber"

@@ -55,10 +55,10 @@ class StrongTracking(TorqueFilter):
     """Strong tracking filter.
 
     Attributes:
-        acceleration: as `TorqueFilter`, smaller: fading does what process noise need not.
-        forget: ρ [1]: 0.95 as in the source, a memory of two samples.
-        soften: β ≥ 1 [1]: how much larger than expected innovations must be. A memory of two samples scatters widely: less
-            would fade at noise.
+      acceleration: as `TorqueFilter`, smaller: fading replaces process noise.
+      forget: ρ [1]: 0.95 as in the source, a memory of two samples.
+      soften: β ≥ 1 [1]: ratio of innovations to the expected ones that starts fading. A memory of two samples
+        scatters widely: a smaller ratio would fade at noise.
     """
 
     name: str = "strong_tracking"
