@@ -73,7 +73,7 @@ class Row:
 def known(one: Draw, extended: Joint, experiment: Experiment, record: np.ndarray) -> dict[str, KnownJoint]:
     """Return what the estimators know of a joint, by knowledge."""
     described = KnownJoint.of(one.nominal, experiment.mounting)
-    before = replace(described.told(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
+    before = replace(described.with_numbers(link_zero=float(record[0]["link_zero"])), link_zero=0.0)
     mounting = experiment.scenario.mounting or None
     return {
         "before": before,

@@ -81,7 +81,7 @@ def settings(reading: str, variance: float, walk: float) -> np.ndarray:
 
 def mistaken(known: KnownJoint, factors: Mapping[str, float]) -> KnownJoint:
     """What is known, with numbers that are off by a factor."""
-    return known.told(**{name: factor * known.p[name] for name, factor in factors.items()})
+    return known.with_numbers(**{name: factor * known.p[name] for name, factor in factors.items()})
 
 
 def examine(scenario: str, one: DrawnExperiment, variances: Mapping[str, float] = V) -> Iterator[Found]:
