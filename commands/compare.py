@@ -31,7 +31,7 @@ def command(
     from ..models.files import json_text
     from ..models.output import output_folder
     from ._console import console
-    from ._runs import PAPER, metrics_of, run_all, tell
+    from ._runs import PAPER, metrics_of, print_notes, run_all
 
     with output_folder(out, "compare", writes=("comparison.json", "comparison.md")) as folder:
         runs = run_all(scenarios or PAPER, out, seed, changes, figures, recording)
@@ -46,7 +46,5 @@ def command(
         return
     terminal = console()
     terminal.print(comparison_table(metrics))
-    tell(terminal, runs)
-    terminal.print(
-        f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings beside them",
-    )
+    print_notes(terminal, runs)
+    terminal.print(f"{out / 'comparison.md'}, {out / 'comparison.json'}; figures and recordings in {out}")

@@ -12,11 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..models import plugins
-from ..models.command_lines import checking, mending
 from ..models.errors import InputError
-from ..models.files import json_text
-from ..models.output import check_output, output_folder
 from ._listing import AsJson
 from ._measurement import parted_measurement
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
@@ -58,6 +54,8 @@ def command(
     as_json: AsJson = False,
 ) -> None:
     """Say what the simulation gets wrong, name the cause, extend the joint, measure what that gains."""
+    from ..models.files import json_text
+    from ..models.output import check_output, output_folder
     from ._console import console, stages
 
     if seconds is not None and not seconds > 0:
@@ -199,6 +197,9 @@ def _where(m: Mistake) -> str:
 
 def _commands(found: Diagnosis, measurement: Measurement, joint: Joint, out: Path, report: bool) -> list[str]:
     """Command lines to go on with, to copy."""
+    from ..models import plugins
+    from ..models.command_lines import checking, mending
+
     measured, folder = shlex.quote(str(measurement.path)), shlex.quote(str(out))
     if any(m.severe for m in found.mistakes):
         return [(mending if found.mendable else checking)(measurement, joint)]

@@ -33,8 +33,6 @@ _RECORDED = ("motor_position", "link_position", "motor_current", "joint_torque")
 _WHERE_STATED = ("motor_torque", "temperature")
 
 
-_COPIES = ("signals", "reference")
-"""What is worked out anew where a run is handed on: the same numbers in another place."""
 _LIMITED = 0.005
 """Share of the time at the current limit from which on it is told: no shipped scenario is there at all."""
 _SOON, _TURNS = 0.1, 20
@@ -81,9 +79,6 @@ class Run:
     place: Place | None = None
     raw: np.ndarray | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name not in _COPIES}
-
     @property
     def name(self) -> str:
         """The scenario's name."""
@@ -110,12 +105,6 @@ class Run:
         record = self.joint.record(self.scenario.mount(self.joint))
         # With zero torque the compliance model's kinematic error is the one at the given angle: θw itself.
         return compliance(self.truth("wave_generator_position"), 0.0, 0.0, record).kinematic_error
-
-    def complete(self) -> Run:
-        """The same with all that its views show worked out, for whoever reads it elsewhere."""
-        for name in ("model_torque", "metrics", "kinematic_error"):
-            getattr(self, name)
-        return self
 
     def _repr_html_(self) -> str:
         shown = {"rms": "error [N·m RMS]", "noise": "noise [N·m RMS]", "delay_ms": "delay [ms]"}
