@@ -61,7 +61,7 @@ class _Commands(TyperGroup):
 
     def __init__(self, **attributes: Any):
         super().__init__(**attributes)
-        self.commands = dict.fromkeys(_files(self.folder))  # type: ignore[arg-type]
+        self.commands: Any = dict.fromkeys(_files(self.folder))
 
     def list_commands(self, ctx: Any) -> list[str]:
         return list(self.commands)

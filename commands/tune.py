@@ -51,7 +51,8 @@ def command(
     from ..models.output import check_output, output_folder
     from ..scenarios.evaluation import tuning
     from ..scenarios.filters import estimators
-    from ..views.limit_tables import TUNED_HEADS, markdown, tuned_rows, tuned_table
+    from ..views.limit_tables import TUNED_HEADS, tuned_rows, tuned_table
+    from ..views.tables import markdown_table
     from ._console import console, progress
     from ._runs import PAPER, load_all
 
@@ -81,7 +82,7 @@ def command(
             terminal.print(tuned_table(found, title))
         with output_folder(folder, "tune", within=out) as new:
             tuning.write_tuned(found, names, training, testing, new / "tuned.yaml")
-            text = f"# {title}\n\n{markdown(TUNED_HEADS, tuned_rows(found))}\n"
+            text = f"# {title}\n\n{markdown_table(TUNED_HEADS, tuned_rows(found))}\n"
             (new / "tuned.md").write_text(text, encoding="utf-8")
             if pushed:
                 from ..views.limit_figures import pareto_figure, save_figure

@@ -13,9 +13,8 @@ from rich.text import Text
 
 from .figures.sheet import BETWEEN, LEFT, RIGHT, WIDTH, blank, place, styled
 from .limit_figures import contender_color
-from .limit_tables import markdown
 from .style import SENSOR
-from .tables import narrow_table
+from .tables import markdown_table, narrow_table
 
 if TYPE_CHECKING:
     from ..scenarios.evaluation.contact import OperatingPoint
@@ -62,7 +61,7 @@ def titles(answer: Mapping[str, Any]) -> Iterator[tuple[str, list[Mapping[str, A
 
 def contact_markdown(detectors: Sequence[Mapping[str, Any]]) -> str:
     """Detectors, rows of `as_data`, at their thresholds in Markdown, with the reasons of those that have none."""
-    return "\n\n".join([markdown(HEADS, list(contact_rows(detectors))), *reasons(detectors)])
+    return "\n\n".join([markdown_table(HEADS, contact_rows(detectors)), *reasons(detectors)])
 
 
 def contact_table(detectors: Sequence[Mapping[str, Any]], title: str) -> Table:

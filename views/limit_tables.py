@@ -102,12 +102,6 @@ def tuned_table(found: Sequence[Tuned], title: str) -> Table:
     return table
 
 
-def markdown(heads: Sequence[str], rows: Sequence[Sequence[str]], left: bool = False) -> str:
-    """A Markdown table; the first column to the left, the others to the right, or all to the left."""
-    lines = [f"| {' | '.join(heads)} |", "|---|" + ("---|" if left else "---:|") * (len(heads) - 1)]
-    return "\n".join([*lines, *(f"| {' | '.join(row)} |" for row in rows)])
-
-
 def number(value: float, decimals: int) -> str:
     """A number as text; `diverged` where it is none or a filter's error is out of all proportion."""
     return f"{value:.{decimals}f}" if math.isfinite(value) and value < 1e5 else "diverged"

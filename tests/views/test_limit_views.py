@@ -13,7 +13,7 @@ from flexspline.estimator import registry
 from flexspline.estimator.consistency import Mean
 from flexspline.scenarios.evaluation.limits import Assessment, Limits
 from flexspline.scenarios.evaluation.tuning import Front, Tuned, with_parameters
-from flexspline.views import limit_figures, limit_tables
+from flexspline.views import limit_figures, limit_tables, tables
 
 
 @pytest.fixture
@@ -56,7 +56,7 @@ def test_tuned_rows():
     (row,) = limit_tables.tuned_rows([one])
     assert row[0] == "EKF" and row[1:3] == ("0.1000", "0.0500") and row[4] == "0.0600"
     assert row[5].startswith("-0.0500 [") and row[6] == "W 1e-08!"
-    assert limit_tables.markdown(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |"
+    assert tables.markdown_table(("a", "b"), [("x", "1")]) == "| a | b |\n|---|---:|\n| x | 1 |"
 
 
 def test_limits_are_whole_at_80_columns(limits):

@@ -6,7 +6,6 @@ import csv
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +15,8 @@ from ...models.errors import InputError
 from ...models.files import check_format, read_json
 from ..contact_views import HEADS, contact_rows, reasons, titles, told
 from .chart import Chart, limits
-from .provenance import file_digest, now
-from .rendering import render, squeezed
+from .provenance import file_digest
+from .rendering import render
 from .run import line_kinds
 
 MEASURES = ("false_alarms_per_hour", "smallest_push", "found_of_large", "delay")
@@ -86,7 +85,7 @@ def read_answer(path: Path) -> dict[str, Any]:
 
 
 def contact_html(answer: Mapping[str, Any], rows: Sequence[Row], folder: Path) -> str:
-    """The page as text: one file that refers to nothing outside itself.
+    """Return the page as text: one file without references to others.
 
     Args:
       answer: of `read_answer`, whose numbers the page states.
@@ -125,10 +124,8 @@ def contact_html(answer: Mapping[str, Any], rows: Sequence[Row], folder: Path) -
         ),
         "folder": str(folder),
         "digest": file_digest(folder / "contact.json"),
-        "written": now(),
-        "version": metadata.version("flexspline"),
     }
-    return squeezed(render("contact.html.j2", context))
+    return render("contact.html.j2", context)
 
 
 def _joint(answer: Mapping[str, Any], tolerance: float) -> str:
