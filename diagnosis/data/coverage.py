@@ -318,6 +318,7 @@ class _Extent:
     temperature_span: float
     known_push: bool
     gravity: bool
+    arm: bool
 
     @classmethod
     def of(cls, measurement: Measurement, joint: Joint, summaries: Sequence[RecordingSummary]) -> _Extent:
@@ -344,6 +345,7 @@ class _Extent:
             temperature_span=max(high for _, high in warm) - min(low for low, _ in warm) if warm else 0.0,
             known_push=bool(known),
             gravity=any(r.link.gravity_moment > 0 for r in known),
+            arm=any(r.load is not None for r in recordings),
         )
 
 
@@ -380,6 +382,8 @@ def _lacking(cause: Cause, found: _Extent, nothing: str | None) -> Iterator[str]
         yield f"the temperature changes by {found.temperature_span:.2g} K, less than {needed.temperature_span:g} K"
     if needed.known_push and not found.known_push:
         yield "in every recording unmeasured pushes may happen, or other joints of the arm move"
+    if needed.arm and not found.arm:
+        yield "no recording is of an arm whose other joints move"
     if needed.gravity and not found.gravity:
         yield "no recording without unmeasured pushes, the arm's other joints still, has a gravity moment"
 

@@ -29,6 +29,8 @@ CAUSES = {
     "load_dependent_friction": ("load_dependent_friction", "coefficient"),
     "offset": ("current_offset", "value"),
     "Kt": ("torque_constant", "value"),
+    "arm_scale": ("arm_load", "scale"),
+    "link_friction": ("link_friction", "torque"),
 }
 """Cause and its parameter by what a coefficient of a regression says (`regression.Coefficient.means`)."""
 BEYOND = 3.0

@@ -71,6 +71,7 @@ class Requirements:
       temperature_span: range of the temperature [K].
       known_push: whether there must be a recording without unmeasured pushes on the link.
       gravity: whether such a one must have a gravity moment.
+      arm: whether other joints of an arm must move.
     """
 
     sliding: float = 0.0
@@ -84,6 +85,7 @@ class Requirements:
     temperature_span: float = 0.0
     known_push: bool = False
     gravity: bool = False
+    arm: bool = False
 
 
 def put_order(p: np.void, field: str, values: dict[str, float]) -> None:
