@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks import band_draws as bands
 from flexspline.diagnosis.trials.draw import Challenge, Hidden
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import kept
 from .pages import ROOT, fill, share
@@ -93,7 +93,7 @@ def table(rows: Sequence[Row]) -> str:
         "sound joints: inside [%]",
         "draws with ≥ 90 %",
     )
-    return markdown(heads, body)
+    return markdown_table(heads, body)
 
 
 def main(arguments: Sequence[str] = ()) -> None:

@@ -34,7 +34,7 @@ from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw_of, geom
 from flexspline.scenarios.evaluation.intervals import Interval
 from flexspline.scenarios.experiment import Experiment
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from . import kept
 from .estimators import SCENARIOS
@@ -189,7 +189,7 @@ def kind_table(results: Results, hidden: str, real: bool, names: Sequence[str] =
                 some = results.values(hidden, real, name, k, part)
                 row.append(_mean(geometric(some, np.ones(len(some)))))
         rows.append(row)
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def counts(results: Results, real: bool) -> str:
@@ -232,7 +232,7 @@ def cause_table(results: Results, real: bool) -> str:
                 values = results.values("one", real, name, k, cause=cause)
                 row.append(f"{geometric(values, np.ones(len(values))).mean:.3f}")
         rows.append(row)
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def tables(results: Results, names: Sequence[str] = NAMES) -> dict[str, str]:

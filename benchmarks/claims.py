@@ -26,7 +26,7 @@ from flexspline.scenarios.evaluation import metrics
 from flexspline.scenarios.evaluation.draws import DrawnExperiment, rms
 from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.sim.loop import CONTROL_PERIOD
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from .estimators import SCENARIOS, drawn
 from .pages import ROOT, fill, text
@@ -157,7 +157,7 @@ def claim_table(found: Map) -> str:
     rows = [
         (*s[1:], s[0], *("yes" if held else "no" for held in found.claims(s))) for s in found.settings
     ]  # fmt: skip
-    return markdown(("α", "V", "W", "calibration", *CLAIMS), rows)
+    return markdown_table(("α", "V", "W", "calibration", *CLAIMS), rows)
 
 
 def _shares(found: Map, setting: tuple[str, ...]) -> list[str]:
@@ -173,7 +173,7 @@ _BINS = [f"sweep, {a:g}–{b:g} N·m" if b < 99 else f"sweep, over {a:g} N·m" f
 def mode_table(found: Map) -> str:
     """Share of robust mode by load, exact calibration."""
     rows = [(*s[1:], *_shares(found, s)) for s in found.settings if s[0] == "exact"]
-    return markdown(("α", "V", "W", "no load", *_BINS, "at rest"), rows)
+    return markdown_table(("α", "V", "W", "no load", *_BINS, "at rest"), rows)
 
 
 def count_tables(found: Mapping[int, Map]) -> tuple[str, str]:
@@ -190,8 +190,8 @@ def count_tables(found: Mapping[int, Map]) -> tuple[str, str]:
         ]  # fmt: skip
     heads = [f"{reading}, W {w}" for w in W for reading in READINGS]
     return (
-        markdown(("counts", "calibration", "V", *heads), claims),
-        markdown(("counts", "α", "W", "no load", *_BINS, "at rest"), modes),
+        markdown_table(("counts", "calibration", "V", *heads), claims),
+        markdown_table(("counts", "α", "W", "no load", *_BINS, "at rest"), modes),
     )
 
 
@@ -209,7 +209,7 @@ def error_table(found: Map) -> str:
         "α", "V", "W", "no load within 0.1 N·m [%]", *(f"{name} [N·m]" for name in SCENARIOS), "response [ms]",
         "noise / raw",
     )  # fmt: skip
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def write_csv(found: Map, path: Path) -> None:

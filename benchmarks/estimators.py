@@ -32,7 +32,7 @@ from flexspline.scenarios.evaluation.draws import DrawnExperiment, draw, geometr
 from flexspline.scenarios.evaluation.intervals import Interval, interval
 from flexspline.scenarios.scenario import load_scenario
 from flexspline.sim.loop import CONTROL_PERIOD
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from .pages import ROOT, fill, share, text
 from .quotes import OVERALL, REFERENCE
@@ -193,7 +193,7 @@ def overall_table(results: Results) -> str:
     names = results.at(results.tolerances[0])
     names += [n for n in results.names if n not in names]
     rows = [(n, *(cell(t, n) for t in results.tolerances)) for n in names]
-    return markdown(("estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)), rows)
+    return markdown_table(("estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)), rows)
 
 
 def realistic_table(results: Results, digits: int = 2) -> str:
@@ -209,7 +209,7 @@ def realistic_table(results: Results, digits: int = 2) -> str:
             row.append(text(interval(results.values(s, least, n)), 3) if results.has(least, n) else "–")
         rows.append(row)
     heads = ["estimator", *(f"tolerance ×{t:g}" for t in results.tolerances)]
-    return markdown([*heads, *(f"×{least:g}, {s}: RMS [N·m]" for s in SCENARIOS)], rows)
+    return markdown_table([*heads, *(f"×{least:g}, {s}: RMS [N·m]" for s in SCENARIOS)], rows)
 
 
 def worst_nees(results: Results, name: str = "augmented") -> str:
@@ -235,7 +235,7 @@ def scenario_table(results: Results, tolerance: float) -> str:
             largest = np.max(results.values(s, tolerance, n) / results.values(s, tolerance, REFERENCE))
             row += [text(results.ratio(s, tolerance, n)), f"{largest:.2f}"]
         rows.append(row)
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def nees_table(results: Results) -> str:
@@ -250,7 +250,7 @@ def nees_table(results: Results) -> str:
             some = results.has(t, n)
             row += [text(interval(results.values(s, t, n, "nees"))) if some else "–" for s in SCENARIOS]
         rows.append(row)
-    return markdown(("estimator", *(f"{s} ×{t:g}" for t in results.tolerances for s in SCENARIOS)), rows)
+    return markdown_table(("estimator", *(f"{s} ×{t:g}" for t in results.tolerances for s in SCENARIOS)), rows)
 
 
 def push_table(results: Results) -> str:
@@ -268,7 +268,7 @@ def push_table(results: Results) -> str:
     heads = ["estimator"]
     for t in results.tolerances:
         heads += [f"×{t:g}: response [ms]", "missed [%]"]
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 def sheet(known: KnownJoint) -> KnownJoint:
@@ -310,7 +310,7 @@ def told_table(seeds: Sequence[int], kept: Path | None, threads: int) -> str:
             row += [text(geometric(errors[:, i], errors[:, 2])) for i in (0, 1)]
         table.append(row)
     heads = ["joint; what is told of it"] + [f"{s}: {n}" for s in SCENARIOS[1:] for n in names[:2]]
-    return markdown(heads, table)
+    return markdown_table(heads, table)
 
 
 READERS = ("augmented", "dynamics_ekf", "momentum_torsion", "momentum", "current")
@@ -345,7 +345,7 @@ def reading_table(seeds: Sequence[int], kept: Path | None, threads: int) -> str:
                 values = np.array(list(pool.map(one, seeds)))
             cells.append([text(geometric(values[:, i, 0], values[:, i, 1])) for i in range(len(READERS))])
         rows += [(name, f"×{tolerance:g}", *(c[i] for c in cells)) for i, name in enumerate(READERS)]
-    return markdown(("estimator", "tolerance", *SCENARIOS), [r for r in rows if "–" not in r])
+    return markdown_table(("estimator", "tolerance", *SCENARIOS), [r for r in rows if "–" not in r])
 
 
 def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment, path: Path) -> str:
@@ -359,7 +359,7 @@ def cost_table(estimators: dict[str, Estimator], one: DrawnExperiment, path: Pat
     ]
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([("estimator", "us", "ratio"), *rows])
-    return markdown(("estimator", "µs per update", f"/ {REFERENCE}"), rows)
+    return markdown_table(("estimator", "µs per update", f"/ {REFERENCE}"), rows)
 
 
 LOADS = (4.0, 9.0, 12.0)
@@ -415,7 +415,7 @@ def load_table(results: Results) -> str:
                     text(interval(results.values(s, tolerance, LOADED_NAMES[0], "nees"))),
                 ]
             rows.append(row)
-    return markdown(heads, rows)
+    return markdown_table(heads, rows)
 
 
 MEASURES = ("rms", "moving", "resting", "nees", "response", "missed")

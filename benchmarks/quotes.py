@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from flexspline.scenarios.evaluation.intervals import Interval
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from .pages import ROOT, fill, text
 
@@ -53,7 +53,7 @@ def _worth(ideal: Lines, real: Lines, cost: Mapping[str, float]) -> str:
     errors = [_cell(some["link_sweep", t, REFERENCE], "rms", 3) for some in (ideal, real) for t in tolerances]
     rows.append((f"{REFERENCE} in the link sweep [N·m]", *errors, f"{cost[REFERENCE]:.1f}"))
     heads = ("tolerance ×1", "×0.2", "exact", "sensors as they are: ×1", "×0.2", "exact")
-    return markdown(("estimator", *heads, "µs per update"), rows)
+    return markdown_table(("estimator", *heads, "µs per update"), rows)
 
 
 def _situations(ideal: Lines, real: Lines, cost: Mapping[str, float]) -> str:
@@ -98,7 +98,7 @@ def _situations(ideal: Lines, real: Lines, cost: Mapping[str, float]) -> str:
             f"{share(0.05, 'AREKF')} at ×0.05 ([which reading of Eq. (23)](paper.md#which-reading-serves-best))",
         ),
     ]
-    return markdown(("situation", "take", "why"), rows, left=True)
+    return markdown_table(("situation", "take", "why"), rows, left=3)
 
 
 def _realistic_nees(real: Lines) -> str:
