@@ -1,4 +1,4 @@
-"""`flexspline compare`: the filters on identical disturbances, in one table."""
+"""`flexspline compare`: filters on identical disturbances, in one table."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recordings.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Compare the filters: error, noise, delay, response time, robust share, NIS."""
+    """Compare filters: error, noise, delay, response time, robust share, NIS."""
     from ..models.files import json_text
     from ..models.output import output_folder
     from ._console import console

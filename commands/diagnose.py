@@ -14,7 +14,7 @@ import typer
 
 from ..models.errors import InputError
 from ._listing import AsJson
-from ._measurement import parted_measurement
+from ._measurement import load_measurement
 from ._options import MeasurementPath, OtherJoint, ResultFolder, with_plugins
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def command(
 
     if seconds is not None and not seconds > 0:
         raise InputError(f"--time {seconds:g}: expected more than 0 s")
-    data, described = parted_measurement(measurement, joint)
+    data, described = load_measurement(measurement, joint)
     _check_apart(measurement, out)
     check_output(out, "diagnose", inputs=[*data.files, measurement, described.path], whole=True)
     if exact:

@@ -29,7 +29,7 @@ def command(
     recording: Annotated[bool, typer.Option(help="Write the Rerun recording.")] = True,
     as_json: AsJson = False,
 ) -> None:
-    """Run scenarios and keep signals, estimates, metrics, figures and a Rerun recording; of an arm's, those of every joint."""
+    """Run scenarios; write signals, estimates, metrics, figures and a Rerun recording, for an arm of every joint."""
     from ._console import console
     from ._runs import metrics_of, print_notes, run_all
 

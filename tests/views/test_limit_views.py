@@ -33,11 +33,11 @@ def limits() -> Limits:
 
 
 def test_rows(limits):
-    rows = {row[0]: row for row in limit_tables.limit_rows(limits)}
-    assert list(rows) == ["rts_smoother (not causal)", "RAREKF", "lost"]  # the smallest error first, none last
-    assert rows["RAREKF"][1:5] == ("0.0552", "5.52", "0.50", "0.90–1.10")
-    assert rows["rts_smoother (not causal)"][3] == "–"
-    assert rows["lost"][1] == "diverged"
+    rows = {row["estimator"]: row for row in limit_tables.summary_rows([limits])}
+    assert rows["RAREKF"]["ratio"] == pytest.approx(5.52, abs=0.005) and rows["RAREKF"]["nis_low"] == 0.9
+    assert rows["rts_smoother"]["nis"] is None and np.isnan(rows["lost"]["rms"])
+    shown = [line.split()[0] for line in rendered(limit_tables.limits_table(limits)).splitlines() if line.strip()]
+    assert [name for name in shown if name in rows] == ["rts_smoother", "RAREKF", "lost"]  # by error, diverged last
 
 
 def test_tuned_rows():
