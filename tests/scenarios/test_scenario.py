@@ -114,7 +114,7 @@ BAD = {
     ("plant.K9=3",): "plant.K9: unknown key",
     ("trajectory.1.time=1",): "trajectory.1.time: expected a time after 2 s, got 1 s",
     ("seed=-1",): "seed: expected greater than or equal to 0",
-    ("seed=1e30",): "seed: expected an integer that is not as large, got 1e+30",
+    ("seed=1e30",): "seed: expected a smaller integer, got 1e+30",
     ("duration",): "--set duration: expected key=value, got no '='",
     ("=3",): "--set =3: no key",
     ("duration.x=3",): "duration is a value, expected something with keys",

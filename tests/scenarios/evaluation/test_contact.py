@@ -57,7 +57,7 @@ def test_the_velocitys_low_pass_has_its_cutoff_and_any_signals_derivatives():
     assert lowpassed(time, np.full(len(time), 3.0), cutoff)[-1] == pytest.approx([3.0, 0.0, 0.0])
     known = KnownJoint.of(load_joint("test-joint"), load_joint("test-joint").mount("no_load"))
     angle = 0.5 * np.maximum(time - 0.1, 0.0)
-    weightless = known.told(Mg=0.0)
+    weightless = known.with_numbers(Mg=0.0)
     signals = Signals(time, {"motor_position": 100.0 * angle, "link_position": angle})
     push = external_torque(signals, np.zeros(len(time)), weightless, bandwidth=400.0, cutoff=5.0)
     momentum = np.cumsum(push) * 1e-5
