@@ -319,7 +319,7 @@ def test_numbers_at_the_end_of_their_tolerances_are_told():
     drawn = draw(Challenge(seed=214, hidden="one", real=True), 11)
     assert [e.name for e in drawn.effects] == ["stiffness"]
     found = diagnose(drawn.measurement, drawn.nominal)
-    told = "at the end of what the description allows: K1 (-2"
+    told = "at the bound of the tolerance: K1 (-2"
     assert "stiffness" in {c.name for c in found.causes} or told in found.reason, found.reason
 
 

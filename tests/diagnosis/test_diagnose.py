@@ -80,14 +80,13 @@ def test_nothing_hidden_is_consistent(joint, seed):
 def test_what_is_taken_back_is_not_called_consistent(joint, monkeypatch):
     """Calibration explains a joint within tolerance; where it is not believed the description is left, and that is off."""
     measurement, _ = measure(joint, 600)
-    monkeypatch.setattr(
-        regions, "SETTINGS", replace(regions.SETTINGS, worse=0.0, most=0.0)
-    )  # worse wherever it has not been
+    for name in ("WORSE", "MOST"):  # worse wherever it has not been
+        monkeypatch.setattr(regions, name, 0.0)
     d = diagnose(measurement, joint)
     current = d.residual["motor_current"]
     assert current.after > 2 * current.noise
     assert d.verdict == "inconclusive" and "motor current" in d.reason
-    assert "joint.yaml is the description, its link encoder's zero tared" in d.reason
+    assert "joint.yaml is the description, with the link encoder's zero found" in d.reason
     zeros = [j.sensors.link_encoder.zero.value for j in (joint, d.extended)]
     apart = {"sensors", "uncertainty"}
     assert zeros[1] != zeros[0] and d.extended.model_dump(exclude=apart) == joint.model_dump(exclude=apart)

@@ -9,7 +9,7 @@ import flexspline as fs
 from flexspline.diagnosis.data.segments import TORQUE, segments
 from flexspline.diagnosis.diagnose import diagnose
 from flexspline.diagnosis.fit.coordinates import hypotheses
-from flexspline.diagnosis.fit.noise_bias import bias_of
+from flexspline.diagnosis.fit.motion_noise import bias_of
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import evaluate_point
 from flexspline.diagnosis.trials.draw import Challenge, draw

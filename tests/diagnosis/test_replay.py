@@ -8,9 +8,9 @@ from hidden_joint import measure
 
 from flexspline.diagnosis.data.segments import STEP, _encoder_noise, segments
 from flexspline.diagnosis.fit.coordinates import hypotheses
+from flexspline.diagnosis.fit.encoder_zero import zeroed
 from flexspline.diagnosis.fit.replay import READ_OUT, residual, residuals, transmission
 from flexspline.diagnosis.fit.residual import TIMING, Problem
-from flexspline.diagnosis.fit.tare import tared
 from flexspline.diagnosis.trials.draw import Challenge, draw
 from flexspline.diagnosis.trials.motions import motions, record_motion
 from flexspline.estimator.motion import smooth
@@ -244,7 +244,7 @@ def test_a_torque_sensor_that_is_late_is_late_in_every_balance_that_reads_it(joi
 def test_derivatives_of_the_replay_are_those_of_differences(problem):
     """Every number with a tolerance, and the times of the samples."""
     theta = np.random.default_rng(7).normal(0, 0.5, problem.size)
-    theta = tared(problem, theta, ())
+    theta = zeroed(problem, theta, ())
     J = np.concatenate(problem.jacobian(theta, ()))
     for j in range(problem.size):
         numeric = difference(problem, theta, (), j)

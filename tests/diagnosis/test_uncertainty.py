@@ -13,10 +13,10 @@ from hidden_joint import measure
 from benchmarks import band_draws as bands
 from flexspline.diagnosis.data.segments import segments
 from flexspline.diagnosis.extension import calibrated
-from flexspline.diagnosis.fit.regions import Region, drawn_back, held_out_regions, region_masks, valid_range
+from flexspline.diagnosis.fit.regions import Region, held_out_regions, region_masks, shrunk, valid_range
 from flexspline.diagnosis.fit.residual import Problem
 from flexspline.diagnosis.fit.solver import Fit, Fitter, covariances, evaluate_point, with_dispersion
-from flexspline.diagnosis.search.calibrate import CalibrateSettings, calibrate
+from flexspline.diagnosis.search.calibrate import calibrate
 from flexspline.diagnosis.trials.draw import Challenge, Draw, draw
 from flexspline.diagnosis.uncertainty import growth, larger, of_description, stated
 from flexspline.diagnosis.validate import validate
@@ -38,14 +38,14 @@ def fitted() -> tuple[Draw, Problem, Fit]:
     return (
         drawn,
         problem,
-        with_dispersion(problem, calibrate(Fitter(problem), CalibrateSettings(iterations=4))),
+        with_dispersion(problem, calibrate(Fitter(problem), iterations=4)),
     )
 
 
 def test_what_is_drawn_back_is_known_no_better_than_that():
     """A number that is left as described is off by what the data say of it, and what it leaves cannot be held."""
     drawn, problem, fit = fitted()
-    pulled = drawn_back(problem, fit, serves=lambda f: abs(f.theta).sum() < 0.6 * abs(fit.theta).sum())
+    pulled = shrunk(problem, fit, lambda f: abs(f.theta).sum() < 0.6 * abs(fit.theta).sum())
     assert 0.0 < pulled.share < 0.5
     told = {}
     for share, f in ((1.0, fit), (pulled.share, pulled.fit)):
