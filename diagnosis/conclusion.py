@@ -21,26 +21,17 @@ class AnswerSettings:
     likely: float = 0.25  # below this probability as such an effect,
     slight: float = 0.3  # or below this ratio of its contribution to the unexplained error (RMS)
     quiet: float = 1.25  # noise ratio up to which only noise remains
-    far: float = 5.0  # noise ratio from which a residual is never consistent,
-    least: float = 0.02  # if it is also this share of the rated torque
+    far: float = 5.0  # noise ratio from which a residual is never consistent, and largest factor on standard deviations
+    least: float = 0.02  # share of the rated torque below which a residual is consistent all the same
     near: float = 2.0  # the same noise ratio where the fit that explains the residual is not written
     nearly_all: float = 2 / 3  # share of undetectable causes from which a measurement is inconclusive
     about: float = 0.9  # ratio of two contributions from which they count as equal
-    inflation: float = 5.0  # largest factor on standard deviations where more than noise remains
-    lookalike: float = (
-        0.05  # part of an effect's ordinary size that imperfections may mimic, where more than noise remains
-    )
-    inexact_size: float = 0.01  # the same where only noise remains: reconstruction of the motion from counts
     inexact_bias: float = 0.35  # unknown part of the correction for noise in the motion
-    end: float = 2.55  # standard deviations from which a number counts as being at its bound (`fit.residual.REACH`)
     apart: float = 5.0  # error of a recording over every other's from which it may be of another joint,
     explained: float = 0.5  # if the fit leaves more than this part of it
     rezeroed: float = 0.2  # shift of the encoder zero between recordings that is reported [torsion at rated torque],
     less: float = 0.3  # if it lowers the logarithm of the residual by this much
     diluted: float = 0.1  # share of encoder noise in the information on an inertia from which the inertia is not sure
-    useless: float = 1.05  # mean square with causes over without from which no cause is sure
-    lost: float = 2.25  # mean square after a correction over before from which the correction failed
-    chance: float = 0.1  # part of the sensors' noise (mean square) by which two residuals may differ by chance
 
 
 ANSWER = AnswerSettings()

@@ -13,10 +13,12 @@ from .answer import Finding, ParameterEstimate
 from .conclusion import ANSWER, Conclusion
 from .data.segments import BALANCES
 from .extension import extended
+from .fit.regions import WORSE
 from .fit.residual import Problem
 from .fit.solver import Fit, normal_equations, tamed
 from .improvement import removed
 from .search import discrepancy
+from .search.calibrate import CHANCE
 from .search.contribution import contribution_of, excess, noise_square, size_of, without_effect
 
 
@@ -31,7 +33,7 @@ def findings_of(conclusion: Conclusion, measurement: Measurement) -> tuple[list[
     linear = tamed(problem, final)
     contributions = [contribution_of(problem, final, linear, i).rms for i in range(len(final.model))]
     total = max(sum(w**2 for w in contributions), 1e-30)
-    left = (excess(problem, final) + ANSWER.chance * noise_square(problem, final)) ** 0.5
+    left = (excess(problem, final) + CHANCE * noise_square(problem, final)) ** 0.5
     findings: dict[int, Finding] = {}  # by index in the model
     minor: dict[int, Finding] = {}
     for i, (h, u) in enumerate(zip(final.model, problem.split(final.theta, final.model), strict=True)):
@@ -91,7 +93,7 @@ def _in_order(findings: dict[int, Finding], sizes: Sequence[float]) -> list[Find
 def explains_nothing(problem: Problem, base: Fit, final: Fit) -> bool:
     """Return whether a model with causes leaves a larger simulation error than the calibrated joint."""
     before, after = (excess(problem, f) for f in (base, final))
-    return after > ANSWER.useless * before + (ANSWER.useless - 1) * noise_square(problem, base)
+    return after > WORSE * before + (WORSE - 1) * noise_square(problem, base)
 
 
 def _diluted(problem: Problem, f: Fit, index: int) -> bool:

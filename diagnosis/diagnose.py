@@ -28,12 +28,12 @@ from .fit.solver import Fit, Fitter, with_dispersion
 from .improvement import serves
 from .regression import Regression, regressions
 from .search import discrepancy
-from .search.calibrate import calibrate
+from .search.calibrate import CHANCE, PLAINLY, calibrate
 from .search.contribution import excess, noise_square
 from .search.explore import Explored, Explorer, Progress
 from .search.identifiability import limits
 from .search.least_squares import fitter_in_motion, least_squares, regression_fit
-from .search.posterior import quiet_rms
+from .search.posterior import IMPERFECTION, TRACE, quiet_rms
 from .verdict import answer_of, invalid_data
 
 
@@ -181,11 +181,11 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     for i, (h, u) in enumerate(zip(f.model, problem.split(f.theta, f.model), strict=True)):
         if not h.free:
             continue
-        inexact[problem.place(f.model, i)] = ANSWER.inexact_size if quiet else ANSWER.lookalike
+        inexact[problem.place(f.model, i)] = TRACE if quiet else IMPERFECTION
         if h.cause.inexact and not quiet:
             sizes, unit = h.values(u), h.deviation(u, np.eye(h.size))
             law = [h.cause.inexact * abs(sizes[q.name]) / unit[q.name] if q.magnitude else 0.0 for q in h.free]
-            inexact[problem.place(f.model, i)] = np.hypot(ANSWER.lookalike, law)
+            inexact[problem.place(f.model, i)] = np.hypot(IMPERFECTION, law)
     if quiet:
         return replace(f, covariance=f.covariance + np.diag(inexact**2))
     # Prior knowledge stays: of a friction that the data know only as a product, the tolerance.
@@ -193,7 +193,7 @@ def _inflated(problem: Problem, f: Fit) -> Fit:
     spread[: problem.size][problem.held] = 1.0
     known = np.linalg.inv(f.covariance / spread[:, None] / spread) - np.eye(len(spread))
     values, vectors = np.linalg.eigh(0.5 * (known + known.T))
-    inflation = min(ratio, ANSWER.inflation) ** 2
+    inflation = min(ratio, ANSWER.far) ** 2
     scaled = (vectors / (1.0 + np.maximum(values, 0.0) / inflation)) @ vectors.T
     return replace(f, covariance=scaled * spread[:, None] * spread + np.diag(inexact**2))
 
@@ -225,9 +225,7 @@ def _uncorrected(before: Fit, after: Fit) -> Fit:
 
 def _lost(problem: Problem, after: Fit, before: Fit) -> bool:
     """Whether a correction failed: the error is much larger after it."""
-    return excess(problem, after) > ANSWER.lost * excess(problem, before) + ANSWER.chance * noise_square(
-        problem, before
-    )
+    return excess(problem, after) > PLAINLY**2 * excess(problem, before) + CHANCE * noise_square(problem, before)
 
 
 def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
@@ -240,7 +238,7 @@ def _corrected(problem: Problem, f: Fit) -> tuple[Problem, Fit]:
     start = f
     # An unknown effect has no description to stay near.
     if ratio > ANSWER.quiet and not any(isinstance(h, discrepancy.Spline) for h in f.model):
-        start = Fitter(problem).settle(replace(f, noise=f.noise.louder(min(ratio, ANSWER.inflation))))
+        start = Fitter(problem).settle(replace(f, noise=f.noise.louder(min(ratio, ANSWER.far))))
     less, unbiased = without_noise_mean(problem, start)
     found = fit_to_averages(less, unbiased)
     if found is f:

@@ -19,7 +19,7 @@ from .data.segments import BALANCES, CURRENT, SETTINGS, UNITS
 from .extension import DELAYS, calibrated, extended, parameter_shifts
 from .fit import encoder_zero
 from .fit.regions import valid_range
-from .fit.residual import Problem
+from .fit.residual import AT_BOUND, Problem
 from .fit.solver import Fit, evaluate_point
 from .uncertainty import of_description, stated
 
@@ -113,7 +113,7 @@ def _description(conclusion: Conclusion) -> Joint:
 
 def _at_bound(calibration: dict[str, ParameterShift]) -> list[str]:
     """Numbers at the bound of their tolerances: they may be what is wrong."""
-    moved = {name: s for name, s in calibration.items() if abs(s.moved) > ANSWER.end}
+    moved = {name: s for name, s in calibration.items() if abs(s.moved) > AT_BOUND}
     ends = [
         f"{name} ({s.value:.3g} {s.unit})" if s.nominal == 0.0 else f"{name} ({100 * (s.value / s.nominal - 1):+.0f} %)"
         for name, s in moved.items()

@@ -22,8 +22,8 @@ from .solver import Columns, Fit, Point, bounded_step, huber_weight, leverage_we
 
 END = 0.2  # share of the samples at an end of a range
 FEWEST = 20  # samples in motion that a region must have
-WORSE = 1.05  # ratio of RMS errors, extended without the region over described, from which the extension is worse there
-MOST = 2.0  # largest such ratio of an extension that is written
+WORSE = 1.05  # ratio of errors from which a joint is worse than another
+MOST = 2.0  # largest ratio of RMS errors in a region, extended without it over described, of a joint that is written
 SHARES = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the way from the description to the fit that are tried
 
 

@@ -33,6 +33,7 @@ share of the gravity moment (data sheets of six-axis sensors: 1 to 2 % of the lo
 REACH = 2.6
 """Bound of every calibration variable [standard deviations]: joints are drawn within 2.5, and two variables of one number (own
 tolerance and a shared one) together reach little beyond the number's own limit (`models.calibration.WITHIN`)."""
+AT_BOUND = 2.55  # standard deviations from which a variable counts as being at that bound
 _STEP, _FAR = 1e-6, 1e-4  # of differences of the record's numbers
 _STEP_X, _STEP_U = 0.05, 0.03  # of differences of residuals, where these stand for derivatives
 _BENT = 0.2  # part of a number's change over such a step by which secant and derivative may differ

@@ -11,8 +11,8 @@ from ..fit.solver import Fit, Fitter
 from .contribution import excess, noise_square
 
 SLOW = 2.0  # ratio of slow to fast model discrepancy from which the fit also starts from least squares
-PLAINLY = 1.5  # ratio of two errors (RMS) from which the smaller one decides, whatever the likelihood,
-CHANCE = 0.1  # with this part of the sensors' noise (mean square) as margin
+PLAINLY = 1.5  # ratio of two errors (RMS) from which the larger one is no fit, whatever the likelihood
+CHANCE = 0.1  # part of the sensors' noise (mean square) by which two errors may differ by chance
 
 
 def calibrate(fitter: Fitter, iterations: int = 9) -> Fit:

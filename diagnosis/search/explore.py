@@ -161,9 +161,13 @@ class Explorer:
     def with_unknown(self, found: Explored, one: Fit) -> Explored | None:
         """Search from a fit with an unknown effect as its last; None if the result is no more probable, or lacks the effect."""
         other = replace(self, _seen=set(), decisions=self.decisions).explore(found.base, one)
-        if not any(h is one.model[-1] for h in other.best.model):
+        model, theta = other.best.model, other.best.theta
+        index = next((i for i, h in enumerate(model) if h is one.model[-1]), None)
+        if index is None:
             return None
-        fit = self._fit(other.best.model, other.best.theta)
+        place = self.problem.place(model, index)  # the unknown effect is moved to the end
+        theta = np.concatenate([theta[: place.start], theta[place.stop :], theta[place]])
+        fit = self._fit((*model[:index], *model[index + 1 :], model[index]), theta)
         post = self.posterior(fit)
         if post.judge(fit).score <= post.judge(found.best).score:
             return None

@@ -22,8 +22,8 @@ from flexspline.models.joint import Effect, Estimate, load_joint
 SEED = 5
 
 
-def test_what_an_effect_replaces_has_no_say_beside_it():
-    """A torque constant of its own beside one that calibration had moved to its end: derivatives that were taken over held
+def test_what_an_effect_replaces_has_no_say_next_to_it():
+    """A torque constant of its own next to one that calibration had moved to its end: derivatives that were taken over held
     that in place, and the effect came out at a third, 1.2 standard deviations from none, and was thrown away."""
     cause, number, factor = "torque_constant", "Kt", 0.91
     print(f"seed {SEED}")
@@ -42,9 +42,9 @@ def test_what_an_effect_replaces_has_no_say_beside_it():
     assert abs(found.theta[at]) < 1e-6
     assert not any(j[..., at].any() for j in found.jacobian)
     u, covariance = found.theta[problem.size :], found.covariance[problem.size :, problem.size :]
-    ((name, told),) = effect.values(u).items()
-    assert abs(told - value) < 4 * effect.deviation(u, covariance)[name]
-    assert abs(told - value) < 0.3 * abs(value - described.numbers[number].value)
+    ((name, reported),) = effect.values(u).items()
+    assert abs(reported - value) < 4 * effect.deviation(u, covariance)[name]
+    assert abs(reported - value) < 0.3 * abs(value - described.numbers[number].value)
     # And it has its say again where the effect has gone.
     without = fitter.fit((), found.theta[: problem.size], found)
     assert any(j[..., at].any() for j in without.jacobian)
@@ -97,7 +97,7 @@ def swung(off: float = 0.0) -> tuple[Problem, Fit]:
     return problem, Fitter(problem).fit((), problem.start(None, ()), iterations=4)
 
 
-def test_zeros_beside_numbers_as_described_are_written():
+def test_zeros_next_to_numbers_as_described_are_written():
     """Numbers that have but a shared tolerance shifted what is held: other numbers were written, and the zero was not."""
     problem, fit = swung(1.5e-4)
     joint = problem.joint

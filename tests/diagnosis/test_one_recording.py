@@ -102,7 +102,7 @@ def test_a_joint_that_holds_its_pose_says_nothing():
 
 
 def test_a_recording_too_short_to_keep_a_part_from_the_fit_shows_what_is_left_of_all():
-    """It had no residual at all, which left nothing to doubt, and said that blocks had been kept."""
+    """It had no residual, which left nothing to doubt, and said that blocks had been kept."""
     one = recording(seconds=2.4)
     columns = one.columns | {"joint_torque": one.columns["joint_torque"] + 0.8}
     measurement = Measurement("swing", Path("swing"), (replace(one, columns=columns),))
@@ -114,7 +114,7 @@ def test_a_recording_too_short_to_keep_a_part_from_the_fit_shows_what_is_left_of
 
 @pytest.mark.slow
 def test_a_stage_for_which_there_was_no_time_is_told(monkeypatch):
-    """Where time ran out after the first causes, nobody was told that others were not looked for."""
+    """Where time ran out after the first causes, the answer did not say that others were not looked for."""
     one, now = recording(seconds=8.0), [0.0]
     columns = one.columns | {"motor_current": one.columns["motor_current"] + 0.2}
     for module in (explore, of_diagnosis):
