@@ -1,5 +1,6 @@
-"""How far the estimators are from what is possible: `python -m benchmarks bound` writes the table of that section of
-docs/estimators.md. Bounds and errors are of `flexspline bound`, over independent draws of start, pace, pushes and noise."""
+"""Distance of the estimators to the bound: `python -m benchmarks bound` writes a table of docs/estimators.md. Bounds and
+errors are those of `flexspline bound`, over independent draws of start, pace, pushes and noise.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +12,7 @@ from flexspline.estimator import registry
 from flexspline.scenarios.evaluation.intervals import interval
 from flexspline.scenarios.evaluation.limits import Limits, assess
 from flexspline.scenarios.scenario import load_scenario
-from flexspline.views.limit_tables import markdown
+from flexspline.views.tables import markdown_table
 
 from .estimators import SCENARIOS
 from .pages import ROOT, fill, text
@@ -20,7 +21,7 @@ NAMES = ("augmented", "dynamics_ekf", "momentum_torsion", "RAREKF")
 
 
 def table(found: Sequence[Limits]) -> str:
-    """By scenario: intensity, both bounds, and errors of estimators that are told the true numbers."""
+    """By scenario: intensity, both bounds, and errors of estimators that know the true numbers."""
     rows = []
     for limits in found:
         errors = {e.name: text(interval(e.rms), 4) for e in limits.estimators}
@@ -32,7 +33,7 @@ def table(found: Sequence[Limits]) -> str:
         "bound, joint known exactly [N·m]",
         "bound, within its tolerances",
     )
-    return markdown((*heads, *(f"`{n}`" for n in NAMES)), rows)
+    return markdown_table((*heads, *(f"`{n}`" for n in NAMES)), rows)
 
 
 def main(arguments: Sequence[str] = ()) -> None:

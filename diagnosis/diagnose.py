@@ -29,7 +29,7 @@ from .improvement import serves
 from .regression import Regression, regressions
 from .search import discrepancy
 from .search.calibrate import CHANCE, PLAINLY, calibrate
-from .search.contribution import excess, noise_square
+from .search.contribution import alone, excess, noise_square
 from .search.explore import Explored, Explorer, Progress
 from .search.identifiability import limits
 from .search.least_squares import fitter_in_motion, least_squares, regression_fit
@@ -119,16 +119,11 @@ def _search(
         base = fitter.fit((), first.theta[: problem.size]) if first.model else start
     explorer = Explorer(fitter, offered, progress=progress, deadline=deadline)
     found = explorer.explore(base, start)
-    if time.monotonic() >= deadline:
-        return replace(found, complete=False), slow
-    progress("looking for unknown effects", 0.85)
-    # Far from the noise the causes found may compensate for an unknown effect: look from the calibrated joint first.
-    astray = quiet_rms(problem, found.best) > ANSWER.far and found.best.model
-    for at in (base, found.best) if astray else (found.best,):
-        one = discrepancy.find(fitter, explorer.posterior(at), base, at)
-        if one is not None and (other := explorer.with_unknown(found, one)) is not None:
-            found = other
-            break
+    if time.monotonic() < deadline:
+        progress("looking for unknown effects", 0.85)
+        found = _with_unknown(problem, explorer, found)
+    else:
+        found = replace(found, complete=False)
     if slow and quiet_rms(problem, found.best) > ANSWER.far and time.monotonic() < deadline:
         # A slow discrepancy can hold what causes would, with a likelihood as good.
         progress("searching by least squares", 0.9)
@@ -136,8 +131,40 @@ def _search(
         base = fitter.fit((), encoder_zero.zeroed(problem, problem.start(None, ()), ()))
         other = Explorer(fitter, offered, deadline=deadline).explore(base, base)
         if _unseen(problem, other.best) < _unseen(problem, found.best):
-            return other, False
-    return found, slow
+            found, slow = other, False
+    return (found if slow else _serving(problem, explorer, found)), slow
+
+
+def _with_unknown(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
+    """Add an unknown effect to a result, if that is more probable.
+
+    Far from the noise the causes found may compensate for one: the calibrated joint is looked at first.
+    """
+    astray = quiet_rms(problem, found.best) > ANSWER.far and found.best.model
+    for at in (found.base, found.best) if astray else (found.best,):
+        one = discrepancy.find(explorer.fitter, explorer.posterior(at), found.base, at)
+        if one is not None and (other := explorer.with_unknown(found, one)) is not None:
+            return other
+    return found
+
+
+def _serving(problem: Problem, explorer: Explorer, found: Explored) -> Explored:
+    """Drop causes from a result as long as held-out regions are predicted as well without them."""
+    best, fitter = found.best, explorer.fitter
+    while any(h.free for h in best.model):
+        fewer = [
+            fitter.fit(tuple(g for g in best.model if g is not h), best.theta[alone(problem, best, i)[1]])
+            for i, h in enumerate(best.model)
+            if h.free
+        ]
+        less = min(fewer, key=lambda f: _unseen(problem, f))
+        if _unseen(problem, less) > _unseen(problem, best):
+            break
+        best = less
+    if best is found.best:
+        return found
+    _, models = explorer.neighbours(best, explorer.library(best))
+    return replace(found, best=best, models=tuple(models))
 
 
 def _unseen(problem: Problem, f: Fit) -> float:

@@ -344,14 +344,16 @@ def _of_joint(
             "offset": 1.0,
         }.get(name, output)
         number = factor * value
+    if name == "inertia" and alone and not driven:
+        number += float(p["Jl"])
     meanings: dict[str, tuple[str, str, Callable[[np.void], float]]] = {
         "sensor torque": ("Kt", "N·m/A", lambda r: r["Kt"]),
         "gravity": ("gravity_moment", "N·m", lambda r: r["Mg"]),
         "arm": ("arm_scale", "1", lambda r: r["arm_scale"]),
         "inertia": (
-            "rotor_inertia" if alone else "inertia",
+            "rotor_inertia" if alone and driven else "inertia",
             "kg·m²",
-            lambda r: (not alone) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
+            lambda r: (not (alone and driven)) * r["Jl"] + driven * N * N * (r["Jm"] + r["Jw"]),
         ),
         "load friction": ("load_dependent_friction", "1", lambda r: r["friction_load"]),
         "offset": ("offset", unit, lambda r: r[offset]),

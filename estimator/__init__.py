@@ -4,10 +4,10 @@
 """
 
 from ..models.step import step_of
-from .compliance import Compliance, compliance, compliance_torque, measurement_variance, torsions
+from .compliance import Compliance, compliance, measurement_variance
 from .errors import FilterDiverged
 from .estimator import CausalEstimator, Estimator, KnownJoint, Posterior, SensorNoise
-from .filters.paper import PaperFilter, paper_filters
+from .filters.paper import PaperFilter
 from .registry import get, names
 from .tuning_parameters import TuningParameter
 
@@ -22,11 +22,8 @@ __all__ = [
     "SensorNoise",
     "TuningParameter",
     "compliance",
-    "compliance_torque",
     "get",
     "measurement_variance",
     "names",
-    "paper_filters",
     "step_of",
-    "torsions",
 ]

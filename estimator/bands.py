@@ -1,18 +1,19 @@
-"""Bands of estimates: how far an estimate may be off, by what is not known of the joint.
+"""Error bands of estimates, from the uncertainty of the joint.
 
-A joint that a diagnosis has written states how well it is known (`models.joint.Uncertainty`). The variance of an estimate is the
-sum of
+A diagnosed joint states its uncertainty (`models.joint.Uncertainty`). The variance of an estimate is the sum of
 
-* its squared changes along independent directions of what is not known (`models.uncertainty`), each a standard deviation off. Few
-  directions matter: those of three simple torques (from torsion, from current, the link's own), all but `LEFT` of their energy;
-* what the sensors' noise makes of it: its change under noise that is added once more;
-* model discrepancy: an error of the current and one of the torsion as large as what the description could not hold in its own
-  data, and larger beyond the range of these, times how much of such an error the estimator passes on; near rest, friction;
-* how far it is from a zero-phase estimate of the same signals: its lag, and what two kinds of sensors do not agree on;
-* what it believes of itself (`Posterior.variance`), where it does.
+* its squared changes along independent directions of the uncertainty (`models.uncertainty`), one standard deviation
+each. Only the directions with the largest effect on three simple torques (from torsion, from current, the link's own)
+are used: all but `LEFT` of the energy;
+* its change under additional sensor noise;
+* model discrepancy: an error of current and torsion as large as the unexplained part of the description's own data,
+larger outside the range of these, times the estimator's response to such an error; near rest, friction;
+* its difference from a zero-phase estimate of the same signals: its lag, and the disagreement of two kinds of
+sensors;
+* its own variance (`Posterior.variance`), if it has one.
 
-Whatever is done to a recording before it is estimated (zeros, payload, bandwidth) is done again in each case. Noise is added at
-the recording's own rate; what the other changes do is smooth, and is computed on fewer samples (`RATE`).
+Every case repeats the preparation of the recording (zeros, payload, bandwidth). Noise is added at the recording's own
+rate; the other changes are smooth and are computed on fewer samples (`RATE`).
 """
 
 from __future__ import annotations
@@ -34,21 +35,21 @@ from .estimator import KnownJoint
 SIGMAS = 1.96
 """Standard deviations of a 95 % band."""
 LEFT = 0.01
-"""Share of the energy of simple torques' changes that the directions which are left out may have."""
+"""Share of the energy of simple torques' changes that may be left out."""
 MOST = 8
 """Directions at most."""
 RATE = 250.0
-"""Samples per second from which on a recording is thinned for all changes but noise [Hz]."""
-_PROBE = 0.005  # least error by which an estimator is probed, in rated torques
-_MEMORY = 0.3  # s, correlation time of the errors by which it is probed
+"""Sample rate [Hz] to which a recording is thinned for all changes except noise."""
+_PROBE = 0.005  # test error, in rated torques
+_MEMORY = 0.3  # s, correlation time of the test errors
 _AVERAGE = 0.5  # s, over which its response to noise is averaged
 _EVERY = 10  # grid steps from one sample of the simple torques to the next
-_PROBED = 0.1  # of the friction, by which an estimator is probed
+_PROBED = 0.1  # test error of the friction
 _SEED = 20
 
 Key = TypeVar("Key")
 Run = Callable[[Signals, KnownJoint], Mapping[Key, np.ndarray]]
-"""Estimates of one segment by whatever names them, shape (n,) each, from its signals and what is known of the joint."""
+"""Estimates of one segment by any key, shape (n,) each, from its signals and the known joint."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +70,14 @@ def deviations(
     run: Run[Key],
     threads: int = 2,
 ) -> dict[Key, np.ndarray]:
-    """Standard deviation of every estimate of a segment, shape (n,) each.
+    """Return the standard deviation of every estimate of a segment, shape (n,) each.
 
     Args:
       estimated: the estimates, shape (n,) each.
       signals: of the segment, n samples.
       known: what estimators know of the joint; joint: its description, in `mounting`.
       run: estimates the segment.
-      threads: on which cases are run.
+      threads: for the cases.
     """
     signals, rng = smoothed.in_amperes(signals, known), np.random.default_rng(_SEED)
     time, probes = signals.time, dict[str, float]()
@@ -94,7 +95,7 @@ def deviations(
         probes["torsion"] = _PROBE * rated
         cases.append((few.with_columns(link_position=shifted), known))
     probes["friction"] = _PROBED * float(known.p["N"] * known.p["Fc"])
-    cases.append((few, known.told(Fc=(1 + _PROBED) * known.p["Fc"], Fs=(1 + _PROBED) * known.p["Fs"])))
+    cases.append((few, known.with_numbers(Fc=(1 + _PROBED) * known.p["Fc"], Fs=(1 + _PROBED) * known.p["Fs"])))
     cases += [(few, replace(known, record=record)) for record in _principal(few, known, joint, mounting)]
     with ThreadPoolExecutor(threads) as pool:
         again, base, *done = pool.map(lambda case: run(*case), [(noisy, known), *cases])
@@ -112,10 +113,11 @@ def deviations(
 
 
 def reference_torque(signals: Signals, known: KnownJoint) -> np.ndarray:
-    """A joint torque without lag [N·m], shape (n,): from torsion where both encoders were read, from the current else.
+    """Return a joint torque without lag [N·m], shape (n,): from torsion if both encoders were read, else from the
+    current.
 
     Args:
-      signals: made ready (`offline.prepare`).
+      signals: prepared (`offline.prepare`).
       known: likewise.
     """
     names = ("model", "current_smoothed")
@@ -126,12 +128,12 @@ def reference_torque(signals: Signals, known: KnownJoint) -> np.ndarray:
 
 
 def disagreement(time: np.ndarray, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Root mean square difference of two estimates around every sample, shape (n,)."""
+    """Return the root mean square difference of two estimates around every sample, shape (n,)."""
     return np.sqrt(_smoothed_square(one - other, time))
 
 
 def _smoothed_square(x: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Mean square around every sample, shape (n,); the filter's running sum may end a little below zero."""
+    """Return the mean square around every sample, shape (n,). The filter's running sum may be slightly negative."""
     return np.maximum(uniform_filter1d(x**2, _samples(time), mode="nearest"), 0.0)
 
 
@@ -146,7 +148,7 @@ def _rate(time: np.ndarray) -> float:
 
 
 def _principal(signals: Signals, known: KnownJoint, joint: Joint, mounting: Mounting) -> list[np.ndarray]:
-    """Records, shape (1,) each, a standard deviation off along the directions that matter to torques."""
+    """Return records, shape (1,) each, one standard deviation along each direction with an effect on torques."""
     changes = independent_changes(joint)
     base = _torques(signals, known)
     responses = [_torques(signals, replace(known, record=moved(joint, mounting, c))) - base for c in changes]
@@ -160,7 +162,8 @@ def _principal(signals: Signals, known: KnownJoint, joint: Joint, mounting: Moun
 
 
 def _torques(signals: Signals, known: KnownJoint) -> np.ndarray:
-    """Torque from torsion without its mean, from current, and the link's own, one after another at a few samples [N·m]."""
+    """Return torque from torsion without its mean, from current, and the link's own, concatenated at a few samples
+    [N·m]."""
     found = []
     motion, load = motion_and_load(signals, known)
     found.append(load[::_EVERY])
@@ -172,15 +175,15 @@ def _torques(signals: Signals, known: KnownJoint) -> np.ndarray:
 
 
 def motion_and_load(signals: Signals, known: KnownJoint) -> tuple[smoothed.Motion, np.ndarray]:
-    """Smooth motion of a segment, and the torque that the joint gives its link on the motion's grid [N·m]: from the current, or
-    without one what the link's weight and inertia ask for."""
+    """Return the smooth motion of a segment, and the joint torque on the motion's grid [N·m]: from the current, or
+    else from the link's weight and inertia."""
     signals = smoothed.in_amperes(signals, known)
     if "motor_position" not in signals:
         signals = signals.with_columns(motor_position=known.p["N"] * signals["link_position"])
     motion = smoothed.smooth_motion(signals, known, smoothed.BANDWIDTHS[-2])
     if "motor_current" in signals:
         return motion, smoothed.torque_from_current(motion, known)
-    return motion, smoothed.own_torque(motion, known, np.zeros(len(motion.time)))
+    return motion, smoothed.own_torque(motion, known)
 
 
 def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
@@ -203,7 +206,7 @@ def _errors(signals: Signals, known: KnownJoint, joint: Joint) -> _Errors:
 
 
 def _wave(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """A random error of unit variance that forgets in `_MEMORY`, shape (n,)."""
+    """Return a random error of unit variance with correlation time `_MEMORY`, shape (n,)."""
     from scipy.signal import lfilter  # a third of a second, and 50 MB
 
     keep = float(np.exp(-1 / (_rate(time) * _MEMORY)))
@@ -212,7 +215,7 @@ def _wave(time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def _noisier(signals: Signals, known: KnownJoint, rng: np.random.Generator) -> Signals:
-    """The signals with the sensors' noise, counts included, added once more."""
+    """Return the signals with additional sensor noise, counts included."""
     s = known.noise
     sizes = {
         "motor_position": np.hypot(s.motor_noise, s.motor_resolution / np.sqrt(12)),

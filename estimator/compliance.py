@@ -1,22 +1,21 @@
 """The harmonic-drive compliance model, Eqs. (1)-(7): joint torque from two encoders and the motor torque.
 
-The laws are the joint's (`models.laws`, `models.dynamics`); here they are composed into a measurement. `compliance` is the
-paper's, over arrays: Eqs. (1), (5), (6), (7) as they stand. `measure` is the same, sample by sample inside every estimator
-that is built on torsion, and knows what a joint's record knows beyond the paper:
+`compliance` is the paper's model over arrays: Eqs. (1), (5), (6), (7). `measure` is the same per sample, inside every
+estimator based on torsion, with the further effects of a joint's record:
 
-* **encoders**: zero and orders of the link encoder, eccentricity of the motor encoder, model discrepancies of the link encoder;
-* **Tw**: the motor torque is the command in force (the reading, its offset taken off, where no command is known) plus cogging
-  and what a model discrepancy does at the rotor;
-* **delay of the link encoder**: it is compared with the rotor where the rotor was then; what is late is only the torsion, and
-  that goes on along the line that fits its last samples best (`_AHEAD`);
-* **flexspline**: backlash, hysteresis, model discrepancies. The Dahl state follows the torsion through a low-pass: counts
-  would wind it back and forth until nothing is left of it.
+* **encoders**: zero and orders of the link encoder, eccentricity of the motor encoder, model discrepancies of the
+link encoder;
+* **Tw**: the motor torque from the command in force (without a command, from the reading less its offset), plus
+cogging and model discrepancies at the rotor;
+* **delay of the link encoder**: it is compared with the rotor's past position. The delayed torsion is extrapolated
+along the line through its last samples (`_AHEAD`);
+* **flexspline**: backlash, hysteresis, model discrepancies. A low-passed torsion drives the Dahl state; encoder
+counts would wear it away.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -31,9 +30,10 @@ from .estimator import KnownJoint
 from .sensing import LOWPASS, RING, VELOCITY, line_in_ring, lowpass, motor_current, place_in_ring
 
 _AHEAD = 2.0
-"""Delays of the link encoder, over which the line that carries a late torsion on is fitted."""
+"""Delays of the link encoder over which the line for the torsion's extrapolation is fitted."""
 _HYSTERESIS = 2.0 * math.pi * 70.0
-"""Low-pass [rad/s] of the torsion that drives the hysteresis: above, counts wear its state away; below, it misses vibrations."""
+"""Low-pass [rad/s] of the torsion that drives the hysteresis. A higher one lets counts wear the state away; a lower
+one misses vibrations."""
 
 TORSION = np.dtype(
     [
@@ -42,13 +42,13 @@ TORSION = np.dtype(
         *((name, np.float64, RING) for name in ("time", "motor_position", "motor_torque", "velocity", "torsion")),
     ]
 )  # fmt: skip
-"""What `measure` remembers: last torque [N·m], Dahl state [rad], samples so far, rotor and torsion through low-passes, and a
-ring of past samples for a link encoder that is late."""
+"""Memory of `measure`: last torque [N·m], Dahl state [rad], number of samples, rotor and torsion through low-passes,
+and a ring of past samples for a delayed link encoder."""
 
 
 class Measured(NamedTuple):
-    """What the compliance model says at a sample: torque Tf [N·m]; torsion Δθf [rad]; rotor, wave generator [rad, motor side] and
-    link angle [rad] as they are rather than as they are read; motor torque that stands for Tw [N·m, motor side]."""
+    """Result of the compliance model at a sample: torque Tf [N·m]; torsion Δθf [rad]; corrected angles of rotor, wave
+    generator [rad, motor side] and link [rad]; motor torque used for Tw [N·m, motor side]."""
 
     torque: float
     torsion: float
@@ -60,10 +60,10 @@ class Measured(NamedTuple):
 
 @kernel
 def measure(m, s, p):
-    """The compliance model's torque at a sample, `Measured`.
+    """Return the compliance model at a sample, `Measured`.
 
     Args:
-        m: record of `TORSION`, moved on. s: record of `models.step.SAMPLE`. p: parameter record.
+      m: record of `TORSION`, updated. s: record of `models.step.SAMPLE`. p: parameter record.
     """
     motor = dynamics.actual_motor_position(s.motor_position, p)
     w, beyond = UNREAD, laws.has_discrepancy(p)
@@ -96,7 +96,7 @@ def measure(m, s, p):
 
 @kernel
 def _late_torsion(m, s, motor, motor_torque, w, p):
-    """Torsion now [rad] where the link encoder's reading is `p.link_delay` old."""
+    """Return the torsion now [rad] from a link encoder reading that is `p.link_delay` old."""
     n = int(m.count)
     at = n % RING
     m.time[at], m.motor_position[at], m.motor_torque[at], m.velocity[at] = s.time, motor, motor_torque, w
@@ -111,7 +111,8 @@ def _late_torsion(m, s, motor, motor_torque, w, p):
 
 
 def torque_variance(joint: KnownJoint) -> float:
-    """Variance [(N·m)²] that a joint's sensors leave in `measure`; the current's noise stands for either current."""
+    """Return the variance [(N·m)²] of `measure` by the sensors' noise; the current's noise counts for the command,
+    too."""
     p, noise = joint.p, joint.noise
     return measurement_variance(
         float(p["K2"]), noise.motor_resolution, noise.link_resolution, noise.link_noise, noise.motor_noise,
@@ -131,24 +132,24 @@ def measurement_variance(
     torque_noise: float = 0.0,
     wave_generator_stiffness: float = math.inf,
 ) -> float:
-    """Return the variance V [(N·m)²] of the compliance model's torque that its sensors' noise leaves.
+    """Return the variance V [(N·m)²] of the compliance model's torque by its sensors' noise.
 
-    Linear propagation through Eqs. (6), (7): `V = K²·(σm²/N² + σl² + (σT/(N·Kw))²)`. Quantisation of step q is uniform:
+    Linear propagation through Eqs. (6), (7): `V = K²·(σm²/N² + σl² + (σT/(N·Kw))²)`. Quantisation of step q has
     variance q²/12.
 
     Args:
-        stiffness: slope K of Eq. (7) [N·m/rad]; K2 is the middle one.
-        motor_resolution: one count of the motor encoder [rad, motor side].
-        link_resolution: one count of the link encoder [rad].
-        link_noise: its noise [rad rms].
-        motor_noise: noise of the motor encoder [rad rms, motor side].
-        ratio: gear ratio N.
-        torque_noise: noise of what Tw is approximated by [N·m rms, motor side]: zero for an exact command, Kt·(current
-            noise) for a measured current.
-        wave_generator_stiffness: Kw0 [N·m/rad, motor side]; at load, Eq. (3), it is higher and the noise smaller.
+      stiffness: slope K of Eq. (7) [N·m/rad]; K2 is the middle one.
+      motor_resolution: one count of the motor encoder [rad, motor side].
+      link_resolution: one count of the link encoder [rad].
+      link_noise: its noise [rad rms].
+      motor_noise: noise of the motor encoder [rad rms, motor side].
+      ratio: gear ratio N.
+      torque_noise: noise of the motor torque used for Tw [N·m rms, motor side]: zero for an exact command,
+        Kt·(current noise) for a measured current.
+      wave_generator_stiffness: Kw0 [N·m/rad, motor side]; under load, Eq. (3), it is higher and the noise smaller.
 
     Raises:
-        InputError: a negative or non-finite argument, or a stiffness or ratio of zero.
+      InputError: a negative or non-finite argument, or a stiffness or ratio of zero.
     """
     arguments = {
         "stiffness [N·m/rad]": stiffness, "motor_resolution [rad]": motor_resolution,
@@ -171,42 +172,15 @@ def measurement_variance(
     return stiffness**2 * (motor + link + wave_generator)
 
 
-@kernel
-def compliance_torque(motor_position, link_position, motor_torque, p):
-    """Return Tf [N·m] of the compliance model, Eq. (7), from one reading of each sensor. Compiled.
-
-    Args:
-        motor_position: θm [rad, motor side].
-        link_position: θl [rad], as read; `p.link_zero` is taken off.
-        motor_torque: motor torque command [N·m, motor side], which approximates Tw.
-        p: parameter record.
-    """
-    return laws.flexspline_spring(torsions(motor_position, link_position, motor_torque, p)[3], p)
-
-
-@kernel
-def torsions(motor_position, link_position, motor_torque, p):
-    """Return Δθ of Eq. (1) [rad], Δθw of Eq. (5) [rad, motor side], θerr [rad], Δθf of Eq. (6) [rad]. Compiled.
-
-    Arguments as `compliance_torque`. The kinematic error is a function of θw, which no sensor reads:
-    θw = θm - Δθw.
-    """
-    link = link_position - p.link_zero
-    flexspline, theta_w = dynamics.measured_torsion(motor_position, link, motor_torque, p)
-    wave_generator = laws.wave_generator_torsion(motor_torque, p)
-    return motor_position / p.N - link, wave_generator, laws.kinematic_error(theta_w, p), flexspline
-
-
-@dataclass(frozen=True)
-class Compliance:
+class Compliance(NamedTuple):
     """Result of the compliance model; every array has the shape of the readings.
 
     Attributes:
-        torsion: Δθ, Eq. (1) [rad].
-        wave_generator_torsion: Δθw, Eq. (5) [rad, motor side].
-        kinematic_error: θerr at θw [rad].
-        flexspline_torsion: Δθf, Eq. (6) [rad].
-        torque: Tf, Eq. (7) [N·m].
+      torsion: Δθ, Eq. (1) [rad].
+      wave_generator_torsion: Δθw, Eq. (5) [rad, motor side].
+      kinematic_error: θerr at θw [rad].
+      flexspline_torsion: Δθf, Eq. (6) [rad].
+      torque: Tf, Eq. (7) [N·m].
     """
 
     torsion: np.ndarray
@@ -222,13 +196,13 @@ def compliance(
     """Evaluate the compliance model over arrays of readings.
 
     Args:
-        motor_position: motor encoder θm [rad, motor side], any shape.
-        link_position: link encoder θl [rad]; same shape, or one that broadcasts.
-        motor_torque: motor torque command [N·m, motor side], approximates Tw; likewise.
-        calibration: Shape (1,), a record of `models.parameters.PARAMETERS`.
+      motor_position: motor encoder θm [rad, motor side], any shape.
+      link_position: link encoder θl [rad]; same shape, or one that broadcasts.
+      motor_torque: motor torque command [N·m, motor side], used for Tw; likewise.
+      calibration: Shape (1,), a record of `models.parameters.PARAMETERS`.
 
     Raises:
-        InputError: shapes that do not fit, values that are not numbers, or a calibration that is no such record.
+      InputError: shapes that do not match, values that are not numbers, or a wrong record.
     """
     try:
         given = [np.asarray(a, dtype=np.float64) for a in (motor_position, link_position, motor_torque)]
@@ -251,9 +225,9 @@ def compliance(
 def _compliance(motor_position, link_position, motor_torque, calibration, out):
     p = calibration[0]
     for i in range(motor_position.size):
-        total, wave_generator, error, flexspline = torsions(motor_position[i], link_position[i], motor_torque[i], p)
-        out[0, i] = total
-        out[1, i] = wave_generator
-        out[2, i] = error
-        out[3, i] = flexspline
-        out[4, i] = laws.flexspline_spring(flexspline, p)
+        link = link_position[i] - p.link_zero
+        torsion, theta_w = dynamics.measured_torsion(motor_position[i], link, motor_torque[i], p)
+        out[0, i] = motor_position[i] / p.N - link
+        out[1, i] = laws.wave_generator_torsion(motor_torque[i], p)
+        out[2, i], out[3, i] = laws.kinematic_error(theta_w, p), torsion
+        out[4, i] = laws.flexspline_spring(torsion, p)

@@ -1,15 +1,15 @@
-"""A recording in, a conditioned recording out: what its stamps, steps, repeats and noise are, and what was done about them.
+"""Conditioning of recordings: stamps, steps, repeated readings and noise are measured and corrected.
 
-Whatever takes a measured recording, takes it conditioned:
+All users of a measured recording take it conditioned:
 
-* **Current** is made of a motor torque, where the drive reported that instead.
-* **Time** means when a sample was taken. Clock of a coarse clock, of arrival, or row numbers in their place are seen by the
-  encoders: a sample with a wrong time is off the smooth motion by the speed times that error, and at rest by nothing. Where
-  samples that are even in time make the motion smoother than its stamps do, they are taken as even.
-* **Repeats.** A reading that did not change although the motion went on is an old one. It is no news; what lies between fresh
-  readings follows from the other encoder's motion and the torsion, or from the fresh readings alone.
-* **Passband** [Hz]: how far the motion may be differentiated twice. Above it the acceleration is noise rather than motion, and
-  this noise is not small against that of the current.
+* **Current** is computed from the motor torque, if the drive reported that instead.
+* **Time** is when a sample was taken. A coarse clock, the arrival's clock, or row numbers show in the encoders: a
+sample with a wrong time deviates from the smooth motion by the speed times that error. If even sample times make the
+motion smoother than the stamps do, they are used.
+* **Repeats.** A reading that did not change while the motion continued is an old one. Values between fresh readings
+follow from the other encoder's motion and the torsion, or from the fresh readings alone.
+* **Passband** [Hz]: how far the motion may be differentiated twice. Above it the acceleration is mostly noise, which
+is large compared with the current's.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ from .passband import highest
 from .stamps import Clock, clock_times, off_motion, read_stamps, stretches
 
 READ = ("motor_position", "link_position", "motor_current", "joint_torque", "external_torque")
-"""Channels whose repeats and noise are looked at."""
-FEWEST = 200  # changes of a reading below which nothing is said of its steps
-_NEAR = 20  # steps: changes of so many at most are looked at
-_OFF = 0.1  # of a step: changes that are so near a whole number of steps
-_SHARE = 0.98  # of the changes that must be whole numbers of steps
+"""Channels whose repeats and noise are measured."""
+FEWEST = 200  # fewest changes of a reading for a statement on its steps
+_NEAR = 20  # largest change that is used [steps]
+_OFF = 0.1  # largest deviation from a whole number of steps [steps]
+_SHARE = 0.98  # least share of changes that are whole numbers of steps
 _COARSER = 1.5  # times the described step
 _SLOWER = 0.75  # of the described rate
-_WENT_ON = 1.5  # steps a sample by which a motion goes on, of which no fresh reading would repeat itself
-_CREEPS = 0.25  # of the usual change of a sample: less of it is rest
-_REGULAR = 0.9  # of the times between changes that are whole numbers of one, where a reading is held for so long
-_REPEATED = 0.02  # share of the samples in motion from which on repeats count
+_WENT_ON = 1.5  # motion per sample in which a fresh reading cannot repeat itself [steps]
+_CREEPS = 0.25  # of the usual change of a sample: less is rest
+_REGULAR = 0.9  # least share of intervals that are multiples of one, for a regular hold
+_REPEATED = 0.02  # least share of repeats, of the samples in motion
 _MOVING = 0.2  # of the rms speed
 
 
 @dataclass(frozen=True)
 class Quality:
-    """What one channel's readings are like; in its unit.
+    """Properties of one channel's readings; in its unit.
 
     Attributes:
-      noise: standard deviation of one reading's white noise in motion, its counts among it.
-      step: of which all changes are whole numbers; 0 where it comes in none.
-      rate: at which it is read anew [Hz].
+      noise: standard deviation of one reading's white noise in motion, counts included.
+      step: of which all changes are multiples; 0 without steps.
+      rate: of fresh readings [Hz].
       repeated: share of the samples in motion that repeat an older reading.
-      delay: by which it is late, as described [s].
-      bandwidth: up to which it follows [Hz]: of a described low-pass, or half of its rate.
+      delay: as described [s].
+      bandwidth: [Hz]: of a described low-pass, or half of its rate.
     """
 
     noise: float
@@ -67,16 +67,16 @@ class Quality:
 
 @dataclass(frozen=True)
 class Conditioned:
-    """A recording as everything takes it; n samples.
+    """A conditioned recording; n samples.
 
     Attributes:
-      recording: with a current, with the times at which samples were taken, and without repeats; its table's times are
+      recording: with a current, with sample times, and without repeats; the times of its table are
         `recording.stamps`.
-      channels: what its readings are like, by name.
-      stamps: what its stamps are.
+      channels: properties of its readings, by name.
+      stamps: kind of its stamps.
       passband: up to which its motion may be differentiated twice [Hz].
-      news: where a channel was read anew, shape (n,), bool, by name; only channels that repeat themselves.
-      done: what was done, as sentences.
+      news: fresh readings of a channel, shape (n,), bool, by name; only channels with repeats.
+      done: the corrections, as sentences.
     """
 
     recording: Recording
@@ -88,7 +88,7 @@ class Conditioned:
 
     @cached_property
     def rate(self) -> float:
-        """Of its samples [Hz]."""
+        """Sample rate [Hz]."""
         return 1.0 / self.recording.interval
 
 
@@ -96,15 +96,15 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
     """Condition a recording of a joint.
 
     Args:
-      recording: any; it is left as it is.
-      joint: the description: its numbers say what an acceleration is as a current.
+      recording: any; it is not changed.
+      joint: the description: its numbers convert an acceleration to a current.
     """
     done: list[str] = []
     p = joint.record(recording.link)[0]
     columns = dict(recording.columns)
     if "motor_current" not in columns and "motor_torque" in columns:
         columns["motor_current"] = columns["motor_torque"] / p["Kt_drive"]
-        done.append("motor_current is motor_torque over the torque constant that the drive believes in")
+        done.append("motor_current is motor_torque over the drive's torque constant")
     ratio = float(p["N"])
     parts = [part for part in recording.segments if part.stop - part.start > 4]
     news: dict[str, np.ndarray] = {}
@@ -119,7 +119,7 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
             )
     time = recording.time
     encoders = [name for name in POSITIONS if name in columns]
-    for part in parts:  # first by themselves, for the stamps to be seen
+    for part in parts:  # before the stamps are judged
         for name in news:
             columns[name] = _filled(time, columns, name, news, ratio, part)
     floors = _floors(joint, encoders, columns)
@@ -149,20 +149,18 @@ def condition(recording: Recording, joint: Joint) -> Conditioned:
     passband, loud = highest(recording, parts, noise, dict(zip(encoders, floors, strict=True)), SHARE * slowest[0], p)
     if loud:
         cause = f"stamps off by {1e3 * stamps.error:.2g} ms" if stamps.error else f"noise of {noise[loud]:.2g} rad"
-        done.append(
-            f"motion is differentiated up to {passband:.3g} Hz: beyond, {loud} has noise rather than motion ({cause})"
-        )
+        done.append(f"motion is differentiated up to {passband:.3g} Hz: above, {loud} is mostly noise ({cause})")
     elif passband < CUTOFF:
         done.append(f"motion is differentiated up to {passband:.3g} Hz: a quarter of the rate of {slowest[1]}")
     return Conditioned(recording, channels, stamps, passband, news, tuple(done))
 
 
 def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[str] = ()) -> Joint:
-    """The joint with sensors as coarse as a log's readings are; the same where the description has it right.
+    """Return the joint with sensors as coarse as a log's readings; the same joint if the description is right.
 
-    The torque of an arm's other links has the tolerance of the gravity moment, unless the description says another.
+    The torque of an arm's other links has the tolerance of the gravity moment unless the description states one.
 
-    Columns that are `wrong`, in another unit say, tell nothing of their sensor.
+    Columns in `wrong`, for example in another unit, are ignored.
     """
     changed: dict[str, Any] = {}
     for one in coarser(recordings, joint, wrong):
@@ -185,7 +183,7 @@ def as_logged(joint: Joint, recordings: Sequence[Recording], wrong: Collection[s
 
 @dataclass(frozen=True)
 class Coarse:
-    """A column whose readings are coarser than described: in steps [its unit], or read anew at a rate [Hz]."""
+    """A column that is coarser than described: its step [its unit], or rate of fresh readings [Hz]."""
 
     column: str
     what: str
@@ -194,15 +192,15 @@ class Coarse:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Description in words."""
         if self.what == "rate":
-            return f"{self.column} is read anew at {self.found:.4g} Hz, described: {self.described:.4g} Hz"
+            return f"{self.column} is updated at {self.found:.4g} Hz, described: {self.described:.4g} Hz"
         was = f"{self.described:.3g}" if self.described else "none"
         return f"{self.column} comes in steps of {self.found:.3g} {CHANNELS[self.column].unit}, described: {was}"
 
 
 def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str] = ()) -> tuple[Coarse, ...]:
-    """Columns that are coarser in all recordings than the joint's description says, without those that are `wrong`."""
+    """Return the columns that are coarser in all recordings than described, without those in `wrong`."""
     found = []
     for name in READ[:4]:
         there = [r for r in recordings if name in r and name not in wrong]
@@ -211,11 +209,11 @@ def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str
         if not steps or not isinstance(spec, EncoderSpec | AnalogSpec):
             continue
         described = spec.resolution if isinstance(spec, EncoderSpec) else spec.step
-        # Finer steps are none beside an analog sensor's noise.
+        # Steps finer than an analog sensor's noise do not count.
         least = 0.0 if isinstance(spec, EncoderSpec) else spec.noise
         if min(steps) > max(_COARSER * described, least):
             found.append(Coarse(name, "step", min(steps), described))
-        if isinstance(spec, EncoderSpec) or spec.noise:  # without noise a reading may well stay the same
+        if isinstance(spec, EncoderSpec) or spec.noise:  # without noise a reading may stay the same
             shares = [
                 news_of(r[name], stretches(r.segments))[1] for r in there if np.count_nonzero(np.diff(r[name])) > FEWEST
             ]
@@ -226,7 +224,7 @@ def coarser(recordings: Sequence[Recording], joint: Joint, wrong: Collection[str
 
 
 def step_of(reading: np.ndarray) -> float:
-    """Step of a reading, shape (n,), of which all its changes are whole numbers, in its unit; 0 where it comes in none."""
+    """Return the step of a reading, shape (n,), of which all its changes are multiples, in its unit; 0 without steps."""
     parts = stretches([slice(0, len(reading))])
     change = np.abs(np.concatenate([np.diff(reading[part]) for part in parts]))
     change = change[change > 1e-12 * max(float(np.ptp(reading)), 1e-300)]
@@ -239,10 +237,10 @@ def step_of(reading: np.ndarray) -> float:
 
 
 def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, float]:
-    """Which samples are read anew, shape (n,), bool, and the share of repeats among the samples in motion.
+    """Return which samples are fresh, shape (n,), bool, and the share of repeats among the samples in motion.
 
-    A reading stays the same at rest, and between two counts of a slow motion. Where it then goes on by more than a step for every
-    sample that it stayed, these samples were old.
+    A reading stays the same at rest, and between two counts of a slow motion. If it then changes by more than a step
+    per unchanged sample, these samples were old.
     """
     fresh, step = np.ones(len(reading), bool), step_of(reading)
     runs = []
@@ -262,7 +260,7 @@ def news_of(reading: np.ndarray, parts: Sequence[slice]) -> tuple[np.ndarray, fl
         fresh[first + 1 : first + count] = False
     moving, old = int(length[went_on].sum()), int((length[stale] - 1).sum())
     every = max(int(np.percentile(length[went_on], 5)), 1)
-    if every > 1 and np.mean(length % every == 0) > _REGULAR:  # read anew at regular times, also where it hardly moves
+    if every > 1 and np.mean(length % every == 0) > _REGULAR:  # fresh at regular times, also in slow motion
         for part in parts:
             first = begin[(begin >= part.start) & (begin < part.stop)]
             if len(first):
@@ -279,19 +277,20 @@ def _filled(
     ratio: float,
     part: slice,
 ) -> np.ndarray:
-    """A channel whose repeats are filled in within a part: an encoder's with the other's motion, where that was read."""
+    """Return a channel with its repeats filled in within a part: an encoder's with the other's motion, if that was
+    read."""
     values, fresh = columns[name].copy(), news[name][part]
     other = next((o for o in POSITIONS if name in POSITIONS and o != name and o in columns), None)
-    beside = np.zeros(part.stop - part.start)
+    shared = np.zeros(part.stop - part.start)
     if other is not None and (other not in news or news[other].sum() > news[name].sum()):
-        beside = columns[other][part] * (ratio if name == "motor_position" else 1 / ratio)
-    t, own = time[part], values[part] - beside
-    values[part] = np.where(fresh, values[part], beside + between(t, t[fresh], own[fresh]))
+        shared = columns[other][part] * (ratio if name == "motor_position" else 1 / ratio)
+    t, own = time[part], values[part] - shared
+    values[part] = np.where(fresh, values[part], shared + between(t, t[fresh], own[fresh]))
     return values
 
 
 def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Values known at some times, at other times: the cubic spline through them, constant beyond its ends."""
+    """Return values known at some times, at other times: the cubic spline through them, constant beyond its ends."""
     if len(at) < 4 or len(at) == len(time):
         return np.interp(time, at, values)
     return CubicSpline(at, values)(np.clip(time, at[0], at[-1]))
@@ -301,7 +300,7 @@ def between(time: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def _floors(joint: Joint, encoders: Sequence[str], columns: Mapping[str, np.ndarray]) -> list[float]:
-    """Noise [rad rms] that each encoder has in motion whatever the clock: of its counts, and as described."""
+    """Return each encoder's noise in motion with an exact clock [rad rms]: of its counts, and as described."""
     found = []
     specs = {"motor_position": joint.sensors.motor_encoder, "link_position": joint.sensors.link_encoder}
     for name in encoders:
@@ -325,7 +324,7 @@ def _channel(recording: Recording, name: str, parts: Sequence[slice], repeated: 
 
 
 def _noise(recording: Recording, name: str, parts: Sequence[slice]) -> float:
-    """Standard deviation of a channel's white noise where an encoder moves."""
+    """Return the standard deviation of a channel's white noise where an encoder moves."""
     position = next(n for n in POSITIONS if n in recording)
     found = []
     for part in stretches(parts):

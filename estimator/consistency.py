@@ -1,9 +1,9 @@
-"""Whether a filter knows how good it is: NIS, NEES and the whiteness of its innovations (Bar-Shalom, Li & Kirubarajan,
+"""Consistency of a filter's covariance: NIS, NEES and whiteness of innovations (Bar-Shalom, Li & Kirubarajan,
 "Estimation with Applications to Tracking and Navigation", 2001, section 5.4).
 
-A filter whose model is right has innovations ν that are white with the covariance S it states, and errors e with the
-covariance P it states. Then νᵀS⁻¹ν and eᵀP⁻¹e are χ² of as many degrees of freedom as ν and e have
-components. Above the interval of a mean: the filter trusts itself too much; below: too little.
+A filter with the right model has white innovations ν with its covariance S, and errors e with its covariance P. Then
+νᵀS⁻¹ν and eᵀP⁻¹e are χ² with as many degrees of freedom as ν and e have components. A mean above the interval: the
+filter is overconfident; below: conservative.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ import numpy as np
 from ..models.errors import InputError
 
 LEVEL = 0.95
-"""Probability with which a matched filter lies within an interval or a band."""
+"""Probability with which a matched filter is within an interval or a band."""
 
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean over samples with the two-sided χ² interval in which that of a matched filter lies.
+    """A mean over samples with the two-sided χ² interval of a matched filter.
 
     Attributes:
-        value: mean per degree of freedom; 1 is expected.
-        low, high: of the interval. samples: independent samples behind it.
+      value: mean per degree of freedom; 1 is expected.
+      low, high: of the interval. samples: number of independent samples.
     """
 
     value: float
@@ -49,7 +49,8 @@ def normalised_squares(vectors: np.ndarray, covariances: np.ndarray) -> np.ndarr
 
 
 def chi_square_interval(dof: int, samples: int, level: float = LEVEL) -> tuple[float, float]:
-    """Interval in which the mean of `samples` independent χ² of `dof` degrees lies with probability `level`, per degree."""
+    """Return the interval of the mean of `samples` independent χ² of `dof` degrees with probability `level`, per
+    degree."""
     from scipy.stats import chi2
 
     total = dof * samples
@@ -58,13 +59,13 @@ def chi_square_interval(dof: int, samples: int, level: float = LEVEL) -> tuple[f
 
 
 def mean_consistency(squares: np.ndarray, dof: int, samples: int | None = None, level: float = LEVEL) -> Mean:
-    """Mean of normalised squares per degree of freedom, with its interval.
+    """Return the mean of normalised squares per degree of freedom, with its interval.
 
     Args:
-        squares: any shape.
-        dof: degrees of freedom of each.
-        samples: how many of them are independent; all by default. Innovations of a matched filter are; its errors are
-            correlated in time, only those of different runs are independent.
+      squares: any shape.
+      dof: degrees of freedom of each.
+      samples: number of independent ones; all by default. Innovations of a matched filter are independent; its errors
+        are correlated in time, and independent between runs only.
     """
     samples = int(np.size(squares)) if samples is None else samples
     low, high = chi_square_interval(dof, samples, level)
@@ -72,19 +73,21 @@ def mean_consistency(squares: np.ndarray, dof: int, samples: int | None = None, 
 
 
 def share_inside(squares: np.ndarray, dof: int, level: float = LEVEL) -> float:
-    """Share of times at which the mean over M runs lies in its interval; squares (M, T). `level` is expected."""
+    """Return the share of times at which the mean over M runs is in its interval; squares (M, T). `level` is
+    expected."""
     low, high = chi_square_interval(dof, squares.shape[0], level)
     mean = squares.mean(axis=0) / dof
     return float(np.mean((mean >= low) & (mean <= high)))
 
 
 def autocorrelation(innovations: np.ndarray, lags: int) -> np.ndarray:
-    """Normalised autocorrelation ρ(1 … lags) of normalised innovations, shape (lags,): Σ ν(k) ν(k + l) / Σ ν².
+    """Return the normalised autocorrelation ρ(1 … lags) of normalised innovations, shape (lags,): Σ ν(k) ν(k + l) / Σ
+    ν².
 
     Args:
-        innovations: Shape (T,), divided by their standard deviations. Their mean is not taken off: of a matched filter it
-            is zero, and an offset shows as correlation.
-        lags: how many.
+      innovations: Shape (T,), divided by their standard deviations. Their mean is not subtracted: a matched filter's
+        is zero, and an offset shows as correlation.
+      lags: number of lags.
     """
     v = np.asarray(innovations, dtype=np.float64)
     if v.ndim != 1 or not 0 < lags < len(v):
@@ -96,14 +99,15 @@ def autocorrelation(innovations: np.ndarray, lags: int) -> np.ndarray:
 
 
 def white_band(samples: int, level: float = LEVEL) -> float:
-    """Half-width of the band in which ρ of white innovations lies with probability `level`: 1.96/√n at 95 %."""
+    """Return the half-width of the band of ρ of white innovations with probability `level`: 1.96/√n at 95 %."""
     from scipy.special import ndtri
 
     return float(ndtri(0.5 + 0.5 * level) / np.sqrt(samples))
 
 
 def ljung_box(rho: np.ndarray, samples: int) -> float:
-    """Probability of autocorrelations, shape (L,), as large as these if the innovations are white (Ljung & Box 1978)."""
+    """Return the probability of autocorrelations, shape (L,), as large as these for white innovations (Ljung & Box
+    1978)."""
     from scipy.special import chdtrc
 
     squares = np.asarray(rho) ** 2 / (samples - np.arange(1, len(rho) + 1))

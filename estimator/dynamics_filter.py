@@ -1,15 +1,15 @@
-"""The Gaussian filter on the joint's state-space model (`joint_model`), extended or unscented: one loop, two ways to predict.
+"""Gaussian filter on the joint's state-space model (`joint_model`), extended or unscented: one loop, two predictions.
 
-Three things beyond the textbook:
+Three things are not in the textbook:
 
-* **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts say nothing new. Where within its count
-  the motor then is, the model alone says, and that drifts with all that the model leaves out: after a tenth of a second at one
-  count the torque is told no better than the count tells it (`_within_count`).
-* **Contacts are rare**: τext walks quietly, and loudly only while the link encoder's innovations are larger than their
-  variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
-* **A link encoder that is late** makes the whole filter late: it takes motor readings and commands of the instant that the
-  link reading shows, and its state then goes on to now by the model, through the commands and the motor encoder's readings
-  since, the external torque along a line (`_catch_up`).
+* **Counts are cells, not noise** (`quantised`): while the joint rests, equal counts contain no new information. The
+position within the count then follows from the model alone, and drifts with the model's errors. After a tenth of a
+second at one count the torque is known only to the count (`_within_count`).
+* **Contacts are rare**: the noise of τext is small, and large only while the link encoder's innovations exceed their
+variance (a window of 5 samples); likewise d with the motor encoder (adaptive process noise, Mehra 1972).
+* **A delayed link encoder** delays the whole filter: it uses motor readings and commands of the instant of the link
+reading. The state is then advanced to now by the model, through the commands and the motor encoder's readings since,
+with the external torque along a line (`_catch_up`).
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from .quantised import update
 from .sensing import RING, arm_torque, line_in_ring, motor_current, temperature
 
 _AHEAD = 6.0
-"""Delays of the link encoder, over which the line that carries the external torque on is fitted."""
+"""Delays of the link encoder over which the line of the external torque is fitted."""
 POINTS = 2 * SIZE + 1
 _DIFFERENCE = 1e-5  # rad
 _STILL = 0.1
-"""Time [s] at one count after which the place within it is anyone's guess."""
+"""Time [s] at one count after which the position within it is unknown."""
 
 FILTER = np.dtype(
     [
@@ -45,12 +45,13 @@ FILTER = np.dtype(
         ("H", np.float64, SIZE), ("PH", np.float64, SIZE),
     ]
 )  # fmt: skip
-"""What the filter remembers: state and covariance of the active states, motor current [A], time of the last sample [s];
-mean NIS of both encoders; the motor encoder's last reading [rad] and how long it has been the same [s]; the prediction with its
-covariance and Jacobian, for a smoother; for a link encoder that is late the samples so far, those that are done, a ring of them
-and of the external torque [N·m]; state and covariance now; innovations [rad] and their variances [rad²]; the rest is scratch."""
+"""Memory of the filter: state and covariance of the active states, motor current [A], time of the last sample [s];
+mean NIS of both encoders; the motor encoder's last reading [rad] and for how long it has been the same [s]; the
+prediction with its covariance and Jacobian, for a smoother; for a delayed link encoder the number of samples, of
+processed ones, a ring of them and of the external torque [N·m]; state and covariance now; innovations [rad] and
+their variances [rad²]; the rest is scratch."""
 SETTINGS = np.dtype([("noise", NOISE), ("kappa", np.float64)])
-"""What is random, and κ, which spreads the sigma points."""
+"""Noise, and κ, the spread of the sigma points."""
 OUT = np.dtype(
     [(name, np.float64) for name in (
         "torque", "variance", "innovation_motor_position", "innovation_link_position",
@@ -61,14 +62,14 @@ OUT = np.dtype(
 
 @kernel
 def filter_step(m, s, c, p, unscented):
-    """Move the filter on to a sample.
+    """Update the filter with a sample.
 
     Args:
-        m: record of `FILTER`. s: record of `models.step.SAMPLE`. c: record of `SETTINGS`. p: parameter record.
-        unscented: whether to predict by sigma points instead of a Jacobian.
+      m: record of `FILTER`. s: record of `models.step.SAMPLE`. c: record of `SETTINGS`. p: parameter record.
+      unscented: whether to predict by sigma points instead of a Jacobian.
 
     Returns:
-        The joint torque [N·m] and its variance [(N·m)²]; `m.now` is the state.
+      The joint torque [N·m] and its variance [(N·m)²]; `m.now` is the state.
     """
     if p.link_delay > 0.0:
         _late_step(m, s, c, p, unscented)
@@ -83,8 +84,8 @@ def filter_step(m, s, c, p, unscented):
 
 @kernel
 def _within_count(m, s, noise, p):
-    """Variance of the joint torque [(N·m)²] that the motor encoder leaves while it stays at one count, the joint in equilibrium:
-    wave generator and flexspline in series."""
+    """Return the variance of the joint torque [(N·m)²] within one count of the motor encoder, in equilibrium: wave
+    generator and flexspline in series."""
     same = s.interval > 0.0 and abs(s.motor_position - m.reading) < 0.5 * noise.motor_step
     m.still = m.still + s.interval if same else 0.0
     m.reading = s.motor_position
@@ -131,7 +132,7 @@ def _step(m, s, link_position, dt, c, p, unscented):
 
 @kernel
 def _late_step(m, s, c, p, unscented):
-    """A step of the filter that is late by the link encoder's delay, and on to now."""
+    """Step a filter with the link encoder's delay, and advance to now."""
     n = int(m.count)
     m.ring[n % RING] = s
     m.count = n + 1.0
@@ -154,22 +155,22 @@ def _late_step(m, s, c, p, unscented):
 
 @kernel
 def _catch_up(m, k, n, c, p, unscented):
-    """State and covariance now, from the filter's last ones through the commands and motor readings of samples k to n.
+    """Write state and covariance now, from the filter's last ones through the commands and motor readings of samples
+    k to n.
 
-    The covariance goes by the Jacobian of the filter's last step: over so few samples another one for each would be eight
-    times the work.
+    The covariance uses the Jacobian of the filter's last step: another one per sample would cost eight times as much.
     """
     x, P, noise, current, time = m.now, m.now_P, c.noise, m.current, m.time
     active = int(noise.count)
     x[:] = m.x
     P[:] = m.P
-    # By its walk the external torque could be anything by now, and motor readings would be taken for news of it: it is the line.
+    # The external torque follows the line: by its walk it could be anything, and motor readings would change it.
     external = 0
     while int(noise.active[external]) != EXTERNAL:
         external += 1
     P[external, :] = 0.0
     P[:, external] = 0.0
-    if k <= n and (unscented or k == 1):  # nobody has linearised yet
+    if k <= n and (unscented or k == 1):  # not linearised yet
         s = m.ring[k % RING]
         linearise(
             m, motor_current(s, x[MOTOR], x[LINK], x[MOTOR_RATE], 0.0, p), s.time - time, temperature(s, p), noise, p
@@ -191,14 +192,14 @@ def _catch_up(m, k, n, c, p, unscented):
 
 @kernel
 def _advance(x, current, command, time, dt, steps, heat, noise, p, work):
-    """`joint_model.advance`, after which d has forgotten what `dt` [s] take."""
+    """Advance a state by `joint_model.advance`, with the decay of d over `dt` [s]."""
     model.advance(x, current, command, time, dt, steps, heat, p, work)
     x[MESH] *= math.exp(-dt / noise.mesh_time)
 
 
 @kernel
-def tell(m, torque, variance, o):
-    """Write the outputs, a record of `OUT`; the status."""
+def write_out(m, torque, variance, o):
+    """Write the outputs, a record of `OUT`; return the status."""
     x = m.now
     o.torque, o.variance = torque, variance
     o.innovation_motor_position, o.innovation_link_position = m.e[0], m.e[1]
@@ -211,7 +212,7 @@ def tell(m, torque, variance, o):
 
 @kernel
 def predict_extended(m, command, dt, heat, noise, p):
-    """Predict state and covariance over `dt` [s]."""
+    """Predict state and covariance over `dt` [s] by a Jacobian."""
     n = int(noise.count)
     linearise(m, command, dt, heat, noise, p)
     m.x[:] = m.points[0]
@@ -220,10 +221,10 @@ def predict_extended(m, command, dt, heat, noise, p):
 
 @kernel
 def linearise(m, command, dt, heat, noise, p):
-    """Write what becomes of the state in `dt` [s] into `m.points[0]`, and the Jacobian into `m.F`.
+    """Write the state after `dt` [s] into `m.points[0]`, and the Jacobian into `m.F`.
 
-    By forward differences through the compiled step itself, so that friction's sticking and sliding, the knees of the stiffness
-    and every known effect are in it.
+    By forward differences through the compiled step, which include friction's sticking and sliding, breakpoints of
+    the stiffness and every known effect.
     """
     x, F, base, y = m.x, m.F, m.points[0], m.points[1]
     n = int(noise.count)
@@ -243,7 +244,7 @@ def linearise(m, command, dt, heat, noise, p):
 @kernel
 def predict_unscented(m, command, dt, heat, noise, kappa, p):
     """Predict state and covariance over `dt` [s] by sigma points x, x ± √((n + κ) P) columns, weights κ/(n + κ),
-    1/(2(n + κ)) (Julier & Uhlmann 1997). Each goes through the compiled step, sticking or sliding as it may."""
+    1/(2(n + κ)) (Julier & Uhlmann 1997), each through the compiled step."""
     x, P, C, points = m.x, m.P, m.A, m.points
     n = int(noise.count)
     steps = model.substeps(x, dt, p)
@@ -276,7 +277,7 @@ def predict_unscented(m, command, dt, heat, noise, kappa, p):
 
 @kernel
 def cholesky(P, C, n):
-    """Write the lower factor of P[:n, :n] into C, whose upper part stays; a direction without variance gets a column of zeros."""
+    """Write the lower factor of P[:n, :n] into C; a direction without variance gets a column of zeros."""
     for j in range(n):
         for i in range(j, n):
             total = P[i, j]
@@ -290,8 +291,8 @@ def cholesky(P, C, n):
 
 @kernel
 def propagate(F, P, A, m, n):
-    """P ← G P Gᵀ in place with G = [F; 0 1], symmetric: F of the first m states, shape (≥ m, ≥ n); the n − m behind them are
-    constants. A: scratch, as F."""
+    """P ← G P Gᵀ in place with G = [F; 0 1], symmetric. F: of the first m states, shape (≥ m, ≥ n); the other n − m
+    are constants. A: scratch, as F."""
     for i in range(m):
         for j in range(n):
             total = 0.0
@@ -312,7 +313,8 @@ def propagate(F, P, A, m, n):
 
 @kernel
 def add_noise(m, P, dt, noise):
-    """Add the process noise of `dt` [s] to P: more of it where the encoders' mean NIS is high; the rotor's is the current's."""
+    """Add the process noise of `dt` [s] to P: more where the encoders' mean NIS is high; the rotor's is the
+    current's."""
     for i in range(int(noise.count)):
         s = int(noise.active[i])
         P[i, i] += noise.walk[s] * dt
@@ -331,7 +333,7 @@ def _share(ratio, noise):
 
 @kernel
 def measure(m, motor_position, link_position, time, noise, p):
-    """Update with both encoders in turn. The link's innovation is the one given the motor's, uncorrelated to it."""
+    """Update with both encoders in turn. The link's innovation is given the motor's, and uncorrelated to it."""
     x, H, n = m.x, m.H, int(noise.count)
     P, active = m.P[:n, :n], noise.active
     m.e[0], m.S[0] = by_motor(m, x, m.P, motor_position, noise, p)
@@ -346,7 +348,7 @@ def measure(m, motor_position, link_position, time, noise, p):
 
 @kernel
 def by_motor(m, x, P, reading, noise, p):
-    """Update x and P with a reading of the motor encoder [rad]; the innovation [rad] and its variance [rad²]."""
+    """Update x and P with a reading of the motor encoder [rad]; return the innovation [rad] and its variance [rad²]."""
     H, n = m.H, int(noise.count)
     H[:] = 0.0
     predicted = model.read_motor(x, p)

@@ -1,18 +1,18 @@
-"""The exception with which a filter ends that has stopped to be one."""
+"""The exception of a diverged filter."""
 
 from __future__ import annotations
 
 
 class FilterDiverged(ArithmeticError):
-    """A filter whose next estimate would not be a finite number with a positive definite covariance.
+    """The next estimate would not be a finite number with a positive definite covariance.
 
-    Raised instead of letting NaN into a history. The message is one line: filter, step, time [s], reason.
+    The message is one line: filter, step, time [s], reason.
 
     Attributes:
-        filter: name of the estimator.
-        step: index of the measurement at which it happened.
-        time: its time in [s].
-        reason: what went wrong.
+      filter: name of the estimator.
+      step: index of the measurement.
+      time: its time [s].
+      reason: the reason.
     """
 
     def __init__(self, filter: str, step: int, time: float, reason: str):

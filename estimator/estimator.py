@@ -1,9 +1,9 @@
-"""What an estimator is: signals and what is known of the joint in, a posterior of the joint torque out.
+"""The interface of estimators: signals and the known joint in, a posterior of the joint torque out.
 
-An estimator is a frozen dataclass of its tuning parameters, with units. Every one works everywhere by its name
-(`registry`): over the signals of a run or a recording (`estimate`), and in the closed loop (`step`). One that looks ahead, a
-smoother, cannot be fed back and says so. It gives the *actual* joint torque Ts; what a torque sensor with its known gain,
-offset, drift and discrepancy would read of it is `KnownJoint.as_read`.
+An estimator is a frozen dataclass of its tuning parameters, with units. It works by its name (`registry`) over the
+signals of a run or recording (`estimate`), and in the closed loop (`step`). A smoother cannot be fed back. The
+estimate is the *actual* joint torque Ts. `KnownJoint.as_read` converts it to the reading of a torque sensor with
+known gain, offset, drift and discrepancy.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from .trust import Watch
 from .tuning_parameters import TuningParameter
 
 _LASTS = 0.01
-"""Time [s] for which an error of the current that is no white noise, its ripple above all, goes the same way."""
+"""Correlation time [s] of errors of the current that are not white noise, such as its ripple."""
 _TORQUES = frozenset({"torque", "variance", "external_torque"})
-"""Outputs that are estimates of torques, or say how good these are."""
+"""Outputs that are torques or their variance."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +42,8 @@ class SensorNoise:
     """Resolution (one count), noise (rms) and other errors (rms) of the sensors: [rad, motor side], [rad], [A].
 
     Attributes:
-      motor_error, link_error, current_error: what is no white noise: of encoders what returns with every line of the disc, of the
-        current its ripple over the motor's angle, flicker, vibration, and steps of the ADC.
+      motor_error, link_error, current_error: errors that are not white noise: cyclic errors of encoders; ripple,
+        flicker, vibration and ADC steps of the current.
     """
 
     motor_resolution: float = 2 * math.pi / 4096
@@ -57,7 +57,7 @@ class SensorNoise:
 
     @classmethod
     def of(cls, sensors: Sensors) -> SensorNoise:
-        """What a joint's description says of its sensors."""
+        """Return the noise of a joint's described sensors."""
         motor, link, current = sensors.motor_encoder, sensors.link_encoder, sensors.motor_current
         ripple = 0.0 if current.ripple is None else current.ripple.amplitude / math.sqrt(2.0)
         vibration = 0.0 if current.vibration is None else current.vibration.amplitude
@@ -68,13 +68,13 @@ class SensorNoise:
         )  # fmt: skip
 
     def current_variance(self, interval: float) -> float:
-        """Variance [A²] of white noise that moves a rotor as far as the current sensor's errors do.
+        """Return the variance [A²] of white noise that moves a rotor as far as the current sensor's errors do.
 
-        An error that lasts moves it as far as white noise of the same power density, which has as much more variance as it lasts
-        longer than a sample.
+        A correlated error has the effect of white noise of the same power density, whose variance is larger by its
+        correlation time over the sample interval.
 
         Args:
-          interval: between samples [s]; 0: nothing but the noise.
+          interval: between samples [s]; 0: the noise only.
         """
         longer = max(_LASTS / interval, 1.0) if interval > 0.0 else 0.0
         return self.current_noise**2 + longer * self.current_error**2
@@ -82,11 +82,11 @@ class SensorNoise:
 
 @dataclass(frozen=True)
 class Spread:
-    """How well the numbers of a joint are known: standard deviations, as far as an estimator may make use of them.
+    """Standard deviations of the joint's numbers.
 
     Attributes:
-      stiffness, wave_generator, wave_generator_curve, torque_constant, viscous, gravity, inertia: relative, of K1 to K3 in
-        common, Kw0, Cw, Kt, bw, Mg and Jl [1].
+      stiffness, wave_generator, wave_generator_curve, torque_constant, viscous, gravity, inertia: relative, of K1 to
+        K3 in common, Kw0, Cw, Kt, bw, Mg and Jl [1].
       kinematic: shape (N_ORDERS,), of either quadrature of every order of kinematic error [rad].
       current_offset: of the current sensor [A].
     """
@@ -103,11 +103,11 @@ class Spread:
 
     @classmethod
     def of(cls, joint: Joint) -> Spread:
-        """What a joint's description says: what a diagnosis found, or else its tolerances."""
+        """Return the deviations of a description: those of its diagnosis, or else its tolerances."""
         kinematic = np.zeros(N_ORDERS)
         for i, order in enumerate(joint.kinematic_error):
             amplitude, phase = order.amplitude, order.phase
-            # Of two quadratures, each has both errors by half.
+            # Each of both quadratures has half of both errors.
             kinematic[i] = math.hypot(_deviation(amplitude), amplitude.value * _deviation(phase)) / math.sqrt(2.0)
         return cls(
             stiffness=_relative(joint, "K2"),
@@ -122,7 +122,7 @@ class Spread:
         )
 
     def within(self, share: float) -> Spread:
-        """The same, `share` times as wide."""
+        """Return deviations `share` times as large."""
         return Spread(**{f.name: share * getattr(self, f.name) for f in fields(self)})
 
 
@@ -134,13 +134,13 @@ class KnownJoint:
       record: shape (1,), numbers and known effects (`models.parameters`).
       noise: of its sensors.
       rated_torque: [N·m], the scale of torques.
-      friction: relative standard deviation of the friction model: its tolerance, or what a diagnosis found.
+      friction: relative standard deviation of the friction model, by its diagnosis or else its tolerance.
       link_zero: standard deviation of the link encoder's zero against the motor encoder's [rad].
-      link_wander: by how much that zero may wander with the link's angle [rad]: of a known eccentricity, how well it is known.
+      link_wander: variation of that zero with the link's angle [rad]: the deviation of a known eccentricity.
       back_driven: standard deviation of the share of load-dependent friction that acts while the load drives.
-      load_error: by how much the load is known not to be what the numbers say [N·m]; 0: nothing speaks against it.
-      start: when the recording began [s], from which drifts count; None: with the first sample.
-      spread: how well its other numbers are known.
+      load_error: known error of the described load [N·m]; 0 if nothing contradicts it.
+      start: start of the recording [s], from which drifts count; None: the first sample.
+      spread: standard deviations of its other numbers.
     """
 
     record: np.ndarray
@@ -161,7 +161,8 @@ class KnownJoint:
 
     @classmethod
     def of(cls, joint: Joint, mounting: Mounting | None = None, record: np.ndarray | None = None) -> KnownJoint:
-        """What a joint's description says, in a mounting; `record`, shape (1,), instead of the description's own."""
+        """Return the known joint of a description in a mounting; `record`, shape (1,), replaces the description's
+        own."""
         s = joint.sensors
         zero, share = s.link_encoder.zero, joint.numbers.get("back_driven_friction")
         on_link = [e.parameters for e in joint.effects if causes.get(e.name).sensor == "link_position"]
@@ -174,7 +175,7 @@ class KnownJoint:
         )  # fmt: skip
 
     def within(self, share: float) -> KnownJoint:
-        """The same numbers, known `share` times as badly."""
+        """Return the same numbers with deviations `share` times as large."""
         return replace(
             self, friction=share * self.friction, link_zero=share * self.link_zero, link_wander=share * self.link_wander,
             back_driven=share * self.back_driven, spread=self.spread.within(share),
@@ -186,8 +187,8 @@ class KnownJoint:
         return self.record[0]
 
     def as_read(self, torque: np.ndarray, signals: Signals) -> np.ndarray:
-        """What the joint's torque sensor would read [N·m] of a joint torque, shape (n,): its known gain, offset, drift and
-        discrepancy. `signals`: n samples with both positions."""
+        """Return the torque sensor's reading [N·m] of a joint torque, shape (n,), with its known gain, offset, drift
+        and discrepancy. `signals`: n samples with both positions."""
         read = np.empty(len(torque))
         read_joint_torque(
             np.asarray(torque, dtype=np.float64), signals["motor_position"], signals["link_position"],
@@ -195,20 +196,20 @@ class KnownJoint:
         )  # fmt: skip
         return read
 
-    def told(self, **values: float) -> KnownJoint:
-        """The same with other numbers in the record, by field."""
+    def with_numbers(self, **values: float) -> KnownJoint:
+        """Return the same joint with other numbers in the record, by field."""
         record = self.record.copy()
         for name, value in values.items():
             record[0][name] = value
         return replace(self, record=record)
 
     def since(self, time: np.ndarray) -> np.ndarray:
-        """Times [s] since the recording began."""
+        """Return times [s] since the recording began."""
         return time - (time[0] if self.start is None else self.start)
 
 
 def _relative(joint: Joint, symbol: str) -> float:
-    """How well a number is known, relative to it: what a diagnosis found, or else its tolerance with a shared one."""
+    """Return the relative standard deviation of a number: by its diagnosis, or else its tolerance with a shared one."""
     number = joint.numbers[symbol]
     if number.std is not None:
         return number.std / number.value if number.value > 0.0 else 0.0
@@ -216,7 +217,7 @@ def _relative(joint: Joint, symbol: str) -> float:
 
 
 def _deviation(number: Any) -> float:
-    """How well a number is known: what a diagnosis found, or else its stated deviation; 0 where there is none."""
+    """Return the standard deviation of a number: by its diagnosis, or else its stated deviation; 0 without either."""
     if number is None:
         return 0.0
     if number.std is not None:
@@ -232,12 +233,13 @@ class Posterior:
       estimator: its name.
       time: shape (n,) [s].
       mean: shape (n,), joint torque Ts [N·m].
-      variance: shape (n,), what the estimator believes its error variance to be [(N·m)²]; None: it has no belief.
-      innovation, innovation_covariance: shape (n, m), (n, m, m) in the measurements' units; row 0, the start, may be zero.
-      robust: shape (n,), bool, its mode: whether it doubted itself (Eq. 19 of the paper); None: it has no modes.
-      columns: whatever else it keeps, shape (n,) each, by name: states, gains.
-      external: shape (n,), its own estimate of the external torque on the link [N·m]; None: it has none.
-      untrusted: why the estimate is not to be trusted (`trust`); None: nothing speaks against it.
+      variance: shape (n,), error variance by the estimator itself [(N·m)²]; None if it has none.
+      innovation, innovation_covariance: shape (n, m), (n, m, m) in the measurements' units; row 0, the start, may be
+        zero.
+      robust: shape (n,), bool, whether it is in robust mode (Eq. 19 of the paper); None without modes.
+      columns: other outputs, shape (n,) each, by name: states, gains.
+      external: shape (n,), its own estimate of the external torque on the link [N·m]; None if it has none.
+      untrusted: why the estimate is not to be trusted (`trust`); None if there is no reason.
 
     Raises:
       InputError: a mean, variance or external torque of another length than time.
@@ -268,16 +270,16 @@ class Posterior:
             rows.append(("external torque", "N·m", float(np.min(self.external)), float(np.max(self.external))))
         text = f"{len(self.time)} samples"
         if self.variance is not None:
-            text += f"; believes its error to be {math.sqrt(float(np.mean(self.variance))):.3g} N·m RMS"
+            text += f"; estimated error {math.sqrt(float(np.mean(self.variance))):.3g} N·m RMS"
         if self.robust is not None:
-            text += f"; robust in {100 * float(np.mean(self.robust)):.3g} % of them"
+            text += f"; robust in {100 * float(np.mean(self.robust)):.3g} %"
         if self.untrusted is not None:
             text += f"; not to be trusted: {self.untrusted}"
         return paragraph(self.estimator, text) + html_table(("estimate", "unit", "smallest", "largest"), rows)
 
     @property
     def nis(self) -> np.ndarray | None:
-        """Normalised innovation squared, shape (n,); None where there are no innovations. Zero where S is zero (the start)."""
+        """Normalised innovation squared, shape (n,); None without innovations. Zero where S is zero (the start)."""
         if self.innovation is None or self.innovation_covariance is None:
             return None
         S, e = self.innovation_covariance, self.innovation
@@ -294,56 +296,56 @@ class Estimator(ABC):
     """An estimator of the joint torque: a frozen dataclass of its tuning parameters."""
 
     name: str  # how tables call it; also its key in the registry
-    causal: ClassVar[bool] = True  # whether the estimate at a sample uses nothing later
-    costly: ClassVar[bool] = False  # whether an update takes ten microseconds rather than a tenth of one
-    innovation_unit: ClassVar[str] = "N·m"  # of its innovations, where it has any
+    causal: ClassVar[bool] = True  # whether it uses no later samples
+    costly: ClassVar[bool] = False  # whether an update takes ten microseconds instead of a tenth of one
+    innovation_unit: ClassVar[str] = "N·m"
     needs: ClassVar[tuple[str, ...]] = ("motor_position", "link_position", "motor_current")  # channels it reads
-    learns: ClassVar[bool] = False  # whether it estimates the errors of the joint's constants along the way
-    reads_command: ClassVar[bool] = False  # whether it reads the drive's current command, where that is known
-    tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # what tuning may change; first what trades noise for delay
-    description: ClassVar[str] = ""  # a line for people, with its source
+    learns: ClassVar[bool] = False  # whether it also estimates the errors of the joint's constants
+    reads_command: ClassVar[bool] = False  # whether it reads the drive's current command, if known
+    tuning: ClassVar[tuple[TuningParameter, ...]] = ()  # first the parameter that trades noise for delay
+    description: ClassVar[str] = ""  # one line, with its source
 
     @abstractmethod
     def estimate(self, signals: Signals, joint: KnownJoint) -> Posterior:
         """Estimate the joint torque over signals.
 
         Args:
-          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, where it is known, for who
-            `reads_command`. A torque sensor's reading is not looked at.
-          joint: what is known of the joint.
+          signals: channels of `needs`; `current_command` [A], in force from a sample to the next, if known and
+            `reads_command`. The torque sensor's reading is not used.
+          joint: the known joint.
 
         Raises:
-          InputError: a channel that is missing. FilterDiverged: the next estimate would not be finite.
+          InputError: a missing channel. FilterDiverged: the next estimate would not be finite.
         """
 
     def torques(self, signals: Signals, joint: KnownJoint) -> Posterior:
-        """As `estimate`, to the bit, but for what is needed of long recordings alone: mean, variance and external torque."""
+        """Return `estimate`, to the bit, with mean, variance and external torque only: for long recordings."""
         return self.estimate(signals, joint)
 
     def scaled(self, joint: KnownJoint, interval: float) -> Estimator:
-        """The same estimator for a joint whose samples are `interval` [s] apart.
+        """Return the same estimator for a joint whose samples are `interval` [s] apart.
 
-        Most need no scaling: their tuning parameters are relative to the joint's own numbers. One whose are absolute (the
-        paper's filters) says here what they are elsewhere.
+        Most tuning parameters are relative to the joint's numbers and need no scaling. An estimator with absolute
+        ones (the paper's filters) scales them here.
         """
         return self
 
     def step(self, joint: KnownJoint, interval: float) -> CompiledStep:
-        """The estimator for the closed loop, whose samples are `interval` [s] apart.
+        """Return the estimator for the closed loop, whose samples are `interval` [s] apart.
 
         Raises:
-          InputError: one that looks ahead.
+          InputError: a smoother.
         """
         raise InputError(f"estimator {self.name!r}: expected one that can run in the loop, got one that looks ahead")
 
 
 class CausalEstimator(Estimator):
-    """An estimator that is one compiled step, called in the loop and over signals alike.
+    """An estimator with one compiled step, in the loop and over signals.
 
-    A subclass gives `compiled`, a step of records (`models.step.step_of`), and `settings`, where tuning parameters by their
-    names are not all. A step left in plain Python works everywhere, too, slower by a thousand.
-    Outputs with these names find their place in the posterior: `torque` (the first), `variance`, `innovation…` with its
-    `innovation_variance…`, `robust`, `external_torque`; the others are its columns.
+    A subclass gives `compiled`, a step of records (`models.step.step_of`), and `settings` if they are not the tuning
+    parameters by their names. A plain Python step works everywhere, too, a thousand times slower. Outputs with these
+    names go into the posterior: `torque` (the first), `variance`, `innovation…` with its `innovation_variance…`,
+    `robust`, `external_torque`. Others become its columns.
     """
 
     compiled: ClassVar[Step | PythonStep]
@@ -354,18 +356,18 @@ class CausalEstimator(Estimator):
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Names of what its step writes."""
+        """Names of the step's outputs."""
         return fields_of(self.compiled.records[4])
 
     def settings(self, joint: KnownJoint, interval: float) -> np.ndarray:
-        """The step's settings, a record of float64 fields, shape (1,): by default tuning parameters by their names, and
-        `interval`, the median time between samples [s]."""
+        """Return the step's settings, a record of float64 fields, shape (1,): by default the tuning parameters by
+        their names, and `interval`, the median time between samples [s]."""
         given = {**{f.name: getattr(self, f.name) for f in fields(self)}, "interval": interval}  # type: ignore[arg-type]
         kind = self.compiled.records[3]
         return np.array([tuple(float(given[name]) for name in fields_of(kind))], kind)
 
     def reason(self, status: int, out: np.ndarray) -> str:
-        """Why a step with this status gave no estimate, for people; `out`: the last good outputs."""
+        """Return why a step with this status gave no estimate, in words. `out`: the last good outputs."""
         error = getattr(self.compiled, "error", None)
         if status < 0 and error is not None:  # of a step in Python
             return f"its step failed: {type(error).__name__}: {error}"
@@ -385,7 +387,8 @@ class CausalEstimator(Estimator):
         return self._watched(signals, joint, _TORQUES.intersection(self.outputs))
 
     def _watched(self, signals: Signals, joint: KnownJoint, names: Collection[str]) -> Posterior:
-        """The posterior over signals with some of the outputs, block by block; all outputs decide whether it is trusted."""
+        """Return the posterior over signals with some of the outputs, block by block. All outputs decide whether it
+        is trusted."""
         watch = Watch(joint.rated_torque, self.outputs)
         arrays = self.step(joint, sample_interval(signals)).arrays()
         column = {name: np.empty(len(signals.time)) for name in self.outputs if name in names}
@@ -405,7 +408,7 @@ class CausalEstimator(Estimator):
         return replace(self.posterior(signals.time, column), untrusted=watch.reason)
 
     def posterior(self, time: np.ndarray, column: Mapping[str, np.ndarray]) -> Posterior:
-        """Outputs by name, shape (n,) each, as a posterior."""
+        """Return outputs by name, shape (n,) each, as a posterior."""
         variances = [n for n in column if n.startswith("innovation_variance")]
         innovations = [n.replace("innovation_variance", "innovation") for n in variances]
         e = np.column_stack([column[n] for n in innovations]) if innovations else None
@@ -421,20 +424,20 @@ class CausalEstimator(Estimator):
 
 
 def fields_of(record: np.dtype) -> tuple[str, ...]:
-    """Names of a record's fields, in order."""
+    """Return the names of a record's fields, in order."""
     return record.names or ()
 
 
 def sample_interval(signals: Signals) -> float:
-    """Time between samples [s] by the clock that they were taken by, `interval_of` of their stamps."""
+    """Return the time between samples [s] by their clock: `interval_of` of their stamps."""
     return interval_of(signals.time)
 
 
 def interval_of(time: np.ndarray) -> float:
-    """Median interval of times [s], shape (n,), to the nanosecond, without what a time since the start has lost by rounding.
+    """Return the median interval of times [s], shape (n,), to the nanosecond, without rounding errors of the times.
 
-    Where stamps jitter, the round interval or rate that the median's standard error (1.25 σ/√n) allows: clocks are set to such,
-    and in the closed loop the period is known.
+    For jittering stamps: the round interval or rate within the median's standard error (1.25 σ/√n). Clocks have round
+    periods, and in the closed loop the period is known.
     """
     intervals = np.diff(time)
     median = float(np.median(intervals))
@@ -449,15 +452,15 @@ def interval_of(time: np.ndarray) -> float:
 
 
 def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False) -> np.ndarray:
-    """Signals as records of `SAMPLE`, shape (n,); NaN where a channel is not there. A current command, which is there for who
-    `reads_command`, counts from the next sample on; before the first there was none, 0 A.
+    """Return signals as records of `SAMPLE`, shape (n,); NaN for missing channels. A current command, for estimators
+    with `reads_command`, counts from the next sample; before the first it is 0 A.
 
     Raises:
-      InputError: a channel of `needs` that is missing.
+      InputError: a missing channel of `needs`.
     """
     for name in needs:
         signals[name]
-    # Signals do not change, and every estimator reads the same of them.
+    # Signals do not change, and every estimator reads the same records.
     made: dict[tuple[float | None, bool], np.ndarray] = signals.__dict__.setdefault("_samples", {})
     key = (joint.start, reads_command)
     if key not in made:
@@ -468,10 +471,11 @@ def as_samples(signals: Signals, needs: tuple[str, ...], joint: KnownJoint, read
 def sample_blocks(
     signals: Signals, needs: tuple[str, ...], joint: KnownJoint, reads_command: bool = False, block: int | None = None
 ) -> Iterator[tuple[slice, np.ndarray]]:
-    """Parts of signals with their records, as `as_samples` makes them: all at once, or of long ones block after block.
+    """Yield parts of signals with their records, as `as_samples` makes them: all at once, or block by block for long
+    ones.
 
     Raises:
-      InputError: a channel of `needs` that is missing.
+      InputError: a missing channel of `needs`.
     """
     n, block = len(signals.time), BLOCK if block is None else block
     if n <= block:
@@ -485,7 +489,7 @@ def sample_blocks(
 
 
 def part_samples(signals: Signals, joint: KnownJoint, part: slice, reads_command: bool) -> np.ndarray:
-    """Some of `as_samples`, shape (samples of the part,)."""
+    """Return a part of `as_samples`, shape (samples of the part,)."""
     time = signals.time
     # The command in force, and the interval, begin at the sample before.
     before = slice(max(part.start - 1, 0), part.stop)
@@ -498,7 +502,7 @@ def part_samples(signals: Signals, joint: KnownJoint, part: slice, reads_command
 
 
 def blank_samples(time: np.ndarray, joint: KnownJoint) -> np.ndarray:
-    """Records of `SAMPLE` at times [s], shape (n,), without readings."""
+    """Return records of `SAMPLE` at times [s], shape (n,), without readings."""
     found = np.full(len(time), np.nan, SAMPLE)
     found["time"], found["interval"] = joint.since(time), np.diff(time, prepend=time[0])
     return found
@@ -507,7 +511,7 @@ def blank_samples(time: np.ndarray, joint: KnownJoint) -> np.ndarray:
 def fill_samples(
     samples: np.ndarray, columns: Mapping[str, np.ndarray], part: slice, reads_command: bool = False
 ) -> None:
-    """Put a stretch of channels, shape (n,) each, into records of `SAMPLE`, as `as_samples` says."""
+    """Put a part of channels, shape (n,) each, into records of `SAMPLE`, as in `as_samples`."""
     for name in SENSED:
         if name in columns and name != "joint_torque":
             samples[name][part] = columns[name][part]
@@ -521,13 +525,13 @@ def fill_samples(
 def go_on(
     arrays: tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray], samples: np.ndarray, history: np.ndarray
 ) -> tuple[int, int]:
-    """Run a step on over further samples; `arrays` of `CompiledStep.arrays`, whose memory moves on with them.
+    """Run a step over further samples. `arrays` of `CompiledStep.arrays`; their memory is updated.
 
     Args:
       arrays: of the step. samples: records of `SAMPLE`, shape (n,). history: for its outputs, shape (n, outputs).
 
     Returns:
-      The sample at which it failed and its status, (n, OK) where it did not.
+      The sample at which it failed and its status; (n, OK) if it did not.
     """
     address, memory, record, settings, _ = arrays
     failed, status = _run(address, memory, samples, record, settings, history)

@@ -1,7 +1,7 @@
-"""An estimator's step as one C99 header, made from the intermediate code that Numba types and compiles.
+"""An estimator's step as one C99 header, generated from Numba's typed intermediate code.
 
-Nothing is written a second time: every kernel that a step calls is taken as Numba's typed intermediate code and printed as C, one
-function for each set of argument types. Records and arrays of float64 become pointers; named tuples become structures.
+Every kernel of a step is printed as C, one function per set of argument types. Records and arrays of float64 become
+pointers; named tuples become structures.
 """
 
 from __future__ import annotations
@@ -27,25 +27,13 @@ from ..models.errors import InputError
 from ..models.step import OK, SAMPLE, Step
 from .estimator import CausalEstimator, KnownJoint
 
-_MATH = {"fabs": "fabs", "pow": "pow", "hypot": "hypot", "atan2": "atan2", "copysign": "copysign", "fmod": "fmod"} | {
-    name: name
-    for name in (
-        "sin",
-        "cos",
-        "tan",
-        "asin",
-        "acos",
-        "atan",
-        "sinh",
-        "cosh",
-        "tanh",
-        "exp",
-        "expm1",
-        "log",
-        "log1p",
-        "sqrt",
-    )
-}
+_MATH = frozenset(
+    "fabs pow hypot atan2 copysign fmod sin cos tan asin acos atan sinh cosh tanh exp expm1 log log1p sqrt".split()
+)
+_VALUELESS = (
+    types.NoneType, types.Dispatcher, types.Function, types.Module, types.SliceType, types.NumberClass,
+    types.NamedTupleClass,
+)  # fmt: skip
 _BINARY = {
     operator.add: "+", operator.sub: "-", operator.mul: "*", operator.lt: "<", operator.le: "<=", operator.gt: ">",
     operator.ge: ">=", operator.eq: "==", operator.ne: "!=", operator.and_: "&", operator.or_: "|", operator.iadd: "+",
@@ -68,10 +56,10 @@ def header(estimator: CausalEstimator, joint: KnownJoint, interval: float) -> st
     """Return an estimator's step for a joint as the text of a C99 header.
 
     Args:
-      estimator: scaled to the joint and sampling. joint: whose numbers it holds. interval: between samples [s].
+      estimator: scaled to the joint and sampling. joint: with the numbers. interval: between samples [s].
 
     Raises:
-      InputError: a step that is no compiled one, or code that has no C.
+      InputError: a step that is not compiled, or code without a C equivalent.
     """
     name = re.sub(r"\W", "_", estimator.name.lower())
     step = estimator.step(joint, interval)
@@ -134,7 +122,7 @@ def _number(value: Any) -> str:
 
 
 class _Unit:
-    """The C functions of one header; each made when it is first called."""
+    """The C functions of one header; each is made when it is first called."""
 
     def __init__(self, prefix: str):
         self.prefix = prefix
@@ -160,8 +148,7 @@ class _Unit:
         if isinstance(kind, types.RangeType | types.RangeIteratorType):
             return "fs_range"
         if isinstance(kind, types.BaseTuple):
-            parts: Any = kind
-            members = [self.c_type(member) for member in parts.types]
+            members = [self.c_type(member) for member in kind.types]  # type: ignore[attr-defined]
             name = f"{self.prefix}_tuple_" + "_".join(re.sub(r"\W+", "p", member) for member in members)
             if name not in self.structures:
                 fields = " ".join(f"{member} f{i};" for i, member in enumerate(members))
@@ -225,21 +212,13 @@ class _Function:
         result = "void" if nothing else unit.c_type(self.result)
         head = ", ".join(f"{unit.c_type(kind)} a{i}" for i, kind in enumerate(self.arguments)) or "void"
         used = "\n".join(lines)
-        declared = []
-        for name, kind in self.types.items():
-            c_name = self.variable(name)
-            if re.search(rf"\b{c_name}\b", used):
-                declared.append(f"  {unit.c_type(kind)} {c_name};")
+        names = {self.variable(name): kind for name, kind in self.types.items()}
+        declared = [f"  {unit.c_type(kind)} {n};" for n, kind in names.items() if re.search(rf"\b{n}\b", used)]
         unit.heads[self.name] = f"static {result} {self.name}({head})"
         unit.bodies[self.name] = "\n".join([unit.heads[self.name], "{", *declared, used, "}"])
 
     def _block(self, label: int, block: ir.Block) -> list[str]:
-        lines = [f"L{label}: ;"]
-        for line in block.body:
-            text = self._line(line)
-            if text:
-                lines.append("  " + text)
-        return lines
+        return [f"L{label}: ;", *("  " + text for line in block.body if (text := self._line(line)))]
 
     def _line(self, line: Any) -> str:
         if isinstance(line, ir.Assign):
@@ -304,16 +283,7 @@ class _Function:
 
     def _nothing(self, kind: Any) -> bool:
         """Whether a type has no value in C."""
-        return isinstance(
-            kind,
-            types.NoneType
-            | types.Dispatcher
-            | types.Function
-            | types.Module
-            | types.SliceType
-            | types.NumberClass
-            | types.NamedTupleClass,
-        )
+        return isinstance(kind, _VALUELESS)
 
     def _expression(self, target: ir.Var, e: ir.Expr) -> str | None:
         kind = self.types[target.name]
@@ -445,7 +415,7 @@ class _Function:
             return f"fs_sign({arguments[0]})"
         name = getattr(f, "__name__", "")
         if name in _MATH and f in (getattr(math, name, None), getattr(np, name, None)):
-            return f"{_MATH[name]}({', '.join(arguments)})"
+            return f"{name}({', '.join(arguments)})"
         raise self._none(f"a call of {f}")
 
     def _called(self, f: Dispatcher, e: ir.Expr) -> str:

@@ -1,10 +1,11 @@
-"""External torque on the link from any estimate of the joint torque: the link's momentum observer (De Luca & Mattone, "Sensorless
-robot collision detection and hybrid force/motion control", ICRA 2005; for an elastic joint with its torque known: De Luca,
-Albu-Schäffer, Haddadin & Hirzinger, IROS 2006, Eq. 14). With the link's momentum p = Jl·ωl and p' = Ts + own torques + τext
+"""External torque on the link from any estimate of the joint torque: the link's momentum observer (De Luca & Mattone,
+"Sensorless robot collision detection and hybrid force/motion control", ICRA 2005; for an elastic joint with known
+torque: De Luca, Albu-Schäffer, Haddadin & Hirzinger, IROS 2006, Eq. 14). With the link's momentum p = Jl·ωl and p'
+= Ts + own torques + τext
 
     r = K (p − p(0) − ∫ (T̂ + own torques + r) dt)        so that  r' = K (τext + Ts − T̂ − r)
 
-so that the residual r is the external torque, and what the estimate is wrong by, behind a first-order low-pass of K/2π Hz.
+The residual r is the external torque plus the estimate's error, behind a first-order low-pass of K/2π Hz.
 """
 
 from __future__ import annotations
@@ -27,16 +28,16 @@ BANDWIDTH, CUTOFF = 20.0, 40.0
 def external_torque(
     signals: Signals, torque: np.ndarray, joint: KnownJoint, bandwidth: float = BANDWIDTH, cutoff: float = CUTOFF
 ) -> np.ndarray:
-    """External torque on the link [N·m], shape (n,), that an estimate of the joint torque means.
+    """Return the external torque on the link [N·m], shape (n,), by an estimate of the joint torque.
 
     Args:
-        signals: with both positions; `arm_torque`, what other joints of an arm put on the link [N·m], where there is any.
-        torque: Shape (n,), the estimate [N·m].
-        joint: what is known of it: inertia, weight, zero of the link encoder.
-        bandwidth: of the observer [Hz]. cutoff: of the link velocity's low-pass [Hz].
+      signals: with both positions; `arm_torque`, of other joints of an arm on the link [N·m], if there is any.
+      torque: Shape (n,), the estimate [N·m].
+      joint: inertia, weight, zero of the link encoder.
+      bandwidth: of the observer [Hz]. cutoff: of the link velocity's low-pass [Hz].
 
     Raises:
-        InputError: a torque of another length than the signals.
+      InputError: a torque of another length than the signals.
     """
     if np.shape(torque) != signals.time.shape:
         raise InputError(f"external torque: expected a torque of shape {signals.time.shape}, got {np.shape(torque)}")
@@ -50,10 +51,11 @@ def external_torque(
 
 
 def lowpassed(time: np.ndarray, values: np.ndarray, cutoff: float) -> np.ndarray:
-    """A signal, shape (n,), behind the Butterworth low-pass of `sensing.lowpass`: value, rate and acceleration, shape (n, 3).
+    """Return a signal, shape (n,), behind the Butterworth low-pass of `sensing.lowpass`: value, rate and
+    acceleration, shape (n, 3).
 
     Args:
-        time: Shape (n,) [s]. cutoff: [Hz].
+      time: Shape (n,) [s]. cutoff: [Hz].
     """
     out, memory = np.zeros((len(time), 3)), np.zeros(1, LOWPASS)
     _lowpassed(time, np.ascontiguousarray(values, dtype=np.float64), 2 * math.pi * cutoff, memory, out)

@@ -6,20 +6,20 @@ State x, shape (SIZE,):
     θw, ωw    wave generator                 [rad], [rad/s], motor side
     z         LuGre bristle                  [rad], motor side
     θl, ωl    link                           [rad], [rad/s]
-    φ, φ'     what hangs on it by a spring   [rad], [rad/s], against the link
+    φ, φ'     flexible part of the link      [rad], [rad/s], relative to the link
     τext      external torque on the link    [N·m], random walk
-    d         what mesh friction does beyond the record [N·m, motor side], Ornstein-Uhlenbeck
-    κ, κt     relative deviations of stiffness and torque constant from the record [1], constant
+    d         error of the mesh friction     [N·m, motor side], Ornstein-Uhlenbeck
+    κ, κt     relative errors of stiffness and torque constant [1], constant
     x_h       Dahl state of the flexspline's hysteresis [rad]
 
-An estimator carries the covariance of the *active* ones of these: κ and κt where it is asked to calibrate itself, φ and
-x_h where the record has a link that is not rigid, or hysteresis.
+An estimator carries the covariance of the *active* states: κ and κt if it calibrates itself, φ and x_h if the record
+has a flexible link, or hysteresis.
 
-The model is f (`advance`), h (`read_motor`, `read_link`, both angles; `joint_torque`), and what is random: a record of
-`NOISE`, made by `ProcessNoise`. The equations of motion are `models.dynamics.balance_with`. Between samples the current
-follows its command with the winding's time constant L/R. One step is Strang's splitting: the stiff bristle and the Dahl state
-by their exact solutions at constant velocity for half a substep, the mechanics by the classical Runge-Kutta method for a
-whole one, the bristle again. Substeps are chosen so that the fastest spring turns by no more than 0.8 rad in each.
+The model is f (`advance`), h (`read_motor`, `read_link`, both angles; `joint_torque`), and its noise: a record of
+`NOISE`, made by `ProcessNoise`. The equations of motion are `models.dynamics.balance_with`. Between samples the
+current follows its command with the winding's time constant L/R. One step is Strang's splitting: the stiff bristle
+and the Dahl state by their exact solutions at constant velocity for half a substep, the mechanics by the classical
+Runge-Kutta method for a whole one, the bristle again. The fastest spring turns by at most 0.8 rad in a substep.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ SIZE = len(STATES)
     DAHL,
 ) = range(SIZE)  # fmt: skip
 STEPS = np.array([1e-5, 1e-2, 1e-5, 1e-2, 1e-6, 1e-7, 1e-4, 1e-6, 1e-4, 1e-3, 1e-5, 1e-4, 1e-4, 1e-7])
-"""Steps of the differences that stand for derivatives, per state: small against its uncertainty, large against rounding."""
+"""Steps of the finite differences, per state: small against its uncertainty, large against rounding."""
 _LONGEST = 0.5e-3  # s: substep
 _TURN = 0.8  # rad of the fastest mode per substep
 _MOST = 10.0  # substeps per _LONGEST
@@ -60,30 +60,31 @@ NOISE = np.dtype(
         ("mesh_time", np.float64), ("memory", np.float64), ("low", np.float64), ("high", np.float64),
     ]
 )  # fmt: skip
-"""What is random, as a record for compiled code: how many states are active, and which; diagonals of P(0) and of the noise
-per second; of the rotor's velocity where a current reading drives it, and of d and τext where the encoders contradict;
-variance of the encoders [rad²] and their steps [rad]; `mesh_time` [s], `memory`, and both ends of `threshold` of
+"""Noise as a record for compiled code: number and indices of active states; diagonals of P(0) and of the noise per
+second; of the rotor's velocity for a current reading, and of d and τext while the encoders contradict; variance of
+the encoders [rad²] and their steps [rad]; `mesh_time` [s], `memory`, and both ends of `threshold` of
 `ProcessNoise`."""
 
 
 @dataclass(frozen=True)
 class ProcessNoise:
-    """How far a joint departs from its equations. One setting for every scenario; scaled by the record, SI.
+    """Deviation of a joint from its equations. One setting for all scenarios; scaled by the record, SI.
 
     Attributes:
-        external: intensity of the random walk of τext [T2/√s]. Quiet: 0.001·12 N·m is 0.08 N·m in 40 s, the 1 % to
-            which a link's weight is known.
-        push: intensity while the link encoder contradicts the prediction [T2/√s]. Loud: 4·12 N·m is the rated torque in 0.1 s.
-        mesh: standard deviation of d [Fc]; what a friction model leaves when it is good.
-        mesh_push: intensity of d while the motor encoder contradicts the prediction [Fc/√s]: another level in 1 s.
-        mesh_time: correlation time of d [s].
-        torque: white noise of torque at the mesh [Fc·√s]: ripple, discretisation.
-        bristle: noise of z [Fc/s0 per √s].
-        stiffness, motor_constant: standard deviation of κ, κt [1]; 0 leaves them out.
-        memory: share of the mean NIS of an encoder that it keeps per sample; 0.8 is 5 samples.
-        threshold: mean NIS from which on the noise grows, and where it has grown in full. 1 is expected; at 5 samples
-            it scatters by 0.5.
-        floor: noise of the motor encoder that is assumed even where none is stated [counts].
+      external: intensity of the random walk of τext [T2/√s]. 0.001·12 N·m is 0.08 N·m in 40 s, the 1 % uncertainty of
+        a link's weight.
+      push: intensity while the link encoder contradicts the prediction [T2/√s]. 4·12 N·m is the rated torque in 0.1
+        s.
+      mesh: standard deviation of d [Fc]; the error of a good friction model.
+      mesh_push: intensity of d while the motor encoder contradicts the prediction [Fc/√s]: another level in 1 s.
+      mesh_time: correlation time of d [s].
+      torque: white noise of torque at the mesh [Fc·√s]: ripple, discretisation.
+      bristle: noise of z [Fc/s0 per √s].
+      stiffness, motor_constant: standard deviation of κ, κt [1]; 0 excludes them.
+      memory: share of an encoder's mean NIS that is kept per sample; 0.8 is 5 samples.
+      threshold: mean NIS at which the noise starts to grow, and at which it is full. 1 is expected; at 5 samples it
+        scatters by 0.5.
+      floor: least noise of the motor encoder [counts].
     """
 
     external: float = 0.001
@@ -100,7 +101,7 @@ class ProcessNoise:
     floor: float = 0.05
 
     def record(self, joint: KnownJoint, interval: float) -> np.ndarray:
-        """The noise of a joint whose samples are `interval` [s] apart, shape (1,), a record of `NOISE`."""
+        """Return the noise of a joint whose samples are `interval` [s] apart, shape (1,), a record of `NOISE`."""
         p, noise = joint.p, joint.noise
         found = np.zeros(1, NOISE)
         n = found[0]
@@ -123,7 +124,7 @@ class ProcessNoise:
         walk[MESH] = 2.0 * (self.mesh * p["Fc"]) ** 2 / self.mesh_time
         walk[STIFFNESS], walk[CONSTANT] = 1e-8 * (self.stiffness > 0), 1e-8 * (self.motor_constant > 0)
         walk[DAHL] = (0.01 * p["hysteresis_extent"]) ** 2
-        # A reading's noise is a torque, held from sample to sample.
+        # A reading's noise is a torque, constant between samples.
         n["current_walk"] = (p["Kt"] / p["Jm"]) ** 2 * noise.current_variance(interval) * interval
         n["mesh_surge"], n["external_surge"] = (self.mesh_push * p["Fc"]) ** 2, (self.push * p["T2"]) ** 2
         n["motor_variance"] = noise.motor_noise**2 + noise.motor_error**2 + (self.floor * counts) ** 2
@@ -138,7 +139,7 @@ class ProcessNoise:
 
 
 def activate(noise: np.void, active: list[int]) -> None:
-    """Let a record of `NOISE` carry the covariance of these states, by index; in place."""
+    """Make a record of `NOISE` carry the covariance of these states, by index; in place."""
     noise["count"] = len(active)
     noise["active"][: len(active)] = active
 
@@ -149,12 +150,12 @@ TUNING = (
     TuningParameter("process.mesh", 1e-4, 0.5),
     TuningParameter("process.mesh_push", 1e-2, 30.0),
 )
-"""What may be tuned of `ProcessNoise`, for estimators that have one as `process`."""
+"""Tuning parameters of `ProcessNoise`, for estimators with one as `process`."""
 
 
 @kernel
 def state_of(x, current, time, temperature):
-    """A state as `dynamics.State`; κt is a factor of the current."""
+    """Return a state as `dynamics.State`; κt is a factor of the current."""
     return State(
         x[MOTOR], x[MOTOR_RATE], x[WAVE], x[WAVE_RATE], x[LINK], x[LINK_RATE], x[BRISTLE], x[DAHL],
         (1.0 + x[CONSTANT]) * current, time, temperature,
@@ -163,7 +164,7 @@ def state_of(x, current, time, temperature):
 
 @kernel
 def transmission(x, state, p):
-    """`dynamics.transmission` with the stiffness' own deviation κ."""
+    """Return `dynamics.transmission` with the error κ of the stiffness."""
     t = dynamics.transmission(state, p)
     if x[STIFFNESS] == 0.0:
         return t
@@ -175,25 +176,25 @@ def transmission(x, state, p):
 
 @kernel
 def joint_torque(x, time, p):
-    """The joint torque Ts = Tf − bl·ωl [N·m] at a state."""
+    """Return the joint torque Ts = Tf − bl·ωl [N·m] at a state."""
     return transmission(x, state_of(x, UNREAD, time, UNREAD), p).flexspline_torque - p.bl * x[LINK_RATE]
 
 
 @kernel
 def read_motor(x, p):
-    """What the motor encoder reads [rad, motor side] at a state."""
+    """Return the motor encoder's reading [rad, motor side] at a state."""
     return laws.motor_reading(x[MOTOR], p)
 
 
 @kernel
 def read_link(x, time, p):
-    """What a link encoder without delay reads [rad] at a state."""
+    """Return the reading of a link encoder without delay [rad] at a state."""
     return dynamics.read_link_position(state_of(x, UNREAD, time, UNREAD), 0.0, p)
 
 
 @kernel
 def rates(x, current, time, temperature, p, out):
-    """Write the rates of the mechanical states into `out`, shape (SIZE,); the others' are zero here."""
+    """Write the rates of the mechanical states into `out`, shape (SIZE,); the others are zero here."""
     state = state_of(x, current, time, temperature)
     t = transmission(x, state, p)
     b = dynamics.balance_with(state, t, dynamics.sliding_friction(state, t.load, p), p)
@@ -201,16 +202,16 @@ def rates(x, current, time, temperature, p, out):
     out[WAVE], out[WAVE_RATE] = x[WAVE_RATE], (b.on_wave_generator + x[MESH]) / p.Jw
     out[LINK] = x[LINK_RATE]
     if p.flexible_share > 0.0:
-        spring, hanging = laws.flexible_torque(x[FLEXIBLE], x[FLEXIBLE_RATE], p), laws.flexible_inertia(p)
-        out[LINK_RATE] = (b.on_link + x[EXTERNAL] + spring) / (p.Jl - hanging)
-        out[FLEXIBLE], out[FLEXIBLE_RATE] = x[FLEXIBLE_RATE], -spring / hanging - out[LINK_RATE]
+        spring, flexible = laws.flexible_torque(x[FLEXIBLE], x[FLEXIBLE_RATE], p), laws.flexible_inertia(p)
+        out[LINK_RATE] = (b.on_link + x[EXTERNAL] + spring) / (p.Jl - flexible)
+        out[FLEXIBLE], out[FLEXIBLE_RATE] = x[FLEXIBLE_RATE], -spring / flexible - out[LINK_RATE]
     else:
         out[LINK_RATE] = (b.on_link + x[EXTERNAL]) / p.Jl
 
 
 @kernel
 def _relax(x, h, time, temperature, p):
-    """Bristle and Dahl state over `h` [s] at constant velocity: exact."""
+    """Advance bristle and Dahl state by `h` [s] at constant velocity: exact."""
     state = state_of(x, UNREAD, time, temperature)
     load = 0.0
     if p.friction_load != 0.0 or p.hysteresis_torque != 0.0:
@@ -223,7 +224,7 @@ def _relax(x, h, time, temperature, p):
 
 @kernel
 def substeps(x, dt, p):
-    """How many substeps a time `dt` [s] takes: the fastest mode of the springs at their present stiffness."""
+    """Return the number of substeps in `dt` [s], by the fastest mode of the springs at their present stiffness."""
     Tw = abs(laws.wave_generator_spring(x[MOTOR] - x[WAVE], p))
     stiffness = p.Kw0 * math.exp(min(p.Cw * Tw, 12.0))  # dTw/dδ of Eq. (3)
     fastest = max(
@@ -232,22 +233,22 @@ def substeps(x, dt, p):
     )
     wanted = dt * max(1.0 / _LONGEST, math.sqrt(fastest) / _TURN)
     most = _MOST * max(1.0, dt / _LONGEST)
-    if not wanted < most:  # a state that has gone astray, or is no number any more
+    if not wanted < most:  # a diverged state
         return int(most)
     return max(1, math.ceil(wanted - 1e-9))
 
 
 @kernel
 def advance(x, current, command, time, dt, steps, temperature, p, work):
-    """The model's f: advance a state by `dt` [s], in place; d stays, and forgets afterwards.
+    """Advance a state by `dt` [s], in place: the model's f. d stays; its decay comes afterwards.
 
     Args:
-        x: Shape (SIZE,).
-        current, command: motor current at the start, and the command in force [A].
-        time: at the start [s].
-        steps: substeps.
-        temperature: of the gear [°C].
-        work: Shape (3, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
+      x: Shape (SIZE,).
+      current, command: motor current at the start, and the command in force [A].
+      time: at the start [s].
+      steps: substeps.
+      temperature: of the gear [°C].
+      work: Shape (3, SIZE), scratch, zero at first: the rate of BRISTLE is never written.
     """
     h = dt / steps
     decay = math.exp(-0.5 * h * p.R / p.L) if p.L > 0.0 else 0.0
@@ -277,13 +278,14 @@ def advance(x, current, command, time, dt, steps, temperature, p, work):
 
 @kernel
 def next_current(current, command, dt, p):
-    """The motor current [A] after `dt` [s] under a command."""
+    """Return the motor current [A] after `dt` [s] under a command."""
     return command + (current - command) * (math.exp(-dt * p.R / p.L) if p.L > 0.0 else 0.0)
 
 
 @kernel
 def start(motor_position, link_position, arm, time, p, x):
-    """Write the state at rest at the first encoder readings into `x`: under the link's weight and an arm's torque on it [N·m]."""
+    """Write the state at rest at the first encoder readings into `x`, under the link's weight and an arm's torque on
+    it [N·m]."""
     x[:] = 0.0
     x[MOTOR] = dynamics.actual_motor_position(motor_position, p)
     x[LINK] = dynamics.actual_link_position(link_position, x[MOTOR], 0.0, time, p)
@@ -293,7 +295,8 @@ def start(motor_position, link_position, arm, time, p, x):
 
 @kernel
 def torque_variance(x, P, torque, time, p, noise, H):
-    """The variance of the joint torque [(N·m)²] that P means, the covariance of active states; H: scratch, shape (SIZE,)."""
+    """Return the variance of the joint torque [(N·m)²] by P, the covariance of active states. H: scratch, shape
+    (SIZE,)."""
     m = int(noise.count)
     for i in range(m):
         s = int(noise.active[i])

@@ -1,11 +1,10 @@
 """Smooth motion from quantised encoders: one linear, zero-phase filter for every channel of a recording.
 
 Each channel is smoothed by the spline that minimises Σ (y − s)² + λ ∫ (s''')² dt, computed as a Kalman filter and a
-backward (Rauch–Tung–Striebel) pass of a triple integrator. It takes irregular time as it is, its passband is
-1 / (1 + (f/fc)⁶), and it is the *same linear operator* for all channels: where the joint is linear, smoothing commutes
-with its equations, so that no smoothing error enters the comparison of torques computed from motion with torques
-that were measured. Between samples the minimiser is a quintic, so that position, velocity and acceleration at both ends
-give it exactly at any other time.
+backward (Rauch–Tung–Striebel) pass of a triple integrator. Its passband is 1 / (1 + (f/fc)⁶), and times may be
+irregular. It is the *same linear operator* for all channels: where the joint is linear, smoothing commutes with its
+equations, and causes no error in a comparison of computed and measured torques. Between samples the minimiser is a
+quintic, given exactly by position, velocity and acceleration at both ends.
 """
 
 from __future__ import annotations
@@ -17,11 +16,11 @@ import numpy as np
 from ..models.kernels import kernel
 
 CUTOFF = 120.0
-"""Passband fc of the smoother [Hz]; at `SHARE` of the sampling rate where that is less."""
+"""Passband fc of the smoother [Hz], or `SHARE` of the sampling rate if that is less."""
 SHARE = 0.25
-"""Passband over sampling rate of a slow log: half of the Nyquist frequency, for what is differentiated twice."""
+"""Passband over sampling rate of a slow log: half of the Nyquist frequency, for two derivatives."""
 BLOCK = 1 << 15
-"""Samples of which the smoother keeps everything at a time."""
+"""Samples that the smoother keeps in memory at a time."""
 
 
 @kernel
@@ -40,8 +39,8 @@ def _transition(d, F, Q, q):
 
 @kernel
 def _inverse(A, B):
-    """Inverse of a positive 3×3 matrix into B, by its factors L D Lᵀ: where a recording begins nothing is known of the velocity,
-    and its minors would be differences of numbers that are 10¹² times as large."""
+    """Write the inverse of a positive 3×3 matrix into B, by its factors L D Lᵀ. At the start of a recording the
+    velocity is unknown, and minors would be differences of numbers 10¹² times as large."""
     a, b, c, d, e, f = A[0, 0], A[0, 1], A[0, 2], A[1, 1], A[1, 2], A[2, 2]
     l10, l20 = b / a, c / a
     d1, rest = d - l10 * b, e - l20 * b
@@ -57,7 +56,7 @@ def _inverse(A, B):
 
 @kernel
 def _product(A, B, C):
-    """C = A B of 3×3 matrices: a library's product of matrices costs more to call than this to compute."""
+    """C = A B of 3×3 matrices; faster than a library call."""
     for i in range(3):
         for j in range(3):
             C[i, j] = A[i, 0] * B[0, j] + A[i, 1] * B[1, j] + A[i, 2] * B[2, j]
@@ -65,7 +64,7 @@ def _product(A, B, C):
 
 @kernel
 def _predict(d, q, x, M, F, Q, work):
-    """Motion x, shape (3, c), and its covariance M a time d later, in place."""
+    """Predict motion x, shape (3, c), and its covariance M over a time d, in place."""
     _transition(d, F, Q, q)
     for j in range(x.shape[1]):
         x[0, j] += d * x[1, j] + 0.5 * d * d * x[2, j]
@@ -93,16 +92,17 @@ def _correct(y, offset, x, M, column):
 
 @kernel
 def _smooth(time, y, offset, q, scale, square, step, every, block, value, rate, acceleration):
-    """Smooth channels y, shape (n, c), at `time`, shape (n,), and evaluate them every `step`: value and two derivatives, shape
-    (c, m) each; of the first channels alone where the derivatives' arrays have fewer.
+    """Smooth channels y, shape (n, c), at `time`, shape (n,), and evaluate them every `step`: value and two
+    derivatives, shape (c, m) each; of the first channels only if the derivatives' arrays have fewer.
 
-    The filter runs forward once and keeps what it knows at the begin of every `block` of samples. From the last block to the
-    first it then runs again, now keeping every sample, and back: the same numbers as with all samples kept, in a block's memory.
+    The filter runs forward once and keeps its state at the start of every `block` of samples. From the last block to
+    the first it runs again, keeps every sample, and runs back: the same numbers as with all samples, in a block's
+    memory.
 
     Args:
-      offset: of the channels, shape (c,), taken off before. q: the jerk's intensity at unit measurement noise.
-      scale: of time, for the covariances to be near one; square: its square.
-      every: of how many steps one is evaluated.
+      offset: of the channels, shape (c,), subtracted first. q: the jerk's intensity at unit measurement noise.
+      scale: of time, for covariances near one; square: its square.
+      every: steps per evaluated point.
     """
     n, c = y.shape
     F, Q, inverse = np.zeros((3, 3)), np.zeros((3, 3)), np.zeros((3, 3))
@@ -122,12 +122,8 @@ def _smooth(time, y, offset, q, scale, square, step, every, block, value, rate, 
                 _predict(scale * (time[k] - time[0]) - scale * (time[k - 1] - time[0]), q, x, M, F, Q, work)
             _correct(y[k], offset, x, M, column)
     # One more than a block: the first sample of the next one, smoothed.
-    t, state, P, predicted = (
-        np.empty(size + 1),
-        np.empty((size + 1, 3, c)),
-        np.empty((size, 3, 3)),
-        np.empty((size + 1, 3, 3)),
-    )
+    t, state = np.empty(size + 1), np.empty((size + 1, 3, c))
+    P, predicted = np.empty((size, 3, 3)), np.empty((size + 1, 3, 3))
     end = value.shape[1]
     for b in range(blocks - 1, -1, -1):
         begin = b * block
@@ -190,7 +186,7 @@ class Smooth:
     Attributes:
       time: grid [s], shape (n,).
       value: shape (n, c), the channels.
-      rate, acceleration: their first two derivatives in time, shape (n, c), or of the first channels, as was asked for.
+      rate, acceleration: their first two derivatives in time, shape (n, c), or of the first channels, as requested.
     """
 
     time: np.ndarray
@@ -200,12 +196,12 @@ class Smooth:
 
 
 def passband(time: np.ndarray, cutoff: float = CUTOFF, share: float = SHARE) -> float:
-    """Passband fc [Hz] of the smoother for samples at these times [s], at most `share` of their rate."""
+    """Return the passband fc [Hz] of the smoother for samples at these times [s], at most `share` of their rate."""
     return min(cutoff, share / _interval(time))
 
 
 def _interval(time: np.ndarray) -> float:
-    """Median time between samples [s]."""
+    """Return the median time between samples [s]."""
     return float(np.median(np.diff(time), overwrite_input=True))
 
 
@@ -224,10 +220,10 @@ def smooth(
     Args:
       time: shape (n,) [s]. channels: shape (n, c).
       step: of the grid [s]. cutoff: passband [Hz].
-      every: of the grid's points one is evaluated, the first among them.
-      block: samples of which everything is kept at a time; the result does not depend on it.
-      moving: how many channels, the first ones, derivatives are wanted of; all by default.
-      share: of the sampling rate, at which the passband is at most.
+      every: evaluate every so many-th point of the grid, from the first.
+      block: samples in memory at a time; the result does not depend on it.
+      moving: number of channels, the first ones, with derivatives; all by default.
+      share: largest passband over the sampling rate.
     """
     interval = _interval(time)
     scale = 2 * np.pi * min(cutoff, share / interval)  # time in units of 1/ωc keeps the covariances near one

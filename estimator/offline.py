@@ -1,20 +1,19 @@
-"""Joint torque and external torque of a recording, by every estimator whose channels it has: without a torque sensor.
+"""Joint torque and external torque of a recording, by every estimator whose channels it has, without a torque sensor.
 
-A recording is made ready first, segment by segment (`prepare`): what estimators need and no sensor read follows from what
-was read and the joint's description, and the encoders' zeros are set against each other.
+Each segment is prepared first (`prepare`):
 
-* **Current**: where a drive reports its torque instead, that over the torque constant that the drive believes in.
-* **One encoder**: the other side's motion follows from the joint's description, under the torque that the current means (or,
-  without a current, the link's own). What is made of torsion is then left out: torsion cannot be read with one encoder.
-* **Delay** of the link encoder: a recording is over, so its readings are simply taken earlier.
-* **Zero.** Where both encoders' zeros are not known against each other, the compliance model has an offset of stiffness times
-  that. A joint states how well it is known (`sensors.link_encoder.zero`: `std`, or else `deviation`); the motor current knows it
-  up to the errors of the joint's constants, which are open with their tolerances (`track_zero`). Where the joint has a link
-  encoder eccentricity with a standard deviation, or torsion contradicts the current, the zero may wander with the link angle.
-* **Load.** Where the current contradicts the link's balance in most of the motion, the load is another one (`unlike`): by how
-  much is `KnownJoint.load_error`.
-* **W** of the paper's filters is the one of `WALKS` that makes the EKF's innovations most likely: how fast the load changes is a
-  property of the motion, not of the joint.
+* **Current**: from the drive's torque over the torque constant that the drive uses, if it reports torque.
+* **One encoder**: the motion of the other side follows from the description, under the torque of the current (without
+current, of the link). Estimators based on torsion are left out.
+* **Delay** of the link encoder: its readings are shifted to earlier times.
+* **Zero.** An unknown zero offset between the encoders is an offset of the compliance model, times the stiffness. The
+joint states how well the zero is known (`sensors.link_encoder.zero`: `std`, or else `deviation`). The current
+measures it, within the tolerances of the joint's constants (`track_zero`). The zero may vary with the link angle if
+the link encoder eccentricity has a standard deviation, or if torsion contradicts the current.
+* **Load.** If the current contradicts the link's balance in most of the motion, the load is not the described one
+(`load_error`).
+* **W** of the paper's filters is that of `WALKS` with the most likely innovations of the EKF: it depends on the
+motion, not on the joint.
 
 No estimator reads the columns `joint_torque` and `external_torque`.
 """
@@ -26,6 +25,7 @@ import os
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -52,37 +52,38 @@ from .motion import CUTOFF
 from .payload_model import MEMORY, NOISE, friction_error, slow_friction
 
 WALKS = (1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
-"""Factors of the filters' W among which the likelihood of the EKF's innovations chooses."""
+"""Candidate factors of the filters' W; the likelihood of the EKF's innovations decides."""
 SHORTEST = 10
-"""Samples that a segment must have to be estimated."""
+"""Fewest samples of a segment that is estimated."""
 POSITIONS = ("motor_position", "link_position")
 _SLOW = 15.0
-"""Bandwidth [Hz] below which the causal estimate from current makes up for its lag: 15 ms, in which a load has gone on."""
+"""Bandwidth [Hz] below which the causal estimate from current corrects its lag of 15 ms."""
 _LED = 0.6
-"""Its cutoff then, in that bandwidth: with the lead as much noise as without it."""
+"""Its cutoff then, relative to the bandwidth: the same noise as without the correction."""
 _TRACK = 20  # grid steps per sample of the zero's tracking
-_REWEIGHTED = 2  # times that samples are weighed by what is left of them
+_REWEIGHTED = 2  # number of reweightings by the residual
 _OUTLIER = 2.5  # standard deviations beyond which a sample counts less
 _ROBUST = 1.4826  # standard deviation of normal errors over their median
-_UNMODELLED = 0.03  # share of the current's torque that friction without a description may be
-_MOST, _CONTRADICTS = 0.75, 2.5  # share of the motion, and standard deviations, from which on the load is another one
+_UNMODELLED = 0.03  # unmodelled friction, as a share of the current's torque
+_MOST, _CONTRADICTS = 0.75, 2.5  # share of the motion, and standard deviations, that contradict the described load
 _TORSION = 10.0  # times its uncertainty by which torsion contradicts the current
-_MOVING = 2.5  # Stribeck velocities of the motor from which on it is in motion
+_MOVING = 2.5  # Stribeck velocities of the motor above which it is in motion
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A recording's segment, ready for estimators; n samples.
+    """A prepared segment of a recording; n samples.
 
     Attributes:
-      signals: both positions, the link's tared and without delay, and the current, as far as they can be known.
-      known: what is known of the joint, with what the segment shows of it.
-      measured: channels that were measured, or are another unit of one that was.
-      own_torque: shape (n,), joint torque that the link's own inertia, gravity and known link torques ask for [N·m].
+      signals: both positions, the link's without zero and delay, and the current, as far as possible.
+      known: the known joint, with the findings of the segment.
+      measured: channels that were measured, or converted from one that was.
+      own_torque: shape (n,), joint torque for the link's inertia, gravity and known link torques [N·m].
       walk: factor of the paper's filters' W, one of `WALKS`.
       bandwidth: of the estimate from current [Hz].
-      note: what was found: `start` [s], `bandwidth` [Hz], `zero` [rad] with `zero_std`, the payload's moments [N·m] and inertia
-        [kg·m²], the back-driven share of the load-dependent friction.
+      note: findings: `start` [s], `bandwidth` [Hz], `zero` [rad] with `zero_std`, the payload's moments [N·m] and
+        inertia [kg·m²], the back-driven share of the load-dependent friction.
+      lasting: shape (n,), zero offset by the joint's constant errors [rad].
     """
 
     signals: Signals
@@ -95,16 +96,16 @@ class Prepared:
     lasting: np.ndarray
 
     def read_by(self, estimator: Estimator) -> Signals:
-        """The signals as an estimator takes them: what the joint's constant errors do to the torsion is taken off with the zero,
-        but for one that estimates these errors itself, which it does with a load that it knows."""
+        """Return the signals for an estimator: without the effect of constant errors on torsion, unless it estimates
+        these errors itself, with a known load."""
         return self.signals if estimator.learns and not self.known.load_error else _shifted(self.signals, self.lasting)
 
     def lacks(self, estimator: Estimator) -> str | None:
-        """Why there is nothing for an estimator here; None where there is."""
+        """Return why an estimator cannot run here; None if it can."""
         return _lacking(estimator, set(self.signals), self.measured)
 
     def ready(self, estimator: Estimator) -> Estimator:
-        """An estimator as this segment wants it: scaled to joint and sampling, W and bandwidth by what its readings show."""
+        """Return an estimator scaled to joint and sampling, with W and bandwidth of this segment."""
         interval = sample_interval(self.signals)
         scaled = estimator.scaled(self.known, interval)
         if isinstance(scaled, PaperFilter):
@@ -122,14 +123,14 @@ class Estimates:
 
     Attributes:
       name: of the recording.
-      time: as its table has it, shape (n,) [s].
-      torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments of fewer
-        than `SHORTEST` samples. It may lie in files (`models.spool`).
-      external_torque: torque on the link that its own gravity and inertia, and the motion of other joints of an arm, do not
-        explain, by estimator, likewise.
-      left_out: why there is no estimate, by estimator: a channel that was not recorded, an estimate that diverged.
-      notes: what was found on the way, one entry a segment (`Prepared.note`).
-      deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty where nobody asked.
+      time: as in its table, shape (n,) [s].
+      torque: joint torque by estimator, as the joint's torque sensor would read it, shape (n,) [N·m]; NaN in segments
+        of fewer than `SHORTEST` samples. It may be in files (`models.spool`).
+      external_torque: external torque on the link by estimator, without that of an arm's motion, likewise.
+      left_out: reason by estimator without an estimate: a missing channel, a divergence.
+      notes: findings, one entry a segment (`Prepared.note`).
+      deviation, external_deviation: standard deviations of `torque` and `external_torque`, likewise; empty without
+        bands.
       untrusted: why an estimate is not to be trusted, by estimator (`trust`).
     """
 
@@ -145,12 +146,12 @@ class Estimates:
 
     @property
     def columns(self) -> dict[str, np.ndarray]:
-        """All columns as they are written: `time` [s], `torque_…` and `external_torque_…` [N·m], with their 95 % bands,
-        `…_low` and `…_high`, where these are known."""
+        """All columns as written: `time` [s], `torque_…` and `external_torque_…` [N·m], with their 95 % bands
+        `…_low`, `…_high`."""
         return self.part(slice(None))
 
     def part(self, samples: slice) -> dict[str, np.ndarray]:
-        """Some samples of `columns`."""
+        """Return some samples of `columns`."""
         columns = {"time": self.time[samples]}
         for what, found, deviation in (
             ("torque", self.torque, self.deviation), ("external_torque", self.external_torque, self.external_deviation),
@@ -165,8 +166,8 @@ class Estimates:
 
 @dataclass(frozen=True)
 class Score:
-    """Error of one estimate against what was measured [N·m]: all samples, samples in motion (NaN where nothing moves), mean,
-    largest."""
+    """Error of an estimate against the measurement [N·m]: all samples, samples in motion (NaN if there are none),
+    mean, largest."""
 
     rms: float
     rms_moving: float
@@ -187,16 +188,15 @@ def estimate_recording(
 
     Args:
       recording: its `joint_torque` and `external_torque` are not read.
-      joint: the description, with the effects that are known of it.
+      joint: the description, with its known effects.
       names: of the registry; all by default.
-      bands: whether estimates are told how far they may be off (`bands`); those that simulate the joint's dynamics
-        (`Estimator.costly`) only where they are named: some ten times their work.
-      spool: a folder whose files hold the estimates, for as long as they are read; by default they are in memory.
-      record: parameter record that estimators know in place of the joint's own, shape (1,).
-      conditioned: the conditioned recording, where it is known already.
+      bands: whether to compute error bands (`bands`). Costly estimators (`Estimator.costly`) get them only by name:
+        they take ten times the work.
+      spool: a folder for files with the estimates; by default they are in memory.
+      record: parameter record for the estimators instead of the joint's, shape (1,).
 
     Raises:
-      InputError: a name that is none.
+      InputError: an unknown name.
     """
     estimators = {name: registry.get(name) for name in (registry.names() if names is None else names)}
     known = replace(KnownJoint.of(joint, recording.link, record), start=float(recording.time[0]))
@@ -237,16 +237,12 @@ def estimate_recording(
 
         _estimate(ready, chosen, left_out, take, beliefs if bands else None, _THREADS, untrusted)
         if bands:
-            # The dynamics simulated nine times more is for whoever asks for it by name.
-            told = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
+            # Bands simulate the dynamics nine times more: for costly estimators only on request.
+            banded = {n: e for n, e in chosen.items() if n not in left_out and (names is not None or not e.costly)}
 
-            def again(s: Signals, k: KnownJoint, told: dict[str, Estimator] = told) -> dict[_Key, np.ndarray]:
+            def again(s: Signals, k: KnownJoint, banded: dict[str, Estimator] = banded) -> dict[_Key, np.ndarray]:
                 other: dict[_Key, np.ndarray] = {}
-
-                def keep(quantity: str, estimator: str, values: np.ndarray) -> None:
-                    other[quantity, estimator] = values
-
-                _estimate(prepare(s, k), told, {}, keep)
+                _estimate(prepare(s, k), banded, {}, partial(_put, other))
                 return other
 
             reference = reference_torque(ready.signals, ready.known)
@@ -254,7 +250,7 @@ def estimate_recording(
                 "torque": ready.known.as_read(reference, ready.signals),
                 "external_torque": ready.own_torque - reference,
             }
-            there = {(what, name): estimates[what, name] for name in told for what in _QUANTITIES}
+            there = {(what, name): estimates[what, name] for name in banded for what in _QUANTITIES}
             for key, apart_by in deviations(there, signals, known, joint, recording.link, again).items():
                 apart = disagreement(signals.time, estimates[key], seen[key[0]])
                 own = np.sqrt(beliefs.get(key[1], 0.0))
@@ -269,30 +265,34 @@ def estimate_recording(
     )
 
 
+def _put(found: dict[_Key, np.ndarray], what: str, name: str, values: np.ndarray) -> None:
+    found[what, name] = values
+
+
 def too_short(recording: Recording) -> bool:
-    """Whether nothing is estimated: no part without gaps has `SHORTEST` samples."""
+    """Return whether nothing is estimated: no segment has `SHORTEST` samples."""
     return all(segment.stop - segment.start < SHORTEST for segment in recording.segments)
 
 
 def lacking(recording: Recording, names: Sequence[str]) -> dict[str, str]:
-    """Why `estimate_recording` would leave estimators out for a channel that they need, by name; it is not run.
+    """Return why `estimate_recording` would leave out estimators for a missing channel, by name, without running it.
 
-    Empty where nothing is estimated (`too_short`).
+    Empty if nothing is estimated (`too_short`).
 
     Raises:
-      InputError: a name that is none.
+      InputError: an unknown name.
     """
     if too_short(recording):
         return {}
     measured = set(recording.columns) - {"joint_torque", "external_torque"}
-    if "motor_torque" in measured:  # of which the current is told (`smoothed.in_amperes`)
+    if "motor_torque" in measured:  # converted to current (`smoothed.in_amperes`)
         measured.add("motor_current")
     reasons = {name: _lacking(registry.get(name), measured | set(POSITIONS), measured) for name in names}
     return {name: reason for name, reason in reasons.items() if reason is not None}
 
 
 def _lacking(estimator: Estimator, there: Collection[str], measured: Collection[str]) -> str | None:
-    """Why an estimator finds nothing among the channels that are there, of which some were measured; None where it does."""
+    """Return why an estimator cannot run with these channels, of which some were measured; None if it can."""
     for channel in estimator.needs:
         if channel not in there:
             return f"expected the column {channel!r}, the recording has none"
@@ -302,7 +302,8 @@ def _lacking(estimator: Estimator, there: Collection[str], measured: Collection[
 
 
 def beyond_range(recording: Recording, joint: Joint) -> dict[str, float]:
-    """Shares of the samples in motion beyond a joint's range of validity (`ValidRange.beyond`); empty where it states none."""
+    """Return the shares of the samples in motion outside a joint's range of validity (`ValidRange.beyond`); empty if
+    it has none."""
     if joint.valid is None:
         return {}
     known = replace(KnownJoint.of(joint, recording.link), start=float(recording.time[0]))
@@ -320,7 +321,7 @@ _Key = tuple[str, str]  # quantity and estimator
 _QUANTITIES = ("torque", "external_torque")
 _THREADS = min(os.cpu_count() or 1, 8)
 _LONG = 1 << 20
-"""Samples from which on memory counts: what looks at the whole runs alone, of all others two at a time."""
+"""Number of samples from which memory matters: smoothers run alone, others two at a time."""
 
 
 def _estimate(
@@ -337,19 +338,14 @@ def _estimate(
     Args:
       ready: the segment.
       estimators: by name.
-      left_out: gets why there is no estimate, by name.
-      take: takes an estimate, of quantity, name and values, in any order.
-      beliefs: gets what estimators believe their error variance to be.
-      threads: estimators at a time.
+      left_out: gets the reason of a missing estimate, by name.
+      take: called with quantity, name and values of each estimate, in any order.
+      beliefs: gets the error variances of estimators that have one.
+      threads: number of estimators at a time.
       untrusted: gets why an estimate is not to be trusted, by name.
     """
-    able: dict[str, Estimator] = {}
-    for name, estimator in estimators.items():
-        reason = ready.lacks(estimator)
-        if reason is not None:
-            left_out[name] = reason
-        else:
-            able[name] = estimator
+    left_out |= {name: why for name, e in estimators.items() if (why := ready.lacks(e)) is not None}
+    able = {name: estimator for name, estimator in estimators.items() if name not in left_out}
 
     def one(name: str) -> str | None:
         try:
@@ -379,12 +375,12 @@ def _estimate(
 
 
 def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str, dict[str, Score]]:
-    """Score estimates where there is something to compare with.
+    """Score estimates against measured quantities.
 
     Returns:
-      `joint_torque` (with a sensor) and `external_torque` (where it was measured, or known to be zero): estimator →
-      score. Friction at rest is anything up to its level, hence the score in motion (motor faster than 2.5 Stribeck
-      velocities).
+      `joint_torque` (with a sensor) and `external_torque` (if measured, or known to be zero): estimator → score.
+        Friction at rest is unknown up to its level, hence the score in motion (motor faster than 2.5 Stribeck
+        velocities).
     """
     N = joint.numbers["N"].value
     motor = recording["motor_position"] if "motor_position" in recording else N * recording["link_position"]
@@ -403,13 +399,13 @@ def score(recording: Recording, estimates: Estimates, joint: Joint) -> dict[str,
 
 
 _USELESS = 0.5
-"""Share of a torque's own RMS from which on an estimate's error is not worth having."""
+"""Error as a share of a torque's own RMS from which an estimate is useless."""
 
 
 def useless(
     recording: Recording, scores: Mapping[str, Mapping[str, Score]]
 ) -> dict[str, tuple[float, dict[str, float]]]:
-    """Of each quantity that was measured, where there are any, the estimators whose error is more than half of it.
+    """Return the estimators whose error is more than half of a measured quantity, by quantity, if there are any.
 
     Returns:
       quantity → its own RMS, and RMS error by estimator [N·m].
@@ -453,7 +449,7 @@ def write_estimates(estimates: Estimates, folder: Path) -> Path:
 
 
 def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
-    """Make a segment ready for estimators.
+    """Prepare a segment for estimators.
 
     Args:
       signals: at least one position; no `joint_torque`.
@@ -476,29 +472,28 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
 
     if "motor_current" not in signals:
         motion = smoothed.smooth_motion(signals, joint, CUTOFF)
-        own, none = smoothed.own_torque(motion, joint, np.zeros(len(motion.time))), np.zeros(len(signals.time))
-        return Prepared(
-            signals, joint, frozenset(measured), motion.at(signals.time, own), 1.0, motion.cutoff, note, none
-        )
+        own = motion.at(signals.time, smoothed.own_torque(motion, joint))
+        none = np.zeros(len(signals.time))
+        return Prepared(signals, joint, frozenset(measured), own, 1.0, motion.cutoff, note, none)
 
-    # The payload first, as it shows how much of the load-dependent friction acts when the load drives.
+    # The payload first: it shows the share of the load-dependent friction that acts when the load drives.
     cutoff = smoothed.bandwidth(signals, joint)
     current = slow_current(signals)
     motion = smoothed.smooth_motion(signals, joint, cutoff)
     own, grid = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint)), motion.time
-    beside = smoothed.arm_torque(motion, signals)
-    payload = observe(joint, motion.every(DECIMATION), (own - beside)[::DECIMATION], current)
-    joint = joint.told(back_driven_friction=payload.back_driven_friction)
+    arm = smoothed.arm_torque(motion, signals)
+    payload = observe(joint, motion.every(DECIMATION), (own - arm)[::DECIMATION], current)
+    joint = joint.with_numbers(back_driven_friction=payload.back_driven_friction)
     note |= {"bandwidth": cutoff} | payload._asdict()
     torque = smoothed.torque_from_current(motion, joint)[::_TRACK].copy()
-    coarse, motion = (own - beside)[::_TRACK].copy(), motion.every(_TRACK)  # of an hour, all of it is 300 MB
+    coarse, motion = (own - arm)[::_TRACK].copy(), motion.every(_TRACK)  # 300 MB less for an hour
     own = np.interp(signals.time, grid, own)
     joint = replace(joint, load_error=unlike(joint, motion, torque, coarse))
     if joint.load_error > 0.0:
         note |= {"load_error": joint.load_error}
     walk, lasting = 1.0, np.zeros(len(signals.time))
     if measured >= set(POSITIONS):
-        zero, std, wander, plain = tared(signals, joint, motion, torque)
+        zero, std, wander, plain = encoder_zero(signals, joint, motion, torque)
         lasting = plain - zero
         signals = signals.with_columns(link_position=signals["link_position"] - zero)
         if wander > joint.link_wander:
@@ -510,13 +505,13 @@ def prepare(signals: Signals, joint: KnownJoint) -> Prepared:
 
 
 def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: np.ndarray) -> float:
-    """By how much [N·m] the load is not what the description says; 0 where nothing speaks against it.
+    """Return the error of the described load [N·m]; 0 if nothing contradicts it.
 
-    The current's torque and the link's own balance differ by what their tolerances allow, or while somebody touches the joint.
-    Where they differ by more in most of the motion, and by more than all of the friction, the load is another one.
+    The current's torque and the link's balance differ within their tolerances, or while the joint is touched. A
+    difference larger than the tolerances in most of the motion, and larger than all friction, is another load.
 
     Args:
-      motion: n points; torque: of `smoothed.torque_from_current` there, own: what the link's balance asks for, shape (n,) [N·m].
+      motion: n points; torque: of `smoothed.torque_from_current` there; own: of the link's balance, shape (n,) [N·m].
     """
     p, known = joint.p, joint.spread
     w = motion.motor_velocity
@@ -535,14 +530,14 @@ def unlike(joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, own: 
 
 
 def _shifted(signals: Signals, zero: np.ndarray) -> Signals:
-    """The signals with another zero of the link encoder, shape (n,) [rad]."""
+    """Return the signals with another zero of the link encoder, shape (n,) [rad]."""
     return (
         signals.with_columns(link_position=signals["link_position"] - zero) if "link_position" in signals else signals
     )
 
 
 def likely_walk(signals: Signals, joint: KnownJoint) -> float:
-    """The one of `WALKS` by which the EKF's W makes its innovations most likely."""
+    """Return the factor of `WALKS` with the most likely innovations of the EKF."""
     interval = sample_interval(signals)
     measured = registry.get("model").torques(signals, joint).mean
     ekf = registry.get("EKF").scaled(joint, interval)
@@ -551,7 +546,7 @@ def likely_walk(signals: Signals, joint: KnownJoint) -> float:
 
 
 def _surprise(ekf: PaperFilter, measured: np.ndarray) -> float:
-    """Minus twice the log likelihood of a filter's innovations, robust: no outlier counts more than 5 deviations."""
+    """Return minus twice the log likelihood of a filter's innovations; no outlier counts more than 5 deviations."""
     found, step, status = recursion.surprise(measured, ekf.record(), 25.0)
     if status != recursion.OK:
         raise FilterDiverged(ekf.name, step, step * 1e-3, ekf.failure(status, measured[step - 1], ekf.W))
@@ -562,72 +557,68 @@ def _surprise(ekf: PaperFilter, measured: np.ndarray) -> float:
 
 
 def _link_of_motor(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    """The link encoder's reading [rad] as the joint's description has it under the torque that the current means."""
+    """Return the link encoder's reading [rad] by the joint's description under the torque of the current."""
     if "motor_current" in signals:
         motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint))
         torque = smoothed.torque_from_current(motion, joint)
     else:
         motion = smoothed.smooth_motion(signals, joint, CUTOFF)
-        torque = smoothed.own_torque(motion, joint, np.zeros(len(motion.time)))
-    found = np.empty(len(signals.time))
-    _wind_link(signals["motor_position"], motion.at(signals.time, torque), joint.record, found)
-    return found
+        torque = smoothed.own_torque(motion, joint)
+    return _wind_link(signals["motor_position"], motion.at(signals.time, torque), joint.record)
 
 
 @kernel
-def _wind_link(motor_reading, torque, record, out):
-    p = record[0]
+def _wind_link(motor_reading, torque, record):
+    p, out = record[0], np.empty(len(torque))
     for i in range(len(out)):
         motor = dynamics.actual_motor_position(motor_reading[i], p)
         turned, _ = dynamics.measured_torsion(motor, 0.0, torque[i] / p.N, p)
         out[i] = laws.link_reading(turned - laws.flexspline_torsion(torque[i], p), p)
+    return out
 
 
 def _motor_of_link(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    """The motor encoder's reading [rad, motor side] as the joint's description has it under the link's own torque."""
+    """Return the motor encoder's reading [rad, motor side] by the joint's description under the link's own torque."""
     rough = signals.with_columns(motor_position=joint.p["N"] * (signals["link_position"] - joint.p["link_zero"]))
     motion = smoothed.smooth_motion(rough, joint, CUTOFF)
-    torque = smoothed.own_torque(motion, joint, np.zeros(len(motion.time)))
-    found = np.empty(len(signals.time))
-    link = smoothed.link_positions(rough, joint)
-    _wind_motor(link, motion.at(signals.time, torque), joint.record, found)
-    return found
+    torque = motion.at(signals.time, smoothed.own_torque(motion, joint))
+    return _wind_motor(smoothed.link_positions(rough, joint), torque, joint.record)
 
 
 @kernel
-def _wind_motor(link, torque, record, out):
-    p = record[0]
+def _wind_motor(link, torque, record):
+    p, out = record[0], np.empty(len(torque))
     for i in range(len(out)):
         theta_w = dynamics.wave_generator_position(link[i] + laws.flexspline_torsion(torque[i], p), p)
         out[i] = laws.motor_reading(theta_w + laws.wave_generator_torsion(torque[i] / p.N, p), p)
+    return out
 
 
 # --- the encoders' zeros --------------------------------------------------------------------------------------------
 
 
-def tared(
+def encoder_zero(
     signals: Signals, joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray
 ) -> tuple[np.ndarray, float, float, np.ndarray]:
-    """What the link encoder's zero is off from the joint's [rad], shape (n,), its mean standard deviation, by how much it wanders
-    [rad/√rad], and what it is off with the joint's constant errors, shape (n,): for who does not know of them.
+    """Return the error of the link encoder's zero [rad], shape (n,), its mean standard deviation, its variation
+    [rad/√rad], and the zero for an estimator that ignores the joint's constant errors, shape (n,).
 
     Args:
       signals: both encoders and the current, n samples.
-      motion: of `smoothed.smooth_motion` at the bandwidth of the estimate from current, every `_TRACK`-th point of its grid.
+      motion: of `smoothed.smooth_motion` at the bandwidth of the estimate from current, every `_TRACK`-th point of
+        its grid.
       torque: of `smoothed.torque_from_current` there [N·m].
     """
     p, spread, wander = joint.p, joint.link_zero, joint.link_wander
     if spread == 0 and wander == 0:
         return np.zeros(len(signals.time)), 0.0, 0.0, np.zeros(len(signals.time))
     wide = smoothed.smooth_motion(signals, joint, CUTOFF, _TRACK)  # of the same grid
-    # A reading that is too high by δ makes torsion too small by δ.
+    # A reading too high by δ makes torsion too small by δ.
     seen = smoothed.wound(torque, joint) - smoothed.torsion_of(wide, joint, torque)
     load = np.abs(torque)
     slope = 1.0 / np.where(load < p["T1"], p["K1"], np.where(load < p["T2"], p["K2"], p["K3"]))
     w, v = motion.motor_velocity, motion.link_velocity
-    slow = np.empty(len(w))
-    _slow_friction(w, joint.record, slow)
-    friction = friction_error(joint)
+    slow, friction = _slow_friction(w, joint.record), friction_error(joint)
     constants = _constants(joint, wide, torque, slope, w)
     found, plain = (
         track_zero(
@@ -643,13 +634,13 @@ def tared(
 def _constants(
     joint: KnownJoint, motion: smoothed.Motion, torque: np.ndarray, slope: np.ndarray, w: np.ndarray
 ) -> np.ndarray:
-    """What a standard deviation of every constant error of the joint does to the zero that is seen, shape (n, constants) [rad].
+    """Return the change of the observed zero by one standard deviation of every constant of the joint, shape (n,
+    constants) [rad].
 
-    Stiffness with torque constant, wave generator, friction's level, viscous friction, current offset, and both quadratures of
-    every order of kinematic error. They last as long as the recording does: no number of samples averages them away.
+    Stiffness with torque constant, wave generator, friction's level, viscous friction, current offset, and both
+    quadratures of every order of kinematic error. They do not average out over a recording.
     """
-    p, known, wave = joint.p, joint.spread, np.empty(len(torque))
-    _wave_generator_torsion(torque, joint.record, wave)
+    p, known, wave = joint.p, joint.spread, _wave_generator_torsion(torque, joint.record)
     columns = [
         math.hypot(known.stiffness, known.torque_constant) * torque * slope,
         known.wave_generator * wave,
@@ -665,8 +656,8 @@ def _constants(
 
 
 class Tracked(NamedTuple):
-    """A zero δ [rad] and its standard deviation, shape (n,); by how much it wanders [rad/√rad]: more than is known where torsion
-    contradicts the current."""
+    """A zero δ [rad] and its standard deviation, shape (n,); its variation [rad/√rad], larger if torsion contradicts
+    the current."""
 
     zero: np.ndarray
     std: np.ndarray
@@ -686,31 +677,32 @@ def track_zero(
     """Kalman smoother of the zero δ [rad], every `_TRACK` grid steps.
 
         seen = δ + friction_shape · r + constants · c + noise
-        δ walks by `wander` rad per √rad of travel, r forgets in `MEMORY`, c are standard normal
 
-    δ and r by the smoother for given c, which is linear in what is seen; c by its innovations. Noise is as large as the scatter
-    shows where it is more than what is given, and single samples that are off count less (iterated reweighting).
+    δ is a random walk of `wander` rad per √rad of travel, r forgets in `MEMORY`, c are standard normal. δ and r by
+    the smoother for given c, which is linear in `seen`; c by its innovations. The noise is at least the observed
+    scatter, and outliers count less (iterated reweighting).
 
     Args:
-      seen: measured, shape (n,) [rad]; friction_shape [rad/(N·m)], noise [rad], travel since the last [rad]: shape (n,).
-      constants: of one standard deviation each, shape (n, k) [rad].
+      seen: measured, shape (n,) [rad]; friction_shape [rad/(N·m)], noise [rad], travel since the last [rad]: shape
+        (n,).
+      constants: one standard deviation of each, shape (n, k) [rad].
       spread: prior standard deviation of δ [rad]; wander [rad/√rad]; friction: of r [N·m].
     """
     forget = float(np.exp(-smoothed.STEP * _TRACK / MEMORY))
     known = np.hypot(noise, friction * friction_shape)
-    told = noise <= np.median(noise)
+    quiet = noise <= np.median(noise)
     weighted = noise
     beyond = np.zeros(_REWEIGHTED + 1)
     for i in range(_REWEIGHTED + 1):
         (zero, left), variance = _tracked(
             seen, friction_shape, constants, weighted**2, wander**2 * travel, spread**2, friction**2, forget
         )
-        scatter = _ROBUST * float(np.median(np.abs(left[told])))
-        beyond[i] = math.sqrt(max(scatter**2 - float(np.median(known[told])) ** 2, 0.0))
+        scatter = _ROBUST * float(np.median(np.abs(left[quiet])))
+        beyond[i] = math.sqrt(max(scatter**2 - float(np.median(known[quiet])) ** 2, 0.0))
         if i < _REWEIGHTED:
             weighted = np.hypot(noise, beyond[i])
             weighted = weighted * np.maximum(np.abs(left) / (_OUTLIER * np.hypot(known, beyond[i])), 1.0)
-    if beyond[-1] > _TORSION * float(np.median(known[told])):
+    if beyond[-1] > _TORSION * float(np.median(known[quiet])):
         variance, wander = variance + beyond[-1] ** 2, math.hypot(wander, beyond[-1])
     return Tracked(zero, np.sqrt(np.maximum(variance, 0.0)), wander)
 
@@ -725,7 +717,7 @@ def _tracked(
     friction_variance: float,
     forget: float,
 ) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray]:
-    """Zero and what is left of what is seen without it and the constants, shape (n,); the zero's variance, likewise."""
+    """Return zero and residual without zero and constants, shape (n,), and the zero's variance, likewise."""
     k = constants.shape[1]
     smooth, innovations = np.empty((k + 1, len(seen))), np.empty((k + 1, len(seen)))
     variance, total = np.empty(len(seen)), np.empty(len(seen))
@@ -742,25 +734,28 @@ def _tracked(
 
 
 @kernel
-def _wave_generator_torsion(torque, record, out):
-    p = record[0]
+def _wave_generator_torsion(torque, record):
+    p, out = record[0], np.empty(len(torque))
     for i in range(len(out)):
         out[i] = laws.wave_generator_torsion(torque[i] / p.N, p) / p.N
+    return out
 
 
 @kernel
-def _slow_friction(w, record, out):
+def _slow_friction(w, record):
+    out = np.empty(len(w))
     for i in range(len(w)):
         out[i] = slow_friction(w[i], record[0])
+    return out
 
 
 @kernel
 def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, zero, variance, innovation, total):
-    """Kalman filter forward and Rauch-Tung-Striebel back, of two states: zero and its variance into `zero`, `variance`, the
-    filter's innovations and their variance into `innovation`, `total`.
+    """Kalman filter and Rauch-Tung-Striebel smoother of two states. Write the zero and its variance into `zero`,
+    `variance`, the filter's innovations and their variance into `innovation`, `total`.
 
     Args:
-      slope: of what is seen over the friction model's error, shape (n,); noise, walk: variances of what is seen and of the zero's
+      slope: of `seen` over the friction model's error, shape (n,); noise, walk: variances of `seen` and of the zero's
         steps, likewise.
     """
     n = len(seen)
@@ -769,12 +764,8 @@ def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, z
     d, r, a, b, c = 0.0, 0.0, zero_variance, 0.0, friction_variance
     for k in range(n):
         if k > 0:
-            r, a, b, c = (
-                forget * r,
-                a + walk[k],
-                forget * b,
-                forget * forget * (c - friction_variance) + friction_variance,
-            )
+            r, a, b = forget * r, a + walk[k], forget * b
+            c = forget * forget * (c - friction_variance) + friction_variance
         p = predicted[k]
         p[0], p[1], p[2], p[3], p[4] = d, r, a, b, c
         h = slope[k]
@@ -792,7 +783,7 @@ def _track(seen, slope, noise, walk, zero_variance, friction_variance, forget, z
         fa, fb, fc = f[2], f[3], f[4]
         pa, pb, pc = p[2], p[3], p[4]
         determinant = pa * pc - pb * pb
-        # Gain of the smoother: P F over what was predicted; a state that is known exactly stays.
+        # Gain of the smoother: P F over the prediction; an exactly known state stays.
         g00, g01, g10, g11 = 0.0, 0.0, 0.0, 0.0
         if determinant > 1e-15 * pa * pc:
             g00, g01 = (fa * pc - forget * fb * pb) / determinant, (forget * fb * pa - fa * pb) / determinant

@@ -1,4 +1,4 @@
-"""Estimators beside signals that are still being made: a stretch at a time, to the bit what they say of the whole."""
+"""Estimators on signals that are still being simulated: part by part, with the results of the whole to the bit."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from .estimator import (
 
 
 class OnlineSamples:
-    """What estimators read of signals that fill up: records of `models.step.SAMPLE`, shape (n,), with and without the command.
+    """The estimators' records of signals in progress: `models.step.SAMPLE`, shape (n,), with and without the command.
 
     Args of the constructor:
-      time: of all samples [s], shape (n,). columns: channels, shape (n,) each, that somebody fills. joint: what is known.
+      time: of all samples [s], shape (n,). columns: channels, shape (n,) each, filled by the caller. joint: the known
+        joint.
     """
 
     def __init__(self, time: np.ndarray, columns: Mapping[str, np.ndarray], joint: KnownJoint):
@@ -31,27 +32,27 @@ class OnlineSamples:
         self._records = {reads_command: blank_samples(time, joint) for reads_command in (False, True)}
 
     def fill(self, part: slice) -> None:
-        """Take up the channels' samples of a stretch."""
+        """Take the channels' samples of a part."""
         for reads_command, records in self._records.items():
             fill_samples(records, self.columns, part, reads_command)
 
     def of(self, estimator: CausalEstimator) -> np.ndarray:
-        """The records that an estimator reads."""
+        """Return the records that an estimator reads."""
         return self._records[estimator.reads_command]
 
 
 class OnlineEstimate:
-    """An estimator that goes along with signals.
+    """An estimator that follows signals in progress.
 
     Attributes:
       estimator: the estimator.
     """
 
     def __init__(self, estimator: CausalEstimator, samples: OnlineSamples):
-        """Begin before the first sample.
+        """Start before the first sample.
 
         Raises:
-          InputError: a channel that is missing.
+          InputError: a missing channel.
         """
         for name in estimator.needs:
             if name not in samples.columns:
@@ -64,10 +65,10 @@ class OnlineEstimate:
         self._history = np.zeros((len(samples.time), len(estimator.outputs)))
 
     def advance(self, part: slice) -> Posterior:
-        """What the estimator says of the next stretch, whose samples have been filled.
+        """Return the posterior of the next part, whose samples have been filled.
 
         Raises:
-          FilterDiverged: an estimate that is no longer finite.
+          FilterDiverged: an estimate that is not finite.
         """
         records, time = self._samples.of(self.estimator)[part], self._samples.time
         failed, status = go_on(self._arrays, records, self._history[part])
@@ -78,6 +79,6 @@ class OnlineEstimate:
         return self.so_far(part)
 
     def so_far(self, part: slice) -> Posterior:
-        """What it said of a stretch."""
+        """Return the posterior of a part so far."""
         columns = dict(zip(self.estimator.outputs, self._history[part].T.copy(), strict=True))
         return self.estimator.posterior(self._samples.time[part], columns)

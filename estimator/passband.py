@@ -1,9 +1,9 @@
-"""How far the motion of a recording may be differentiated twice, before its acceleration is noise rather than motion.
+"""The passband up to which a recording's motion may be differentiated twice, before the acceleration is mostly noise.
 
-Noise of a position grows with the power 5/2 of the passband once it is an acceleration, whatever it comes of: counts, time stamps
-times speed, a ripple that the samples do not resolve. It is read off what the position has above a passband. Three things bound
-that: noise makes an inertia too small, by its share of the acceleration's power; no motion asks for far more torque than there
-was; and a plain regression must not be worse off than with less of the acceleration.
+Noise of a position grows with the power 5/2 of the passband in the acceleration, whatever its source: counts, time
+stamps times speed, unresolved ripple. It is read off the position's spectrum above a passband. Three limits bound it:
+noise makes an inertia too small, by its share of the acceleration's power; no motion needs far more torque than was
+measured; and a plain regression must not predict worse than with a lower passband.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from ..models.signals import POSITIONS
 from .motion import CUTOFF, smooth
 
 NOISY = 0.02
-"""Share of the acceleration's power that may be noise."""
+"""Largest noise share of the acceleration's power."""
 KNOWN = 8.0
-"""Noise of the acceleration as a torque over that of what it is held against, up to which fits of two encoders count it: where
-it is that of the sensor as it is described."""
+"""Largest noise of the acceleration as a torque, over the noise of the torque, if it is the described sensor noise:
+fits of two encoders then account for it."""
 QUIET = 1.0
-"""The same, up to which it does no harm with two encoders."""
-_BEYOND = 2.0  # times the described noise, up to which it is that
-_DESCRIBED_WRONG = 3.0  # times too small an inertia may be described
+"""The same, at which it does no harm with two encoders."""
+_BEYOND = 2.0  # largest noise over the described noise
+_DESCRIBED_WRONG = 3.0  # largest factor by which a described inertia may be too small
 _AS_GOOD = 1.005  # of the least residual of a regression
-_PLAINLY = 0.8  # of the residual below the noise's limit: less of it above shows motion there
-_LEAST, _STEPS = 0.5, 32  # passbands that are tried: from so many Hz, so many
-_LOWER = 4.0  # times less than the noise allows, down to which a regression chooses
+_PLAINLY = 0.8  # residual ratio that shows motion above the noise's limit
+_LEAST, _STEPS = 0.5, 32  # candidate passbands: lowest [Hz], number
+_LOWER = 4.0  # the regression tries passbands down to the noise's limit over this
 _WINDOW = 4.0  # s of a spectrum
 _LONGEST, _SHORTEST, _WINDOWS = 1 << 15, 32, 48  # samples of a window, windows of a long log
 _REGRESSED = 1 << 15  # samples, most
-_ABOVE = (1.5, 4.0)  # times a passband: where its noise is read off
-_WIDTH = 0.418  # what passes the smoother of white noise, twice differentiated: the root of ∫ x⁴/(1+x⁶)² dx
+_ABOVE = (1.5, 4.0)  # times a passband: band in which the noise is measured
+_WIDTH = 0.418  # rms of white noise, twice differentiated, after the smoother: the root of ∫ x⁴/(1+x⁶)² dx
 _FOLDS, _BLOCKS, _BLOCK = 6, 24, 0.5  # folds, blocks at least, s
 _CRAWLING = 0.02  # of the rms speed, within which friction changes its sign
 
@@ -46,16 +46,16 @@ def highest(
     limit: float,
     p: np.void,
 ) -> tuple[float, str]:
-    """The highest passband for all encoders of a recording.
+    """Return the highest passband for all encoders of a recording.
 
     Args:
       recording: n samples; parts: without gaps.
-      noise: of one sample, by channel, in its unit; floors: of each encoder as its sensor is described [rad].
-      limit: that the rates set [Hz].
+      noise: of one sample, by channel, in its unit; floors: of each encoder as described [rad].
+      limit: by the rates [Hz].
       p: parameters of the joint.
 
     Returns:
-      Passband [Hz], and the encoder whose noise sets it; empty where none does.
+      Passband [Hz], and the encoder whose noise limits it; empty if none does.
     """
     limit = min(CUTOFF, limit)
     found, loudest = limit, ""
@@ -76,7 +76,7 @@ def highest(
             good |= (loud <= QUIET) | (loud <= KNOWN) & (shaken <= _BEYOND * white)
         for y, inertia in held.items():
             possible = inertia * whole <= _DESCRIBED_WRONG * np.sqrt(np.mean(recording[y] ** 2))
-            good &= possible | ~possible.any()  # of a column in another unit nothing is
+            good &= possible | ~possible.any()  # no passband is possible for a column in another unit
         own = float(tried[good].max()) if good.any() else float(tried[0])
         if held and len(floors) == 1:
             own = _regressed(recording, name, next(iter(held)), parts, tried[tried >= own / _LOWER], own, float(p["N"]))
@@ -86,7 +86,7 @@ def highest(
 
 
 def _held_against(recording: Recording, name: str, p: np.void) -> dict[str, float]:
-    """Channels that an encoder's acceleration is held against, by what one rad/s² is in their unit."""
+    """Return the channels that an encoder's acceleration is compared with, with the factor from rad/s² to their unit."""
     rotor, link, N, Kt = float(p["Jm"] + p["Jw"]), float(p["Jl"]), float(p["N"]), float(p["Kt"])
     both = all(n in recording for n in POSITIONS)
     found = {}
@@ -100,7 +100,8 @@ def _held_against(recording: Recording, name: str, p: np.void) -> dict[str, floa
 
 
 def _windows(recording: Recording, name: str, parts: Sequence[slice], size: int, count: int, step: int) -> list[int]:
-    """First samples of windows of a size, every so many samples; of more than `count` those in which an encoder travels most."""
+    """Return the first samples of windows of a size, every `step` samples; of more than `count`, those with the most
+    travel."""
     begins = [b for part in parts for b in range(part.start, part.stop - size + 1, step)]
     if len(begins) > count:
         x = recording[name]
@@ -110,7 +111,7 @@ def _windows(recording: Recording, name: str, parts: Sequence[slice], size: int,
 
 
 def _spectrum(recording: Recording, name: str, parts: Sequence[slice]) -> tuple[np.ndarray, np.ndarray] | None:
-    """Frequencies [Hz] and power density of a position [rad²/Hz]; None of a recording that is too short."""
+    """Return frequencies [Hz] and power density of a position [rad²/Hz]; None for a recording that is too short."""
     interval = recording.interval
     longest = max((part.stop - part.start for part in parts), default=0)
     size = min(_LONGEST, max(round(_WINDOW / interval), 2 * _SHORTEST), longest // 3)
@@ -130,8 +131,8 @@ def _spectrum(recording: Recording, name: str, parts: Sequence[slice]) -> tuple[
 
 
 def _noise_share(frequency: np.ndarray, power: np.ndarray, cutoff: float) -> tuple[float, float, float]:
-    """Of an acceleration up to a passband [Hz]: share of its power that is noise, the noise and the whole [rad/s² rms]. What the
-    position has above the passband is taken for noise that it has below, too."""
+    """Return, for an acceleration up to a passband [Hz], the noise share of its power, its noise and its rms [rad/s²
+    rms]. Noise above the passband is assumed to be the same below."""
     above = (frequency > _ABOVE[0] * cutoff) & (frequency < _ABOVE[1] * cutoff)
     if not above.any():
         return 1.0, np.inf, np.inf
@@ -145,11 +146,12 @@ def _noise_share(frequency: np.ndarray, power: np.ndarray, cutoff: float) -> tup
 def _regressed(
     recording: Recording, name: str, y: str, parts: Sequence[slice], tried: np.ndarray, own: float, N: float
 ) -> float:
-    """The highest of some passbands [Hz] at which a regression of a channel on an encoder's motion predicts blocks that it has
-    not seen about as well as at any.
+    """Return the highest passband [Hz] at which a regression of a channel on an encoder's motion predicts held-out
+    blocks about as well as at any.
 
     Args:
-      own: the highest that the noise allows. What lies above is chosen only where it plainly predicts better: then it is motion.
+      own: the highest that the noise allows. A higher one is chosen only if it clearly predicts better: then it is
+        motion.
     """
     longest = max(part.stop - part.start for part in parts)
     size = min(longest, _REGRESSED)
@@ -173,7 +175,8 @@ def _regressed(
 
 
 def _left(motion: np.ndarray, y: np.ndarray, fold: np.ndarray) -> float:
-    """RMS that is left of y, shape (n,), in folds that a regression on gravity, inertia, friction and an offset has not seen."""
+    """Return the RMS residual of y, shape (n,), in held-out folds of a regression on gravity, inertia, friction and
+    an offset."""
     (x, v, a), known = motion.T[:3], motion.T[3:]
     crawling = _CRAWLING * np.sqrt(np.mean(v**2)) + 1e-300
     columns = np.column_stack([np.sin(x), np.cos(x), a, v, np.tanh(v / crawling), np.ones(len(x)), *known])

@@ -1,14 +1,15 @@
-"""A rigid payload that the description does not have, seen through the motor current: the model of both payload observers.
+"""A rigid payload missing in the description, observed through the motor current: the model of both payload
+observers.
 
-Its external torque on the link is α sin θl + β cos θl − J θl'' with moments α, β and inertia J about the joint's axis.
-Measured is the torque of the current at the output, friction without load and the drive's inertia taken off,
+Its external torque on the link is α sin θl + β cos θl − J θl'' with moments α, β and inertia J about the joint's
+axis. The measurement is the torque of the current at the output, less friction without load and the drive's inertia,
 
     I = c·T + r        T = own torque − external torque + bl θl'
-    c = 1 + μ where the motor drives, 1 − κμ where the load does
+    c = 1 + μ if the motor drives, 1 − κμ if the load does
 
-where μ is the load-dependent friction, κ the share of it that acts while the load drives, and r what friction does beyond its
-model, which forgets in `MEMORY`. The state [α, β, J, κ, r] is estimated by an extended Kalman filter. It is blind to
-contact: what is no payload ends up in r, or in a payload that is not there.
+with the load-dependent friction μ, its share κ while the load drives, and the friction model's error r, which forgets
+in `MEMORY`. An extended Kalman filter estimates the state [α, β, J, κ, r]. It cannot see contact: other external
+torques end up in r, or in a false payload.
 """
 
 from __future__ import annotations
@@ -24,22 +25,22 @@ from .estimator import KnownJoint
 
 SIZE = 5
 MEMORY = 0.5
-"""Correlation time of what friction does beyond its model [s]."""
+"""Correlation time of the friction model's error [s]."""
 PAYLOAD = 0.7
-"""Prior standard deviation of a payload's moments, in rated torques; its inertia's as if all of it were 1 m away."""
+"""Prior standard deviation of a payload's moments, in rated torques; its inertia's as for a mass at 1 m."""
 NOISE = 0.003
-"""The least noise that an estimate of torque is credited with, as a share of the rated torque."""
+"""Least noise of an estimate of torque, as a share of the rated torque."""
 FRICTION_ERROR = 0.05
-"""The least that a friction model is wrong, as a share of the friction."""
+"""Least error of a friction model, as a share of the friction."""
 INTERVAL = 4e-3
 """Time between samples [s] for which the noise of the current counts as independent."""
-_AT_REST = 4.0  # at rest, friction is anything up to its level: noise in units of the level
-_SLOW = 4.0  # how far from rest that reaches, in Stribeck velocities
+_AT_REST = 4.0  # noise of friction at rest, in units of its level
+_SLOW = 4.0  # its range of speed, in Stribeck velocities
 
 
 class Seen(NamedTuple):
-    """What an observer sees at an instant: `models.dynamics.State` of the drive, motor acceleration [rad/s²], link acceleration
-    [rad/s²], torque that acts on the rotor without Tw [N·m, motor side], own torque of the link [N·m]."""
+    """An observer's inputs at an instant: `models.dynamics.State` of the drive, motor acceleration [rad/s²], link
+    acceleration [rad/s²], torque on the rotor without Tw [N·m, motor side], own torque of the link [N·m]."""
 
     state: dynamics.State
     motor_acceleration: float
@@ -49,7 +50,7 @@ class Seen(NamedTuple):
 
 
 class KnownPayload(NamedTuple):
-    """What is known of a payload: moments α, β [N·m], inertia J [kg·m²]; and the share κ of the load-dependent friction that acts
+    """A payload: moments α, β [N·m], inertia J [kg·m²]; and the share κ of the load-dependent friction that acts
     while the load drives."""
 
     payload_sin: float
@@ -59,41 +60,42 @@ class KnownPayload(NamedTuple):
 
 
 def friction_error(joint: KnownJoint) -> float:
-    """Standard deviation [N·m, output side] of the friction model: its tolerance, or what a diagnosis found."""
+    """Return the standard deviation [N·m, output side] of the friction model: by its diagnosis, or else its
+    tolerance."""
     return float(max(joint.friction, FRICTION_ERROR) * joint.p["N"] * joint.p["Fc"])
 
 
 def prior(joint: KnownJoint) -> np.ndarray:
-    """Mean and standard deviation of the state, shape (SIZE, 2)."""
+    """Return mean and standard deviation of the state, shape (SIZE, 2)."""
     moment = PAYLOAD * joint.rated_torque
     kappa = (float(joint.p["back_driven_friction"]), joint.back_driven)
     return np.array([(0, moment), (0, moment), (0, moment / 9.81), kappa, (0, friction_error(joint))], dtype=np.float64)
 
 
 def noise(joint: KnownJoint) -> float:
-    """Standard deviation of I [N·m] at samples `INTERVAL` apart."""
+    """Return the standard deviation of I [N·m] at samples `INTERVAL` apart."""
     p = joint.p
     return float(max(1.2 * p["N"] * p["Kt"] * joint.noise.current_noise, 3 * NOISE * joint.rated_torque))
 
 
 @kernel
 def slow_friction(w, p):
-    """Standard deviation [N·m, output side] of friction near rest from its model: presliding, Stribeck."""
+    """Return the standard deviation [N·m, output side] of the friction model near rest: presliding, Stribeck."""
     return _AT_REST * p.N * p.Fc * math.exp(-abs(w) / (_SLOW * p.vs))
 
 
 @kernel
 def external_torque(x, link_position, link_acceleration):
-    """The payload's torque on the link [N·m]."""
+    """Return the payload's torque on the link [N·m]."""
     return x[0] * math.sin(link_position) + x[1] * math.cos(link_position) - x[2] * link_acceleration
 
 
 @kernel
 def update(x, P, seen, at, noise, p):
-    """Update state x, shape (SIZE,), and covariance P with what is seen at an instant, in place.
+    """Update state x, shape (SIZE,), and covariance P with the inputs of an instant, in place.
 
     Args:
-      seen: `Seen`; the bristle of its state is not looked at.
+      seen: `Seen`; the bristle of its state is not used.
       at: Shape (SIZE − 1,), [α, β, J, κ] about which the measurement is linearised.
       noise: of the measurement [N·m].
     """
@@ -129,7 +131,7 @@ def update(x, P, seen, at, noise, p):
 
 @kernel
 def forget(x, P, share, variance):
-    """Let r forget: `share` of it stays, and its variance returns to its prior's."""
+    """Let r forget: keep `share` of it, and return its variance to its prior's."""
     x[4] *= share
     P[4, :] *= share
     P[:, 4] *= share

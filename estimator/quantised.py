@@ -1,14 +1,14 @@
-"""The Gaussian update with a quantised reading: a reading says in which cell the measured quantity lies, not where.
+"""The Gaussian update with a quantised reading: a reading gives the cell of the measured quantity, not its value.
 
-An encoder that rests gives the same count over and over. To a filter that takes the count's rounding for white noise, a
-thousand equal readings are a thousand independent proofs of the cell's middle; the rounding then enters the estimate as
-an offset. Here the update uses what is known: h(x) + noise lies in [y − q/2, y + q/2]. With a Gaussian prior for h(x)
-of mean ŷ and variance S (noise included) the moments of the truncated normal give (Curry, "Estimation and Control with
-Quantized Measurements", 1970; Duan, Jilkov & Li, FUSION 2008)
+An encoder at rest repeats its count. A filter that treats rounding as white noise takes a thousand equal readings for
+a thousand independent measurements of the cell's middle, and the rounding becomes an offset. This update uses what is
+known: h(x) + noise is in [y − q/2, y + q/2]. With a Gaussian prior for h(x) of mean ŷ and variance S (noise included)
+the moments of the truncated normal give (Curry, "Estimation and Control with Quantized Measurements", 1970; Duan,
+Jilkov & Li, FUSION 2008)
 
     x⁺ = x + K (E[y | cell] − ŷ)        P⁺ = P − K (S − Var[y | cell]) Kᵀ        K = P Hᵀ/S
 
-For q → 0 this is the Kalman update; for S ≪ q² inside the cell it is none at all.
+For q → 0 this is the Kalman update; for S ≪ q² inside the cell it changes nothing.
 """
 
 from __future__ import annotations
@@ -50,16 +50,16 @@ def update(x, P, active, H, residual, variance, q, PH):
     """Condition x, P on one scalar reading, in place.
 
     Args:
-        x: Shape (≥ N,), states.
-        P: Shape (N, N), covariance of the states `active`, shape (N,), indices; the others stay as they are.
-        H: Shape (N,), derivative of the reading by them.
-        residual: reading less its prediction.
-        variance: of the noise before rounding.
-        q: step of the rounding; 0 for none.
-        PH: Shape (N,), scratch.
+      x: Shape (≥ N,), states.
+      P: Shape (N, N), covariance of the states `active`, shape (N,), indices; the others are unchanged.
+      H: Shape (N,), derivative of the reading by them.
+      residual: reading less its prediction.
+      variance: of the noise before rounding.
+      q: step of the rounding; 0 for none.
+      PH: Shape (N,), scratch.
 
     Returns:
-        S = H P Hᵀ + variance.
+      S = H P Hᵀ + variance.
     """
     n = P.shape[0]
     S = variance

@@ -1,10 +1,10 @@
 """The paper's recursion, Eqs. (10)-(25), compiled, for its torque filter, F = H = 1.
 
-EKF, robust EKF, AREKF and RAREKF are one recursion and differ in one rule, which takes the predicted covariance P(k|k-1) to
-the adjusted one, Σ(k|k-1): Eqs. (12), (18)-(25). Eqs. (21) and (24) together give `γ⁻²LᵀL = (1 - 1/f_α)·P⁻¹`, so that robust
-mode, Eq. (19), is `Σ = f_α·P` in any dimension: γ and L cancel. Only the fixed-γ rule, Eq. (18), needs them.
+EKF, robust EKF, AREKF and RAREKF are one recursion and differ in one rule from the predicted covariance P(k|k-1) to
+the adjusted one, Σ(k|k-1): Eqs. (12), (18)-(25). Eqs. (21) and (24) together give `γ⁻²LᵀL = (1 - 1/f_α)·P⁻¹`, so that
+robust mode, Eq. (19), is `Σ = f_α·P` in any dimension: γ and L cancel. Only the fixed-γ rule, Eq. (18), needs them.
 
-Robust mode multiplies all of P. In a direction that H and F never observe nothing takes that back: with such a model AREKF
+Robust mode multiplies all of P. A direction that H and F never observe keeps that increase: with such a model AREKF
 and RAREKF let P grow without bound and end in `FilterDiverged`.
 """
 
@@ -30,8 +30,8 @@ SETTINGS = np.dtype(
         "rule", "W", "V", "P0", "L", "inverse_gamma_squared", "k", "rho", "alpha", "printed_memory", "adjusted_covariance",
     )]
 )  # fmt: skip
-"""A filter's numbers as a record: of `RULES`; W, V, P(0), L; γ⁻² (zero is γ = ∞), k, ρ; of `ALPHAS`; whether Eq. (20) is as
-printed; whether P_Y of Eqs. (19), (25) is that of Σ."""
+"""A filter's numbers as a record: of `RULES`; W, V, P(0), L; γ⁻² (zero is γ = ∞), k, ρ; of `ALPHAS`; whether Eq. (20)
+is as printed; whether P_Y of Eqs. (19), (25) is that of Σ."""
 
 STATE = np.dtype(
     [(name, np.float64) for name in (
@@ -39,31 +39,32 @@ STATE = np.dtype(
         "innovation_memory_variance", "alpha", "f_alpha", "robust", "nis",
     )]
 )  # fmt: skip
-"""What a filter remembers and tells: X̂, P, Ỹ, P_Y of Eq. (14), P_Y of the unadjusted prediction, P̄_Y, α, f_α, mode, NIS."""
+"""Memory and outputs of a filter: X̂, P, Ỹ, P_Y of Eq. (14), P_Y of the unadjusted prediction, P̄_Y, α, f_α, mode,
+NIS."""
 
 GAMMA_TOO_SMALL, NOT_POSITIVE, FACTOR_OVERFLOW = range(2, 5)
 LARGEST_FACTOR = 1.0 / np.finfo(np.float64).eps
-"""An f_α above this leaves nothing of V in P_Y: the filter has stopped weighing model against measurement."""
+"""Largest f_α: above it V has no influence on P_Y, and the filter no longer weighs model against measurement."""
 
 
 @kernel
 def start(f, y, c):
-    """Begin at X̂ = Y(0). P_Y(0) is what Eq. (20) as printed begins with; P̄_Y(0) = Ỹ(0)Ỹ(0)ᵀ is zero."""
+    """Start at X̂ = Y(0). P_Y(0) is the initial value of Eq. (20) as printed; P̄_Y(0) = Ỹ(0)Ỹ(0)ᵀ is zero."""
     f.torque, f.variance, f.alpha, f.f_alpha = y, c.P0, 1.0, 1.0
     f.innovation_variance = f.unadjusted_innovation_variance = c.P0 + c.V
 
 
 @kernel
 def update(f, y, c):
-    """One step of the torque filter, F = H = 1.
+    """Update the torque filter with one step, F = H = 1.
 
     Args:
-        f: record of `STATE`, moved on; left as it was where the step fails.
-        y: torque of the compliance model [N·m].
-        c: record of `SETTINGS`.
+      f: record of `STATE`, updated; unchanged if the step fails.
+      y: torque of the compliance model [N·m].
+      c: record of `SETTINGS`.
 
     Returns:
-        OK, or why there is no next estimate: NOT_FINITE, GAMMA_TOO_SMALL, NOT_POSITIVE (P_Y), FACTOR_OVERFLOW (f_α).
+      OK, or why there is no next estimate: NOT_FINITE, GAMMA_TOO_SMALL, NOT_POSITIVE (P_Y), FACTOR_OVERFLOW (f_α).
     """
     P = f.variance + c.W  # (11)
     unadjusted = P + c.V  # (14), of the unadjusted prediction
@@ -100,7 +101,7 @@ def update(f, y, c):
 
 @kernel
 def redundancy_factor(load, c):
-    """α of Eq. (23) for the torque load ω [N·m], the filter's own last estimate; 1 for every rule but RAREKF."""
+    """Return α of Eq. (23) for the torque load ω [N·m], the filter's last estimate; 1 for every rule but RAREKF."""
     if c.rule != RAREKF:
         return 1.0
     alpha = c.k * load * load
@@ -113,18 +114,18 @@ def redundancy_factor(load, c):
 
 @kernel
 def compensation_factor(memory, total, noise, alpha, c):
-    """f_α of Eq. (25) where Eq. (19) switches to robust mode, and exactly 1 where it does not.
+    """Return f_α of Eq. (25) if Eq. (19) switches to robust mode, else exactly 1.
 
     Args:
-        memory: tr P̄_Y, Eq. (20).
-        total: tr P_Y = tr(H·P·Hᵀ + V), of the unadjusted prediction.
-        noise: tr V.
-        alpha: redundancy factor.
-        c: record of `SETTINGS`.
+      memory: tr P̄_Y, Eq. (20).
+      total: tr P_Y = tr(H·P·Hᵀ + V), of the unadjusted prediction.
+      noise: tr V.
+      alpha: redundancy factor.
+      c: record of `SETTINGS`.
 
-    With the unadjusted P_Y: `f_α = P̄_Y / (α·P_Y)`. With the adjusted one, P_Y = f_α·HPHᵀ + V contains what it
-    decides; f_α is then the positive root of `α·(f·HPHᵀ + V)·f = P̄_Y`. Both exceed 1 under the same condition.
-    The result is infinite at α = 0.
+    With the unadjusted P_Y: `f_α = P̄_Y / (α·P_Y)`. The adjusted one, P_Y = f_α·HPHᵀ + V, depends on f_α, which is
+    then the positive root of `α·(f·HPHᵀ + V)·f = P̄_Y`. Both exceed 1 under the same condition. The result is
+    infinite at α = 0.
     """
     threshold = alpha * total
     if c.rule == EKF or not memory > threshold:
@@ -139,11 +140,8 @@ def compensation_factor(memory, total, noise, alpha, c):
 
 @kernel
 def surprise(y, settings, most):
-    """Minus twice the log likelihood of a filter's innovations over measurements y, shape (T,); none counts more than `most`.
-
-    Returns:
-        It, the sample at which the filter failed, and the status; T and OK where it did not.
-    """
+    """Return minus twice the log likelihood of a filter's innovations over measurements y, shape (T,), each limited
+    to `most`, the sample at which the filter failed, and the status; T and OK if it did not."""
     c = settings[0]
     history = np.zeros(1, STATE)
     start(history[0], y[0], c)

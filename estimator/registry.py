@@ -1,6 +1,6 @@
-"""The estimators by name: those of `filters/`, and those that plugins add (`models.plugins`).
+"""The estimators by name: those of `filters/`, and those of plugins (`models.plugins`).
 
-A file in `filters/` that holds a tuple `ESTIMATORS` is enough. An installed package's are imported when they are asked for.
+A file in `filters/` with a tuple `ESTIMATORS` is enough. Those of an installed package are imported on request.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from . import filters
 from .estimator import Estimator
 
 OWN = "; one of a file of yours is known by --plugin FILE.py"
-"""What a name that nothing resembles may be."""
+"""Hint for an unknown name."""
 
 
 def names() -> tuple[str, ...]:
@@ -28,10 +28,10 @@ def names() -> tuple[str, ...]:
 
 
 def get(name: str) -> Estimator:
-    """The estimator of that name with its default tuning parameters; `dataclasses.replace` changes them.
+    """Return the estimator of that name with its default tuning parameters; `dataclasses.replace` changes them.
 
     Raises:
-      InputError: a name that is none; a plugin's estimator that cannot be loaded or is none.
+      InputError: an unknown name; a plugin's estimator that cannot be loaded or is not an estimator.
     """
     if name in _own():
         return _own()[name]
@@ -42,10 +42,10 @@ def get(name: str) -> Estimator:
 
 
 def check(offered: Iterable[str]) -> None:
-    """Look at estimators, causes and sensors that a plugin offers.
+    """Check the estimators, causes and sensors of a plugin.
 
     Raises:
-      InputError: one that is none, or does not keep what one promises.
+      InputError: one that does not follow its interface.
     """
     for name in offered:
         if name in _others():
@@ -57,12 +57,12 @@ def check(offered: Iterable[str]) -> None:
 
 
 def origin(name: str) -> Origin:
-    """Where the estimator of that name comes from."""
+    """Return the origin of the estimator of that name."""
     return plugins.OWN if name in _own() else _others()[name].origin
 
 
 def _estimator(given: Any) -> Any:
-    """An object; of a class of estimators one with its default tuning."""
+    """Return an estimator; for a class, one with its default tuning."""
     return given() if isinstance(given, type) and issubclass(given, Estimator) else given
 
 
@@ -78,27 +78,27 @@ def _own() -> dict[str, Estimator]:
 
 
 def _others() -> dict[str, Offer]:
-    """What plugins offer."""
+    """Return the estimators of plugins."""
     return plugins.offers("estimators", _own())
 
 
 def _checked(offer: Offer) -> Estimator:
-    """A plugin's estimator, if it is one.
+    """Return a plugin's estimator.
 
     Raises:
-      InputError: another object, another name than it was offered by, no frozen dataclass.
+      InputError: another object, another name than offered, not a frozen dataclass.
     """
     where = f"estimator {offer.name!r} of {offer.origin.name}"
     try:
         found = _estimator(offer.get())
     except InputError:
         raise
-    except Exception as error:  # whatever foreign code does
+    except Exception as error:  # foreign code
         raise InputError(f"{where}: {type(error).__name__}: {error}") from error
     if not isinstance(found, Estimator):
         raise InputError(f"{where}: expected an Estimator, got {type(found).__name__}")
     if found.name != offer.name:
-        raise InputError(f"{where}: name: expected {offer.name!r}, as it is offered, got {found.name!r}")
+        raise InputError(f"{where}: name: expected {offer.name!r}, its entry point, got {found.name!r}")
     if not is_dataclass(found) or not found.__dataclass_params__.frozen:
         raise InputError(f"{where}: expected a frozen dataclass, got another class")
     if not (isinstance(found.description, str) and isinstance(found.needs, tuple) and isinstance(found.tuning, tuple)):

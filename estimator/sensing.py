@@ -1,4 +1,4 @@
-"""What a sample's readings mean, for compiled steps: the current that flowed, the temperature, motion without its noise."""
+"""Meaning of a sample's readings, for compiled steps: the actual current, the temperature, smooth motion."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..models.dynamics import UNREAD, State
 from ..models.kernels import kernel
 
 LOWPASS = np.dtype([("value", np.float64), ("rate", np.float64), ("acceleration", np.float64)])
-"""A signal behind a low-pass, and its first two derivatives in time."""
+"""A low-passed signal, and its first two derivatives in time."""
 
 
 @kernel
 def lowpass(m, u, interval, cutoff):
-    """Move a record of `LOWPASS` on to a sample u: y'' = ω²(u − y) − √2·ω·y' (Butterworth), ω = `cutoff` [rad/s].
+    """Update a record of `LOWPASS` with a sample u: y'' = ω²(u − y) − √2·ω·y' (Butterworth), ω = `cutoff` [rad/s].
 
-    Stepped semi-implicitly: stable at any `interval` [s]; where that is zero it starts at rest at u.
+    Semi-implicit: stable at any `interval` [s]; at interval zero it starts at rest at u.
     """
     if interval == 0.0:
         m.value, m.rate, m.acceleration = u, 0.0, 0.0
@@ -32,8 +32,8 @@ def lowpass(m, u, interval, cutoff):
 
 @kernel
 def motor_current(s, motor_position, link_position, velocity, load, p):
-    """Motor current [A] at a sample, a record of `models.step.SAMPLE`: the command in force, or the reading less its known
-    error where no command is known. Positions, motor velocity and load: on which a model discrepancy may depend."""
+    """Return the motor current [A] at a sample, a record of `models.step.SAMPLE`: the command in force, or without
+    one the reading less its known error. A model discrepancy may depend on positions, motor velocity and load."""
     if math.isnan(s.current_command):
         return dynamics.actual_motor_current(s.motor_current, motor_position, link_position, velocity, load, s.time, p)
     return s.current_command
@@ -41,13 +41,13 @@ def motor_current(s, motor_position, link_position, velocity, load, p):
 
 @kernel
 def temperature(s, p):
-    """Temperature [°C] at a sample; the one that the friction is stated for where there is no sensor."""
+    """Return the temperature [°C] at a sample; without a sensor that of the stated friction."""
     return p.reference_temperature if math.isnan(s.temperature) else s.temperature
 
 
 @kernel
 def arm_torque(s):
-    """What the motion of other joints of an arm puts on the link [N·m] at a sample; nothing where that is not known."""
+    """Return the torque of an arm's other joints on the link [N·m] at a sample; 0 if unknown."""
     return 0.0 if math.isnan(s.arm_torque) else s.arm_torque
 
 
@@ -57,11 +57,11 @@ VELOCITY = 2.0 * math.pi * 40.0
 
 @kernel
 def read_joint_torque(torque, motor_position, link_position, time, record, rotor, out):
-    """What the joint torque sensor reads [N·m] before noise at every sample, shape (n,) each.
+    """Write the joint torque sensor's readings [N·m] before noise, shape (n,), into `out`.
 
     Args:
-        motor_position, link_position: readings [rad]. time: since the recording began [s].
-        record: parameters; rotor: the low-pass in which its velocity is found, `LOWPASS`. Shape (1,) each.
+      motor_position, link_position: readings [rad]. time: since the recording began [s].
+      record: parameters; rotor: low-pass for its velocity, `LOWPASS`. Shape (1,) each.
     """
     p, m = record[0], rotor[0]
     for i in range(len(torque)):
@@ -74,16 +74,17 @@ def read_joint_torque(torque, motor_position, link_position, time, record, rotor
 
 
 RING = 512
-"""Samples that a delay of the link encoder may be long: beyond, the oldest stands for what was before it."""
+"""Longest delay of the link encoder, in samples. Beyond it the oldest sample is used."""
 _FEWEST = 5
 
 
 @kernel
 def place_in_ring(times, newest, then):
-    """Where an instant lies in a ring of times, shape (RING,): sample before it, sample after it, and share of the way between.
+    """Return the position of an instant in a ring of times, shape (RING,): sample before it, sample after it, and
+    share of the way between.
 
     Args:
-        newest: number of the last sample, counted from 0 on; it lies at that number modulo RING.
+      newest: number of the last sample, from 0; its index is that number modulo RING.
     """
     k, oldest = newest, max(newest - RING + 1, 0)
     while k > oldest and times[k % RING] > then:
@@ -95,11 +96,12 @@ def place_in_ring(times, newest, then):
 
 @kernel
 def line_in_ring(times, values, newest, window, at):
-    """The line that fits the last samples of a ring best, at an instant `at` [s]; the last value while there are few.
+    """Return the line through the last samples of a ring (least squares) at an instant `at` [s]; the last value while
+    there are few.
 
     Args:
-        times, values: Shape (RING,). newest: as `place_in_ring`.
-        window: of the fit [s], back from the newest; five samples at least.
+      times, values: Shape (RING,). newest: as `place_in_ring`.
+      window: of the fit [s], back from the newest; five samples at least.
     """
     oldest, last = max(newest - RING + 1, 0), times[newest % RING]
     count, mean_t, mean_x, k = 0, 0.0, 0.0, newest

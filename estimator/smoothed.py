@@ -1,12 +1,12 @@
-"""What a whole recording's motion, seen through one zero-phase smoother, says of the torques: for whatever need not be causal.
+"""Motion and torques of a whole recording through one zero-phase smoother, for estimates that need not be causal.
 
-Rotor, link and current go through the same linear filter (`motion`), so that both sides of a torque balance stay in step however
-low its passband is. How low it must be, the readings' own noise says (`bandwidth`).
+Rotor, link and current pass the same linear filter (`motion`), so both sides of a torque balance stay in phase at any
+passband. The noise of the readings decides the passband (`bandwidth`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,17 +22,16 @@ STEP = 1e-3
 BANDWIDTHS = (80.0, 40.0, 20.0, 10.0, 5.0)
 """Bandwidths [Hz] of the estimate from current, best first; see `bandwidth`."""
 QUIET = 0.005
-"""Noise that the estimate from current may have, as a share of the rated torque: it decides about the bandwidth."""
+"""Allowed noise of the estimate from current, as a share of the rated torque; it decides the bandwidth."""
 _ROBUST = 1.4826
-_LOAD_STEPS = 5  # friction depends on the torque that it is part of, weakly
+_LOAD_STEPS = 5  # friction depends weakly on the torque
 
 
-@dataclass(frozen=True)
-class Motion:
-    """Smooth motion and current on an even grid; n samples, what the sensors read wrong taken off.
+class Motion(NamedTuple):
+    """Smooth motion and current on an even grid; n samples, corrected for known sensor errors.
 
     Attributes:
-      time: shape (n,) [s]; since: of the recording's start [s].
+      time: shape (n,) [s]; since: since the recording's start [s].
       motor_position, motor_velocity, motor_acceleration: shape (n,), rotor, motor side.
       link_position, link_velocity, link_acceleration: shape (n,), output side.
       current: shape (n,), as read [A]. temperature: shape (n,) [°C].
@@ -52,24 +51,23 @@ class Motion:
     cutoff: float
 
     def every(self, steps: int) -> Motion:
-        """The same on every so many-th point of the grid."""
-        kept = {f.name: getattr(self, f.name)[::steps].copy() for f in fields(self) if f.name != "cutoff"}
-        return replace(self, **kept)
+        """Return every so many-th point of the grid."""
+        return Motion(*(values[::steps].copy() for values in self[:-1]), self.cutoff)
 
     def at(self, time: np.ndarray, values: np.ndarray) -> np.ndarray:
-        """Values on the grid at other times [s]."""
+        """Return values on the grid at other times [s]."""
         return np.interp(time, self.time, values)
 
 
 def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int = 1) -> Motion:
-    """Motion of a recording's part.
+    """Return the motion of a part of a recording.
 
     Args:
-      signals: `motor_position`, and `link_position`, `motor_current`, `temperature` where they are known. Without a link
-        encoder the link moves as the rotor does.
+      signals: `motor_position`, and `link_position`, `motor_current`, `temperature` if known. Without a link encoder
+        the link moves with the rotor.
       joint: what is known of it.
       cutoff: passband [Hz].
-      every: of the grid's points one is evaluated, the first among them.
+      every: evaluate every so many-th point of the grid, from the first.
     """
     time, p = signals.time, joint.p
     s = smooth(time, _rotor_link_current(signals, joint), STEP, cutoff, every, moving=2)
@@ -78,7 +76,7 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int
     if "temperature" in signals:
         heat = np.interp(s.time, time, signals["temperature"])
     start = joint.since(time[:1])[0]
-    since = s.time if start == time[0] == 0.0 else s.time - time[0] + start  # of an hour, 30 MB
+    since = s.time if start == time[0] == 0.0 else s.time - time[0] + start  # 30 MB less for an hour
     return Motion(
         s.time, since, position[0], velocity[0], acceleration[0], position[1], velocity[1],
         acceleration[1], position[2], heat, cutoff,
@@ -86,14 +84,13 @@ def smooth_motion(signals: Signals, joint: KnownJoint, cutoff: float, every: int
 
 
 def _rotor_link_current(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    """Rotor and link angle [rad] and current [A] at every sample, shape (n, 3)."""
+    """Return rotor and link angle [rad] and current [A], shape (n, 3)."""
     link = link_positions(signals, joint) if "link_position" in signals else None
     found = np.zeros((len(signals.time), 3))
     if link is not None:
         found[:, 1] = link
-        del link  # of an hour, 30 MB
-    motor = np.empty(len(found))
-    _motor_positions(signals["motor_position"], joint.record, motor)
+        del link  # 30 MB less for an hour
+    motor = _motor_positions(signals["motor_position"], joint.record)
     found[:, 0] = motor
     if "link_position" not in signals:
         found[:, 1] = motor / joint.p["N"]
@@ -103,66 +100,68 @@ def _rotor_link_current(signals: Signals, joint: KnownJoint) -> np.ndarray:
 
 
 def in_amperes(signals: Signals, joint: KnownJoint) -> Signals:
-    """The signals with the current of which a drive told the torque."""
+    """Return the signals with the current, if the drive reported the torque."""
     if "motor_current" in signals or "motor_torque" not in signals:
         return signals
     return signals.with_columns(motor_current=signals["motor_torque"] / joint.p["Kt_drive"])
 
 
 def in_time(signals: Signals, joint: KnownJoint) -> tuple[Signals, KnownJoint]:
-    """Signals in which the link encoder is not late any more, and a joint that knows so: what is over can be read earlier."""
+    """Return signals without delay of the link encoder, and a joint without it."""
     delay = float(joint.p["link_delay"])
     if delay == 0.0 or "link_position" not in signals:
         return signals, joint
     time = signals.time
     early = np.interp(time + delay, time, signals["link_position"])
-    end = time > time[-1] - delay  # not read yet: it moves as the rotor does
+    end = time > time[-1] - delay  # not read yet: it moves with the rotor
     if "motor_position" in signals:
         motor = signals["motor_position"] / joint.p["N"]
         early[end] += motor[end] - np.interp(time[-1] - delay, time, motor)
-    return signals.with_columns(link_position=early), joint.told(link_delay=0.0)
+    return signals.with_columns(link_position=early), joint.with_numbers(link_delay=0.0)
 
 
 def link_positions(signals: Signals, joint: KnownJoint) -> np.ndarray:
-    """The link's angle [rad] at every sample: its reading without delay, zero, orders and discrepancy."""
+    """Return the link's angle [rad], shape (n,): its reading without delay, zero, orders and discrepancy."""
     signals, joint = in_time(signals, joint)
-    time, reading = signals.time, signals["link_position"]
-    found = np.empty(len(time))
-    _link_positions(reading, signals["motor_position"], joint.since(time), joint.record, found)
-    return found
+    return _link_positions(signals["link_position"], signals["motor_position"], joint.since(signals.time), joint.record)
 
 
 @kernel
-def _motor_positions(reading, record, out):
+def _motor_positions(reading, record):
+    out = np.empty(len(reading))
     for i in range(len(out)):
         out[i] = dynamics.actual_motor_position(reading[i], record[0])
+    return out
 
 
 @kernel
-def _link_positions(reading, motor, since, record, out):
+def _link_positions(reading, motor, since, record):
+    out = np.empty(len(reading))
     for i in range(len(out)):
         out[i] = dynamics.actual_link_position(reading[i], motor[i], 0.0, since[i], record[0])
+    return out
 
 
 def bandwidth(signals: Signals, joint: KnownJoint, quiet: float = QUIET) -> float:
-    """The highest of `BANDWIDTHS` [Hz] at which the torque from current has no more noise than `quiet` [rated torques].
+    """Return the highest of `BANDWIDTHS` [Hz] at which the noise of the torque from current is at most `quiet` [rated
+    torques].
 
-    Noise of the motor's angle (counts, and jitter of the time stamps times speed) enters through the rotor's
-    acceleration, noise of the current directly. Both are taken from the readings, as white.
+    Noise of the motor's angle (counts, and jitter of the time stamps times speed) acts through the rotor's
+    acceleration, noise of the current directly. Both are estimated from the readings, as white.
     """
     p, time = joint.p, signals.time
     angle, amperes = white_noise(time, signals["motor_position"]), white_noise(time, signals["motor_current"])
     interval = float(np.median(np.diff(time)))
     for cutoff in BANDWIDTHS:
         inertia = (p["Jm"] + p["Jw"]) * (2 * np.pi * cutoff) ** 2 * angle
-        share = min(1.0, 2 * cutoff * interval)  # of the readings' noise, in power, that passes
+        share = min(1.0, 2 * cutoff * interval)  # of the noise power that passes
         if p["N"] * np.hypot(inertia, p["Kt"] * amperes) * np.sqrt(share) <= quiet * joint.rated_torque:
             return cutoff
     return BANDWIDTHS[-1]
 
 
 def white_noise(time: np.ndarray, values: np.ndarray) -> float:
-    """Standard deviation of white noise on a smooth signal, from third divided differences; robust."""
+    """Return the standard deviation of white noise on a smooth signal, from third divided differences; robust."""
     difference = np.empty(max(len(time) - 3, 0))
     for begin in range(0, len(difference), BLOCK):
         part = slice(begin, begin + BLOCK + 3)
@@ -171,7 +170,7 @@ def white_noise(time: np.ndarray, values: np.ndarray) -> float:
 
 
 def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Third divided differences of n samples in units of the noise of one, shape (n - 3,)."""
+    """Return third divided differences of n samples, in units of the noise of one sample, shape (n - 3,)."""
     t = np.stack([time[i : len(time) - 3 + i] for i in range(4)])
     weight = np.array([1 / np.prod([t[i] - t[j] for j in range(4) if j != i], axis=0) for i in range(4)])
     y = np.stack([values[i : len(values) - 3 + i] for i in range(4)])
@@ -179,104 +178,91 @@ def _third_differences(time: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def torque_from_current(motion: Motion, joint: KnownJoint) -> np.ndarray:
-    """Flexspline torque Tf [N·m] on the grid: current less friction and what turns the drive; the LuGre bristle follows."""
-    out = np.empty(len(motion.time))
-    m = motion
-    _torque_from_current(
-        m.since, m.motor_position, m.motor_velocity, m.motor_acceleration, m.link_position, m.link_velocity, m.current,
-        m.temperature, joint.record, out,
-    )  # fmt: skip
-    return out
+    """Return the flexspline torque Tf [N·m] on the grid: current less friction (with the LuGre bristle) and the
+    drive's inertia."""
+    return _torque_from_current(motion, joint.record)
 
 
 @kernel
-def _torque_from_current(since, motor, w, w_dot, link, v, current, temperature, record, out):
-    p = record[0]
+def _torque_from_current(m, record):
+    p, out = record[0], np.empty(len(m.time))
     z, T = 0.0, 0.0
     for i in range(len(out)):
+        w, since, heat = m.motor_velocity[i], m.since[i], m.temperature[i]
+        motor, link, v = m.motor_position[i], m.link_position[i], m.link_velocity[i]
         step = z
         for _ in range(_LOAD_STEPS):
-            actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], T, since[i], p)
-            state = dynamics.drive_state(motor[i], w[i], link[i], v[i], z, actual, since[i], temperature[i])
+            actual = dynamics.actual_motor_current(m.current[i], motor, link, w, T, since, p)
+            state = dynamics.drive_state(motor, w, link, v, z, actual, since, heat)
             g = dynamics.sliding_friction(state, T, p)
-            if i == 0:  # has been turning like this for long, or rests without friction
-                step = g / p.s0 * np.tanh(w[i])
+            if i == 0:  # it has turned like this for long, or rests without friction
+                step = g / p.s0 * np.tanh(w)
             else:
-                step = laws.bristle_step(z, w[i], g, since[i] - since[i - 1], p)
-            state = dynamics.drive_state(motor[i], w[i], link[i], v[i], step, actual, since[i], temperature[i])
-            T = dynamics.transmitted_torque(state, w_dot[i], g, T, p)
+                step = laws.bristle_step(z, w, g, since - m.since[i - 1], p)
+            state = dynamics.drive_state(motor, w, link, v, step, actual, since, heat)
+            T = dynamics.transmitted_torque(state, m.motor_acceleration[i], g, T, p)
         z = step
         out[i] = T
-
-
-def own_torque(motion: Motion, joint: KnownJoint, load: np.ndarray) -> np.ndarray:
-    """Joint torque [N·m] on the grid that the link's own inertia, gravity and known link torques ask for.
-
-    Args:
-      load: flexspline torque [N·m], shape (n,), on which a model discrepancy may depend.
-    """
-    out = np.empty(len(motion.time))
-    m = motion
-    _own_torque(
-        m.since,
-        m.motor_position,
-        m.motor_velocity,
-        m.link_position,
-        m.link_velocity,
-        m.link_acceleration,
-        load,
-        joint.record,
-        out,
-    )
     return out
 
 
+def own_torque(motion: Motion, joint: KnownJoint, load: np.ndarray | None = None) -> np.ndarray:
+    """Return the joint torque [N·m] on the grid that the link's inertia, gravity and known link torques need.
+
+    Args:
+      load: flexspline torque [N·m], shape (n,), on which a model discrepancy may depend; 0 by default.
+    """
+    return _own_torque(motion, np.zeros(len(motion.time)) if load is None else load, joint.record)
+
+
 @kernel
-def _own_torque(since, motor, w, link, v, a, load, record, out):
-    p = record[0]
-    angle, rate = 0.0, 0.0
+def _own_torque(m, load, record):
+    p, out = record[0], np.empty(len(load))
+    angle, rate, a = 0.0, 0.0, m.link_acceleration
     for i in range(len(out)):
-        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], UNREAD, UNREAD, since[i], UNREAD)
+        state = dynamics.drive_state(
+            m.motor_position[i], m.motor_velocity[i], m.link_position[i], m.link_velocity[i], UNREAD, UNREAD, m.since[i], UNREAD
+        )  # fmt: skip
         out[i] = (p.Jl - laws.flexible_inertia(p)) * a[i] - dynamics.link_torque(state, load[i], p)
         if p.flexible_share > 0.0:
             if i > 0:
-                angle, rate = laws.flexible_step(angle, rate, a[i - 1], a[i], since[i] - since[i - 1], p)
+                angle, rate = laws.flexible_step(angle, rate, a[i - 1], a[i], m.since[i] - m.since[i - 1], p)
             out[i] -= laws.flexible_torque(angle, rate, p)
+    return out
 
 
 def arm_torque(motion: Motion, signals: Signals) -> np.ndarray:
-    """What the motion of other joints of an arm puts on the link [N·m] on the grid; nothing where that is not known."""
+    """Return the torque of an arm's other joints on the link [N·m] on the grid; 0 if unknown."""
     if "arm_torque" not in signals:
         return np.zeros(len(motion.time))
     return np.interp(motion.time, signals.time, signals["arm_torque"])
 
 
 def torsion_of(motion: Motion, joint: KnownJoint, load: np.ndarray) -> np.ndarray:
-    """Torsion Δθf [rad] on the grid of Eqs. (1), (5), (6), the motor torque for Tw."""
-    out = np.empty(len(motion.time))
-    m = motion
-    _torsion(m.since, m.motor_position, m.motor_velocity, m.link_position, m.current, load, joint.record, out)
-    return out
+    """Return the torsion Δθf [rad] on the grid by Eqs. (1), (5), (6), with the motor torque for Tw."""
+    return _torsion(motion, load, joint.record)
 
 
 @kernel
-def _torsion(since, motor, w, link, current, load, record, out):
-    p = record[0]
+def _torsion(m, load, record):
+    p, out = record[0], np.empty(len(load))
     for i in range(len(out)):
-        actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], load[i], since[i], p)
-        still = State(motor[i], 0.0, motor[i], w[i], link[i], UNREAD, UNREAD, UNREAD, actual, since[i], UNREAD)
+        motor, w, link, since = m.motor_position[i], m.motor_velocity[i], m.link_position[i], m.since[i]
+        actual = dynamics.actual_motor_current(m.current[i], motor, link, w, load[i], since, p)
+        still = State(motor, 0.0, motor, w, link, UNREAD, UNREAD, UNREAD, actual, since, UNREAD)
         torque = dynamics.rotor_torque(still, 0.0, load[i], p)
-        out[i], _ = dynamics.measured_torsion(motor[i], link[i], torque, p)
+        out[i], _ = dynamics.measured_torsion(motor, link, torque, p)
+    return out
 
 
 def wound(torque: np.ndarray, joint: KnownJoint) -> np.ndarray:
-    """Torsion Δθf [rad] that a flexspline torque [N·m] winds, shape (n,), without hysteresis."""
-    out = np.empty(len(torque))
-    _wound(np.ascontiguousarray(torque), joint.record, out)
-    return out
+    """Return the torsion Δθf [rad] under a flexspline torque [N·m], shape (n,), without hysteresis."""
+    return _wound(np.ascontiguousarray(torque), joint.record)
 
 
 @kernel
-def _wound(torque, record, out):
+def _wound(torque, record):
+    out = np.empty(len(torque))
     for i in range(len(out)):
         out[i] = laws.flexspline_torsion(torque[i], record[0])
+    return out

@@ -1,7 +1,7 @@
-"""Time stamps of a log: whether they say when samples were taken, and when these were taken if not.
+"""Time stamps of a log: whether they are the sample times, and the sample times if not.
 
-A sample with a wrong time is off the smooth motion by the speed times that error: nothing at rest, the same at both encoders at
-once. An encoder's noise is the same at any speed, but for its counts, which are not seen at rest.
+A sample with a wrong time deviates from the smooth motion by speed times time error: not at rest, and equally at both
+encoders. An encoder's noise does not depend on speed, except for its counts, which do not show at rest.
 """
 
 from __future__ import annotations
@@ -13,36 +13,37 @@ from typing import Literal
 import numpy as np
 
 _BLOCK = 1 << 16
-"""Samples that are looked at together, for an hour to fit into memory."""
+"""Samples processed together, to limit memory."""
 _LOOKED_AT, _STRETCH = 1 << 18, 1 << 14
-"""Samples of a long log that are looked at, so many of them together."""
+"""Samples of a long log that are used, and the length of a stretch."""
 FEWEST = 50
-"""Samples in motion below which nothing is said."""
+"""Fewest samples in motion for a result."""
 LEAST = 2e-3
-"""Error of the time, in intervals, below which it is none: no motion is smoother."""
-_COUNTS = 3.0  # times the mean square of counts, the most that a pattern of theirs can be
-_PASSED = 100.0  # times an encoder's noise, squared, by which it goes on between samples
-_STILL = 1e-4  # of the largest square of the speed: what is slower is at rest
+"""Least time error, in intervals, that counts."""
+_COUNTS = 3.0  # largest mean square of a pattern of counts, over their mean square
+_PASSED = 100.0  # squared motion between samples over an encoder's squared noise
+_STILL = 1e-4  # squared speed at rest, over its largest
 _BINS = 8  # of the speed, with as many samples each
-_SURE = 4.0  # standard deviations by which the error of the time must show
-_PART = 0.25  # of what the fastest samples are off, that must be the time's
-_CLIPPED = 36.0  # times the median square beyond which a sample counts no more: a shock is no error of the time
-_ALIKE = 1.5  # ratio of the largest speed to the smallest within which there is but one
-_PERIODS = 8  # parts of the median interval that are tried as the period of the clock behind a log
-_STEADIER = 0.7  # a log's samples are even where even times make the motion so much smoother
-_EVEN = 1e-3  # of an interval, within which all are the same
-_TICK = 0.1  # of an interval: coarser clocks are seen
+_SURE = 4.0  # least significance of the time error, in standard deviations
+_PART = 0.25  # least share of the time error in the deviation of the fastest samples
+_CLIPPED = 36.0  # largest square of a sample over the median: a shock is not a time error
+_ALIKE = 1.5  # largest ratio of speeds that count as one speed
+_PERIODS = 8  # fractions of the median interval that are tried as the clock's period
+_STEADIER = 0.7  # roughness with even times over that with stamps, for even samples
+_EVEN = 1e-3  # of an interval: largest deviation of even stamps
+_TICK = 0.1  # of an interval: least tick of a coarse clock
 
 Kind = Literal["exact", "row numbers", "coarse clock", "arrival"]
 
 
 @dataclass(frozen=True)
 class Clock:
-    """What a log's stamps are.
+    """The kind of a log's time stamps.
 
     Attributes:
-      kind: `exact`; `row numbers`: even, while the samples were not; of a `coarse clock`; or `arrival`, later than the samples.
-      error: that is left in the times [s rms]; found: that the stamps have.
+      kind: `exact`; `row numbers`: even, while the samples are not; of a `coarse clock`; or `arrival`, later than the
+        samples.
+      error: remaining error of the times [s rms]; found: of the stamps.
       tick: of a coarse clock [s].
     """
 
@@ -53,10 +54,10 @@ class Clock:
 
     @property
     def text(self) -> str:
-        """For people."""
+        """Description in words."""
         what = {
             "exact": "time stamps are right",
-            "row numbers": "time is even, the samples are not: a row number stands for it",
+            "row numbers": "time is even, the samples are not: it is a row number",
             "coarse clock": f"time stamps are of a clock of {1e3 * self.tick:.3g} ms",
             "arrival": "time stamps jitter: they are of the arrival, not of the sampling",
         }[self.kind]
@@ -67,7 +68,7 @@ class Clock:
 
 
 def stretches(parts: Sequence[slice]) -> list[slice]:
-    """What is looked at of parts without gaps: all, or of a long log stretches that are evenly spread over it."""
+    """Return all parts, or evenly spread stretches of a long log."""
     total = sum(part.stop - part.start for part in parts)
     if total <= _LOOKED_AT:
         return list(parts)
@@ -79,11 +80,12 @@ def stretches(parts: Sequence[slice]) -> list[slice]:
 def read_stamps(
     time: np.ndarray, encoders: Sequence[np.ndarray], parts: Sequence[slice], floors: Sequence[float]
 ) -> Clock:
-    """What the encoders say of the stamps.
+    """Return the kind of the stamps by the encoders.
 
     Args:
-      time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad], the motor's first; parts: without gaps.
-      floors: noise of each in motion, whatever the clock [rad].
+      time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad], the motor's first; parts: without
+        gaps.
+      floors: noise of each in motion with an exact clock [rad].
     """
     parts = stretches(parts)
     if not parts:
@@ -100,7 +102,7 @@ def read_stamps(
 
 
 def _tick(steps: np.ndarray, interval: float) -> float:
-    """Tick [s] of the clock of which all steps are whole numbers; 0 where it is fine."""
+    """Return the tick [s] of the clock of which all steps are multiples; 0 for a fine clock."""
     different = np.abs(steps - interval)
     different = different[different > 1e-3 * interval]
     if not len(different):
@@ -112,14 +114,15 @@ def _tick(steps: np.ndarray, interval: float) -> float:
 
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # of readings that no encoder gives
 def timing_error(time: np.ndarray, encoders: Sequence[np.ndarray], floors: Sequence[float]) -> float:
-    """Standard deviation [s] of the error of the stamps of a part without gaps; zero where the encoders do not show any.
+    """Return the standard deviation [s] of the time error of a part without gaps; zero if the encoders do not show
+    any.
 
-    What samples are off the smooth motion is sorted by speed: the part of its squares that grows with the square of the speed is
-    the time's. With two encoders it is the product of both, which noise of either does not make.
+    Squared deviations from the smooth motion are sorted by speed. The part that grows with the squared speed is the
+    time's. With two encoders it is the product of both, which noise of either does not contain.
 
     Args:
       time: shape (n,) [s]; encoders: one or two readings, shape (n,) each [rad].
-      floors: noise of each in motion, whatever the clock [rad].
+      floors: noise of each in motion with an exact clock [rad].
     """
     if len(time) < FEWEST:
         return 0.0
@@ -135,13 +138,13 @@ def timing_error(time: np.ndarray, encoders: Sequence[np.ndarray], floors: Seque
     bins = [*np.array_split(order, _BINS), *([np.flatnonzero(~moving)] if np.sum(~moving) >= FEWEST else [])]
     mean, spread = np.array([_steady(squares[b]) for b in bins]).T
     v = np.array([np.mean(speeds[b]) for b in bins])
-    # Counts are not seen at rest: as much as these and described noise fast samples are off without any error of the time.
+    # Fast samples deviate by counts, which do not show at rest, and described noise, without any time error.
     floor = 0.0 if both else floors[0] ** 2
     spread = np.max([spread, 0.15 * np.abs(mean), np.full(len(mean), 0.02 * np.abs(mean).max() + 1e-300)], axis=0)
     interval = float(np.median(np.diff(time)))
     varied = v.max() > _ALIKE**2 * v.min()
     if counted := [m for m, s in zip(mean, v, strict=True) if varied and s * interval**2 > _PASSED * floor]:
-        floor = min(floor, *counted)  # samples that are many counts apart show what the sensor's noise is at most
+        floor = min(floor, *counted)  # samples many counts apart limit the sensor's noise
     rest, slope, sure = _line(v, mean, spread**-2)
     if rest < floor or not varied:
         mean, weight = mean - floor, (v / spread) ** 2
@@ -159,14 +162,16 @@ def timing_error(time: np.ndarray, encoders: Sequence[np.ndarray], floors: Seque
 
 
 def _steady(x: np.ndarray) -> tuple[float, float]:
-    """Mean of x, shape (n,), and its standard deviation, neighbours alike; of shocks no more than `_CLIPPED`."""
+    """Return the mean of x, shape (n,), and its standard deviation for correlated neighbours; shocks are limited to
+    `_CLIPPED`."""
     most = _CLIPPED * float(np.median(np.abs(x)))
     kept = np.clip(x, -most, most)
     return float(np.mean(kept)), float(np.std(kept) * np.sqrt(5 / len(x)))
 
 
 def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, float, float]:
-    """Weighted line through points, shape (n,): intercept, slope, and one over the slope's standard deviation."""
+    """Return the weighted line through points, shape (n,): intercept, slope, and one over the slope's standard
+    deviation."""
     middle = np.average(x, weights=weight)
     square = float(np.sum(weight * (x - middle) ** 2))
     slope = float(np.sum(weight * (x - middle) * y) / max(square, 1e-300))
@@ -174,7 +179,8 @@ def _line(x: np.ndarray, y: np.ndarray, weight: np.ndarray) -> tuple[float, floa
 
 
 def off_motion(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Samples less the cubic through two neighbours on either side, as noise of one sample; and the speed there."""
+    """Return samples less the cubic through two neighbours on either side, as noise of one sample, and the speed
+    there."""
     n = max(len(t) - 4, 0)
     off, speed = np.empty(n), np.empty(n)
     for begin in range(0, n, _BLOCK):
@@ -193,10 +199,10 @@ def _off_within(t: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def clock_times(time: np.ndarray, encoders: Sequence[np.ndarray]) -> np.ndarray | None:
-    """Times [s] of the samples by the clock that took them, shape (n,), where they are not the stamps; None where they are.
+    """Return the sample times [s] by the controller's clock, shape (n,), if the stamps are not; None if they are.
 
-    Controllers sample evenly and stamp late. Times that are whole periods apart are believed where they make the motion of every
-    encoder smoother.
+    Controllers sample evenly and stamp late. Times at whole periods are used if they make the motion of every encoder
+    smoother.
 
     Args:
       time: stamps of one part, shape (n,) [s]; encoders: readings, shape (n,) each [rad].
@@ -215,9 +221,9 @@ def clock_times(time: np.ndarray, encoders: Sequence[np.ndarray]) -> np.ndarray 
 
 
 def _on_clock(time: np.ndarray, period: float) -> np.ndarray | None:
-    """The nearest times that are whole periods apart, the period fitted; None where the stamps do not follow such a clock.
+    """Return the nearest times at whole periods, with a fitted period; None if the stamps do not follow such a clock.
 
-    The period is known better the longer one looks: it is fitted to a beginning that doubles, so that ticks never slip.
+    The period is fitted to a beginning that doubles, so that no tick is missed.
     """
     n = len(time)
     begin = time[: min(64, n)] - time[0]
@@ -232,7 +238,7 @@ def _on_clock(time: np.ndarray, period: float) -> np.ndarray | None:
             break
         known *= 2
     ticks = np.round((time - start) / slope)
-    # Two samples of one tick: the later one belongs to the next, or the earlier one to the one before.
+    # Two samples of one tick: move the later to the next tick, or the earlier to the one before.
     for k in np.flatnonzero(np.diff(ticks) <= 0):
         if k + 2 >= n or ticks[k + 2] > ticks[k] + 1:
             ticks[k + 1] = ticks[k] + 1
@@ -242,7 +248,8 @@ def _on_clock(time: np.ndarray, period: float) -> np.ndarray | None:
 
 
 def _roughness(time: np.ndarray, encoders: Sequence[np.ndarray]) -> np.ndarray:
-    """Root mean square by which each encoder is off its own smooth motion where it moves [rad], shape (2,) or (1,)."""
+    """Return the root mean square deviation of each encoder from its own smooth motion where it moves [rad], shape
+    (2,) or (1,)."""
     found = []
     for x in encoders:
         off, speed = off_motion(time, x)

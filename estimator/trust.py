@@ -1,8 +1,9 @@
-"""Whether an estimator's own record says that its estimate is none: torques beyond the gear, innovations beyond its belief.
+"""Detection of wrong estimates from their own outputs: torques beyond the gear, innovations far beyond their
+variance.
 
-An estimator that mistakes its joint, load or sampling shows it without any reference. Both marks are far outside what a working
-estimator does, so that a mark means what it says: a strain wave gear ratchets below `GEAR` times its rated torque, and a mean NIS
-of `NIS` over a second means innovations five times as large as the estimator believes.
+An estimator with a wrong joint, load or sampling shows it without a reference. Both limits are far from a working
+estimator. A strain wave gear ratchets below `GEAR` times its rated torque. A mean NIS of `NIS` over a second means
+innovations five times as large as estimated.
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import numpy as np
 GEAR = 5.0
 """Torque [rated torques] that no strain wave gear transmits."""
 NIS = 25.0
-"""Mean NIS over a second beyond which an estimator mistakes what it sees."""
+"""Mean NIS over a second that a working estimator does not reach."""
 SETTLING = 1.0
-"""Time [s] after the start that does not count."""
+"""Time [s] after the start that is not checked."""
 
 
 class Watch:
-    """Collects what the outputs of an estimator say about it, in blocks."""
+    """Checks the outputs of an estimator, in blocks."""
 
     def __init__(self, rated_torque: float, names: Sequence[str]):
         """Args:
@@ -37,7 +38,7 @@ class Watch:
         self._sums, self._counts = np.zeros(0), np.zeros(0)
 
     def add(self, time: np.ndarray, out: np.ndarray) -> None:
-        """Take up further samples: times [s], shape (n,); outputs, shape (n, outputs)."""
+        """Add samples: times [s], shape (n,); outputs, shape (n, outputs)."""
         if math.isnan(self._start):
             self._start = float(time[0])
         since = time - self._start
@@ -57,7 +58,7 @@ class Watch:
 
     @property
     def reason(self) -> str | None:
-        """Why the estimate is not to be trusted; None where nothing speaks against it."""
+        """Why the estimate is not to be trusted; None if there is no reason."""
         if self._largest > GEAR * self._rated:
             return f"torque of {self._largest:.3g} N·m, more than {GEAR:g} times the gear's rated {self._rated:g} N·m"
         enough = self._counts > 0.5 * np.max(self._counts, initial=1.0)

@@ -1,4 +1,4 @@
-"""Tuning parameters of a filter: fields of its settings with bounds, so that tuning and sweeping need to know nothing else."""
+"""Tuning parameters of a filter: fields of its settings with bounds, for tuning and sweeping."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 @dataclass(frozen=True)
 class TuningParameter:
-    """A field that may be tuned.
+    """A tuning parameter.
 
     Attributes:
-        field: its name; dotted where it lies in a dataclass inside (`process.push`).
-        low, high: bounds, in the field's unit.
-        scale: how it is searched; `log` needs low > 0.
+      field: its name; dotted inside a dataclass (`process.push`).
+      low, high: bounds, in the field's unit.
+      scale: of the search; `log` needs low > 0.
     """
 
     field: str
@@ -24,7 +24,7 @@ class TuningParameter:
     scale: Literal["log", "linear"] = "log"
 
     def to_unit(self, value: float) -> float:
-        """The value's place between the bounds, 0 to 1."""
+        """Return the value's place between the bounds, 0 to 1."""
         if self.scale == "log":
             place = math.log(max(value, self.low) / self.low) / math.log(self.high / self.low)
         else:
@@ -32,7 +32,7 @@ class TuningParameter:
         return min(max(place, 0.0), 1.0)
 
     def from_unit(self, place: float) -> float:
-        """The value at a place between the bounds."""
+        """Return the value at a place between the bounds."""
         place = min(max(float(place), 0.0), 1.0)
         if self.scale == "log":
             return self.low * (self.high / self.low) ** place
@@ -40,14 +40,14 @@ class TuningParameter:
 
 
 def value_of(settings: Any, field: str) -> Any:
-    """Value of a field, which may be dotted."""
+    """Return the value of a field, which may be dotted."""
     for part in field.split("."):
         settings = getattr(settings, part)
     return settings
 
 
 def with_values(settings: Any, values: Mapping[str, Any]) -> Any:
-    """A copy of frozen settings with other values, by field; fields may be dotted."""
+    """Return a copy of frozen settings with other values, by field; fields may be dotted."""
     own: dict[str, Any] = {}
     inner: dict[str, dict[str, Any]] = {}
     for field, value in values.items():

@@ -1,4 +1,4 @@
-"""What a recording says of the arm that its joint is part of, and what that arm puts on the joint's link.
+"""The arm of a recording's joint, and the arm's effect on the joint's link.
 
 The numbers come from the arm's MJCF by inverse dynamics: `models.arm_dynamics`.
 """
@@ -14,29 +14,29 @@ from .files import Strict
 
 
 class ArmSpec(Strict):
-    """The arm that a joint is part of, in a recording's YAML: `arm: {model: ur3e.xml, joint: shoulder_lift}`.
+    """The arm of a joint, in a recording's YAML: `arm: {model: ur3e.xml, joint: shoulder_lift}`.
 
-    `positions` [rad] of other joints that hold still; those that move are columns `arm_<joint>_position`, and the rest is
-    where the MJCF has it.
+    `positions` [rad] of other joints at rest. Moving joints are columns `arm_<joint>_position`; the rest is as in the
+    MJCF.
     """
 
     model: str
-    """MJCF of the arm, beside the recording."""
+    """MJCF of the arm, next to the recording."""
     joint: str
-    """Which of its joints this is."""
+    """Its joint."""
     positions: dict[str, float] = {}
-    """Angles [rad] of other joints that hold still, by name."""
+    """Angles [rad] of other joints at rest, by name."""
 
 
 @dataclass(frozen=True)
 class Load:
-    """What an arm in motion puts on the link, at each sample; n samples.
+    """The effect of a moving arm on the link, at each sample; n samples.
 
     Attributes:
       inertia: shape (n,), about the joint's axis [kg·m²].
-      torque: shape (n,), known torque on the link, positive forward [N·m]: what the other joints' motion does, and by how much
-        the weight differs from that of the recording's mounting.
-      acceleration: of the joint itself, shape (n,), smoothed as the others' are [rad/s²].
+      torque: shape (n,), known torque on the link, positive forward [N·m]: of the other joints' motion, and the
+        difference of the weight from that of the recording's mounting.
+      acceleration: of the joint, shape (n,), smoothed as the others' [rad/s²].
     """
 
     inertia: np.ndarray
@@ -44,11 +44,11 @@ class Load:
     acceleration: np.ndarray
 
     def at(self, samples: slice | np.ndarray) -> Load:
-        """The same at some of the samples."""
+        """Return the load at some of the samples."""
         return Load(self.inertia[samples], self.torque[samples], self.acceleration[samples])
 
     def on(self, inertia: float) -> np.ndarray:
-        """Torque [N·m] that on a link of constant inertia [kg·m²] has the same effect, shape (n,)."""
+        """Return the torque [N·m] with the same effect on a link of constant inertia [kg·m²], shape (n,)."""
         return self.torque - (self.inertia - inertia) * self.acceleration
 
 
@@ -57,9 +57,9 @@ class ArmRecord:
     """The arm of a recording.
 
     Attributes:
-      spec: as it stands in the YAML.
-      mjcf: its masses and joints as an MJCF of its own, without files.
-      positions: angles of the other joints that have a column, shape (n,) each [rad], by name of the joint.
+      spec: as in the YAML.
+      mjcf: its masses and joints as an MJCF without files.
+      positions: angles of the other joints with a column, shape (n,) each [rad], by name of the joint.
     """
 
     spec: ArmSpec
@@ -67,16 +67,16 @@ class ArmRecord:
     positions: Mapping[str, np.ndarray]
 
     def at(self, samples: slice | np.ndarray) -> ArmRecord:
-        """The same at some of the samples."""
+        """Return the arm at some of the samples."""
         return replace(self, positions={name: angle[samples] for name, angle in self.positions.items()})
 
 
 def column(joint: str) -> str:
-    """Name of the column that holds the angle of another joint of the arm."""
+    """Return the name of the column with the angle of another joint of the arm."""
     return f"arm_{joint}_position"
 
 
 def joint_of(name: str) -> str | None:
-    """The joint whose angle a column holds; None where the column is none of an arm's."""
+    """Return the joint of an angle's column; None for other columns."""
     inside = name.startswith("arm_") and name.endswith("_position") and len(name) > len("arm__position")
     return name[len("arm_") : -len("_position")] if inside else None

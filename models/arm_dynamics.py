@@ -1,17 +1,17 @@
-"""The load on a joint that is part of an arm: inertia, weight and what other joints' motion puts on it, from an MJCF.
+"""The load on a joint of an arm: inertia, weight and torque of other joints' motion, from an MJCF.
 
 MuJoCo's inverse dynamics of the arm give the torque of one joint (Featherstone's recursive Newton–Euler algorithm),
 
     τ = M_jj(q) θ'' + Σ_o M_jo(q) q_o'' + c_j(q, q') + g_j(q),
 
-and this project's joint has Jl θl'' = Ts − Mg sin(θl + gravity angle) + τext. While the other joints o hold still, M_jj is
-constant, c_j is zero and the weight of a rigid tree about a fixed axis is a sine of the joint's angle: the arm is a
-`Mounting`, exactly. While they move, inertia is an array, and all the rest is a known torque on the link beside the weight of
-that mounting: a `Load`.
+and this project's joint has Jl θl'' = Ts − Mg sin(θl + gravity angle) + τext. While the other joints o are at rest,
+M_jj is constant, c_j is zero and the weight of a rigid tree about a fixed axis is a sine of the joint's angle: the
+arm is exactly a `Mounting`. While they move, inertia is an array, and the rest is a known torque on the link in
+addition to the weight of that mounting: a `Load`.
 
-Angles are the MJCF's: its zero is the joint's zero, its axis the positive direction, and `gravity_angle` takes up where it hangs.
-Of the MJCF's dynamics only masses, inertias and gravity count; dampings, armatures, actuators and limits of its own do not: the
-joint's description has the drive.
+Angles are the MJCF's: its zero is the joint's zero, its axis the positive direction, and `gravity_angle` is the angle
+of the weight. Only masses, inertias and gravity of the MJCF count. Its dampings, armatures, actuators and limits do
+not: the joint's description has the drive.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from .mjcf import check_mjcf
 from .parameters import GRAVITY
 
 STILL = 1e-3
-"""Range of an angle [rad] within which another joint of the arm holds still."""
+"""Range of an angle [rad] within which another joint of the arm is at rest."""
 _WINDOW = 0.1  # s: over which the other joints' motion is smoothed and differentiated
 _GRAVITY_SLACK = 0.02
 _WEIGHTLESS = 1e-9  # N·m
@@ -42,16 +42,16 @@ class Arm:
     """An arm and one joint of it.
 
     Attributes:
-      spec: as it stands in the YAML.
+      spec: as in the YAML.
       path: of the MJCF.
       others: names of the other joints.
     """
 
     def __init__(self, spec: ArmSpec, folder: Path):
-        """Read the MJCF, beside the file that names it or shipped.
+        """Read the MJCF, next to the file that names it or shipped.
 
         Raises:
-          InputError: no such file or joint, or no arm of hinges and slides under gravity; one line.
+          InputError: no such file or joint, or not an arm of hinges and slides under gravity; one line.
         """
         path = _find(spec.model, folder)
         check_mjcf(path)
@@ -59,7 +59,7 @@ class Arm:
 
     @classmethod
     def of_text(cls, spec: ArmSpec, text: str) -> Arm:
-        """The same of an MJCF that is no file; `spec.model` is what messages call it."""
+        """Return the arm of an MJCF as text; `spec.model` is its name in messages."""
         arm = cls.__new__(cls)
         arm._begin(spec, Path(spec.model), partial(mujoco.MjSpec.from_string, text))
         return arm
@@ -81,7 +81,8 @@ class Arm:
             self._at(name, "arm.positions")
 
     def mounting(self, positions: Mapping[str, float] | None = None) -> Mounting:
-        """What hangs on the joint while the others hold still at `positions` [rad] (those of the YAML by default)."""
+        """Return the mounting of the joint while the others are at rest at `positions` [rad] (by default those of the
+        YAML)."""
         q = self._pose(positions or {})
         weight = []
         for angle in (0.0, 0.5 * math.pi):
@@ -92,19 +93,19 @@ class Arm:
             raise InputError(f"{self.path}: arm.joint: expected masses that {self.spec.joint!r} moves, got none")
         # Mg sin(θ + γ) at 0 and a quarter turn.
         moment = math.hypot(*weight)
-        if moment < _WEIGHTLESS:  # an axis that stands upright
+        if moment < _WEIGHTLESS:  # a vertical axis
             return Mounting(inertia=inertia, gravity_moment=0.0)
         return Mounting(inertia=inertia, gravity_moment=moment, gravity_angle=math.atan2(*weight))
 
     def load(
         self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], mounting: Mounting
     ) -> Load:
-        """What the arm puts on the joint while others move.
+        """Return the arm's load on the joint while others move.
 
         Args:
           time: shape (n,), without gaps [s]; position: of the joint, shape (n,) [rad].
-          positions: of the other joints that move, shape (n,) each [rad], by name.
-          mounting: whose weight the torque is beside.
+          positions: of the other moving joints, shape (n,) each [rad], by name.
+          mounting: the torque is in addition to its weight.
         """
         n = len(time)
         q = np.tile(self._pose({}), (n, 1))
@@ -114,7 +115,7 @@ class Arm:
             q[:, i], v[:, i], a[:, i] = _smooth(time, angle)
         q[:, self._joint] = position
         own = a[:, self._joint].copy()
-        a[:, self._joint] = 0.0  # the rest of τ: inertia times the joint's own acceleration is the equations' of motion
+        a[:, self._joint] = 0.0  # τ without inertia times the joint's own acceleration
         inertia, torque = np.zeros(n), np.zeros(n)
         for k in range(n):
             inertia[k], torque[k] = self._dynamics(q[k], v[k], a[k])
@@ -124,7 +125,7 @@ class Arm:
     def of(
         self, time: np.ndarray, position: np.ndarray, positions: Mapping[str, np.ndarray], parts: tuple[slice, ...]
     ) -> tuple[Mounting, Load | None]:
-        """Mounting and load of a recording: a mounting alone where the other joints hold still.
+        """Return mounting and load of a recording; only a mounting if the other joints are at rest.
 
         Args:
           time, position: of the joint, shape (n,) each [s], [rad]; `positions`: of other joints, by name.
@@ -145,7 +146,7 @@ class Arm:
         return mounting, Load(inertia, torque, own)
 
     def mjcf(self) -> str:
-        """Its masses and joints alone, as the text of an MJCF without looks and files."""
+        """Return its masses and joints, as the text of an MJCF without looks and files."""
         m = self._model
         root = ElementTree.Element("mujoco", model="arm")
         ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
@@ -185,7 +186,8 @@ class Arm:
         return q
 
     def _dynamics(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[float, float]:
-        """Inertia about the joint's axis [kg·m²] and the torque τ [N·m] of positions, velocities, accelerations."""
+        """Return the inertia about the joint's axis [kg·m²] and the torque τ [N·m] of positions, velocities,
+        accelerations."""
         m, d = self._model, self._data
         d.qpos[:], d.qvel[:], d.qacc[:] = q, v, a
         mujoco.mj_kinematics(m, d)
@@ -237,10 +239,11 @@ def _numbers(values: np.ndarray) -> str:
 
 
 def _smooth(time: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Angle, velocity and acceleration [rad, rad/s, rad/s²] of samples: cubics fitted over `_WINDOW`, on an even grid."""
+    """Return angle, velocity and acceleration [rad, rad/s, rad/s²] of samples: cubics fitted over `_WINDOW`, on an
+    even grid."""
     from scipy.signal import savgol_filter
 
-    if len(time) < 2:  # of a sample between gaps nothing but its angle is known
+    if len(time) < 2:  # a single sample between gaps
         return angle, np.zeros_like(angle), np.zeros_like(angle)
     step = float(np.median(np.diff(time)))
     grid = time[0] + step * np.arange(max(round((time[-1] - time[0]) / step), 1) + 1)

@@ -1,4 +1,4 @@
-"""Command lines that texts and pages hold, to copy."""
+"""Command lines in texts and pages, to copy."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
 
 def checking(measurement: Measurement, joint: Joint) -> str:
-    """Command line that looks for mistakes in a measurement of a joint."""
+    """Return the command line that checks a measurement of a joint."""
     return f"flexspline check {_quoted(measurement.path)}{of_joint(measurement, joint)}{plugins.options()}"
 
 
 def mending(measurement: Measurement, joint: Joint, out: str = "MENDED") -> str:
-    """Command line that writes a measurement of a joint without the mistakes in it."""
+    """Return the command line that writes a corrected measurement of a joint."""
     return f"flexspline import {_quoted(measurement.path)} --fix{of_joint(measurement, joint)} --out {out}{plugins.options()}"
 
 
 def of_joint(measurement: Measurement, joint: Joint) -> str:
-    """The option with which a command takes this joint; empty where the recordings name it, or it is in no file."""
+    """Return the option with which a command takes this joint; empty if the recordings name it, or it has no file."""
     named = measurement.recordings[0].joint
     shipped = {name: path.resolve() for name, path in known_joints().items()}
     own = shipped.get(named.replace("_", "-"), (measurement.folder / named).resolve())

@@ -1,12 +1,12 @@
-"""Dual numbers: compiled code that computes derivatives along with values (forward-mode automatic differentiation).
+"""Dual numbers: compiled forward-mode automatic differentiation.
 
-A dual number is a value with its derivatives in `LANES` directions, a + b₁ε₁ + … + bₙεₙ with εᵢεⱼ = 0 (Griewank & Walther,
-*Evaluating Derivatives*, 2008, chapter 3). A kernel that takes a record of numbers takes one of dual numbers just as well, and
-computes the same values and, by the chain rule, their exact derivatives: one set of laws for both. The derivatives of a number
-lie side by side in vector registers, so a dozen of them cost about as much again as the value.
+A dual number is a value with its derivatives in `LANES` directions, a + b₁ε₁ + … + bₙεₙ with εᵢεⱼ = 0 (Griewank &
+Walther, *Evaluating Derivatives*, 2008, chapter 3). A kernel that takes a record of numbers also takes one of dual
+numbers, and computes the same values and, by the chain rule, their exact derivatives. The derivatives of a number are
+one vector register, so a dozen of them cost about as much as the value.
 
-Of branches the one is taken that the value takes. Two numbers are equal where their derivatives are, too: an effect that is not
-there but about to move is not skipped as one that is absent.
+Branches follow the value. Two numbers are equal only if their derivatives are, too: an absent effect with a
+derivative is not skipped.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from numba.extending import (
 )
 
 LANES = 8
-"""Directions in which a dual number has derivatives."""
+"""Number of directions of a dual number's derivatives."""
 
 _DOUBLE, _INDEX = ir.DoubleType(), ir.IntType(64)
 _VECTOR = ir.VectorType(_DOUBLE, LANES)
@@ -50,7 +50,7 @@ class _Tangent(types.Type):
 
 
 class Dual(types.Type):
-    """A dual number; a number becomes one whose derivatives are zero."""
+    """A dual number. A plain number becomes one with zero derivatives."""
 
     def unify(self, typingctx: Any, other: types.Type) -> types.Type | None:
         return self if isinstance(other, _REAL) else None
@@ -60,7 +60,7 @@ class Dual(types.Type):
 
 
 class _Memory(types.Type):
-    """Values, and derivatives beside them, in memory of somebody else's."""
+    """Values and their derivatives in the caller's memory."""
 
 
 class DualRecord(_Memory):
@@ -80,7 +80,7 @@ class DualRecords(_Memory):
 
 
 class DualArray(_Memory):
-    """An array of dual numbers, its shape known at compile time but for the first axis."""
+    """An array of dual numbers, with a shape known at compile time except for the first axis."""
 
     def __init__(self, inner: tuple[int, ...]):
         self.inner = inner
@@ -115,14 +115,14 @@ class _MemoryModel(models.StructModel):
 
 
 def _splat(builder: Any, x: Any) -> Any:
-    """A number in all lanes."""
+    """Return a number in all lanes."""
     one = builder.insert_element(ir.Constant(_VECTOR, ir.Undefined), x, ir.Constant(ir.IntType(32), 0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
     return builder.shuffle_vector(one, ir.Constant(_VECTOR, ir.Undefined), mask)
 
 
 def _parts(context: Any, builder: Any, kind: types.Type, x: Any) -> tuple[Any, Any]:
-    """Value and derivatives; None for those of a plain number."""
+    """Return value and derivatives; None for those of a plain number."""
     if kind == dual:
         pair = create_struct_proxy(dual)(context, builder, value=x)
         return pair.value, pair.tangent
@@ -251,7 +251,7 @@ def _lower_cast(context: Any, builder: Any, fromty: types.Type, toty: types.Type
 
 @intrinsic
 def _value(typingctx: Any, x: Any) -> Any:
-    """The value of a dual number; a plain number as it is."""
+    """The value of a dual number; a plain number unchanged."""
 
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         return _parts(context, builder, sig.args[0], args[0])[0]
@@ -260,12 +260,12 @@ def _value(typingctx: Any, x: Any) -> Any:
 
 
 value_of: Any = _value
-"""`value_of(x)` in a kernel: the value of a dual number without its derivatives, a plain number as it is."""
+"""`value_of(x)` in a kernel: the value of a dual number without its derivatives; a plain number unchanged."""
 
 
 @intrinsic
 def _chain_rule(typingctx: Any, x: Any, value: Any, slope: Any) -> Any:
-    """A function of a dual number, of which value and slope are known: the chain rule."""
+    """A function of a dual number with known value and slope."""
 
     def lower(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -> Any:
         _, derivatives = _parts(context, builder, sig.args[0], args[0])
@@ -275,7 +275,7 @@ def _chain_rule(typingctx: Any, x: Any, value: Any, slope: Any) -> Any:
 
 
 chained: Any = _chain_rule
-"""`chained(x, value, slope)` in a kernel: a function of a dual number, of which value and slope are known."""
+"""`chained(x, value, slope)` in a kernel: a function of a dual number with known value and slope."""
 
 
 def _with_function(function: Any, kernel: Callable[[Any], Any]) -> None:
@@ -372,7 +372,7 @@ def _pow(x, y):
 
 
 def _at(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any) -> tuple[Any, Any]:
-    """Where value and derivatives of the number at an offset lie."""
+    """Return the addresses of value and derivatives of the number at an offset."""
     m = create_struct_proxy(kind)(context, builder, value=memory)
     derivatives = builder.gep(m.tangents, [builder.mul(offset, _INDEX(LANES))])
     return builder.gep(m.values, [offset]), builder.bitcast(derivatives, _VECTOR.as_pointer())
@@ -391,7 +391,7 @@ def _stored(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any,
 
 
 def _moved(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any, to: _Memory, length: int = 0) -> Any:
-    """Memory that begins at an offset of other memory."""
+    """Return memory that starts at an offset of other memory."""
     m = create_struct_proxy(kind)(context, builder, value=memory)
     found = create_struct_proxy(to)(context, builder)
     found.values = builder.gep(m.values, [offset])
@@ -401,7 +401,7 @@ def _moved(context: Any, builder: Any, kind: _Memory, memory: Any, offset: Any, 
 
 
 def _field(kind: DualRecord, name: str) -> tuple[Any, int]:
-    """Type of a field of a record of dual numbers, and where it begins in it."""
+    """Return type and offset of a field of a record of dual numbers."""
     of: Any = kind.record.typeof(name)
     found = DualArray(of.shape[1:]) if isinstance(of, types.NestedArray) else dual
     return found, kind.record.offset(name) // 8
@@ -497,7 +497,7 @@ def _lower_length(context: Any, builder: Any, sig: Any, args: tuple[Any, ...]) -
 
 
 def _memory(kind: Callable[[Any], _Memory], shaped: Callable[[Any], bool]) -> Any:
-    """An intrinsic that lays dual numbers over two arrays: values, and derivatives of shape (…, LANES)."""
+    """Return an intrinsic that views two arrays as dual numbers: values, and derivatives of shape (…, LANES)."""
 
     def typed(typingctx: Any, values: Any, tangents: Any) -> Any:
         if not (isinstance(values, types.Array) and shaped(values) and values.layout == tangents.layout == "C"):
@@ -522,10 +522,11 @@ def _of_records(values: Any) -> bool:
 
 
 dual_records = _memory(lambda values: DualRecords(values.dtype), _of_records)
-"""`dual_records(values, tangents)` in a kernel: records of dual numbers, which can be written. Values: shape (n,), records of
-float64 fields; tangents: shape (n, fields, LANES), C-contiguous both."""
+"""`dual_records(values, tangents)` in a kernel: writable records of dual numbers. Values: shape (n,), records of
+float64 fields; tangents: shape (n, fields, LANES), both C-contiguous."""
 
 
 def dual_table(columns: int) -> Any:
-    """`table(values, tangents)` for kernels: an array of dual numbers, shape (n, columns), tangents (n, columns, LANES)."""
+    """Return `table(values, tangents)` for kernels: an array of dual numbers, shape (n, columns), tangents (n,
+    columns, LANES)."""
     return _memory(lambda values: DualArray((columns,)), lambda values: values.ndim == 2)

@@ -1,18 +1,20 @@
-"""The joint's equations of motion: the one place where its laws are put together.
+"""The joint's equations of motion: the one combination of its laws.
 
     rotor           Jm θm'' = Kt i + cogging − bm θm' − Tw
     wave generator  Jw θw'' = Tw − Fmesh − Tf (1/N − θerr'(θw))
     link            Jl θl'' = Ts − Mg sin(θl + gravity angle) + link torques + τext        with Ts = Tf − bl θl'
 
-A share s of Jl may hang on the link by a spring, J_s (φ'' + θl'') = −k φ − d φ' (`laws.flexible_torque`); what accelerates
-then is (1 − s) Jl, under k φ + d φ' besides. Its two states are not in a `State`: the plant has a body of its own for it.
+A share s of Jl may be flexible, J_s (φ'' + θl'') = −k φ − d φ' (`laws.flexible_torque`). The rest of the inertia is
+then (1 − s) Jl, with the additional torque k φ + d φ'. Its two states are not in a `State`: the plant has a separate
+body for it.
 
-(Shi & Liu's joint; symbols in `models.laws`, numbers in `models.parameters`.) Where a model discrepancy acts at a place, it adds
-to the torque there. The MuJoCo plant, the replay of measured motion, the filters that know the dynamics, the observers and
-the planning of experiments all call the functions here, with the joint's parameter record p; everything is compiled and SI.
+(Shi & Liu's joint; symbols in `models.laws`, numbers in `models.parameters`.) A model discrepancy adds to the torque
+at its place. The MuJoCo plant, the replay of measured motion, the filters based on the dynamics, the observers and
+the planning of experiments all call these functions, with the joint's parameter record p; everything is compiled and
+SI.
 
-`balance` is the whole: a state in, torques out. Its parts take what the caller has: a replay knows both ends' motion and asks
-for the transmission between them, an observer takes rotor and wave generator for one body.
+`balance` is the whole: a state in, torques out. Its parts are for partial knowledge: a replay knows the motion of
+both ends and needs the transmission between them, an observer treats rotor and wave generator as one body.
 """
 
 from __future__ import annotations
@@ -31,13 +33,14 @@ _ROTOR, _MESH, _FLEXSPLINE, _LINK, _JOINT_TORQUE, _LINK_POSITION, _MOTOR_CURRENT
 
 
 UNREAD = math.nan
-"""Stands in a state for what a torque does not depend on: whatever reads it all the same is no number."""
+"""Value of a state on which a torque does not depend; a torque that reads it is NaN."""
 
 
 class State(NamedTuple):
-    """What the joint's torques depend on. Positions [rad] and velocities [rad/s] of rotor and wave generator are on the
-    motor side, the link's on the output side; bristle [rad, motor side] of the LuGre friction, Dahl state [rad] of the
-    flexspline's hysteresis, motor current [A], time since the recording's start [s], temperature [°C]."""
+    """The state on which the joint's torques depend. Positions [rad] and velocities [rad/s] of rotor and wave
+    generator on the motor side, of the link on the output side; bristle [rad, motor side] of the LuGre friction,
+    Dahl state [rad] of the flexspline's hysteresis, motor current [A], time since the recording's start [s],
+    temperature [°C]."""
 
     motor_position: float
     motor_velocity: float
@@ -53,9 +56,9 @@ class State(NamedTuple):
 
 
 class Transmission(NamedTuple):
-    """Between the three bodies at a state: wave generator torque Tw [N·m, motor side] and flexspline torque Tf [N·m], both with
-    their damping; `load`, Tf without a model discrepancy, on which friction and discrepancies depend [N·m]; torsion Δθf
-    [rad], its rate Δθf' [rad/s]; transmission ratio 1/N − dθerr/dθw [1]."""
+    """The transmission between the bodies: wave generator torque Tw [N·m, motor side] and flexspline torque Tf [N·m],
+    with damping; `load`, Tf without model discrepancy, on which friction and discrepancies depend [N·m]; torsion
+    Δθf [rad], its rate Δθf' [rad/s]; transmission ratio 1/N − dθerr/dθw [1]."""
 
     wave_generator_torque: float
     flexspline_torque: float
@@ -66,10 +69,9 @@ class Transmission(NamedTuple):
 
 
 class Torques(NamedTuple):
-    """Torques at a state. `on_rotor`, `on_wave_generator` [N·m, motor side], `on_link` [N·m] are all that acts on each body but
-    external torque and a part that hangs by a spring: inertia times acceleration. `sliding_friction` g(w) and
-    `mesh_friction` with its viscous part [N·m, motor side]; `joint_torque` Ts; `gravity` (part of `on_link`); the rest as in
-    `Transmission`."""
+    """Torques at a state. `on_rotor`, `on_wave_generator` [N·m, motor side], `on_link` [N·m]: sum on each body
+    without external torque and flexible part. `sliding_friction` g(w) and `mesh_friction` with its viscous part
+    [N·m, motor side]; `joint_torque` Ts; `gravity` (part of `on_link`); the rest as in `Transmission`."""
 
     on_rotor: float
     on_wave_generator: float
@@ -87,10 +89,10 @@ class Torques(NamedTuple):
 
 @kernel(forceinline=True)
 def transmission(state, p, passband=0.0):
-    """Torques between the bodies, `Transmission`.
+    """Return the torques between the bodies, `Transmission`.
 
-    `passband` [s/rad]: of a smoother through which the motion was seen, turns per radian of a shaft that makes one in 1/fc; the
-    kinematic error is then as small as the smoother leaves it (`laws.magnitude_response`). 0: none.
+    `passband` [s/rad]: of a smoother of the motion, in turns per radian of a shaft with one turn per 1/fc; it reduces
+    the kinematic error (`laws.magnitude_response`). 0: none.
     """
     x, w = state.wave_generator_position, state.wave_generator_velocity
     if passband == 0.0:
@@ -119,13 +121,13 @@ def _discrepancy(place, state, load, p):
 
 @kernel
 def flexspline_discrepancy(state, load, p):
-    """What a model discrepancy adds to the flexspline torque [N·m] at a state under a load."""
+    """Return the model discrepancy of the flexspline torque [N·m] at a state under a load."""
     return _discrepancy(_FLEXSPLINE, state, load, p)
 
 
 @kernel(forceinline=True)
 def sliding_friction(state, load, p):
-    """Stribeck curve g(w) at a state under a load [N·m]: `laws.stribeck_friction` [N·m, motor side]."""
+    """Return the Stribeck curve g(w) at a state under a load [N·m]: `laws.stribeck_friction` [N·m, motor side]."""
     return laws.stribeck_friction(
         state.wave_generator_velocity, state.link_position, load, state.time, state.temperature, p
     )
@@ -133,7 +135,7 @@ def sliding_friction(state, load, p):
 
 @kernel(forceinline=True)
 def mesh_torque(state, load, g, p):
-    """Friction torque of the mesh [N·m, motor side] with its viscous part, at a sliding friction g."""
+    """Return the friction torque of the mesh [N·m, motor side] with its viscous part, at a sliding friction g."""
     w = state.wave_generator_velocity
     torque = laws.mesh_friction(state.bristle, w, g, p) + laws.viscous_friction(w, state.temperature, p)
     if laws.has_discrepancy(p):
@@ -143,7 +145,8 @@ def mesh_torque(state, load, g, p):
 
 @kernel(forceinline=True)
 def rotor_torque(state, Tw, load, p, passband=0.0):
-    """All that acts on the rotor [N·m, motor side] under a wave generator torque Tw; `passband` as in `transmission`."""
+    """Return the torque on the rotor [N·m, motor side] under a wave generator torque Tw; `passband` as in
+    `transmission`."""
     cogging = laws.cogging_torque(state.motor_position, p, abs(state.motor_velocity) * passband)
     torque = p.Kt * state.motor_current + cogging - p.bm * state.motor_velocity - Tw
     if laws.has_discrepancy(p):
@@ -153,7 +156,7 @@ def rotor_torque(state, Tw, load, p, passband=0.0):
 
 @kernel(forceinline=True)
 def link_torque(state, load, p):
-    """All that acts on the link but the joint's own torque and external torque [N·m]: gravity, cable, stop, friction."""
+    """Return the torque on the link [N·m] without joint torque and external torque: gravity, cable, stop, friction."""
     torque = laws.gravity_torque(state.link_position, p) + laws.link_torque(state.link_position, p)
     if p.link_friction != 0.0 or p.link_damping != 0.0:
         torque += laws.link_friction(state.link_velocity, p)
@@ -164,14 +167,14 @@ def link_torque(state, load, p):
 
 @kernel
 def balance(state, p):
-    """Torques of the joint in a state: the equations of motion, `Torques`."""
+    """Return the torques of the joint in a state, `Torques`: the equations of motion."""
     t = transmission(state, p)
     return balance_with(state, t, sliding_friction(state, t.load, p), p)
 
 
 @kernel
 def balance_with(state, t, g, p):
-    """`balance` where transmission and sliding friction g are known already."""
+    """Return `balance` for known transmission and sliding friction g."""
     friction = mesh_torque(state, t.load, g, p)
     Ts = t.flexspline_torque - p.bl * state.link_velocity
     gravity = laws.gravity_torque(state.link_position, p)
@@ -185,10 +188,11 @@ def balance_with(state, t, g, p):
 
 @kernel
 def transmitted_torque(state, motor_acceleration, g, load, p):
-    """Flexspline torque Tf [N·m] that current and motion of the drive mean: rotor and wave generator as one body.
+    """Return the flexspline torque Tf [N·m] by current and motion of the drive, rotor and wave generator as one body.
 
-    Their balances added, Tw cancels: Tf = (Kt i + cogging − bm ω − Fmesh − (Jm + Jw) ω')/(1/N − θerr'). `state`: with both at the
-    rotor's position and velocity; `motor_acceleration` ω' [rad/s²]; g: sliding friction; load: on which discrepancies depend.
+    The sum of their balances, in which Tw cancels: Tf = (Kt i + cogging − bm ω − Fmesh − (Jm + Jw) ω')/(1/N − θerr').
+    `state`: both at the rotor's position and velocity; `motor_acceleration` ω' [rad/s²]; g: sliding friction; load:
+    for discrepancies.
     """
     ratio = 1.0 / p.N - laws.kinematic_error_slope(state.wave_generator_position, p)
     drive = rotor_torque(state, 0.0, load, p) - mesh_torque(state, load, g, p)
@@ -197,7 +201,7 @@ def transmitted_torque(state, motor_acceleration, g, load, p):
 
 @kernel
 def drive_state(position, velocity, link_position, link_velocity, bristle, current, time, temperature):
-    """A `State` in which rotor and wave generator are one body."""
+    """Return a `State` with rotor and wave generator as one body."""
     return State(
         position, velocity, position, velocity, link_position, link_velocity, bristle, 0.0, current, time, temperature
     )
@@ -205,9 +209,11 @@ def drive_state(position, velocity, link_position, link_velocity, bristle, curre
 
 @kernel
 def measured_torsion(motor_position, link_position, motor_torque, p):
-    """Torsion Δθf [rad] of Eqs. (1), (5), (6) from angles, and the wave generator's angle θw [rad, motor side].
+    """Return the torsion Δθf [rad] of Eqs. (1), (5), (6) from angles, and the wave generator's angle θw [rad, motor
+    side].
 
-    `motor_torque` [N·m, motor side] stands for Tw. The kinematic error is a function of θw = θm − Δθw, which no sensor reads.
+    `motor_torque` [N·m, motor side] is used for Tw. The kinematic error is a function of θw = θm − Δθw, which no
+    sensor reads.
     """
     wave_generator_position = motor_position - laws.wave_generator_torsion(motor_torque, p)
     error = laws.kinematic_error(wave_generator_position, p)
@@ -216,8 +222,8 @@ def measured_torsion(motor_position, link_position, motor_torque, p):
 
 @kernel
 def wave_generator_position(angle, p):
-    """Wave generator's angle θw [rad, motor side] at which θw/N − θerr(θw) is an angle [rad]: that of the link with the torsion
-    Δθf, Eq. (6)."""
+    """Return the wave generator's angle θw [rad, motor side] for which θw/N − θerr(θw) is an angle [rad]: the link's
+    plus the torsion Δθf, Eq. (6)."""
     theta_w = p.N * angle
     for _ in range(4):  # Newton's steps
         excess = theta_w / p.N - laws.kinematic_error(theta_w, p) - angle
@@ -227,11 +233,12 @@ def wave_generator_position(angle, p):
 
 @kernel
 def steady_motion(link_position, link_velocity, link_acceleration, external_torque, time, temperature, p):
-    """Rotor angle [rad], motor current [A] and joint torque Ts [N·m] that a motion of the link takes, friction sliding.
+    """Return rotor angle [rad], motor current [A] and joint torque Ts [N·m] for a motion of the link with sliding
+    friction.
 
-    The inverse of `balance` where springs are in equilibrium and the link is rigid: for planning, and for a start. Near rest
-    friction changes its sign smoothly over the Stribeck velocity; the drive turns N times as fast as the link, without the
-    kinematic error's part of its velocity.
+    The inverse of `balance` with springs in equilibrium and a rigid link: for planning, and for a start. Near rest
+    friction changes its sign smoothly over the Stribeck velocity. The drive turns N times as fast as the link,
+    without the kinematic error's velocity.
     """
     w, a = p.N * link_velocity, p.N * link_acceleration
     blank = State(0.0, w, 0.0, w, link_position, link_velocity, 0.0, 0.0, 0.0, time, temperature)
@@ -248,13 +255,13 @@ def steady_motion(link_position, link_velocity, link_acceleration, external_torq
 
 @kernel
 def read_motor_position(state, p):
-    """What the motor encoder reads [rad, motor side] before noise and counts."""
+    """Return the motor encoder's reading [rad, motor side] before noise and counts."""
     return laws.motor_reading(state.motor_position, p)
 
 
 @kernel
 def read_link_position(state, load, p):
-    """What the link encoder reads [rad] before delay, noise and bits."""
+    """Return the link encoder's reading [rad] before delay, noise and bits."""
     reading = laws.link_reading(state.link_position, p)
     if laws.has_discrepancy(p):
         reading += _discrepancy(_LINK_POSITION, state, load, p)
@@ -263,7 +270,7 @@ def read_link_position(state, load, p):
 
 @kernel
 def read_motor_current(state, load, p):
-    """What the current sensor reads [A] before noise."""
+    """Return the current sensor's reading [A] before noise."""
     reading = laws.current_reading(state.motor_current, p)
     if laws.has_discrepancy(p):
         reading += _discrepancy(_MOTOR_CURRENT, state, load, p)
@@ -272,14 +279,14 @@ def read_motor_current(state, load, p):
 
 @kernel
 def read_motor_torque(state, load, p):
-    """What the drive reports as the motor's torque [N·m, motor side] before noise: the current it reads times the torque constant
-    that it believes in."""
+    """Return the drive's motor torque [N·m, motor side] before noise: measured current times the drive's torque
+    constant."""
     return p.Kt_drive * read_motor_current(state, load, p)
 
 
 @kernel
 def read_joint_torque(torque, state, load, p):
-    """What the joint torque sensor reads [N·m] before noise where the joint gives the link `torque`."""
+    """Return the joint torque sensor's reading [N·m] before noise at a joint torque `torque`."""
     reading = laws.torque_reading(torque, state.time, p)
     if laws.has_discrepancy(p):
         reading += _discrepancy(_JOINT_TORQUE, state, load, p)
@@ -288,9 +295,9 @@ def read_joint_torque(torque, state, load, p):
 
 @kernel
 def readings(state, torques, p, out):
-    """Fill `out`, a record of `signals.READINGS`, with what the joint's own sensors read of a state before noise.
+    """Fill `out`, a record of `signals.READINGS`, with the readings of the joint's own sensors before noise.
 
-    The wrench is not among them: it depends on where the sensor sits, which the plant's MJCF says.
+    Without the wrench, which depends on the sensor's place in the plant's MJCF.
     """
     out.motor_position = read_motor_position(state, p)
     out.link_position = read_link_position(state, torques.load, p)
@@ -302,9 +309,10 @@ def readings(state, torques, p, out):
 
 @kernel
 def actual_link_position(reading, motor_position, motor_velocity, time, p):
-    """Link angle [rad] of a link encoder's reading: zero, orders and discrepancy taken off; the inverse of `read_link_position`.
+    """Return the link angle [rad] of a link encoder's reading, less zero, orders and discrepancy: the inverse of
+    `read_link_position`.
 
-    To first order in the error, which is a thousandth of the angle. A delay is not undone here.
+    To first order in the error, which is a thousandth of the angle. A delay is not corrected here.
     """
     rough = reading - p.link_zero
     angle = reading - (laws.link_reading(rough, p) - rough)
@@ -315,13 +323,13 @@ def actual_link_position(reading, motor_position, motor_velocity, time, p):
 
 @kernel
 def actual_motor_position(reading, p):
-    """Rotor angle [rad] of a motor encoder's reading: its eccentricity taken off."""
+    """Return the rotor angle [rad] of a motor encoder's reading, less its eccentricity."""
     return reading - (laws.motor_reading(reading, p) - reading)
 
 
 @kernel
 def actual_motor_current(reading, motor_position, link_position, motor_velocity, load, time, p):
-    """Motor current [A] of a reading: offset and discrepancy taken off."""
+    """Return the motor current [A] of a reading, less offset and discrepancy."""
     current = reading - p.current_offset
     if laws.has_discrepancy(p):
         current -= laws.discrepancy(_MOTOR_CURRENT, motor_position, link_position, motor_velocity, load, time, p)

@@ -1,4 +1,4 @@
-"""Elementary functions that the C library computes more slowly than the laws need them, exact to its last digit or two.
+"""Elementary functions faster than the C library's, exact to the last digit or two.
 
 A replay spends a third of its time in sines and exponentials (`python -m benchmarks elementary`).
 """
@@ -14,18 +14,18 @@ from .kernels import kernel
 
 # π/2 in three parts, two of 33 bits: whole multiples up to 2²⁰ are exact (Cody & Waite; numbers of Sun's fdlibm).
 _QUARTER = (1.57079632673412561417e00, 6.07710050630396597660e-11, 2.02226624879595063154e-21)
-_FAR = 1e6  # rad: what no motor of a recording turns; beyond, the C library
+_FAR = 1e6  # rad: beyond, the C library
 _SMALL = 0.5
 
 
 def sincos(x):
-    """Sine and cosine of an angle [rad], within 2e-16 of the exact ones (a dual number's likewise)."""
+    """Return sine and cosine of an angle [rad], within 2e-16 of the exact ones (likewise for a dual number)."""
     return _sincos(x)
 
 
 @kernel(forceinline=True)
 def _sincos(x):
-    """Reduced to ±π/4 about a multiple of π/2, then fdlibm's polynomials (k_sin, k_cos)."""
+    """Reduce to ±π/4 about a multiple of π/2, then use fdlibm's polynomials (k_sin, k_cos)."""
     if not abs(x) < _FAR:
         return math.sin(x), math.cos(x)
     n = math.floor(x * (2.0 / math.pi) + 0.5)
@@ -62,5 +62,5 @@ def _sincos_of(x):
 
 @kernel(forceinline=True)
 def decayed(x):
-    """1 − exp(−x) for x ≥ 0, to full precision near zero; `expm1` takes several times as long as `exp`."""
+    """Return 1 − exp(−x) for x ≥ 0, exact near zero; `expm1` takes several times as long as `exp`."""
     return 1.0 - math.exp(-x) if value_of(x) > _SMALL else -math.expm1(-x)

@@ -1,4 +1,4 @@
-"""The one exception that a user is meant to read."""
+"""The one exception for users."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Iterable
 from pathlib import Path
 
 LARGEST_TEXT = 10_000_000
-"""Bytes of a text file that a person wrote; the largest that we write is a tenth of that."""
+"""Most bytes of a text file of a user; ten times the largest that we write."""
 
 _FEW = 40
-"""So many keys fit into a message."""
+"""Most keys in a message."""
 
 
 class InputError(ValueError):
     """Input that cannot be used: a file, a field, a command-line value.
 
-    The message is one line: where it is (file, field), what was expected and what came. Commands print it
-    and exit with code 2; libraries may catch it.
+    The message is one line: place (file, field), expected, got. Commands print it and exit with code 2; libraries may
+    catch it.
     """
 
     def __init__(self, message: str):
@@ -26,16 +26,16 @@ class InputError(ValueError):
 
 
 class InputWarning(UserWarning):
-    """Input that is used although it is odd; the message is one line, as that of an `InputError`."""
+    """Unusual input that is used; the message is one line, as that of an `InputError`."""
 
 
 def one_line(text: str) -> str:
-    """Text in one line that does nothing to a terminal: what names and cells hold is shown, not obeyed."""
+    """Return text as one line without control characters for a terminal."""
     return "".join(c if c.isprintable() else " " if c in "\n\t" else f"\\x{ord(c):02x}" for c in text)
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of what an error says; its type where it says nothing."""
+    """Return the first line of an error's message; its type if it has none."""
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
@@ -46,14 +46,14 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def unknown_key(name: str, known: Iterable[str]) -> str:
-    """Return `unknown key` with the closest of `known`; where none is close and they are few, with all of them."""
+    """Return `unknown key` with the closest of `known`; if none is close and they are few, with all of them."""
     names = list(dict.fromkeys(known))
     few = f"; expected one of {names}" if 0 < len(names) <= _FEW else ""
     return f"unknown key{nearest(name, names) or few}"
 
 
 def is_there(path: Path) -> bool:
-    """Whether there is a file or folder; a name that no file can have stands for none."""
+    """Return whether a file or folder exists; False for an impossible name."""
     try:
         return path.exists()
     except (OSError, ValueError):  # too long, or with a null byte
@@ -61,7 +61,8 @@ def is_there(path: Path) -> bool:
 
 
 def read_text(path: Path, what: str, largest: int = LARGEST_TEXT) -> str:
-    """Read a text file of so many bytes at most; an unreadable one raises `InputError`: its name, what it should be."""
+    """Read a text file of at most `largest` bytes; an unreadable one raises `InputError`. `what`: its content, for
+    messages."""
     try:
         if is_there(path) and not path.is_file():  # a folder; or a pipe, which may never end
             raise InputError(f"{path}: cannot read {what}: not a file")

@@ -1,4 +1,4 @@
-"""Files that people write (YAML, checked by pydantic) and files that we write (moved into place when complete)."""
+"""Files that users write (YAML, checked by pydantic) and files that the program writes (complete or not at all)."""
 
 from __future__ import annotations
 
@@ -21,10 +21,8 @@ from .schema import documented
 
 
 def _strict(schema: Any, model: Any) -> Any:
-    """A schema of pydantic's in which numbers and truth values take nothing else; 1e3 is a whole number as 1000 is.
-
-    Models inside `model` have theirs already.
-    """
+    """Make numbers and truth values of a pydantic schema strict, except that 1e3 is a whole number. Models inside
+    `model` are strict already."""
     if isinstance(schema, (list, tuple)):
         return type(schema)(_strict(part, model) for part in schema)
     if not isinstance(schema, dict) or schema.get("cls", model) is not model:
@@ -43,8 +41,8 @@ def _whole(value: Any) -> Any:
 
 
 class Strict(BaseModel):
-    """Base of everything that a person writes: unknown keys are errors, values are frozen, and only numbers are numbers: neither
-    true nor '9'."""
+    """Base of all files that users write. Unknown keys are errors, values are frozen, and a number is neither true
+    nor '9'."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, json_schema_extra=documented)
 
@@ -57,17 +55,20 @@ M = TypeVar("M", bound=BaseModel)
 _NAME = re.compile(r"[^\s./\\:][^/\\:]{0,99}")
 
 
-_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C where there is one: eight times as fast
+_SafeLoader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)  # in C, if installed: eight times faster
 _SafeDumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
 _TAG = "tag:yaml.org,2002:"
 _LIST = f"{_TAG}seq"
+_NO_VALUE = (ValueError, TypeError, OverflowError, AttributeError)  # an impossible date, a number of 5000 digits
 _DEEPEST, _LARGEST = 40, 1_000_000
-"""Levels and values of a YAML file; what people write has ten levels and a few hundred values."""
+"""Largest number of levels and values of a YAML file. Typical files have ten levels and a few hundred values."""
 
 
 class _Loader(_SafeLoader):
-    """Safe YAML that refuses duplicate keys and reads numbers as people write them: 1e-6 is one (YAML 1.1 asks for a dot), 1:30
-    (there 90) and 010 (there 8) are none. Truth values are `true` and `false` alone: `no` and `on` are words."""
+    """Safe YAML without duplicate keys, with numbers as users write them.
+
+    1e-6 is a number (YAML 1.1 asks for a dot). 1:30 and 010 are not. Only `true` and `false` are truth values.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:
         seen = set()
@@ -78,9 +79,7 @@ class _Loader(_SafeLoader):
                     None, None, f"expected a word for a key, got {shown(key)}", key_node.start_mark
                 )
             if key in seen:
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"the key {key!r} stands twice", key_node.start_mark
-                )
+                raise yaml.constructor.ConstructorError(None, None, f"duplicate key {key!r}", key_node.start_mark)
             seen.add(key)
         return super().construct_mapping(node, deep)
 
@@ -103,7 +102,7 @@ _Loader.add_implicit_resolver(
 
 
 def _number(loader: _Loader, node: yaml.ScalarNode) -> int | float:
-    """A number that arithmetic can use: what is divided by 1e-320 is infinite, and 10⁴⁰⁰ is no floating-point number."""
+    """Read a number with which arithmetic is possible: neither 1e-320 nor 10⁴⁰⁰."""
     text = node.value.replace("_", "")
     if text.lstrip("+-").lower() in (".inf", ".nan"):
         return float(text.replace(".", ""))
@@ -121,7 +120,7 @@ _Loader.add_constructor(_FLOAT, _number)
 
 
 def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
-    """The file that a shipped name, or a path, stands for.
+    """Return the file of a shipped name or a path.
 
     Raises:
       InputError: neither; one line.
@@ -134,7 +133,7 @@ def find(source: str | Path, known: dict[str, Path], what: str) -> Path:
 
 
 def read_yaml(path: Path, what: str) -> Any:
-    """Parse a YAML file; anything wrong with it raises `InputError` naming file and line."""
+    """Parse a YAML file. Errors raise `InputError` with file and line."""
     text = read_text(path, what)
     try:
         return _loaded(text)
@@ -142,20 +141,15 @@ def read_yaml(path: Path, what: str) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""
         raise InputError(f"{path}{where}: not YAML: {getattr(error, 'problem', None) or first_line(error)}") from error
-    except (
-        ValueError,
-        TypeError,
-        OverflowError,
-        AttributeError,
-    ) as error:  # a date that is none, a number of 5000 digits
+    except _NO_VALUE as error:
         raise InputError(f"{path}: not YAML: {error}") from error
 
 
 def read_json(path: Path, what: str, largest: int = LARGEST_TEXT) -> Any:
-    """Parse a JSON file, such as commands write (`json_text`): every number in it is finite.
+    """Parse a JSON file with finite numbers, such as commands write (`json_text`).
 
     Raises:
-      InputError: it cannot be read, or is no JSON.
+      InputError: it cannot be read, or is not JSON.
     """
     text = read_text(path, what, largest)
     try:
@@ -172,7 +166,7 @@ def _finite_number(text: str) -> float:
 
 
 def _integer(text: str) -> int:
-    """A whole number; `ValueError` for one that is no floating-point number."""
+    """Read a whole number that a float can hold; else raise `ValueError`."""
     if len(text) > 300:
         raise ValueError(f"expected a number up to 1e300, got one of {len(text)} characters")
     return int(text)
@@ -187,7 +181,7 @@ def _loaded(text: str) -> Any:
             raise yaml.MarkedYAMLError(
                 problem=f"expected at most {_DEEPEST} levels, got more", problem_mark=event.start_mark
             )
-        if getattr(event, "tag", None) is not None:  # the loader fails in many ways where a value is not of its tag
+        if getattr(event, "tag", None) is not None:  # a value that does not fit its tag fails in many ways
             raise yaml.MarkedYAMLError(
                 problem=f"expected a value without a tag, got {event.tag.replace(_TAG, '!!')}",
                 problem_mark=event.start_mark,
@@ -199,7 +193,7 @@ def _loaded(text: str) -> Any:
 
 
 def _size(data: Any, known: dict[int, float]) -> float:
-    """Number of values, those behind aliases as often as they are named; infinite where one holds itself."""
+    """Count values, those behind an alias once per use; infinite if a value contains itself."""
     if not isinstance(data, (dict, list)):
         return 1
     if id(data) not in known:
@@ -209,15 +203,15 @@ def _size(data: Any, known: dict[int, float]) -> float:
 
 
 def yaml_value(text: str) -> Any:
-    """A value as a YAML file would hold it; text that is not YAML is text."""
+    """Return the value of YAML text; the text itself if it is not YAML."""
     try:
         return _loaded(text)
-    except (yaml.YAMLError, ValueError, TypeError, OverflowError, AttributeError):
+    except (yaml.YAMLError, *_NO_VALUE):
         return text
 
 
 class Line(list):
-    """A list that YAML text has in one line, however long."""
+    """A list that YAML text writes in one line."""
 
 
 class _Dumper(_SafeDumper):
@@ -228,13 +222,13 @@ _Dumper.add_representer(Line, lambda dumper, data: dumper.represent_sequence(_LI
 
 
 def yaml_text(data: Any) -> str:
-    """Data as YAML text: keys in their order, lines up to 120 characters."""
+    """Return data as YAML text: keys in their order, lines of at most 120 characters."""
     text: str = yaml.dump(data, Dumper=_Dumper, allow_unicode=True, sort_keys=False, width=120)
     return text
 
 
 def flow_text(data: Any) -> str:
-    """Data as YAML text in one line: `{value: 1.5, unit: N·m}`."""
+    """Return data as YAML text in one line: `{value: 1.5, unit: N·m}`."""
     text: str = yaml.dump(
         data, Dumper=_Dumper, allow_unicode=True, sort_keys=False, default_flow_style=True, width=10**6
     )
@@ -242,7 +236,7 @@ def flow_text(data: Any) -> str:
 
 
 def json_text(data: Any) -> str:
-    """Data as JSON text; null for numbers that are not finite, which JSON does not have."""
+    """Return data as JSON text, with null for numbers that are not finite."""
     return json.dumps(_finite(data), indent=1, ensure_ascii=False, allow_nan=False)
 
 
@@ -255,7 +249,7 @@ def _finite(value: Any) -> Any:
 
 
 def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], names: Sequence[str] | None = None) -> None:
-    """Write rows as CSV, an empty cell for none; `names`: of the columns, those of the first row by default."""
+    """Write rows as CSV, None as an empty cell. `names`: of the columns; by default those of the first row."""
     with write_into_place(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, names or list(rows[0] if rows else ()))
         writer.writeheader()
@@ -263,10 +257,10 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]], names: Sequence[st
 
 
 def check_format(data: Any, path: Path, known: int = 1) -> None:
-    """Refuse a file that a later version wrote, whose keys may mean something else.
+    """Refuse a file of another version.
 
     Raises:
-      InputError: its `format` is another than `known`; a file without one is of the first.
+      InputError: its `format` is not `known`. A file without `format` has 1.
     """
     found = data.get("format", 1) if isinstance(data, dict) else known
     if found != known:
@@ -274,11 +268,11 @@ def check_format(data: Any, path: Path, known: int = 1) -> None:
 
 
 _WORD = re.compile(r"[\w .·²/+-]{1,60}")
-"""What a key may look like; what does not is not shown."""
+"""What a key may look like. Other text is not shown."""
 
 
 def place(path: Path, field: str) -> str:
-    """A YAML file with the line of a dotted field, or of the innermost part of it that is there: `joint.yaml:14`."""
+    """Return a YAML file with the line of a dotted field, or of its innermost part that exists: `joint.yaml:14`."""
     line, found = None, None
     with suppress(InputError, yaml.YAMLError, ValueError):
         found = yaml.compose(read_text(path, "a file"), Loader=_Loader)
@@ -297,11 +291,11 @@ def parse(data: Any, model: type[M], where: str | Path) -> M:
     """Check data against a pydantic model.
 
     Args:
-      data: what a file or a caller says. model: what it should be.
-      where: what an error begins with; a path where the data are those of that file, whose line is then named.
+      data: of a file or a caller. model: the expected type.
+      where: prefix of errors. For a path, the error names the line of that file.
 
     Raises:
-      InputError: the first thing wrong, in one line.
+      InputError: the first error, in one line.
     """
     if not isinstance(data, dict):
         raise InputError(f"{where}: expected a mapping of keys, got {kind_of(data)}")
@@ -314,7 +308,7 @@ def parse(data: Any, model: type[M], where: str | Path) -> M:
 
 
 def kind_of(data: Any) -> str:
-    """What a whole file holds instead of what is wanted; not its content, which may be of somebody else's file."""
+    """Return the kind of a file's content for a message, without the content: it may be confidential."""
     kinds = {str: "text", list: "a list", type(None): "nothing"}
     return kinds.get(type(data), "a value")
 
@@ -325,10 +319,8 @@ def load(path: Path, model: type[M], what: str) -> M:
 
 
 def describe(error: ValidationError, model: type[BaseModel]) -> str:
-    """One line for the first error that pydantic found, a misspelt key before what is missing: field, expected, came.
-
-    Of what is missing all is named at once.
-    """
+    """Return one line for the first error of pydantic: field, expected, got. Misspelt keys come first; missing keys
+    are listed together."""
     errors = error.errors()
     first = min(range(len(errors)), key=lambda i: errors[i]["type"] != "extra_forbidden")
     line = descriptions(error, model)[first]
@@ -339,13 +331,13 @@ def describe(error: ValidationError, model: type[BaseModel]) -> str:
 
 
 def descriptions(error: ValidationError, model: type[BaseModel]) -> list[str]:
-    """A line for each error that pydantic found, in its order: field, expected, came."""
+    """Return a line per error of pydantic: field, expected, got."""
     errors = error.errors()
     return [_described(one, model, _alternatives(one, errors)) for one in errors]
 
 
 def _alternatives(one: Any, errors: list[Any]) -> list[Any]:
-    """Errors of the same value, of which pydantic says for each kind it may have that it has it not; empty where it is of one."""
+    """Return the errors of the same value, one per kind that it may have; empty if it may have only one."""
     same = [e for e in errors if e["loc"][:-1] == one["loc"][:-1] and _is_branch(e["loc"][-1:])]
     return same if len(same) > 1 and one in same else []
 
@@ -355,7 +347,7 @@ _SCALARS = ("float", "int", "str", "bool")
 
 
 def _is_branch(loc: tuple) -> bool:
-    """Whether the last part of a place is no key, but pydantic's word for a kind of value."""
+    """Return whether the last part of a place is pydantic's name of a kind of value, not a key."""
     part = loc[-1] if loc else None
     return isinstance(part, str) and (part in _SCALARS or _is_kind(part))
 
@@ -365,7 +357,7 @@ def _is_kind(part: Any) -> bool:
 
 
 def _models(base: type[BaseModel]) -> set[str]:
-    """Names of all models there are."""
+    """Return the names of all models."""
     return {name for sub in base.__subclasses__() for name in (sub.__name__, *_models(sub))}
 
 
@@ -393,11 +385,11 @@ def _described(one: Any, model: type[BaseModel], alternatives: list[Any]) -> str
 
 
 OWN_ERROR = "Value error, "
-"""What pydantic puts before the message of an error that is not its own."""
+"""Prefix that pydantic adds to the message of a validator."""
 
 
 def _expected(one: Any, model: type[BaseModel]) -> str:
-    """What an error says that it expected."""
+    """Return what an error expected."""
     kind = one["type"]
     if kind in ("model_type", "model_attributes_type", "dataclass_type"):
         keys = ", ".join(_siblings(model, one["loc"]))
@@ -407,7 +399,7 @@ def _expected(one: Any, model: type[BaseModel]) -> str:
     if kind == "bool_type":
         return "true or false"
     if kind == "int_parsing_size":
-        return "an integer that is not as large"
+        return "a smaller integer"
     message = re.sub(
         r"^(?:Input|List|String|Dictionary|Tuple) should (?:be|have) ", "", one["msg"].removeprefix(OWN_ERROR)
     )
@@ -417,12 +409,12 @@ def _expected(one: Any, model: type[BaseModel]) -> str:
 def _field(one: Any) -> str:
     parts = [str(part) for part in one["loc"] if not _is_kind(part)]
     if parts and one["type"] == "extra_forbidden" and not _WORD.fullmatch(parts[-1]):
-        parts[-1] = "a line that is no key"  # of a file that is none of ours, perhaps
+        parts[-1] = "a line that is not a key"  # the file may be of another program
     return ".".join(parts) or "top level"
 
 
 def _siblings(model: type[BaseModel], path: tuple) -> list[str]:
-    """The keys that pydantic knows at a path inside a model."""
+    """Return the keys that pydantic knows at a path inside a model."""
     current: Any = model
     for part in path:
         if isinstance(part, int):
@@ -445,16 +437,16 @@ def _model_in(annotation: Any) -> Any:
 
 
 def shown(value: Any) -> str:
-    """A value as people write it in code, short enough for a message."""
+    """Return a value as code, short enough for a message."""
     text = repr(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def check_name(name: str, where: str) -> str:
-    """A name that becomes that of a file or folder: it must not lead anywhere.
+    """Return a name that is safe as the name of a file or folder.
 
     Raises:
-      InputError: separators, control characters, a dot at the begin, or more than 100 characters.
+      InputError: separators, control characters, a dot at the start, or more than 100 characters.
     """
     if not _NAME.fullmatch(name) or not name.isprintable():
         raise InputError(
@@ -466,10 +458,10 @@ def check_name(name: str, where: str) -> str:
 
 @contextmanager
 def write_into_place(path: Path) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; move it into place when the block ends well, remove it when not.
+    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it.
 
     Raises:
-      InputError: it cannot be written (no such rights, a full disk); one line.
+      InputError: it cannot be written (no permission, a full disk); one line.
     """
     try:
         with write_whole(path) as temporary:

@@ -1,4 +1,4 @@
-"""A joint description: the YAML file in which a person states a joint, every number with unit, source and tolerance."""
+"""Joint descriptions: YAML files with the numbers of a joint, each with unit, source and tolerance."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ OPTIONAL_SYMBOLS: dict[str, tuple[str, bool]] = {
     "back_driven_friction": ("1", True), "knee_width": ("rad", True), "viscous_exponent": ("1", False),
     "reference_temperature": ("°C", True),
 }  # fmt: skip
-"""Numbers that a joint may leave out. `back_driven_friction` is the share of load-dependent friction that acts while the load
-drives the motor (torque and velocity of opposite sign), `knee_width` half the torsion over which the stiffness goes from one
-slope to the next, `viscous_exponent` the power of speed as which viscous friction grows at high speed,
-`reference_temperature` the one at which friction is as stated; 1, 0, 1 and 25 °C where they are left out."""
+"""Optional numbers. `back_driven_friction`: share of the load-dependent friction that acts while the load drives the
+motor (default 1). `knee_width`: half the torsion over which the stiffness changes from one slope to the next (0).
+`viscous_exponent`: exponent of speed in viscous friction at high speed (1). `reference_temperature`: temperature
+at which friction is stated (25 °C)."""
 
 
 def may_be_zero(symbol: str) -> bool:
-    """Whether a number of a joint may be zero; none may be negative."""
+    """Return whether a number of a joint may be zero. None may be negative."""
     return (SYMBOLS | OPTIONAL_SYMBOLS)[symbol][1]
 
 
@@ -58,24 +58,24 @@ _UNREAD = {
     ("temperature", "gain"): "nothing reads it",
     ("temperature", "offset"): "nothing reads it",
 }
-"""Fields of sensors that mean nothing, and what says it instead."""
+"""Fields of sensors that have no meaning, and the field to use instead."""
 POSSIBLE: dict[str, tuple[float, float]] = {
     "N": (2, 1e4), "Jm": (1e-9, 0.3), "Jw": (1e-9, 0.3), "Kt": (1e-5, 1e2), "R": (1e-6, 1e4), "L": (1e-9, 10),
     "supply_voltage": (0.1, 1e4), "current_limit": (1e-3, 1e5), "K1": (1, 1e8), "K2": (1, 1e8), "K3": (1, 1e8),
     "T1": (1e-4, 1e5), "T2": (1e-4, 1e5), "Kw0": (1e-4, 1e7), "Fc": (1e-7, 1e2), "Fs": (1e-7, 1e2),
     "rated_torque": (1e-2, 1e6),
 }  # fmt: skip
-"""Smallest and largest value of numbers, in their units, orders of magnitude beyond anything that is made: what lies outside
-is a slip of the unit or of the key, and is refused. What makers do make stands in `joint_check`."""
+"""Smallest and largest possible value of numbers, in their units. Values outside are wrong units or keys and are
+refused. `joint_check` has the usual ranges."""
 
 
 class Number(Strict):
     """A number of the joint.
 
     `tolerance` is the relative, `deviation` the absolute standard deviation that datasheet and calibration leave
-    open. A tolerance above 0.5 is log-normal: one standard deviation is a factor of 1 + tolerance. `shared` names a further
-    deviation that several numbers have in common (`Joint.shared_tolerances`).
-    `std` is the standard deviation that a diagnosis found, `nominal` what the value was before it.
+    open. A tolerance above 0.5 is log-normal: one standard deviation is a factor of 1 + tolerance. `shared` names a
+    further deviation that several numbers have in common (`Joint.shared_tolerances`). `std` is the standard deviation
+    that a diagnosis found, `nominal` the value before it.
     """
 
     value: float
@@ -83,9 +83,9 @@ class Number(Strict):
     unit: str
     """`N·m` and `Nm`, `kg·m²` and `kgm2` are the same."""
     source: str
-    """Where it is from: a datasheet, a measurement, a rule."""
+    """Datasheet, measurement or rule that it is from."""
     tolerance: Annotated[float, Field(ge=0, lt=10)] = 0.0
-    """Relative standard deviation that is left open; above 0.5 one standard deviation is a factor of 1 + tolerance."""
+    """Relative standard deviation that is left open. Above 0.5, one standard deviation is a factor of 1 + tolerance."""
     deviation: Annotated[float, Field(ge=0)] = 0.0
     """Absolute standard deviation that is left open, in the unit."""
     shared: str | None = None
@@ -93,7 +93,7 @@ class Number(Strict):
     std: Annotated[float, Field(ge=0)] | None = None
     """Standard deviation that a diagnosis found, in the unit."""
     nominal: float | None = None
-    """What the value was before a diagnosis."""
+    """Value before a diagnosis."""
 
 
 class Order(Strict):
@@ -108,12 +108,12 @@ class Order(Strict):
 
 
 LOCKED = 1e6
-"""Inertia [kg·m²] of a mounting from which on it is the bench's."""
+"""Inertia [kg·m²] from which a mounting is the bench."""
 
 
 class Placed(NamedTuple):
-    """A number that has a place of its own: name that diagnosis reports; field and index in the record (−1: none); where it is in
-    the file, and its unit there."""
+    """A number outside `numbers`: its name in a diagnosis, field and index in the record (−1: no array), place and
+    unit in the file."""
 
     name: str
     field: str
@@ -124,39 +124,39 @@ class Placed(NamedTuple):
 
 
 class Mounting(Strict):
-    """What is bolted to the output: inertia about the joint axis and gravity moment at horizontal."""
+    """The load on the output: inertia about the joint axis and gravity moment at horizontal."""
 
     inertia: Annotated[float, Field(gt=0, description="kg·m²")]
     gravity_moment: Annotated[float, Field(ge=0, description="N·m")]
     gravity_angle: Annotated[float, Field(description="rad")] = 0.0
-    """Angle of its centre of mass from the link's axis, which hangs straight down at θl + gravity angles = 0."""
+    """Angle of its centre of mass from the link's axis. The axis points straight down at θl + gravity angles = 0."""
 
     @property
     def locked(self) -> bool:
-        """Whether it stands for the bench, to which the output is bolted: nothing that a joint can do moves it."""
+        """Whether the output is bolted to the bench, which the joint cannot move."""
         return self.inertia >= LOCKED
 
 
 class EncoderSpec(Strict):
     """An encoder: `counts` per revolution or `bits`, noise [rad rms], delay [s], zero, sample rate [Hz].
 
-    `cyclic_error`: amplitude of the error that returns with every line of the disc (four counts), in counts.
+    `cyclic_error`: amplitude [counts] of the error that repeats with every line of the disc (four counts).
     """
 
     counts: Annotated[int, Field(gt=1, le=2**40)] | None = None
-    """Per revolution; or else `bits`."""
+    """Per revolution; alternative to `bits`."""
     bits: Annotated[int, Field(gt=1, lt=40)] | None = None
-    """Of the angle; or else `counts`."""
+    """Per revolution; alternative to `counts`."""
     noise: Annotated[float, Field(ge=0)] = 0.0
     """[rad rms]."""
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
     """[s]."""
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
-    """Of samples [Hz]."""
+    """Sample rate [Hz]."""
     zero: Number | None = None
-    """Reading [rad] where the angle is zero."""
+    """Reading [rad] at angle zero."""
     cyclic_error: Annotated[float, Field(ge=0, lt=2)] = 0.0
-    """Amplitude of the error that returns with every line of the disc, in counts."""
+    """Amplitude [counts] of the error that repeats with every line of the disc."""
 
     @model_validator(mode="after")
     def _one_resolution(self) -> EncoderSpec:
@@ -172,7 +172,7 @@ class EncoderSpec(Strict):
 
 
 class Ripple(Strict):
-    """What returns with the motor's angle: amplitude · sin(order · θm + phase), in the sensor's unit."""
+    """An error that repeats with the motor's angle: amplitude · sin(order · θm + phase), in the sensor's unit."""
 
     order: Annotated[float, Field(gt=0)]
     """Periods per turn of the motor."""
@@ -183,7 +183,7 @@ class Ripple(Strict):
 
 
 class Vibration(Strict):
-    """A vibration of the structure that the sensor sees: amplitude (rms, in its unit), frequency [Hz]."""
+    """A vibration of the structure that the sensor measures: amplitude (rms, in its unit), frequency [Hz]."""
 
     frequency: Annotated[float, Field(gt=0, lt=500)]
     """[Hz]."""
@@ -192,30 +192,31 @@ class Vibration(Strict):
 
 
 class AnalogSpec(Strict):
-    """An analog sensor: noise (rms), quantisation step, delay [s], sample rate [Hz], gain and offset.
+    """An analog sensor: noise (rms), quantisation step, delay [s], sample rate [Hz], gain, offset, and imperfections.
 
-    And its imperfections: `bandwidth` of a first-order low-pass [Hz], `flicker` (rms of 1/f noise), `ripple` over the motor's
-    angle, `vibration`, `crosstalk` (amplitude over the cosine of the link's angle); all in the sensor's unit, none by default.
+    `bandwidth` of a first-order low-pass [Hz], `flicker` (rms of 1/f noise), `ripple` over the motor's angle,
+    `vibration`, `crosstalk` (amplitude over the cosine of the link's angle); all in the sensor's unit, none by
+    default.
     """
 
     noise: Annotated[float, Field(ge=0)] = 0.0
     """Rms, in the sensor's unit."""
     step: Annotated[float, Field(ge=0)] = 0.0
-    """Of its quantisation, in its unit."""
+    """Quantisation step, in its unit."""
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
     """[s]."""
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
-    """Of samples [Hz]."""
+    """Sample rate [Hz]."""
     gain: Number | None = None
-    """Factor on what it reads."""
+    """Factor on its reading."""
     offset: Number | None = None
-    """Added to what it reads, in its unit."""
+    """Added to its reading, in its unit."""
     bandwidth: Annotated[float, Field(gt=0)] | None = None
     """Of a first-order low-pass [Hz]."""
     flicker: Annotated[float, Field(ge=0)] = 0.0
     """Rms of 1/f noise, in its unit."""
     ripple: Ripple | None = None
-    """What returns with the motor's angle."""
+    """Error that repeats with the motor's angle."""
     vibration: Vibration | None = None
     """Of the structure."""
     crosstalk: float = 0.0
@@ -225,7 +226,8 @@ class AnalogSpec(Strict):
 class WrenchSpec(Strict):
     """The six-axis force/torque sensor: noise per axis [N rms], [N·m rms], delay [s], sample rate [Hz].
 
-    `crosstalk`: what of an axis' load, relative to its rated one [N], [N·m], may show in each of the others [1].
+    `crosstalk`: share of an axis' load, relative to its rated load [N], [N·m], that may appear in each other axis
+    [1].
     """
 
     force_noise: Annotated[float, Field(ge=0)] = 0.0
@@ -235,9 +237,9 @@ class WrenchSpec(Strict):
     delay: Annotated[float, Field(ge=0, lt=0.1)] = 0.0
     """[s]."""
     rate: Annotated[float, Field(gt=0, le=10000)] = 1000.0
-    """Of samples [Hz]."""
+    """Sample rate [Hz]."""
     crosstalk: Annotated[float, Field(ge=0, lt=0.2)] = 0.0
-    """What of an axis' load, relative to its rated one, may show in each of the others."""
+    """Share of an axis' load, relative to its rated load, that may appear in each other axis."""
     rated_force: Annotated[float, Field(gt=0)] = 300.0
     """[N]."""
     rated_torque: Annotated[float, Field(gt=0)] = 30.0
@@ -245,7 +247,7 @@ class WrenchSpec(Strict):
 
 
 class Sensors(Strict):
-    """The joint's sensors: those of every joint by name, and any other that a channel names (`signals.CHANNELS`)."""
+    """The joint's sensors: the standard ones by name, and any other that a channel names (`signals.CHANNELS`)."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, AnalogSpec]
@@ -257,7 +259,7 @@ class Sensors(Strict):
     motor_current: AnalogSpec
     """[A]."""
     motor_torque: AnalogSpec = AnalogSpec()
-    """[N·m, motor side], where the drive states one."""
+    """[N·m, motor side], if the drive reports it."""
     joint_torque: AnalogSpec = AnalogSpec()
     """[N·m]."""
     temperature: AnalogSpec = AnalogSpec()
@@ -274,19 +276,19 @@ class Sensors(Strict):
         return self
 
     def of(self, channel: Channel) -> EncoderSpec | AnalogSpec | WrenchSpec:
-        """The sensor that reads a channel; one without noise where the description says nothing of it."""
+        """Return the sensor of a channel; one without noise if the description has none."""
         spec = getattr(self, channel.sensor, None)
         return AnalogSpec() if spec is None else spec
 
 
 class Estimate(Strict):
-    """A parameter of an effect: value, unit (that of the cause where it is left out), and its standard deviation where
-    a diagnosis gave it one."""
+    """A parameter of an effect: value, unit (by default that of the cause), standard deviation if a diagnosis found
+    one."""
 
     value: float
     """In its unit."""
     unit: str = ""
-    """The cause's where it is left out."""
+    """By default that of the cause."""
     std: Annotated[float, Field(ge=0)] | None = None
     """Standard deviation that a diagnosis found."""
 
@@ -331,13 +333,13 @@ class Effect(Strict):
 
 
 class Discrepancy(Strict):
-    """A nonparametric model discrepancy: what acts at `place` beyond the laws, a cubic B-spline of `variable` (coefficients on
-    a uniform grid from `low` to `high`)."""
+    """A nonparametric model discrepancy at `place`: a cubic B-spline of `variable`, with coefficients on a uniform
+    grid."""
 
     place: Literal[PLACES[1:]]  # type: ignore[valid-type]
-    """Where it acts, or which reading it is added to."""
+    """Where it acts, or the reading to which it is added."""
     variable: Literal[VARIABLES]  # type: ignore[valid-type]
-    """What it depends on."""
+    """Its variable."""
     low: float
     """Lower end of the spline's grid, in the variable's unit."""
     high: float
@@ -355,17 +357,17 @@ class Discrepancy(Strict):
 
 
 class ValidRange(Strict):
-    """Where the data behind a diagnosed joint have been, smallest and largest of each; nothing is known beyond.
+    """The range of the data behind a diagnosed joint: smallest and largest value of each quantity.
 
-    `loads` are the combinations of direction of motion and direction of load that were seen: `driving` (the motor moves the
-    load), `driven` (the load moves the motor).
+    `loads`: the combinations of motion and load in the data, `driving` (the motor moves the load), `driven` (the load
+    moves the motor).
     """
 
     link_position: Annotated[list[float], Field(min_length=2, max_length=2, description="rad")]
     link_velocity: Annotated[list[float], Field(min_length=2, max_length=2, description="rad/s")]
     joint_torque: Annotated[list[float], Field(min_length=2, max_length=2, description="N·m")]
     loads: list[Literal["driving", "driven"]] = []
-    """Combinations of motion and load that were seen."""
+    """Combinations of motion and load in the data."""
 
     @field_validator("link_position", "link_velocity", "joint_torque")
     @classmethod
@@ -378,8 +380,8 @@ class ValidRange(Strict):
     def beyond(
         self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray
     ) -> dict[str, float]:
-        """Shares of samples in motion, shape (n,) each, beyond the range: by variable those that are beyond by more than a
-        twentieth of it, and by name those of a combination of motion and load that was not seen; empty where there are none."""
+        """Return the shares of samples, shape (n,) each, outside the range, by variable and by unseen combination of
+        motion and load; empty if there are none. A margin of a twentieth of the range is allowed."""
         samples = max(len(link_position), 1)
         found: dict[str, float] = {}
         for name, x in (
@@ -396,7 +398,7 @@ class ValidRange(Strict):
         return found
 
     def distance(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> np.ndarray:
-        """How far samples, shape (n,) each, lie beyond the range: the largest of their distances in whole ranges, shape (n,)."""
+        """Return the largest distance of samples, shape (n,) each, from the range, in units of the range, shape (n,)."""
         past = [
             self._past("link_position", link_position), self._past("link_velocity", link_velocity),
             self._past("joint_torque", joint_torque),
@@ -404,7 +406,7 @@ class ValidRange(Strict):
         return np.max(past, axis=0)
 
     def outside(self, link_position: np.ndarray, link_velocity: np.ndarray, joint_torque: np.ndarray) -> np.ndarray:
-        """Which samples, shape (n,) each, lie further beyond the range than still counts as seen, shape (n,), bool."""
+        """Return which samples, shape (n,) each, are outside the range with its margin, shape (n,), bool."""
         return self.distance(link_position, link_velocity, joint_torque) > _SLACK
 
     def _past(self, name: str, x: np.ndarray) -> np.ndarray:
@@ -413,7 +415,7 @@ class ValidRange(Strict):
 
 
 _SLACK = 0.05
-"""Part of a range by which a sample may be beyond it and still count as seen."""
+"""Share of a range that is allowed as a margin."""
 _BEYOND = {
     "link_position": "link angle", "link_velocity": "link speed", "joint_torque": "load",
     "driving": "motion that the motor drives", "driven": "motion that the load drives",
@@ -421,7 +423,8 @@ _BEYOND = {
 
 
 def beyond_sentence(beyond: Mapping[str, float]) -> str:
-    """What of a motion lies beyond a joint's range of validity (`ValidRange.beyond`), for people; empty where nothing does."""
+    """Return a sentence about the motion outside a joint's range of validity (`ValidRange.beyond`); empty if there is
+    none."""
     if not beyond:
         return ""
     parts = [f"{_BEYOND.get(name, name)} {100 * share:.2g} %" for name, share in beyond.items()]
@@ -432,23 +435,23 @@ def beyond_sentence(beyond: Mapping[str, float]) -> str:
 
 
 class Uncertainty(Strict):
-    """How well a diagnosis knows what it found, all of it together.
+    """The joint uncertainty of a diagnosis.
 
-    `factor` has the rows of a lower triangular L whose L Lᵀ is the covariance of `names`, in their units: numbers by the names
-    that `models.calibration` gives them (`Kt`, `A2`, `link_encoder_zero`), parameters of effects (`effects.0.ratio`) and
-    coefficients of discrepancies (`discrepancies.0.3`). What is not among them is as well known as its own `std` or tolerance
-    says. `discrepancy` is the rms, in the balance's unit, of what the description could not hold in the data; `beyond`, how many
-    times as large it is a whole range beyond the range of validity.
+    `factor` has the rows of a lower triangular L; L Lᵀ is the covariance of `names`, in their units. Names: numbers
+    as in `models.calibration` (`Kt`, `A2`, `link_encoder_zero`), parameters of effects (`effects.0.ratio`),
+    coefficients of discrepancies (`discrepancies.0.3`). Other numbers have their own `std` or tolerance.
+    `discrepancy` is the rms, in the balance's unit, of the data that the description does not explain; `beyond`, its
+    factor one whole range outside the range of validity.
     """
 
     names: list[str]
-    """Of what is known together."""
+    """Of the quantities in the covariance."""
     factor: list[list[float]]
     """Rows of the covariance's lower triangular factor."""
     discrepancy: dict[Literal["motor_current", "joint_torque", "link_balance"], Annotated[float, Field(ge=0)]] = {}
-    """Rms of what the description could not hold, by balance."""
+    """Rms that the description does not explain, by balance."""
     beyond: Annotated[float, Field(ge=1)] = 1.0
-    """How many times as large that is a whole range beyond the range of validity."""
+    """Factor of `discrepancy` one whole range outside the range of validity."""
 
     @model_validator(mode="after")
     def _triangular(self) -> Uncertainty:
@@ -475,13 +478,13 @@ class Joint(Strict):
 
     format: Literal[1]
     name: str
-    """How commands and reports call it."""
+    """In commands and reports."""
     description: str
-    """What it is, in a sentence."""
+    """A sentence about the joint."""
     model: str
-    """MJCF file, beside the joint file or shipped with the package."""
+    """MJCF file, next to the joint file or shipped with the package."""
     mounting: str
-    """The mounting that is meant where none is named."""
+    """Default mounting."""
     numbers: dict[str, Number]
     """By symbol; `flexspline joint new` writes all of them."""
     shared_tolerances: dict[str, Annotated[float, Field(ge=0, lt=10)]] = {}
@@ -492,24 +495,24 @@ class Joint(Strict):
     """Relative uncertainty of every mounting's inertia and gravity moment, and of the torque that an arm's other links put on
     the joint: a scale of 1 with a tolerance."""
     gravity_angle: Number | None = None
-    """Angle [rad] that the link stands away from hanging straight down at θl = 0, whatever is mounted; none is 0."""
+    """Angle [rad] of the link from straight down at θl = 0, for every mounting; 0 by default."""
     mountings: dict[str, Mounting]
-    """What may be bolted to the output, by name."""
+    """Loads on the output, by name."""
     sensors: Sensors
-    """What there is, and how good it is."""
+    """Their properties."""
     effects: Annotated[list[Effect], Field(max_length=32)] = []
-    """They act in the order in which they stand: a factor multiplies what the effects before it have made of a number."""
+    """Applied in their order: a factor multiplies the result of the effects before it."""
     discrepancies: Annotated[list[Discrepancy], Field(max_length=N_DISCREPANCIES)] = []
-    """What acts beyond the laws, found by a diagnosis."""
+    """Discrepancies from the laws, found by a diagnosis."""
     valid: ValidRange | None = None
-    """Where the data have been from which a diagnosis made this description; none for one that a person wrote."""
+    """Range of the data of the diagnosis that wrote this description."""
     uncertainty: Uncertainty | None = None
-    """How well that diagnosis knows what it found; none for a description that a person wrote."""
+    """Uncertainty of the diagnosis that wrote this description."""
     _path: Path = PrivateAttr(default=Path())
 
     @model_validator(mode="after")
     def _physical(self, info: ValidationInfo) -> Joint:
-        """Refuse what fields alone do not show; where the caller gives a list for faults, all of them go into it instead."""
+        """Refuse what fields alone do not show. If the caller gives a list for faults, append all of them instead."""
         found = (info.context or {}).get("faults")
         for fault in self._faults():
             if found is None:
@@ -535,7 +538,7 @@ class Joint(Strict):
             yield "sensors.joint_torque.gain.value: expected a factor other than 0, got 0"
         for i, effect in enumerate(self.effects):
             if not causes.get(effect.name).adds and effect.name in [e.name for e in self.effects[:i]]:
-                yield f"effects.{i}: {effect.name} stands twice, and a second one would replace the first"
+                yield f"effects.{i}: {effect.name} is there twice; the second would replace the first"
         yield from self._unread()
         yield from self._unknown()
         if self.mounting not in self.mountings:
@@ -553,7 +556,7 @@ class Joint(Strict):
                     yield "effects: expected effects that leave the joint's numbers finite, got some that do not"
 
     def _unread(self) -> Iterator[str]:
-        """Fields of sensors that mean nothing in a joint's description."""
+        """Yield fields of sensors that have no meaning in a joint's description."""
         for (sensor, field), instead in _UNREAD.items():
             if getattr(getattr(self.sensors, sensor), field) is not None:
                 yield f"sensors.{sensor}.{field}: expected none, got one: {instead}"
@@ -565,7 +568,7 @@ class Joint(Strict):
             )
 
     def _unknown(self) -> Iterator[str]:
-        """What is said to be known together and is nothing of the joint: an effect may have been taken out by hand."""
+        """Yield names in `uncertainty` that the joint does not have: a user may have removed an effect."""
         if self.uncertainty is None:
             return
         known = [*self.numbers, *(one.name for one in self.placed())]
@@ -582,7 +585,7 @@ class Joint(Strict):
                 yield f"uncertainty.names.{i}: expected {expected}, got {name!r}{nearest(name, known)}"
 
     def placed(self) -> Iterator[Placed]:
-        """What calibration moves beside `numbers`."""
+        """Yield the numbers outside `numbers` that calibration changes."""
         for i, order in enumerate(self.kinematic_error):
             # An order whose phase nobody knows is there twice, a quarter of a period apart.
             name = f"{order.order:g}" + "′" * sum(other.order == order.order for other in self.kinematic_error[:i])
@@ -612,12 +615,12 @@ class Joint(Strict):
 
     @property
     def path(self) -> Path:
-        """The file that it was read from; an empty path where there is none."""
+        """File that it was read from; an empty path if there is none."""
         return self._path
 
     @property
     def mjcf(self) -> Path:
-        """Path of the MJCF file: in the folder of the joint's own file, or else shipped.
+        """Path of the MJCF file: in the folder of the joint's file, or else shipped.
 
         Raises:
           InputError: a link that leads out of the folder.
@@ -633,7 +636,8 @@ class Joint(Strict):
         return beside
 
     def stated_by_mjcf(self) -> dict[str, float]:
-        """Numbers of the description that its own MJCF states too, by symbol; none of a shipped one, which serves for looks."""
+        """Return numbers of the description that its own MJCF also has, by symbol; none of a shipped one, which is
+        for looks."""
         return {} if self.mjcf.parent == shipped() else stated_numbers(self.mjcf)
 
     def mount(self, name: str | None = None) -> Mounting:
@@ -647,13 +651,13 @@ class Joint(Strict):
         return self.mountings[wanted]
 
     def record(self, mounting: Mounting | None = None) -> np.ndarray:
-        """Return the joint in a mounting as a parameter record, shape (1,): numbers, calibration, effects, discrepancies."""
+        """Return the parameter record of the joint in a mounting, shape (1,)."""
         record = self.bare_record(mounting)
         self.apply_effects(record)
         return record
 
     def bare_record(self, mounting: Mounting | None = None) -> np.ndarray:
-        """Return the record without effects and discrepancies."""
+        """Return the record without effects and discrepancies, shape (1,)."""
         mounting = self.mount() if mounting is None else mounting
         record = neutral()
         p = record[0]
@@ -685,7 +689,7 @@ class Joint(Strict):
         return record
 
     def apply_effects(self, record: np.ndarray) -> None:
-        """Put the joint's effects and discrepancies into a record, in place."""
+        """Apply the joint's effects and discrepancies to a record, in place."""
         p = record[0]
         for effect in self.effects:
             causes.get(effect.name).apply(p, effect.values)
@@ -709,10 +713,10 @@ class Joint(Strict):
         )
 
     def write(self, path: str | Path) -> None:
-        """Write the description as YAML, its MJCF beside it unless that is shipped; `load_joint` reads it back.
+        """Write the description as YAML for `load_joint`, with its MJCF unless that is shipped.
 
         Raises:
-          InputError: it cannot be written, or another MJCF of that name is there.
+          InputError: it cannot be written, or another MJCF of that name exists.
         """
         path = Path(path)
         self._copy_mjcf(path.parent)
@@ -739,7 +743,7 @@ class Joint(Strict):
 
 
 def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) -> Iterator[str]:
-    """What is wrong with a description's numbers, a line each: field, expected, got."""
+    """Yield the faults of a description's numbers: field, expected, got."""
     for symbol in numbers:
         if symbol not in SYMBOLS and symbol not in OPTIONAL_SYMBOLS:
             yield f"numbers.{symbol}: {unknown_key(symbol, SYMBOLS)}"
@@ -761,7 +765,7 @@ def number_faults(numbers: Mapping[str, Number], shared: Mapping[str, float]) ->
 
 
 def shared_fault(field: str, number: Number, shared: Mapping[str, float]) -> str | None:
-    """What is wrong with the shared tolerance that the number of a field names, in a line; None where nothing is."""
+    """Return the fault of the shared tolerance of a number; None if there is none."""
     if number.shared is None or number.shared in shared:
         return None
     known = f"one of {sorted(shared)}" if shared else "none, as there are no shared_tolerances"
@@ -769,7 +773,7 @@ def shared_fault(field: str, number: Number, shared: Mapping[str, float]) -> str
 
 
 def value_fault(symbol: str, value: float) -> str | None:
-    """What is wrong with the value of one number, in its own unit, in a line; None where nothing is."""
+    """Return the fault of a value in its own unit; None if there is none."""
     unit, zero = (SYMBOLS | OPTIONAL_SYMBOLS)[symbol]
     low, high = POSSIBLE.get(symbol, (0.0, np.inf))
     if value < 0 or (value == 0 and not zero):
@@ -784,12 +788,12 @@ PARAMETERS_NAMES = frozenset(PARAMETERS.names or ())
 
 
 def shipped(name: str = "") -> Path:
-    """Path of a file shipped in `models/`."""
+    """Return the path of a file shipped in `models/`."""
     return Path(str(resources.files(__package__).joinpath(name)))
 
 
 def known_joints() -> dict[str, Path]:
-    """The joints that the package ships, by name (with dashes, as their files' `name`)."""
+    """Return the paths of the shipped joints by name (with dashes)."""
     found: dict[str, Path] = {}
     for path in sorted(shipped().glob("*.yaml")):
         found[path.stem.replace("_", "-")] = path
@@ -801,16 +805,16 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
 
     Args:
       source: a shipped joint's name (`test-joint`) or a path.
-      beside: folder of the file that names the joint, to which a path in it is relative.
+      beside: folder to which the path is relative.
 
     Returns:
-      The description: `numbers` by symbol with unit, source and tolerance, `mountings`, `sensors`, `effects`.
+      The joint.
 
     Raises:
-      InputError: no such joint, or a description that is wrong; one line.
+      InputError: no such joint, or a wrong description; one line.
 
     Warns:
-      InputWarning: numbers that contradict each other, or that the MJCF has otherwise (`faults`), a line each.
+      InputWarning: numbers that contradict each other or the MJCF (`faults`), a line each.
     """
     known = known_joints()
     name = str(source).replace("_", "-")
@@ -837,7 +841,7 @@ def load_joint(source: str | Path, beside: Path | None = None) -> Joint:
 
 
 def as_joint(data: dict[str, Any], path: Path) -> Joint:
-    """Build a joint from plain data as if it stood in the file at `path`."""
+    """Build a joint from plain data as if it were in the file at `path`."""
     joint = parse(data, Joint, str(path))
     joint._path = path.resolve()
     return joint

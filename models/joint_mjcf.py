@@ -1,4 +1,4 @@
-"""The MJCF of a joint: the test joint's, whose bodies are every joint's, with the numbers of a description."""
+"""The MJCF of a joint: the test joint's bodies, with the numbers of a description."""
 
 from __future__ import annotations
 
@@ -18,14 +18,10 @@ _COMMENT = """ {name}: one robot joint with a harmonic drive; rotor, wave genera
 
 
 def mjcf_text(joint: Joint) -> str:
-    """The MJCF of a description, its default mounting on it, as text.
+    """Return the MJCF of a description with its default mounting, as text.
 
-    Args:
-      joint: the description.
-
-    Returns:
-      MJCF: inertias, springs and dampings (K1, df, Kw0, dw, bm, bl), motor and mesh friction are the description's; shapes and
-      colours the test joint's.
+    Inertias, springs and dampings (K1, df, Kw0, dw, bm, bl), motor and mesh friction are the description's; shapes
+    and colours the test joint's.
     """
     parser = ElementTree.XMLParser(target=ElementTree.TreeBuilder(insert_comments=True))
     root = ElementTree.fromstring(shipped("test_joint.xml").read_text(encoding="utf-8"), parser=parser)
@@ -49,7 +45,7 @@ def mjcf_text(joint: Joint) -> str:
 
 
 def _inertial(inertia: float, moment: float) -> dict[str, str]:
-    """Mass, place and shape of a link by its inertia about the axis [kg·m²] and gravity moment [N·m]."""
+    """Return mass, place and shape of a link by its inertia about the axis [kg·m²] and gravity moment [N·m]."""
     lever = min(_LEVER, 0.6 * inertia * GRAVITY / moment) if moment > 0 else 0.0
     mass = moment / GRAVITY / lever if moment > 0 else 0.1
     own = inertia - mass * lever**2

@@ -1,13 +1,13 @@
-"""Compiled code: one decorator, one cache on disk that knows when it is out of date.
+"""Compiled code: one decorator, and a cache on disk that recompiles changed code.
 
 `kernel` is `numba.njit` with this package's settings: no interpreter lock, IEEE arithmetic (a division by zero is an
-infinity, which whoever calls sees and names; an exception inside MuJoCo's callbacks could only be printed), cached on disk.
+infinity, which callers check; an exception inside MuJoCo's callbacks could only be printed), cached on disk.
 
-Numba's own cache looks at a function's own file alone: it keeps code that was compiled against an older version of an
-imported law. Here the folder of the cache carries a digest of the function's module and of every module of this package
-that it imports, directly or not, and of the versions of Numba, NumPy and MuJoCo. A changed law is compiled anew wherever it is
-used, and nothing else is. A file that was edited after this process began may not be what this process holds in memory: its code
-is then compiled for this process alone.
+Numba's own cache checks a function's own file only, and keeps code compiled with an older version of an imported law.
+Here the name of the cache folder contains a digest of the function's module, of every module of this package that it
+imports, directly or not, and of the versions of Numba, NumPy and MuJoCo. A changed law is recompiled wherever it is
+used, and nothing else is. A file that was edited after this process started may differ from the code in memory: it is
+compiled for this process only.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ from numba.core import config as numba_config
 
 _PACKAGE = __name__.split(".")[0]
 _DUAL = f"{_PACKAGE}.models.dual"
-"""Whatever is compiled may be compiled for dual numbers, too, by whoever calls it with them."""
+"""Any kernel may be compiled for dual numbers, too."""
 _BEGAN = time.time()
 _IMPORT = re.compile(r"^\s*from\s+(\.*[\w.]*)\s+import\s+(\([^)]*\)|[^\n#]*)", re.MULTILINE)
 _KEPT = 4
-"""Caches of a folder's earlier states that are kept beside the present one: whoever goes back and forth compiles once."""
+"""Caches of earlier states that are kept per folder, for switching back and forth."""
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
@@ -58,7 +58,7 @@ _config: Any = numba_config  # Numba fills the module as it is imported
 
 @contextmanager
 def _cached_beside(function: Callable[..., Any]) -> Iterator[None]:
-    """Let Numba's cache be the folder for the module of a function; Numba reads that setting as it decorates."""
+    """Set Numba's cache to the folder for a function's module; Numba reads that setting when it decorates."""
     folder = cache_folder(function.__module__)
     with _setting:
         before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder)
@@ -70,9 +70,9 @@ def _cached_beside(function: Callable[..., Any]) -> Iterator[None]:
 
 @cache
 def cache_folder(module: str) -> Path:
-    """The folder in which a module's compiled code lies: inside `__pycache__`, or of the user where that is not writable.
+    """Return the folder of a module's compiled code: inside `__pycache__`, or the user's if that is not writable.
 
-    Nobody else may write to it, whatever the umask: its code is executed.
+    No other user may write to it, whatever the umask: its code is executed.
     """
     own = _file(module)
     top = own.parent / "__pycache__" / "kernels" if own is not None else _users()
@@ -108,7 +108,8 @@ def _forget_old(top: Path, name: str) -> None:
 
 @cache
 def digest(module: str) -> str:
-    """Sixteen hexadecimal digits of a module's source, of all sources that it imports from here, and of the compiler."""
+    """Return sixteen hexadecimal digits of a module's source, of all sources of this package that it imports, and of
+    the compiler."""
     whole = hashlib.blake2b(" ".join([*_versions(), sys.version]).encode(), digest_size=8)
     for name in sorted(_imported(module) | _imported(_DUAL)):
         path = _file(name)
@@ -126,7 +127,7 @@ def _versions() -> tuple[str, ...]:
 
 @cache
 def _imported(module: str) -> frozenset[str]:
-    """A module and every module of this package that it imports, directly or not."""
+    """Return a module and every module of this package that it imports, directly or not."""
     found, waiting = set(), [module]
     while waiting:
         name = waiting.pop()
@@ -138,7 +139,7 @@ def _imported(module: str) -> frozenset[str]:
 
 @cache
 def _imports(module: str) -> tuple[str, ...]:
-    """Modules of this package that a module names in its `from … import`."""
+    """Return the modules of this package in a module's `from … import`."""
     package = module if _is_package(module) else module.rpartition(".")[0]
     found = []
     for source, names in _IMPORT.findall(_source(module).decode()):
@@ -167,7 +168,7 @@ def _is_package(module: str) -> bool:
 
 @cache
 def _file(module: str) -> Path | None:
-    """File of a module, None where there is none; of this package without importing it."""
+    """Return the file of a module without importing it; None if there is none."""
     loaded = sys.modules.get(module)
     if loaded is not None:
         file = getattr(loaded, "__file__", None)

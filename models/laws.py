@@ -1,8 +1,8 @@
-"""The laws of the joint: what each of its elements does. How they make equations of motion stands in `models.dynamics`.
+"""The laws of the joint's elements. `models.dynamics` combines them to equations of motion.
 
-Each law is a compiled scalar function of a state and a parameter record `p` (`models.parameters`), SI units.
-Angles: `theta_m` rotor and `theta_w` wave generator, motor side; `theta_l` link, output side. `w` is the wave
-generator's velocity. Equation numbers are those of Shi & Liu; the other laws are stated where they stand.
+Each law is a compiled scalar function of a state and a parameter record `p` (`models.parameters`), SI units. Angles:
+`theta_m` rotor and `theta_w` wave generator, motor side; `theta_l` link, output side. `w` is the wave generator's
+velocity. Equation numbers are those of Shi & Liu; other laws are stated in their functions.
 """
 
 from __future__ import annotations
@@ -13,37 +13,38 @@ from .elementary import decayed, sincos
 from .kernels import kernel
 from .parameters import N_DISCREPANCIES, N_ORDERS
 
-_SMALLEST_FRICTION = 1e-5  # N·m: g(w) stays positive whatever an effect subtracts
-# The logarithm of Eqs. (3)-(5) goes on as its tangent from here: 0.29 N·m on the motor side of the test joint, beyond what
-# its motor gives, where the law is so stiff that no practical step would resolve it.
+_SMALLEST_FRICTION = 1e-5  # N·m: effects never make g(w) smaller
+# From here the logarithm of Eqs. (3)-(5) continues as its tangent: 0.29 N·m on the motor side of the test joint, more than
+# its motor's torque, where the law is too stiff for any practical step.
 LOGARITHM_END = 3e-3
-_FORGOTTEN = 40.0  # exp(−40) is nothing beside one
-_BENDING = 20.0  # Stribeck velocities about which viscous friction begins to grow as a power of speed
+_FORGOTTEN = 40.0  # exp(−40) is negligible
+_BENDING = 20.0  # Stribeck velocities at which viscous friction changes to a power of speed
 
 
 @kernel(forceinline=True)
 def flexspline_spring(torsion, p):
-    """Torque k(Δθf) of the flexspline [N·m], Eq. (7) as an odd function, behind a dead zone of width `backlash`."""
+    """Return the torque k(Δθf) of the flexspline [N·m], Eq. (7) as an odd function, behind a dead zone of width
+    `backlash`."""
     x = abs(torsion) - 0.5 * p.backlash
     if x <= 0.0:
         return 0.0
-    knee1 = p.T1 / p.K1
-    knee2 = knee1 + (p.T2 - p.T1) / p.K2
+    break1 = p.T1 / p.K1
+    break2 = break1 + (p.T2 - p.T1) / p.K2
     if p.knee_width > 0.0:
-        width = min(p.knee_width, knee1)  # the law stays zero at rest
-        torque = p.K1 * x + (p.K2 - p.K1) * _ramp(x - knee1, width) + (p.K3 - p.K2) * _ramp(x - knee2, width)
-    elif x <= knee1:
+        width = min(p.knee_width, break1)  # the law stays zero at rest
+        torque = p.K1 * x + (p.K2 - p.K1) * _ramp(x - break1, width) + (p.K3 - p.K2) * _ramp(x - break2, width)
+    elif x <= break1:
         torque = p.K1 * x
-    elif x < knee2:
-        torque = p.T1 + p.K2 * (x - knee1)
+    elif x < break2:
+        torque = p.T1 + p.K2 * (x - break1)
     else:
-        torque = p.T2 + p.K3 * (x - knee2)
+        torque = p.T2 + p.K3 * (x - break2)
     return torque if torsion > 0.0 else -torque
 
 
 @kernel
 def _ramp(u, width):
-    """max(0, u) with a knee that is a parabola between ±width."""
+    """Return max(0, u), rounded by a parabola between ±width."""
     if u <= -width:
         return 0.0
     return u if u >= width else (u + width) ** 2 / (4.0 * width)
@@ -51,23 +52,24 @@ def _ramp(u, width):
 
 @kernel
 def flexspline_stiffness(torsion, p):
-    """Slope of `flexspline_spring` [N·m/rad]: K1, K2 or K3, none inside the dead zone; straight from one to the next over
-    `knee_width` to either side of a knee."""
+    """Return the slope of `flexspline_spring` [N·m/rad]: K1, K2 or K3, zero inside the dead zone; linear from one to
+    the next over `knee_width` on either side of a breakpoint."""
     x = abs(torsion) - 0.5 * p.backlash
     if x < 0.0:
         return 0.0
-    knee1 = p.T1 / p.K1
-    knee2 = knee1 + (p.T2 - p.T1) / p.K2
+    break1 = p.T1 / p.K1
+    break2 = break1 + (p.T2 - p.T1) / p.K2
     if p.knee_width <= 0.0:
-        return p.K1 if x <= knee1 else (p.K2 if x < knee2 else p.K3)
-    width = min(p.knee_width, knee1)
-    slope = p.K1 + (p.K2 - p.K1) * min(max(0.5 + 0.5 * (x - knee1) / width, 0.0), 1.0)
-    return slope + (p.K3 - p.K2) * min(max(0.5 + 0.5 * (x - knee2) / width, 0.0), 1.0)
+        return p.K1 if x <= break1 else (p.K2 if x < break2 else p.K3)
+    width = min(p.knee_width, break1)
+    slope = p.K1 + (p.K2 - p.K1) * min(max(0.5 + 0.5 * (x - break1) / width, 0.0), 1.0)
+    return slope + (p.K3 - p.K2) * min(max(0.5 + 0.5 * (x - break2) / width, 0.0), 1.0)
 
 
 @kernel
 def flexspline_torsion(torque, p):
-    """Torsion Δθf [rad] at a torque [N·m], Eq. (2) as an odd function; the middle of the dead zone at zero torque."""
+    """Return the torsion Δθf [rad] at a torque [N·m], Eq. (2) as an odd function; the middle of the dead zone at zero
+    torque."""
     T = abs(torque)
     if T <= p.T1:
         x = T / p.K1
@@ -86,7 +88,8 @@ def flexspline_torsion(torque, p):
 
 @kernel
 def wave_generator_spring(torsion, p):
-    """Torque of the wave generator's compliance [N·m, motor side] at δ = θm − θw [rad]: Eqs. (3)-(5) inverted."""
+    """Return the torque of the wave generator's compliance [N·m, motor side] at δ = θm − θw [rad]: Eqs. (3)-(5)
+    inverted."""
     u = 1.0 - p.Cw * p.Kw0 * abs(torsion)
     if u > LOGARITHM_END:
         torque = -math.log(u) / p.Cw
@@ -97,13 +100,14 @@ def wave_generator_spring(torsion, p):
 
 @kernel
 def wave_generator_stiffness(torsion, p):
-    """Slope of `wave_generator_spring` [N·m/rad, motor side]: Kw0 exp(Cw |Tw|), Eq. (4)."""
+    """Return the slope of `wave_generator_spring` [N·m/rad, motor side]: Kw0 exp(Cw |Tw|), Eq. (4)."""
     return p.Kw0 / max(1.0 - p.Cw * p.Kw0 * abs(torsion), LOGARITHM_END)
 
 
 @kernel
 def wave_generator_torsion(torque, p):
-    """Torsion δ of the wave generator [rad, motor side] at a torque [N·m, motor side], Eq. (5): the spring's inverse."""
+    """Return the torsion δ of the wave generator [rad, motor side] at a torque [N·m, motor side], Eq. (5): the
+    spring's inverse."""
     exponent = p.Cw * abs(torque)
     u = math.exp(-exponent)
     if u < LOGARITHM_END:
@@ -114,7 +118,7 @@ def wave_generator_torsion(torque, p):
 
 @kernel
 def kinematic_error(theta_w, p):
-    """Kinematic error θerr [rad, output side] at the wave generator's angle: Σ A_k sin(k θw + φ_k)."""
+    """Return the kinematic error θerr [rad, output side] at the wave generator's angle: Σ A_k sin(k θw + φ_k)."""
     error = 0.0
     for k in range(N_ORDERS):
         if p.amplitude[k] != 0.0:
@@ -124,7 +128,7 @@ def kinematic_error(theta_w, p):
 
 @kernel
 def kinematic_error_slope(theta_w, p):
-    """Derivative dθerr/dθw [1] of the kinematic error."""
+    """Return the derivative dθerr/dθw [1] of the kinematic error."""
     slope = 0.0
     for k in range(N_ORDERS):
         if p.amplitude[k] != 0.0:
@@ -134,7 +138,8 @@ def kinematic_error_slope(theta_w, p):
 
 @kernel
 def magnitude_response(order, speed):
-    """Magnitude response 1/(1 + (f/fc)⁶) of a smoother to an order of a shaft whose speed is in turns per 1/fc."""
+    """Return the magnitude response 1/(1 + (f/fc)⁶) of a smoother to an order of a shaft with a speed in turns per
+    1/fc."""
     x = order * speed
     cube = x * x * x
     return 1.0 / (1.0 + cube * cube)
@@ -142,7 +147,7 @@ def magnitude_response(order, speed):
 
 @kernel(forceinline=True)
 def smoothed_kinematic_error(theta_w, speed, p):
-    """Kinematic error [rad] and its derivative [1] as they are seen through a smoother (`magnitude_response`)."""
+    """Return the kinematic error [rad] and its derivative [1] after a smoother (`magnitude_response`)."""
     error, slope = 0.0, 0.0
     for k in range(N_ORDERS):
         if p.amplitude[k] != 0.0:
@@ -156,7 +161,8 @@ def smoothed_kinematic_error(theta_w, speed, p):
 
 @kernel(forceinline=True)
 def stribeck_friction(w, theta_l, load, time, temperature, p):
-    """Sliding mesh friction g(w) > 0 of the LuGre law [N·m, motor side]: the Stribeck curve, and the effects that change it.
+    """Return the sliding mesh friction g(w) > 0 of the LuGre law [N·m, motor side]: the Stribeck curve with its
+    effects.
 
     `load`: flexspline torque Tf [N·m]; `time` since the recording's start [s]; `temperature` of gear or motor [°C].
     """
@@ -181,13 +187,14 @@ def stribeck_friction(w, theta_l, load, time, temperature, p):
 
 @kernel
 def _thermal_factor(temperature, p):
-    """1 + c (ϑ − ϑ0), never below a tenth: friction does not turn round."""
+    """Return 1 + c (ϑ − ϑ0), at least a tenth: friction never changes its sign."""
     return max(1.0 + p.friction_temperature * (temperature - p.reference_temperature), 0.1)
 
 
 @kernel(forceinline=True)
 def viscous_friction(w, temperature, p):
-    """Viscous part of mesh friction [N·m, motor side]: bw w, at high speed as |w| to the power `viscous_exponent`."""
+    """Return the viscous part of mesh friction [N·m, motor side]: bw w, at high speed |w| to the power
+    `viscous_exponent`."""
     torque = p.bw * w
     if p.viscous_exponent != 1.0:
         x = w / (_BENDING * p.vs)
@@ -199,13 +206,13 @@ def viscous_friction(w, temperature, p):
 
 @kernel
 def bristle_rate(z, w, g, p):
-    """Rate of the LuGre bristle z' = w − s0 |w|/g z [rad/s]."""
+    """Return the rate of the LuGre bristle z' = w − s0 |w|/g z [rad/s]."""
     return w - p.s0 * abs(w) / g * z
 
 
 @kernel
 def bristle_step(z, w, g, h, p):
-    """Bristle deflection after a time `h` [s] at constant velocity: exact, as the rate is stiff at speed."""
+    """Return the bristle deflection after a time `h` [s] at constant velocity: exact, as the rate is stiff at speed."""
     rate = p.s0 * abs(w) / g
     if rate * h > _FORGOTTEN:
         return w / rate
@@ -214,26 +221,28 @@ def bristle_step(z, w, g, h, p):
 
 @kernel
 def mesh_friction(z, w, g, p):
-    """Mesh friction at the wave generator without its viscous part: s0 z + s1 z' [N·m, motor side]."""
+    """Return the mesh friction at the wave generator without its viscous part: s0 z + s1 z' [N·m, motor side]."""
     return p.s0 * z + p.s1 * bristle_rate(z, w, g, p)
 
 
 @kernel
 def dahl_step(z, v, h, p):
-    """Dahl state z [rad] of the flexspline's hysteresis after `h` at torsion rate `v`: z' = v − |v| z/x, exact."""
+    """Return the Dahl state z [rad] of the flexspline's hysteresis after `h` at torsion rate `v`: z' = v − |v| z/x,
+    exact."""
     x = p.hysteresis_extent
     return z + ((x if v > 0.0 else -x) - z) * decayed(abs(v) * h / x)
 
 
 @kernel
 def hysteresis_torque(z, p):
-    """Hysteresis torque F z/x across the flexspline [N·m]."""
+    """Return the hysteresis torque F z/x across the flexspline [N·m]."""
     return p.hysteresis_torque * z / p.hysteresis_extent
 
 
 @kernel
 def cogging_torque(theta_m, p, speed=0.0):
-    """Cogging torque on the rotor: Σ A sin(n θm + φ) [N·m, motor side]; through a smoother, `magnitude_response`."""
+    """Return the cogging torque on the rotor: Σ A sin(n θm + φ) [N·m, motor side]; after a smoother,
+    `magnitude_response`."""
     torque = 0.0
     for k in range(N_ORDERS):
         if p.cogging_amplitude[k] != 0.0:
@@ -247,7 +256,7 @@ _LINK_SLIDES = 0.01  # rad/s
 
 @kernel
 def link_torque(theta_l, p):
-    """Torque of a cable spring and a hard stop on the link [N·m]."""
+    """Return the torque of a cable spring and a hard stop on the link [N·m]."""
     torque = -p.cable_stiffness * (theta_l - p.cable_rest)
     if theta_l > p.stop_angle:
         torque -= p.stop_stiffness * (theta_l - p.stop_angle)
@@ -262,16 +271,17 @@ def link_friction(velocity, p):
 
 @kernel
 def flexible_inertia(p):
-    """Inertia J_s [kg·m²] of the part of the link that hangs on it by a spring: `flexible_share` of Jl."""
+    """Return the inertia J_s [kg·m²] of the flexible part of the link: `flexible_share` of Jl."""
     return p.flexible_share * p.Jl
 
 
 @kernel
 def flexible_torque(angle, rate, p):
-    """Torque of that part on the rest of the link [N·m]: k φ + d φ' at its angle φ [rad] and rate against the link.
+    """Return the torque of the flexible part on the rest of the link [N·m]: k φ + d φ' at its angle φ [rad] and rate
+    against the link.
 
-    J_s (φ'' + θl'') = −k φ − d φ' with k = J_s ω², d = 2 ζ J_s ω: `flexible_frequency` ω/2π [Hz] and `flexible_damping` ζ are
-    those of the part with the link held.
+    J_s (φ'' + θl'') = −k φ − d φ' with k = J_s ω², d = 2 ζ J_s ω: `flexible_frequency` ω/2π [Hz] and
+    `flexible_damping` ζ are those with the link held.
     """
     w = 2.0 * math.pi * p.flexible_frequency
     return flexible_inertia(p) * w * (w * angle + 2.0 * p.flexible_damping * rate)
@@ -279,13 +289,13 @@ def flexible_torque(angle, rate, p):
 
 @kernel
 def flexible_step(angle, rate, before, after, h, p):
-    """Angle φ [rad] and rate of the part that hangs by a spring after a time `h` [s].
+    """Return the angle φ [rad] and rate of the flexible part after a time `h` [s].
 
-    Exact where the link's acceleration [rad/s²] goes straight from `before` to `after` (damping below 1).
+    Exact for a linear change of the link's acceleration [rad/s²] from `before` to `after` (damping below 1).
     """
     w, zeta = 2.0 * math.pi * p.flexible_frequency, p.flexible_damping
     slope = (after - before) / h
-    # Less the particular solution −(a − 2ζ/ω a')/ω² of the straight line, what is left swings freely.
+    # Less the particular solution −(a − 2ζ/ω a')/ω² of the straight line, the rest is a free oscillation.
     steady, steady_rate = -(before - 2.0 * zeta / w * slope) / (w * w), -slope / (w * w)
     x, v = angle - steady, rate - steady_rate
     wd = w * math.sqrt(1.0 - zeta * zeta)
@@ -296,13 +306,13 @@ def flexible_step(angle, rate, before, after, h, p):
 
 @kernel
 def has_discrepancy(p):
-    """Whether the joint has a nonparametric model discrepancy: they fill their places in order."""
+    """Return whether the joint has a nonparametric model discrepancy; they fill their places in order."""
     return p.discrepancy_place[0] != 0.0
 
 
 @kernel
 def _variable(code, theta_m, theta_l, velocity, load, time):
-    """What a discrepancy depends on, by the index of its name in `parameters.VARIABLES`."""
+    """Return the variable of a discrepancy, by its index in `parameters.VARIABLES`."""
     if code == 1:
         return theta_m - 2.0 * math.pi * math.floor(theta_m / (2.0 * math.pi))
     if code == 2:
@@ -312,14 +322,14 @@ def _variable(code, theta_m, theta_l, velocity, load, time):
     if code == 4:
         return time
     if code == 6:
-        # What returns with the flexspline's teeth, two fewer than the circular spline's, and not with the motor.
+        # The period of the flexspline's teeth, two fewer than the circular spline's.
         return theta_m - 4.0 * math.pi * math.floor(theta_m / (4.0 * math.pi))
     return theta_l
 
 
 @kernel
 def _spline(u, k, p):
-    """Cubic B-spline of discrepancy k at u in [0, 1], clamped; coefficients 0 … count−1 on a uniform grid."""
+    """Return the cubic B-spline of discrepancy k at u in [0, 1], clamped; coefficients 0 … count−1 on a uniform grid."""
     n = math.floor(p.discrepancy_count[k])
     s = min(max(u, 0.0), 1.0) * (n - 3)
     i = min(math.floor(s), n - 4)
@@ -336,9 +346,9 @@ def _spline(u, k, p):
 
 @kernel
 def discrepancy(place, theta_m, theta_l, velocity, load, time, p):
-    """Sum of the model discrepancies that act at `place` (index into `parameters.PLACES`), in that place's unit.
+    """Return the sum of the model discrepancies at `place` (index into `parameters.PLACES`), in that place's unit.
 
-    One in `direction_link_position` is multiplied by the sign of the velocity (friction in shape).
+    One in `direction_link_position` is multiplied by the sign of the velocity, like friction.
     """
     total = 0.0
     for k in range(N_DISCREPANCIES):
@@ -354,7 +364,7 @@ def discrepancy(place, theta_m, theta_l, velocity, load, time, p):
 
 @kernel
 def motor_reading(theta_m, p):
-    """What the motor encoder reads [rad] before noise and counts: eccentricity A (sin(θm + φ) − sin φ)."""
+    """Return the motor encoder's reading [rad] before noise and counts: eccentricity A (sin(θm + φ) − sin φ)."""
     if p.motor_eccentricity == 0.0:
         return theta_m
     phase = p.motor_eccentricity_phase
@@ -363,7 +373,8 @@ def motor_reading(theta_m, p):
 
 @kernel
 def link_reading(theta_l, p):
-    """What the link encoder reads [rad] before delay, noise and bits: zero, and its orders Σ A (sin(n θl + φ) − sin φ)."""
+    """Return the link encoder's reading [rad] before delay, noise and bits: zero, and its orders Σ A (sin(n θl + φ) −
+    sin φ)."""
     reading = theta_l + p.link_zero
     for k in range(N_ORDERS):
         if p.link_error_amplitude[k] != 0.0:
@@ -375,17 +386,17 @@ def link_reading(theta_l, p):
 
 @kernel
 def current_reading(current, p):
-    """What the current sensor reads [A]."""
+    """Return the current sensor's reading [A]."""
     return current + p.current_offset
 
 
 @kernel
 def torque_reading(torque, time, p):
-    """What the joint torque sensor reads [N·m]: gain, offset and drift."""
+    """Return the joint torque sensor's reading [N·m]: gain, offset and drift."""
     return p.torque_gain * torque + p.torque_offset + p.torque_rate * time
 
 
 @kernel
 def gravity_torque(theta_l, p):
-    """Torque of the link's weight about the joint axis, −Mg sin(θl + gravity_angle) [N·m]."""
+    """Return the torque of the link's weight about the joint axis, −Mg sin(θl + gravity_angle) [N·m]."""
     return -p.Mg * math.sin(theta_l + p.gravity_angle)

@@ -1,4 +1,4 @@
-"""What the C library does with the memory of arrays that are no longer there."""
+"""Return freed memory to the operating system (glibc)."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _KEPT = 64 << 20
 
 
 def give_back_large_arrays() -> None:
-    """Let arrays of 4 MB and more go back to the system as soon as they are freed, where that can be asked for (glibc).
+    """Let arrays of 4 MB and more return to the system as soon as they are freed.
 
-    By itself it comes to keep those of up to 32 MB, of which an hour's recording makes a hundred: they stay where they are needed
-    no more, and what lies between them does not fit the next.
+    glibc keeps those of up to 32 MB, a hundred of them for an hour's recording, and gaps between them do not fit the
+    next.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -27,8 +27,7 @@ def give_back_large_arrays() -> None:
 
 
 def give_back_free_pages() -> None:
-    """Give back to the system the heap's pages that nothing lies on any more, where that can be asked for (glibc), and what Arrow
-    keeps of the tables that it has read, which it would give back in time."""
+    """Return the heap's free pages, and Arrow's free memory, to the system."""
     if "pyarrow" in sys.modules:
         sys.modules["pyarrow"].default_memory_pool().release_unused()
     if not sys.platform.startswith("linux"):

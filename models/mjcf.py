@@ -1,4 +1,4 @@
-"""MJCF files that people hand us: nothing in them may reach beyond the folder in which they lie."""
+"""MJCF files of users: nothing in them may refer to a place outside their folder."""
 
 from __future__ import annotations
 
@@ -25,26 +25,27 @@ STATED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
     (".//dcmotor[@name='mesh_friction']", "lugre", ("s0", "s1", "Fc", "Fs", "vs")),
     (".//dcmotor[@name='mesh_friction']", "damping", ("bw",)),
 )
-"""Where a joint's MJCF states numbers of its description: element, attribute, symbols in the order of its values."""
+"""Numbers of a description in a joint's MJCF: element, attribute, symbols in the order of its values."""
 _LARGEST = 10_000_000
-"""Characters of an MJCF file; meshes and textures lie beside it."""
+"""Most characters of an MJCF file; meshes and textures are separate files."""
 _DEEPEST = 10  # of includes within includes
 
 
 def check_mjcf(path: Path) -> None:
-    """Check that an MJCF and all files that it names lie in its folder.
+    """Check that an MJCF and all its files are in its folder.
 
     Raises:
-      InputError: a file that is no XML, has document type declarations or plugins, or names a file elsewhere; one line.
+      InputError: a file that is not XML, has document type declarations or plugins, or names a file elsewhere; one
+        line.
     """
     _check(path, path.resolve().parent, _DEEPEST)
 
 
 def stated_numbers(path: Path) -> dict[str, float]:
-    """Numbers of a joint's description that its MJCF states too, by symbol, as far as they stand in the file itself."""
+    """Return the numbers of a joint's description in its MJCF file itself, by symbol."""
     try:
         root = ElementTree.fromstring(read_text(path, "an MJCF file", _LARGEST))
-    except (InputError, ElementTree.ParseError):  # said where the file is used
+    except (InputError, ElementTree.ParseError):  # reported where the file is used
         return {}
     found: dict[str, float] = {}
     for element, attribute, symbols in STATED:
@@ -57,7 +58,7 @@ def stated_numbers(path: Path) -> dict[str, float]:
 
 
 def mjcf_files(path: Path) -> list[Path]:
-    """An MJCF and the files that it names (includes, meshes, textures) as far as they are there; all lie in its folder.
+    """Return an MJCF and its existing files (includes, meshes, textures); all are in its folder.
 
     Raises:
       InputError: as `check_mjcf`.

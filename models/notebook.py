@@ -1,4 +1,4 @@
-"""Results as a notebook shows them (`_repr_html_`): small tables in HTML, everything escaped."""
+"""Results in a notebook (`_repr_html_`): small tables in HTML, everything escaped."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from typing import Any
 
 
 def paragraph(word: str, text: str = "") -> str:
-    """A paragraph that begins with a word that counts."""
+    """Return a paragraph that begins with a bold word."""
     return f"<p><b>{escape(word)}</b>{' ' if text else ''}{escape(text)}</p>"
 
 
 def html_table(headings: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A table; numbers with four digits to the right, anything else to the left. Nothing where there are no rows."""
+    """Return a table; numbers with four digits on the right, other values on the left. Empty without rows."""
     body = "".join(f"<tr>{''.join(map(_cell, row))}</tr>" for row in rows)
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>" if body else ""
 
 
 def listing(items: Iterable[str]) -> str:
-    """A numbered list; nothing where it is empty."""
+    """Return a numbered list; empty without items."""
     body = "".join(f"<li>{escape(item)}</li>" for item in items)
     return f"<ol>{body}</ol>" if body else ""
 

@@ -1,12 +1,11 @@
-"""Folders that commands write to: nobody's files but their own are touched, and what is written appears as a whole.
+"""Output folders: a command replaces only its own files, and its output appears complete or not at all.
 
-A folder holds a manifest, `.flexspline`: which of its files were written here, and by what (`run`, `diagnose`, …). Only those
-are ever replaced or removed, and only by what wrote them; whatever else lies there is somebody's own.
+The manifest `.flexspline` of a folder lists the files written here and their maker (`run`, `diagnose`, …). Only the same
+maker replaces or removes them. All other files belong to the user.
 
-What is written is put aside first, in a folder `.flexspline-new-…` of the same folder. When all of it is there, that folder
-becomes `.flexspline-done-…`, in one step: from then on the output is complete, and its files only have to be moved up. Should
-that be interrupted, whoever opens the folder next, to write or to read, does the rest (`recover`). What is left of a process
-that ended before goes at the next write.
+A command writes to the folder `.flexspline-new-…` first. When it is complete, one rename makes it `.flexspline-done-…`.
+From then on its files only have to be moved up. After an interruption, the next process that opens the folder
+continues (`recover`). The next write removes unfinished folders of processes that have ended.
 """
 
 from __future__ import annotations
@@ -18,14 +17,14 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
 
 from .errors import InputError, first_line
 
 try:
     import fcntl
-except ImportError:  # no such locks on Windows
+except ImportError:  # Windows has no such locks
     fcntl = None  # type: ignore[assignment]
 
 MANIFEST = ".flexspline"
@@ -35,11 +34,11 @@ _ENVIRONMENT = {
     errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG,
     errno.ESTALE,
 }  # fmt: skip
-"""What goes wrong with a disk, not with a program."""
+"""Errors of the disk, not of the program."""
 
 
 def made_from(maker: str, *sources: str | Path) -> str:
-    """Name of what writes, and from which files: the same command on other files is another one."""
+    """Return the name of a maker with its input files: the same command on other files is another maker."""
     paths = "\n".join(sorted(str(Path(source).resolve()) for source in sources))
     return f"{maker} {hashlib.sha256(paths.encode()).hexdigest()[:12]}"
 
@@ -53,13 +52,9 @@ def check_output(
     whole: bool = False,
     within: Path | None = None,
 ) -> None:
-    """Refuse, before any work, a folder that cannot be written to; arguments as of `output_folder`."""
-    with suppress(_Unused), output_folder(path, maker, inputs=inputs, writes=writes, whole=whole, within=within):
-        raise _Unused
-
-
-class _Unused(Exception):
-    """Leaves a folder that was only opened to see whether it can be written to."""
+    """Refuse a folder that cannot be written to, before any work. Arguments: see `output_folder`."""
+    with _opened(path, maker, inputs, writes, whole, within):
+        pass
 
 
 @contextmanager
@@ -72,32 +67,21 @@ def output_folder(
     whole: bool = False,
     within: Path | None = None,
 ) -> Iterator[Path]:
-    """Yield an empty folder to write to; when the block ends well, its files appear in `path`, all of them; when not, none.
+    """Yield an empty folder to write to. Its files appear in `path` together, if the block ends without an exception.
 
     Args:
-      path: of the folder, which need not exist.
-      maker: what writes: files of the folder by the same maker are replaced, others never.
-      inputs: files and folders that are read: none may lie in the folder where it is replaced as a `whole`, nor be replaced.
-      writes: names of the files to come, as far as they are known before.
-      whole: whether the folder is this output and nothing else's: it must be new, empty, or by the same maker, whose files that
-        are not written again are removed. A person's own files beside them stay.
-      within: a folder that `path` must not lead out of, by a link.
+      path: the folder; it need not exist.
+      maker: name of the writer. Files of the same maker are replaced, others never.
+      inputs: files and folders that are read. None may be replaced, or be in a folder that is replaced as a `whole`.
+      writes: names of the output files, where they are known in advance.
+      whole: whether the folder holds this output only. It must be new, empty, or of the same maker, whose other files are
+        removed. The user's files stay.
+      within: a folder that `path` must not leave through a link.
 
     Raises:
-      InputError: a folder that cannot be written to, or files of somebody else's in the way; one line.
+      InputError: the folder cannot be written to, or files of another maker exist there; one line.
     """
-    with ExitStack() as stack:
-        try:
-            if path.exists() and not path.is_dir():
-                raise InputError(f"{path}: expected a folder to write to, got a file")
-            if within is not None and not path.resolve().is_relative_to(within.resolve()):
-                raise InputError(f"{path}: expected a folder inside {within}, got a link that leads elsewhere")
-            staging = stack.enter_context(_staging(path))
-            with _locked(path):
-                _recover(path)
-                _check(path, maker, inputs, writes, whole)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {described(error)}") from error
+    with _opened(path, maker, inputs, writes, whole, within) as staging:
         try:
             yield staging
             with _locked(path):
@@ -109,13 +93,35 @@ def output_folder(
 
 
 @contextmanager
+def _opened(
+    path: Path, maker: str, inputs: Iterable[str | Path], writes: Iterable[str], whole: bool, within: Path | None
+) -> Iterator[Path]:
+    entered = False
+    try:
+        if path.exists() and not path.is_dir():
+            raise InputError(f"{path}: expected a folder to write to, got a file")
+        if within is not None and not path.resolve().is_relative_to(within.resolve()):
+            raise InputError(f"{path}: expected a folder inside {within}, got a link that leads elsewhere")
+        with _staging(path) as staging:
+            with _locked(path):
+                _recover(path)
+                _check(path, maker, inputs, writes, whole)
+            entered = True
+            yield staging
+    except OSError as error:
+        if entered:
+            raise
+        raise InputError(f"{path}: cannot be written: {described(error)}") from error
+
+
+@contextmanager
 def _staging(path: Path) -> Iterator[Path]:
-    """Yield a new folder inside a folder, which is made where it is not there; what of both is empty or left goes at the end."""
+    """Yield a new folder inside `path`. At the end, remove it and the folders that were made and are still empty."""
     made = [p for p in (path, *path.parents) if not p.exists()]
     staging = path / f"{_NEW}{secrets.token_hex(4)}"
 
     def remove() -> None:
-        shutil.rmtree(staging, ignore_errors=True)  # there is none once it is complete, and moved into place
+        shutil.rmtree(staging, ignore_errors=True)
         with suppress(OSError):  # not empty
             for folder in made:
                 folder.rmdir()
@@ -124,7 +130,7 @@ def _staging(path: Path) -> Iterator[Path]:
     try:
         path.mkdir(parents=True, exist_ok=True)
         with at_end(remove):
-            with _locked(path):  # nobody takes it for a leftover before it is held
+            with _locked(path):  # until it is held, another process would remove it
                 _sweep(path)
                 staging.mkdir()
                 owner = _own(staging)
@@ -140,7 +146,7 @@ _at_end: list[Callable[[], object]] = []
 
 @contextmanager
 def at_end(action: Callable[[], object]) -> Iterator[None]:
-    """Have `abandon` do something where the process is asked to end inside the block; what it returns is said then."""
+    """Let `abandon` call an action if the process is asked to end inside the block; its result is a message."""
     _at_end.append(action)
     try:
         yield
@@ -149,29 +155,28 @@ def at_end(action: Callable[[], object]) -> Iterator[None]:
 
 
 def abandon() -> str:
-    """Remove what is being written: for a process that ends without waiting for its threads. What is complete stays.
+    """Remove unfinished output when a process ends without waiting for its threads.
 
     Returns:
-      What an action has to say of it; empty where none has.
+      The message of an action; empty if none has one.
     """
-    said = ""
+    message = ""
     for action in reversed(list(_at_end)):
         with suppress(Exception):
-            said = str(action() or said)
-    return said
+            message = str(action() or message)
+    return message
 
 
 def recover(path: Path) -> None:
-    """Complete what a process that was killed had all but written into a folder; nothing to do in any other.
+    """Complete output that an ended process had written into a folder but not moved up.
 
     Raises:
       InputError: the folder cannot be written to.
     """
     try:
-        if not _waiting(path):
-            return
-        with _locked(path):
-            _recover(path)
+        if _waiting(path):
+            with _locked(path):
+                _recover(path)
     except OSError as error:
         raise InputError(
             f"{path}: expected complete output, got some that was interrupted and cannot be completed: {described(error)}"
@@ -179,10 +184,10 @@ def recover(path: Path) -> None:
 
 
 def manifest(path: Path) -> dict[str, str]:
-    """Files of a folder that were written here, as `a/b.txt`, and by what; empty where there is no manifest.
+    """Return the files of a folder that were written here (`a/b.txt`) with their makers; empty without a manifest.
 
     Raises:
-      InputError: there is one that cannot be read at the moment, or that another version wrote.
+      InputError: the manifest cannot be read now, or another version wrote it.
     """
     file = path / MANIFEST
     try:
@@ -224,7 +229,7 @@ def _check(path: Path, maker: str, inputs: Iterable[str | Path], writes: Iterabl
 
 
 def _check_target(path: Path, name: str, listed: Mapping[str, str], maker: str) -> None:
-    """Raise where a file of that name is somebody else's, or would be written elsewhere."""
+    """Raise if the file belongs to another maker or the user, or would be written outside the folder."""
     target = path / name
     if not _is_inside(name) or not target.parent.resolve().is_relative_to(path.resolve()):
         raise InputError(f"{target}: expected a file inside {path}, got one elsewhere")
@@ -250,7 +255,7 @@ def _commit(path: Path, staging: Path, maker: str, whole: bool) -> None:
 
 
 def _waiting(path: Path) -> list[Path]:
-    """Complete output that has not been moved up."""
+    """Return complete output that has not been moved up."""
     if not path.is_dir():
         return []
     return sorted(Path(entry.path) for entry in os.scandir(path) if entry.name.startswith(_DONE))
@@ -262,36 +267,35 @@ def _recover(path: Path) -> None:
 
 
 def _move_up(path: Path, done: Path) -> None:
-    """Move complete output to where it belongs; every step may be the last, and the whole may be done again."""
+    """Move complete output to its place. It may be interrupted at every step, and repeated."""
     try:
         journal = json.loads((done / _JOURNAL).read_text(encoding="utf-8"))
         files, old = dict(journal["files"]), [str(name) for name in journal["remove"]]
     except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
-        if not any(p.is_file() for p in done.rglob("*")):  # all was moved up, and it was about to go
+        if not any(p.is_file() for p in done.rglob("*")):  # all files were moved up
             shutil.rmtree(done)
         return
-    # The manifest first: what is not there yet does no harm, what is there and unlisted would be taken for a person's.
+    # The manifest first: a file that exists and is not listed would count as the user's.
     listed = {"format": 1, "files": dict(sorted(files.items()))}
     (done / _LISTED).write_text(json.dumps(listed, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     os.replace(done / _LISTED, path / MANIFEST)
+    inside = path.resolve()
     for source in sorted(p for p in done.rglob("*") if not p.is_dir() and p != done / _JOURNAL):
         target = path / source.relative_to(done)
-        if not target.parent.resolve().is_relative_to(path.resolve()):
-            continue
-        target.parent.mkdir(parents=True, exist_ok=True)
-        os.replace(source, target)
-    for name in old:
-        gone = path / name
-        if _is_inside(name) and gone.parent.resolve().is_relative_to(path.resolve()):
+        if target.parent.resolve().is_relative_to(inside):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            os.replace(source, target)
+    for gone in (path / name for name in old if _is_inside(name)):
+        if gone.parent.resolve().is_relative_to(inside):
             gone.unlink(missing_ok=True)
-            for parent in gone.relative_to(path).parents:
-                with suppress(OSError):  # somebody's own files are in it
-                    (path / parent).rmdir() if parent.parts else None
+            with suppress(OSError):  # the folder has other files
+                for parent in gone.relative_to(path).parents[:-1]:
+                    (path / parent).rmdir()
     shutil.rmtree(done)
 
 
 def _sweep(path: Path) -> None:
-    """Remove what processes have left that are no more."""
+    """Remove unfinished folders of processes that have ended."""
     for entry in list(os.scandir(path)):
         if entry.name.startswith(_NEW) and entry.is_dir(follow_symlinks=False):
             owner = _own(Path(entry.path))
@@ -301,7 +305,7 @@ def _sweep(path: Path) -> None:
 
 
 def _own(path: Path) -> int | None:
-    """Hold a file or folder for as long as this process lives: its descriptor; None where another process holds it."""
+    """Lock a file or folder until this process ends. Return its descriptor; None if another process holds it."""
     if fcntl is None:
         return None
     held = os.open(path, os.O_RDONLY)
@@ -315,7 +319,7 @@ def _own(path: Path) -> int | None:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[None]:
-    """Be alone in opening and completing a folder."""
+    """Hold an exclusive lock on a folder."""
     if fcntl is None:
         yield
         return
@@ -330,14 +334,12 @@ def _locked(path: Path) -> Iterator[None]:
 
 @contextmanager
 def write_whole(path: Path) -> Iterator[Path]:
-    """Yield a temporary path; move it to `path` when the block ends well, remove it when not.
-
-    Its rights are those that the process gives to new files (umask). What killed processes left in the folder goes.
+    """Yield a temporary path. Move it to `path` if the block ends without an exception, else remove it.
 
     Raises:
       OSError: it cannot be written.
     """
-    if any(part.startswith(_NEW) for part in path.parts):  # of a folder that appears as a whole
+    if any(part.startswith(_NEW) for part in path.parts):  # inside a folder that appears complete
         path.parent.mkdir(parents=True, exist_ok=True)
         yield path
         return
@@ -347,7 +349,5 @@ def write_whole(path: Path) -> Iterator[Path]:
 
 
 def described(error: OSError) -> str:
-    """What went wrong, in a few words."""
-    if error.errno:
-        return os.strerror(error.errno)
-    return first_line(error)
+    """Return the cause of an error in a few words."""
+    return os.strerror(error.errno) if error.errno else first_line(error)

@@ -1,7 +1,7 @@
-"""Sensors from outside this package: a channel beside those that every joint has, which a plugin's estimators may read.
+"""Sensors of plugins: additional channels for a plugin's estimators.
 
-What one reads follows from the true signals, after the fact: neither the drive nor the estimator that is fed back knows of it.
-Runs, their recordings and measured recordings have it as a column; diagnosis leaves it alone.
+Their readings follow from the true signals of a run, afterwards: neither the drive nor the estimator in the loop uses
+them. Runs, their recordings and measured recordings have them as columns; diagnosis ignores them.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ _NAME = re.compile(r"[a-z][a-z0-9_]*")
 
 
 class Sensor(ABC):
-    """A sensor: what it is called, in which unit it reads, and how.
+    """A sensor: name, unit and reading law.
 
     Attributes:
-      name: of its channel, and so of its column.
+      name: of its channel and column.
       unit: SI.
-      description: for people.
+      description: in words.
     """
 
     name: ClassVar[str]
@@ -35,12 +35,12 @@ class Sensor(ABC):
 
     @abstractmethod
     def read(self, time: np.ndarray, truth: Mapping[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
-        """What it reads.
+        """Return its readings.
 
         Args:
           time: of the samples [s], shape (n,).
           truth: true signals by name (`sim.loop.TRUTH`, and `external_torque`), shape (n,) each, SI.
-          rng: its noise; of the run's seed and the sensor's name alone.
+          rng: its noise, by the run's seed and the sensor's name alone.
 
         Returns:
           Readings, shape (n,), finite.
@@ -48,15 +48,15 @@ class Sensor(ABC):
 
 
 def names() -> tuple[str, ...]:
-    """Names of all sensors that plugins offer."""
+    """Return the names of all sensors of plugins."""
     return tuple(_offered())
 
 
 def get(name: str) -> Sensor:
-    """A sensor.
+    """Return a sensor.
 
     Raises:
-      InputError: one that is none, or does not keep what one promises.
+      InputError: not a sensor, or one that does not follow its interface.
     """
     where = f"sensor {name!r} of {origin(name).name}"
     given: Any = _offered()[name].get()
@@ -64,19 +64,19 @@ def get(name: str) -> Sensor:
     if not isinstance(sensor, Sensor):
         raise InputError(f"{where}: expected a flexspline.models.own_sensors.Sensor, got {type(sensor).__name__}")
     if sensor.name != name or not _NAME.fullmatch(name):
-        raise InputError(f"{where}: name: expected {_NAME.pattern}, as it is offered, got {sensor.name!r}")
+        raise InputError(f"{where}: name: expected {_NAME.pattern}, its entry point, got {sensor.name!r}")
     if not isinstance(getattr(sensor, "unit", None), str):
         raise InputError(f"{where}: unit: expected a text, got none")
     return sensor
 
 
 def origin(name: str) -> plugins.Origin:
-    """Where the sensor of that name comes from."""
+    """Return the origin of the sensor of that name."""
     return _offered()[name].origin
 
 
 def channel(name: str) -> Channel | None:
-    """A channel of any joint, or that of a plugin's sensor; none where there is no such channel."""
+    """Return a channel of any joint or of a plugin's sensor; None if there is none."""
     if name in CHANNELS or name not in _offered():
         return CHANNELS.get(name)
     sensor = get(name)
@@ -86,7 +86,7 @@ def channel(name: str) -> Channel | None:
 def readings(
     time: np.ndarray, truth: Mapping[str, np.ndarray], stream: Callable[[str], np.random.Generator]
 ) -> dict[str, np.ndarray]:
-    """What all sensors of plugins read, shape (n,) each, by channel.
+    """Return the readings of all sensors of plugins, shape (n,) each, by channel.
 
     Args:
       time: of the samples [s], shape (n,).

@@ -1,9 +1,9 @@
-"""The joint's numbers as one flat record, which all compiled code reads.
+"""The joint's numbers as one flat record for all compiled code.
 
 A record is one element of a NumPy array of type `PARAMETERS`: float64 fields (and small arrays of them), SI units,
-symbols as in the joint's equations. Every effect beyond the nominal equations is neutral at the values that
-`neutral()` gives. The MuJoCo plant holds the record in a custom numeric field, the replay of measured motion
-and the estimators take it as an argument: one joint, one set of numbers.
+symbols as in the joint's equations. At the values of `neutral()` an effect beyond the nominal equations is absent.
+The MuJoCo plant holds the record in its plugin's configuration; the replay of measured motion and the estimators take
+it as an argument.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 N_ORDERS = 8
-"""Orders that a joint may have of each: kinematic error, cogging, position-dependent friction, the link encoder's error (once
-per turn, eccentricity, among them)."""
+"""Most orders of each: kinematic error, cogging, position-dependent friction, the link encoder's error (once per
+turn, eccentricity, included)."""
 N_DISCREPANCIES = 4
-"""Nonparametric model discrepancies that a joint may have."""
+"""Most nonparametric model discrepancies of a joint."""
 N_COEFFICIENTS = 32
 """Coefficients of one model discrepancy."""
 
-# Where a model discrepancy acts, and on what it depends: the codes that `discrepancy_place`, `discrepancy_variable` hold.
+# Place and variable of a model discrepancy: codes of `discrepancy_place`, `discrepancy_variable`.
 PLACES = ("none", "rotor", "mesh", "flexspline", "link", "joint_torque", "link_position", "motor_current")
 VARIABLES = (
     "link_position", "motor_position", "motor_velocity", "load", "time", "direction_link_position",
@@ -28,7 +28,7 @@ VARIABLES = (
 GRAVITY = 9.80665
 """Standard gravity [m/s²]."""
 REFERENCE_TEMPERATURE = 25.0
-"""Temperature [°C] at which a joint has the friction that its description states, where it says nothing else."""
+"""Default temperature [°C] of a joint's stated friction."""
 
 _F = np.float64
 PARAMETERS = np.dtype(
@@ -57,7 +57,7 @@ PARAMETERS = np.dtype(
         ("cable_stiffness", _F), ("cable_rest", _F), ("stop_angle", _F), ("stop_stiffness", _F),
         ("link_friction", _F), ("link_damping", _F), ("arm_scale", _F),
         ("flexible_share", _F), ("flexible_frequency", _F), ("flexible_damping", _F),
-        # what the sensors make of it
+        # sensors
         ("motor_eccentricity", _F), ("motor_eccentricity_phase", _F),
         ("link_zero", _F), ("link_delay", _F), ("link_error_order", _F, N_ORDERS),
         ("link_error_amplitude", _F, N_ORDERS), ("link_error_phase", _F, N_ORDERS),
@@ -76,7 +76,7 @@ SIZE = PARAMETERS.itemsize // 8
 
 
 def neutral() -> np.ndarray:
-    """Return a record, shape (1,), in which no effect is present and every number of the joint is zero."""
+    """Return a record, shape (1,), without effects; every number of the joint is zero."""
     record = np.zeros(1, PARAMETERS)
     p = record[0]
     p["hysteresis_extent"] = 1e-4
@@ -96,5 +96,5 @@ def as_floats(record: np.ndarray) -> np.ndarray:
 
 
 def short_way(change: np.ndarray | float, period: np.ndarray | float) -> np.ndarray:
-    """Changes of angles the short way round, of what has no period (0) as they are; units of both alike, shapes broadcast."""
+    """Return changes of angles by the shorter way; without a period (0) unchanged. Units alike, shapes broadcast."""
     return change - period * np.round(change / np.where(np.asarray(period) > 0, period, np.inf))

@@ -1,10 +1,9 @@
-"""Estimators, causes and sensors from outside this package: of installed packages, by their entry points, and of single files.
+"""Estimators, causes and sensors of installed packages (by entry points) and of single files.
 
-A package declares entry points of the groups `flexspline.estimators`, `flexspline.causes` and `flexspline.sensors`; the
-name of each is the estimator's, cause's or sensor's, its object an `estimator.estimator.Estimator`, a `causes.Cause` or
-an `own_sensors.Sensor`. A file has the same in tuples `ESTIMATORS`, `CAUSES` and `SENSORS` and is known from `load` on.
-The registries (`estimator.registry`, `causes`, `own_sensors`) take all from here and look at what they are given.
-`docs/plugins.md` has examples.
+A package declares entry points of the groups `flexspline.estimators`, `flexspline.causes` and `flexspline.sensors`.
+The name of each is that of its object, an `estimator.estimator.Estimator`, a `causes.Cause` or an
+`own_sensors.Sensor`. A file has the same in tuples `ESTIMATORS`, `CAUSES` and `SENSORS` and is known after `load`.
+The registries (`estimator.registry`, `causes`, `own_sensors`) check them. `docs/plugins.md` has examples.
 """
 
 from __future__ import annotations
@@ -32,11 +31,11 @@ _PACKAGE = __name__.split(".")[0]
 
 @dataclass(frozen=True)
 class Origin:
-    """Where an estimator, a cause or a sensor comes from.
+    """Origin of an estimator, a cause or a sensor.
 
     Attributes:
-      name: for people: a package with its version, or a file.
-      state: tells one state of it from another, where its results depend on it; empty for this package's own.
+      name: in words: a package with its version, or a file.
+      state: identifies its version, if results depend on it; empty for this package.
     """
 
     name: str
@@ -44,12 +43,12 @@ class Origin:
 
 
 OWN = Origin(_PACKAGE)
-"""Of what this package has itself."""
+"""Origin of this package's own."""
 
 
 @dataclass(frozen=True)
 class Offer:
-    """An estimator, a cause or a sensor that is offered from outside: its name, where it comes from, and what gives it."""
+    """An estimator, a cause or a sensor of a plugin: its name, its origin, and a function that returns it."""
 
     name: str
     origin: Origin
@@ -58,7 +57,7 @@ class Offer:
 
 @dataclass(frozen=True)
 class _File:
-    """A plugin file that was imported: its module, and what tells its text from another."""
+    """An imported plugin file: its module, and a digest of its text."""
 
     module: ModuleType
     digest: str
@@ -66,11 +65,11 @@ class _File:
 
 _files: dict[Path, _File] = {}
 _packages: set[Path] = set()
-"""Files and folders of packages that something was loaded from."""
+"""Files and folders of packages from which something was loaded."""
 
 
 def load(path: str | Path) -> tuple[str, ...]:
-    """Import a plugin file, so that its estimators, causes and sensors are known in this process.
+    """Import a plugin file; its estimators, causes and sensors are then known in this process.
 
     Args:
       path: of the file; once is enough.
@@ -79,7 +78,7 @@ def load(path: str | Path) -> tuple[str, ...]:
       Names of its estimators, causes and sensors.
 
     Raises:
-      InputError: no such file, one that cannot be imported, or one that has none.
+      InputError: no such file, one that cannot be imported, or one without any.
     """
     file = Path(path).expanduser().resolve()
     if file not in _files:
@@ -89,30 +88,30 @@ def load(path: str | Path) -> tuple[str, ...]:
 
 
 def forget(path: str | Path) -> None:
-    """Know a plugin file no longer."""
+    """Remove a plugin file."""
     _files.pop(Path(path).expanduser().resolve(), None)
     _offers.cache_clear()
 
 
 def files() -> tuple[Path, ...]:
-    """The plugin files that are known, for other processes to load."""
+    """Return the known plugin files, for other processes."""
     return tuple(_files)
 
 
 def options() -> str:
-    """What a command line needs to know the same plugin files, to copy; empty where there are none."""
+    """Return the command-line options for the known plugin files; empty without any."""
     return "".join(f" --plugin {shlex.quote(str(file))}" for file in _files)
 
 
 def load_all(paths: Iterable[Path]) -> None:
-    """Import plugin files: what another process begins with."""
+    """Import plugin files."""
     for path in paths:
         load(path)
 
 
 @contextmanager
 def known(paths: Iterable[str | Path]) -> Iterator[tuple[str, ...]]:
-    """Know plugin files for a while, which gives their names: what was not known before is forgotten afterwards."""
+    """Load plugin files inside a block, and yield the names; new ones are removed afterwards."""
     before = dict(_files)
     try:
         yield tuple(name for path in paths for name in load(path))
@@ -123,10 +122,10 @@ def known(paths: Iterable[str | Path]) -> Iterator[tuple[str, ...]]:
 
 
 def offers(kind: Kind, own: Iterable[str]) -> dict[str, Offer]:
-    """What is offered from outside, by name. An installed package's loses against one of `own` that has the same name.
+    """Return the offers of plugins by name. One of `own` wins over an installed package's of the same name.
 
     Raises:
-      InputError: a name in a plugin file that there is already.
+      InputError: a plugin file's name that exists already.
     """
     return _offers(kind, frozenset(own))
 
@@ -139,19 +138,17 @@ def _offers(kind: Kind, taken: frozenset[str]) -> dict[str, Offer]:
             name = _named(one)
             if name in taken or name in found:
                 there = _PACKAGE if name in taken else found[name].origin.name
-                raise InputError(
-                    f"{file}: {kind[:-1]} {name!r}: expected a name of its own, {there} has one of that name"
-                )
+                raise InputError(f"{file}: {kind[:-1]} {name!r}: expected another name, {there} has one of that name")
             found[name] = Offer(name, Origin(str(file), read.digest), partial(_same, one))
     return found
 
 
 def blamed(error: BaseException) -> InputError | None:
-    """An exception that came out of a plugin as one line, with the plugin's own last line; None where none has part in it."""
+    """Return an exception of a plugin as one line with the plugin's own last line; None if no plugin is involved."""
     own = [*_files, *_packages]
     if not own:
         return None
-    steps = traceback.format_exception(error)  # also those of another process, as far as they are told
+    steps = traceback.format_exception(error)  # also of another process
     for step in reversed("".join(steps).splitlines()):
         where = step.strip()
         if not where.startswith('File "') or '", line ' not in where:
@@ -163,11 +160,11 @@ def blamed(error: BaseException) -> InputError | None:
 
 
 def _reason(error: BaseException) -> str:
-    return f"{type(error).__name__}: {one_line(' '.join(str(error).split())) or 'no more is said'}"
+    return f"{type(error).__name__}: {one_line(' '.join(str(error).split())) or 'no message'}"
 
 
 def _imported(file: Path, given: str) -> _File:
-    """A file as a module of a name that only its path has: compiled code is cached beside it, classes can be sent."""
+    """Return a file as a module with a unique name: compiled code is cached next to it, and classes can be pickled."""
     if not file.is_file():
         raise InputError(f"plugin {given}: expected a Python file, found none")
     name = f"{file.stem}_{hashlib.sha256(str(file).encode()).hexdigest()[:8]}"
@@ -207,7 +204,7 @@ def _named(one: Any) -> str:
 
 @cache
 def _installed(kind: Kind) -> dict[str, Offer]:
-    """What installed packages offer, not loaded."""
+    """Return the offers of installed packages, not loaded."""
     found: dict[str, Offer] = {}
     for point in entry_points(group=f"{_PACKAGE}.{kind}"):
         package = f"{point.dist.name} {point.dist.version}" if point.dist else "an installed package"
@@ -223,7 +220,7 @@ def _load(kind: Kind, point: EntryPoint) -> Any:
     where = f"{kind[:-1]} {point.name!r} of {point.dist.name if point.dist else 'an installed package'}"
     try:
         found = point.load()
-    except (Exception, SystemExit) as error:  # whatever a foreign module does when it is imported
+    except (Exception, SystemExit) as error:  # foreign code
         raise InputError(f"{where}: cannot be loaded from {point.value!r}: {_reason(error)}") from error
     file = getattr(sys.modules.get(point.module.split(".")[0]), "__file__", None)
     if file:

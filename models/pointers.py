@@ -1,4 +1,4 @@
-"""Memory by its address, as compiled code sees it: MuJoCo's structures, and what C functions of this package are handed."""
+"""Memory by address in compiled code: MuJoCo's structures, and arguments of this package's C functions."""
 
 from __future__ import annotations
 

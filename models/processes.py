@@ -1,4 +1,4 @@
-"""Processes that work for this one: they know its plugins, leave Ctrl-C to it, and end with it."""
+"""Worker processes: with this process's plugins, without Ctrl-C, and ended with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _watching: list[threading.Thread] = []
 
 
 def begin(known: Sequence[Path]) -> None:
-    """Begin as a worker: know the plugin files, leave Ctrl-C to the process that began this one, and end when that has ended."""
+    """Begin as a worker: load the plugin files, ignore Ctrl-C, and end when the parent process has ended."""
     plugins.load_all(known)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     parent = multiprocessing.parent_process()
@@ -33,7 +33,7 @@ def begin(known: Sequence[Path]) -> None:
 
 @contextmanager
 def no_interrupts() -> Iterator[None]:
-    """Put off Ctrl-C in this thread; processes that it begins are deaf to it while they load: a terminal sends it to all."""
+    """Block Ctrl-C in this thread, and in processes that it starts while they load: a terminal sends it to all."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -403,7 +403,7 @@ def in_arm(
     return replace(recording, link=link, load=load, arm=ArmRecord(spec, arm.mjcf(), positions))
 
 
-def carried_anew(recording: Recording, gear_ratio: float) -> Recording:
+def with_arm_load(recording: Recording, gear_ratio: float) -> Recording:
     """A recording whose angle has changed, with mounting and load from its arm at that angle; the same without an arm.
 
     Args:
@@ -542,7 +542,7 @@ def _read_parquet(path: Path) -> dict[str, np.ndarray]:
 
     with reading_parquet(path):
         file = pa.parquet.ParquetFile(path, memory_map=False, pre_buffer=False)
-        # Names are decoded when they are asked for.
+        # Names are decoded on access.
         fields = [one for one in file.schema_arrow if not one.name.startswith("__index_level")]
         stated = {one.name: one.metadata[b"unit"].decode() for one in fields if b"unit" in (one.metadata or {})}
     _check_header(path, [one.name for one in fields])

@@ -1,4 +1,4 @@
-"""What the files that people write may hold, as JSON Schema: editors complete keys with it, and the reference is made of it."""
+"""JSON Schema of the files that users write, for editors and the reference."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from typing import Any
 
 
 def documented(schema: dict[str, Any], model: type) -> None:
-    """Complete a model's JSON Schema: fields have the docstrings that stand below them, and what may stand in the model's place
-    (`model.short`, a JSON type) is allowed.
+    """Complete a model's JSON Schema: descriptions from the docstrings below fields, and a short form of the model
+    (`model.short`, a JSON type).
 
     Args:
       schema: of the model alone, changed in place (`json_schema_extra` of pydantic).
       model: its class.
     """
-    told = {name: text for one in reversed(model.__mro__) for name, text in _docstrings(one).items()}
+    texts = {name: text for one in reversed(model.__mro__) for name, text in _docstrings(one).items()}
     for name, field in schema.get("properties", {}).items():
         field.pop("title", None)
-        if name in told:
-            field.setdefault("description", told[name])
+        if name in texts:
+            field.setdefault("description", texts[name])
     schema["description"] = inspect.cleandoc(model.__doc__ or "")
     short = getattr(model, "short", None)
     if short:
@@ -31,13 +31,13 @@ def documented(schema: dict[str, Any], model: type) -> None:
 
 
 def json_schema(model: Any) -> dict[str, Any]:
-    """JSON Schema (2020-12) of a file that a pydantic model reads."""
+    """Return the JSON Schema (2020-12) of a file that a pydantic model reads."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}
 
 
 @cache
 def _docstrings(model: type) -> dict[str, str]:
-    """Docstrings below a class's own fields, by field."""
+    """Return the docstrings below a class's own fields, by field."""
     if not model.__module__.startswith(__name__.partition(".")[0]):
         return {}
     (tree,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body

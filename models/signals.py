@@ -1,7 +1,7 @@
-"""Signals by name: every channel that a joint's sensors, a log or a command may have, with its unit.
+"""Signals by name: every channel of a joint's sensors, a log or a command, with its unit.
 
-A channel that a sensor reads is one entry here, with the field of `joint.Sensors` that states its noise, delay and rate, and its
-reading law in `models.dynamics.readings`. Recordings, the simulated sensors and run folders take the channels from here.
+A sensor's channel is one entry here, with its field of `joint.Sensors` (noise, delay, rate), and its reading law in
+`models.dynamics.readings`. Recordings, the simulated sensors and run folders take the channels from here.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ class Channel:
     Attributes:
       name: of its column.
       unit: SI; positions of the motor on the motor side, of the link on the output side.
-      description: for people.
-      sensor: field of `joint.Sensors` that states its noise; empty where no sensor reads it (time, commands).
-      at_step: whether its value belongs to forces that are known only once the plant has stepped.
+      description: in words.
+      sensor: field of `joint.Sensors` with its noise; empty without a sensor (time, commands).
+      at_step: whether its value depends on forces that are known only after the plant's step.
     """
 
     name: str
@@ -52,16 +52,16 @@ CHANNELS: dict[str, Channel] = {channel.name: channel for channel in _ALL}
 """All channels by name."""
 
 SENSED: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor)
-"""Channels that sensors read, in the order of `READINGS`."""
+"""Channels of sensors, in the order of `READINGS`."""
 POSITIONS: tuple[str, ...] = ("motor_position", "link_position")
-"""Of these a recording has one at least."""
+"""A recording has at least one of these."""
 DRIVING: tuple[str, ...] = ("motor_current", "motor_torque", "joint_torque")
-"""Of these a recording has one at least: what says how large the torques were."""
+"""A recording has at least one of these, for the size of the torques."""
 WRENCH: tuple[str, ...] = tuple(c.name for c in _ALL if c.sensor == "wrench")
-"""Axes of the force/torque sensor; the joint's axis is its y, and positive torque about it drives the link back."""
+"""Axes of the force/torque sensor; the joint's axis is its y, and positive torque about it drives the link backwards."""
 
 READINGS = np.dtype([(name, np.float64) for name in SENSED])
-"""What all sensors read at one instant, as a record for compiled code."""
+"""Readings of all sensors at one instant, as a record for compiled code."""
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class Signals(Mapping[str, np.ndarray]):
         return self.columns[name]
 
     def get(self, name: str, default: Any = None) -> Any:
-        """The channel, or the default where there is none."""
+        """Return the channel, or the default."""
         return self.columns.get(name, default)
 
     def __contains__(self, name: object) -> bool:
@@ -113,13 +113,13 @@ class Signals(Mapping[str, np.ndarray]):
         return len(self.columns)
 
     def part(self, samples: slice | np.ndarray) -> Signals:
-        """The same channels at some of the samples."""
+        """Return the same channels at some of the samples."""
         return Signals(self.time[samples], {name: values[samples] for name, values in self.columns.items()})
 
     def without(self, *names: str) -> Signals:
-        """The same without some channels."""
+        """Return the signals without some channels."""
         return Signals(self.time, {name: values for name, values in self.columns.items() if name not in names})
 
     def with_columns(self, **columns: np.ndarray) -> Signals:
-        """The same with further channels, or others of the same name."""
+        """Return the signals with further channels, or others of the same name."""
         return Signals(self.time, {**self.columns, **columns})

@@ -1,4 +1,4 @@
-"""Columns that wait until they are asked for, in files where a long recording makes many of them."""
+"""Columns of a long recording, in files instead of memory."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from .tables import naming
 
 
 class Spool(Mapping[str, np.ndarray]):
-    """Columns of float64 by name, shape (n,) each; of those in files memory holds what is being read."""
+    """Columns of float64 by name, shape (n,) each, in memory or in files."""
 
     def __init__(self, n: int, folder: Path | None = None, stem: str = ""):
-        """Nothing yet; `folder`: that is there, for files whose names begin with `stem`; None: all is in memory."""
+        """Start without columns. `folder`: existing, for files whose names begin with `stem`; None: in memory."""
         self._n, self._folder, self._stem = n, folder, stem
         self._columns: dict[str, Path | np.ndarray] = {}
         self._lock = threading.Lock()
 
     def put(self, name: str, part: slice, values: np.ndarray) -> None:
-        """Write a part of a column; what was not written is NaN."""
+        """Write a part of a column; other parts are NaN."""
         with self._lock:
             column = self._columns.get(name)
             if column is None:
@@ -44,7 +44,7 @@ class Spool(Mapping[str, np.ndarray]):
         return path
 
     def keep(self, names: Sequence[str]) -> None:
-        """Have the columns of these names, in their order; one that was never written is NaN."""
+        """Select and order columns; one without values is NaN."""
         self._columns = {name: self._columns[name] if name in self._columns else self._blank() for name in names}
 
     def __getitem__(self, name: str) -> np.ndarray:

@@ -1,11 +1,10 @@
-"""The step of an estimator as a C function: what the closed loop and every estimator agree on.
+"""The step of an estimator as a C function: the interface of the closed loop and all estimators.
 
     int64 step(memory, sample, record, settings, out)        five addresses
 
-reads one `SAMPLE`, moves the estimator's `memory` on and writes `out`, whose first number is the joint torque Ts [N·m].
-The first sample, whose `interval` is zero, finds memory filled with zeros and starts the estimator. A status other than `OK`
-says why there is no next estimate. Called by address, one compiled loop serves every estimator, also one that was written
-elsewhere.
+It reads one `SAMPLE`, updates the estimator's `memory` and writes `out`, whose first number is the joint torque Ts
+[N·m]. At the first sample, whose `interval` is zero, memory is zero and the estimator starts. A status other than
+`OK` is the reason of a missing estimate. The compiled loop calls every estimator by address, also one of a plugin.
 """
 
 from __future__ import annotations
@@ -34,19 +33,19 @@ SAMPLE = np.dtype(
         *READINGS.descr,
     ]
 )
-"""What an estimator reads at one instant, as a record for compiled code: `time` since the recording's start and `interval` since
-the sample before [s] (0 at the first), the current command in force until now [A], the torque that other joints of an arm put on
-the link [N·m], and every reading; NaN where no command is
-known or the estimator does not ask for it, or where there is no such sensor."""
+"""An estimator's inputs at one instant, as a record for compiled code: `time` since the recording's start and
+`interval` since the sample before [s] (0 at the first), the current command in force until now [A], the torque of
+an arm's other joints on the link [N·m], and every reading; NaN for an unknown or unused command, or a missing
+sensor."""
 
 OK, NOT_FINITE = 0, 1
-"""Status of a step: of one that went well, and of one whose estimate is no finite number; others are a step's own."""
+"""Status of a good step, and of an estimate that is not finite; other numbers are defined by the step."""
 _PYTHON = ctypes.CFUNCTYPE(ctypes.c_int64, *[ctypes.c_ssize_t] * 5)
 _compiling = threading.RLock()
 
 
 class Step:
-    """A step function of five records, `records` of types, compiled when it is first needed (`step_of`)."""
+    """A step function of five records of the types `records`, compiled when it is first needed (`step_of`)."""
 
     def __init__(self, function: Callable[..., int], records: tuple[np.dtype, ...]):
         self.function, self.records = function, records
@@ -73,7 +72,7 @@ class Step:
 
 
 class PythonStep:
-    """A step that is an ordinary Python function of five records: slower by a thousand, and as good.
+    """A step as a Python function of five records, a thousand times slower.
 
     An exception ends the loop with status −1 and is kept in `error`.
     """
@@ -107,9 +106,9 @@ def step_of(
     """Make a step of a function of five records: memory, sample, parameters, settings, outputs, with fields by name.
 
     Args:
-      memory: what it remembers, float64 fields and arrays of them.
+      memory: of the step, float64 fields and arrays of them.
       settings, outputs: names of float64 fields, or records of such.
-      plain: leave it in Python: it may do anything then, and is slower by a thousand. Compiled otherwise.
+      plain: whether to leave it in Python, where it may do anything, a thousand times slower.
 
     Returns:
       A decorator, which gives a `Step` or a `PythonStep` with the records' types as `records`.
@@ -126,7 +125,7 @@ def step_of(
 
 
 def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:
-    """The array, shape (count,), that lies at an address."""
+    """Return the array, shape (count,), at an address."""
     kind: np.dtype = np.dtype(dtype)
     memory = (ctypes.c_char * (kind.itemsize * count)).from_address(address)
     return np.frombuffer(memoryview(memory), dtype=kind)
@@ -134,16 +133,16 @@ def numpy_at(address: int, dtype: np.dtype | type, count: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class CompiledStep:
-    """A step with what it takes, ready for the loop.
+    """A step with its data, ready for the loop.
 
     Attributes:
       address: of the C function.
-      memory: how many float64 it remembers.
-      record: shape (1,), what it knows of the joint (`parameters.PARAMETERS`).
+      memory: number of float64 of its memory.
+      record: shape (1,), the known joint (`parameters.PARAMETERS`).
       settings: float64, its tuning parameters, in its own order.
       outputs: length of `out`.
-      reads_command: whether its samples hold the current command where it is known; NaN otherwise.
-      owner: kept alive as long as the address is used.
+      reads_command: whether its samples contain a known current command; else NaN.
+      owner: kept alive while the address is used.
     """
 
     address: int
@@ -155,6 +154,6 @@ class CompiledStep:
     owner: Any = None
 
     def arrays(self) -> tuple[int, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Address, fresh memory, record, settings and `out`, for compiled code."""
+        """Return address, new memory, record, settings and `out`, for compiled code."""
         settings = np.ascontiguousarray(self.settings, dtype=np.float64)
         return self.address, np.zeros(max(self.memory, 1)), self.record, settings, np.zeros(max(self.outputs, 1))

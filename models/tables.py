@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS = 1 << 20
-"""Rows that Parquet puts into a group."""
+"""Rows of a Parquet group."""
 Notes = Mapping[str, Mapping[str, str]]
 
 
 def arrow_column(values: np.ndarray) -> pa.Array:
-    """Numbers, shape (n,), as an Arrow array of float64; without a copy where they are contiguous.
+    """Return numbers, shape (n,), as an Arrow array of float64; without a copy if contiguous.
 
-    `pyarrow.array` would import pandas to see whether they are one of its types.
+    `pyarrow.array` would import pandas.
     """
     import pyarrow as pa
 
@@ -33,7 +33,7 @@ def arrow_column(values: np.ndarray) -> pa.Array:
 
 
 class TableWriter:
-    """A table that is written part after part, each a group of rows of its own; to be closed, as a context."""
+    """A table that is written in parts, each a group of rows; a context."""
 
     def __init__(
         self,
@@ -42,12 +42,12 @@ class TableWriter:
         notes: Notes | None = None,
         metadata: Mapping[str, str] | None = None,
     ):
-        """Begin.
+        """Start the file.
 
         Args:
           path: of the file.
-          units: of every column, in their order.
-          notes: what else a column's metadata says, by column. metadata: of the table.
+          units: of every column, in order.
+          notes: other metadata of a column, by column. metadata: of the table.
         """
         import pyarrow as pa
         import pyarrow.parquet as pq
@@ -57,7 +57,7 @@ class TableWriter:
             for name, unit in units.items()
         ]
         self._path, self._schema = path, pa.schema(fields, dict(metadata or {}))
-        # Measured numbers hardly repeat: a dictionary of them costs time and saves nothing.
+        # Measured numbers rarely repeat: a dictionary costs time and saves nothing.
         with naming(path):
             self._writer = pq.ParquetWriter(path, self._schema, compression="zstd", use_dictionary=False)
 
@@ -84,14 +84,14 @@ def write_table(
     notes: Notes | None = None,
     metadata: Mapping[str, str] | None = None,
 ) -> None:
-    """Write columns, shape (n,) each, as Parquet; units of every column, notes, metadata as of `TableWriter`."""
+    """Write columns, shape (n,) each, as Parquet; units, notes and metadata as for `TableWriter`."""
     with TableWriter(path, {name: units[name] for name in columns}, notes, metadata) as table:
         table.write(columns)
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Name the file in what the system refuses within, a full disk for one: Arrow and NumPy do not."""
+    """Add the file's name to errors of the system, such as a full disk: Arrow and NumPy do not."""
     try:
         yield
     except OSError as error:
@@ -103,7 +103,7 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading_parquet(path: Path) -> Iterator[None]:
-    """Say in one line what is wrong with a Parquet file that is read within.
+    """Turn errors of a Parquet file into one line.
 
     Raises:
       InputError: it cannot be read.
@@ -114,19 +114,12 @@ def reading_parquet(path: Path) -> Iterator[None]:
         yield
     except InputError:
         raise
-    except (
-        OSError,
-        pa.ArrowException,
-        ValueError,
-        LookupError,
-        OverflowError,
-        TypeError,
-    ) as error:  # of a damaged footer
+    except (OSError, pa.ArrowException, ValueError, LookupError, ArithmeticError, TypeError) as error:  # a bad footer
         raise InputError(f"{path}: not a readable Parquet file: {first_line(error)}") from error
 
 
 def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, str]]]:
-    """Columns of a Parquet file, shape (n,) each, and what their metadata say (`unit`, notes).
+    """Return the columns of a Parquet file, shape (n,) each, and their metadata (`unit`, notes).
 
     Raises:
       InputError: not a Parquet file.
@@ -135,7 +128,7 @@ def read_table(path: Path) -> tuple[dict[str, np.ndarray], dict[str, dict[str, s
 
     with reading_parquet(path):
         table = pq.read_table(path)
-        # Names are decoded when they are asked for.
+        # Names are decoded on access.
         columns = {name: table.column(name).to_numpy() for name in table.column_names}
         notes = {f.name: {k.decode(): v.decode() for k, v in (f.metadata or {}).items()} for f in table.schema}
     return columns, notes

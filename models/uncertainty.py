@@ -1,9 +1,9 @@
-"""What is not known of a joint, as joints: each one standard deviation off along one of independent directions.
+"""Uncertainty of a joint as joints: one standard deviation each along independent directions.
 
-A description leaves open what its tolerances say; one that a diagnosis has written says how well it knows its numbers, effects
-and discrepancies, and how they hang together (`joint.Uncertainty`). What depends on the joint, a simulated channel or an
-estimate, is then uncertain by the root of the sum of squares of its changes along these directions (to first order, each
-change taken over a whole standard deviation).
+A description has tolerances; a diagnosed one states the joint uncertainty of its numbers, effects and discrepancies
+(`joint.Uncertainty`). A result that depends on the joint, a simulated channel or an estimate, then has as uncertainty
+the root of the sum of squares of its changes along these directions (to first order, each change over a whole
+standard deviation).
 """
 
 from __future__ import annotations
@@ -17,20 +17,22 @@ from .calibration import Calibration, slots
 from .joint import Joint, Mounting
 
 Change = Mapping[str, float]
-"""By how much quantities change, by the names of `joint.Uncertainty`, in their units."""
+"""Changes of quantities, by the names of `joint.Uncertainty`, in their units."""
 
 
 def directions(joint: Joint, mounting: Mounting | None = None) -> list[np.ndarray]:
-    """Parameter records, shape (1,) each, of a joint in a mounting: one standard deviation off in each independent direction."""
+    """Return parameter records, shape (1,) each, of a joint in a mounting: one standard deviation in each independent
+    direction."""
     return [moved(joint, mounting, change) for change in independent_changes(joint)]
 
 
 def principal(changes: Sequence[Change], responses: np.ndarray, left: float, most: int) -> list[Change]:
-    """The few independent changes that matter to something: combinations of `changes` by the singular vectors of the responses.
+    """Return the few independent changes with the largest effect: combinations of `changes` by the singular vectors
+    of the responses.
 
     Args:
       changes: independent, m of them.
-      responses: of what matters to each, shape (n, m).
+      responses: to each, shape (n, m).
       left: share of the responses' energy that may be left out. most: changes at most.
     """
     if not len(changes):
@@ -50,33 +52,33 @@ def principal(changes: Sequence[Change], responses: np.ndarray, left: float, mos
 
 
 def independent_changes(joint: Joint) -> list[Change]:
-    """One standard deviation of what is not known of a joint in each of independent directions."""
+    """Return changes of one standard deviation along independent directions of a joint's uncertainty."""
     stated = joint.uncertainty
     found: list[Change] = []
-    told: set[str] = set()
+    known: set[str] = set()
     if stated is not None:
-        told = set(stated.names)
+        known = set(stated.names)
         for column in stated.matrix.T:
             found.append({name: float(x) for name, x in zip(stated.names, column, strict=True) if x})
     for slot in slots(joint):
-        if slot.name not in told and slot.number.std:
+        if slot.name not in known and slot.number.std:
             found.append({slot.name: slot.number.std})
-            told.add(slot.name)
+            known.add(slot.name)
     for i, effect in enumerate(joint.effects):
         for name, estimate in effect.parameters.items():
-            if f"effects.{i}.{name}" not in told and estimate.std:
+            if f"effects.{i}.{name}" not in known and estimate.std:
                 found.append({f"effects.{i}.{name}": estimate.std})
-    # What nobody has measured is as open as its tolerance; a shared one moves all that share it and that nobody has measured.
+    # Unmeasured numbers have their tolerances; a shared one changes all unmeasured numbers that share it.
     calibration = Calibration(joint)
     at = calibration.values(np.zeros(calibration.size))
     for x in np.eye(calibration.size):
         changes = zip(calibration.slots, calibration.values(x) - at, strict=True)
-        found.append({s.name: float(change) for s, change in changes if change and s.name not in told})
+        found.append({s.name: float(change) for s, change in changes if change and s.name not in known})
     return [change for change in found if change]
 
 
 def moved(joint: Joint, mounting: Mounting | None, changes: Change) -> np.ndarray:
-    """The joint's record, shape (1,), with some quantities changed."""
+    """Return the joint's record, shape (1,), with some quantities changed."""
     mounting = joint.mount() if mounting is None else mounting
     record = joint.bare_record(mounting)
     for slot in slots(joint):

@@ -1,4 +1,4 @@
-"""Spellings of units: N·m, N*m, N.m, Nm; kg·m², kg*m^2, kgm2; ohm, Ω. What is compared is the unit, not how it is typed."""
+"""Spellings of units: N·m, N*m, N.m, Nm; kg·m², kg*m^2, kgm2; ohm, Ω."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _POWER = re.compile(r"(?<=[A-Za-z])([23])(?![0-9])")  # m2, which is m^2
 
 
 def plain(unit: str) -> str:
-    """A unit in one spelling; the empty one is that of a pure number, `1`."""
+    """Return a unit in one spelling; `1` for an empty one."""
     text = unit.translate(_SPELLINGS).replace("Ω", "ohm").replace(" ", "").replace("1/(", "/(")
     text = _POWER.sub(r"^\1", text)
     text = _PRODUCT.sub(lambda found: "·".join(part for part in found.groups() if part), text)
@@ -21,5 +21,5 @@ def plain(unit: str) -> str:
 
 
 def same(a: str, b: str) -> bool:
-    """Whether two spellings are of the same unit."""
+    """Return whether two spellings are of the same unit."""
     return plain(a) == plain(b)

@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from ...models.command_lines import mending
 from ...models.errors import InputError
 from ...models.joint import Joint
-from ...models.recording import GAP, Measurement, Recording, carried_anew, check_channels
+from ...models.recording import GAP, Measurement, Recording, check_channels, with_arm_load
 from ...models.signals import DRIVING, POSITIONS
 from .changes import GRAVITY, NO_CHANGE, Mistake, Table, expected_sign, shrinkage, side, undone
 from .lateness import late_columns
@@ -544,7 +544,7 @@ def _mend(recording: Recording, joint: Joint, mistakes: Sequence[Mistake]) -> Re
     found = found.at(~lost) if lost.any() else found
     moved = {c for m in mistakes for c in (m.column or "link_position", *m.also)} & {*POSITIONS, "time"}
     # What the arm's motion puts on a link depends on where that is, and how fast.
-    return carried_anew(found, N) if moved and recording.arm is not None else found
+    return with_arm_load(found, N) if moved and recording.arm is not None else found
 
 
 def _unwrapped(m: Mistake, time: np.ndarray, columns: dict[str, np.ndarray], rows: np.ndarray, N: float) -> np.ndarray:

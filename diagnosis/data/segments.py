@@ -240,8 +240,8 @@ def _segment(
     cutoff, settle = conditioned.passband, settings.settle_time
     whole = passband(time, cutoff)
     link_measured = "link_position" in recording and "motor_position" in recording
-    # In an arm the load comes of the joint's own motion, and pushes that nobody measured may be anything.
-    alone = "joint_torque" in recording and recording.load is None and recording.external != "unmeasured"
+    # Pushes that nobody measured may be anything.
+    alone = "joint_torque" in recording and recording.external != "unmeasured"
     weighed = "link_position" in recording and (link_measured or alone)
     if "motor_position" in recording:
         s = smooth(time, values, STEP, cutoff)
@@ -426,9 +426,9 @@ def _usable(recording, index: int, at, theta_m, balances, has_torque: bool, sett
     usable = np.empty((len(at), len(BALANCES)), bool)
     usable[:, CURRENT] = begun
     usable[:, TORQUE] = begun
-    usable[:, LINK] = (
-        (settled if has_torque else begun) & (recording.external != "unmeasured") & (recording.load is None)
-    )
+    # Without a torque sensor the torsion would have to be as precise as the masses of an arm.
+    weighed = recording.external != "unmeasured" and (has_torque or recording.load is None)
+    usable[:, LINK] = (settled if has_torque else begun) & weighed
     usable &= balances
     return usable & ~held_out[:, None], usable & held_out[:, None]
 

@@ -61,7 +61,7 @@ class Region:
 
 
 def region_masks(problem: Problem) -> dict[str, list[np.ndarray]]:
-    """Return the residuals of every region by segment: ends of angle, speed and load, whole recordings."""
+    """Return the residuals of every region by segment: ends of angle, speed, load and time, whole recordings."""
     segments = problem.segments
 
     def end(values: list[np.ndarray], high: bool) -> list[np.ndarray]:
@@ -74,12 +74,15 @@ def region_masks(problem: Problem) -> dict[str, list[np.ndarray]]:
     angle = [s.link_position for s in segments]
     speed = [np.abs(s.motor_velocity) for s in segments]
     load = [s.load for s in segments]
+    time = [s.at for s in segments]
     found = {
         "the smallest angles": end(angle, False),
         "the largest angles": end(angle, True),
         "the highest speeds": end(speed, True),
         "the smallest loads": end(load, False),
         "the largest loads": end(load, True),
+        "the earliest samples": end(time, False),
+        "the latest samples": end(time, True),
     }
     names = sorted({s.name for s in segments})
     if len(names) > 1:

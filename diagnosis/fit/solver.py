@@ -553,9 +553,10 @@ class Fitter:
         noise: Noise,
     ) -> Fit:
         """Return the Laplace approximation of a model at its maximum, under a noise."""
-        problem = self.problem
+        problem, spread = self.problem, self.problem.spread(model)
+        if not all(np.isfinite(r).all() for r in point.residual):  # the replay does not follow it
+            return Fit(model, theta, point, jacobian, extra, noise, np.diag(spread**2), -np.inf)
         normal = normal_equations(problem, noise, model, theta, point, jacobian, extra)
-        spread = problem.spread(model)
         _, logdet = np.linalg.slogdet(normal.hessian * spread[:, None] * spread)
         cost = normal.loss + normal.log_determinant + prior_cost(problem, theta, model)
         evidence = -0.5 * (cost + logdet) - sum(np.log(h.alternatives) for h in model)
@@ -620,7 +621,9 @@ def covariances(problem: Problem, f: Fit) -> tuple[np.ndarray, np.ndarray]:
     of Huber and White): errors of the laws, which last, count as they are.
     """
     normal = normal_equations_of(problem, f)
-    pieces = _piece_scores(problem, f, normal)
+    # A scatter matrix needs more pieces than unknowns.
+    seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)
+    pieces = _piece_scores(problem, f, normal, min(CLUSTER, seconds / (4 * len(f.theta))))
     counted = pieces[np.any(pieces, axis=1)]
     # The inverse of this scatter is unbiased (an inverse Wishart matrix).
     unbiased = max(len(counted) - counted.shape[1] - 1, 0.25 * len(counted)) / max(len(counted), 1)
@@ -630,11 +633,15 @@ def covariances(problem: Problem, f: Fit) -> tuple[np.ndarray, np.ndarray]:
     return _as_described(problem, _inverse(normal.hessian)), _as_described(problem, found)
 
 
-def _piece_scores(problem: Problem, f: Fit, normal: Normal) -> np.ndarray:
-    """Gradient of half the objective without the prior by pieces of `CLUSTER` seconds, shape (pieces, n).
+def scatter_by_unknown(problem: Problem, f: Fit) -> tuple[np.ndarray, np.ndarray]:
+    """Return the score by pieces of `CLUSTER` seconds, shape (pieces, n), and the information on each unknown, shape (n,)."""
+    normal = normal_equations_of(problem, f)
+    information = np.diag(normal.hessian) - 1 / problem.spread(f.model) ** 2
+    return _piece_scores(problem, f, normal, CLUSTER), information
 
-    Pieces are shorter where there would be fewer than four per unknown.
-    """
+
+def _piece_scores(problem: Problem, f: Fit, normal: Normal, piece: float) -> np.ndarray:
+    """Gradient of half the objective without the prior by pieces of some seconds, shape (pieces, n)."""
 
     def scores(residual: Columns, jacobian: Columns) -> np.ndarray:
         rows = whiten(problem.segments, f.noise, residual, jacobian).rows
@@ -645,8 +652,6 @@ def _piece_scores(problem: Problem, f: Fit, normal: Normal) -> np.ndarray:
     if f.noise_jacobian is not None:
         score -= scores(f.point.noise, f.noise_jacobian)
     segment, _, at = rows_of(problem.segments)
-    seconds = sum(float(s.at[-1] - s.at[0]) for s in problem.segments)
-    piece = min(CLUSTER, seconds / (4 * score.shape[1]))
     pieces = [int(s.at[-1] / piece) + 1 for s in problem.segments]
     first = np.concatenate([[0], np.cumsum(pieces)])
     total = np.zeros((first[-1], score.shape[1]))

@@ -140,7 +140,7 @@ class Explorer:
         best, models = start or base, list[Judged]()
         for step in range(STEPS):
             self.progress("searching for causes", 0.1 + 0.7 * step / STEPS)
-            library = self._library(best)
+            library = self.library(best)
             if late := time.monotonic() > self.deadline:
                 break
             other = self._grown(best, library)
@@ -192,7 +192,8 @@ class Explorer:
         have = {h.key for h in best.model}
         return self.problem.with_room(best.model, [h for h in self.offered if h.key not in have])
 
-    def _library(self, best: Fit) -> Library:
+    def library(self, best: Fit) -> Library:
+        """Return the library of what a model can have in addition."""
         far = quiet_rms(self.problem, best) > FAR and not best.model
         return Library.at(self.problem, best, self._room(best), COARSE if far else PROBE)
 
@@ -254,7 +255,8 @@ class Explorer:
             less, lost = _without(self.problem, linear, i)
             if lost < 4 * WINDOW * post.temper:
                 f = self._fit(less.model, less.theta, best, best)
-                yield i, post.judge(f), max(best.log_evidence - f.log_evidence, 0.0)
+                if np.isfinite(f.log_evidence):
+                    yield i, post.judge(f), max(best.log_evidence - f.log_evidence, 0.0)
 
     def neighbours(self, best: Fit, library: Library) -> tuple[Fit, list[Judged]]:
         """Return the best model without one of the effects or with another cause in its place, and all that were judged."""

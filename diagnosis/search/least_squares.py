@@ -59,7 +59,10 @@ def regression_fit(problem: Problem, offered: Sequence[Hypothesis], found: Seque
             value = now + (c.number - c.described) * (now / c.described if c.described else 1.0)
             started[name] = h, h.confine(h.coordinates({q.name: value for q in h.cause.parameters}))
     model = tuple(h for h, _ in started.values())
-    return least_squares(problem, model, np.concatenate([problem.start(None, ()), *(u for _, u in started.values())]))
+    start = np.concatenate([problem.start(None, ()), *(u for _, u in started.values())])
+    if not all(np.isfinite(r).all() for r in problem.residuals([start], [model])[0]):
+        model, start = (), problem.start(None, ())  # a load so light that nothing moves like it
+    return least_squares(problem, model, start)
 
 
 def fitter_in_motion(problem: Problem) -> Fitter:

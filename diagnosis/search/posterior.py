@@ -18,7 +18,7 @@ import numpy as np
 
 from ..fit.noise import EVEN, normalised_rms
 from ..fit.residual import Problem
-from ..fit.solver import Fit, covariances
+from ..fit.solver import Fit, scatter_by_unknown
 from .contribution import amount_of, contribution_of, magnitudes_at, size_of
 
 TEMPER = 4.0  # divisor of the log likelihood where only noise is left; times the noise ratio,
@@ -45,13 +45,14 @@ def quiet_rms(problem: Problem, f: Fit) -> float:
 
 
 def dispersion(problem: Problem, f: Fit) -> float:
-    """Return the score's scatter between pieces of a second over the noise model's (`solver.covariances`), one at least.
+    """Return the score's scatter between pieces of a second over the noise model's, one at least.
 
     The median over unknowns that the data determine.
     """
-    independent, scattered = (np.diag(c) for c in covariances(problem, f))
-    known = independent < KNOWN * problem.spread(f.model) ** 2
-    return max(float(np.median((scattered / independent)[known])), 1.0) if known.any() else 1.0
+    pieces, information = scatter_by_unknown(problem, f)
+    known = information > 1 / (KNOWN * problem.spread(f.model) ** 2)
+    ratio = np.sum(pieces**2, axis=0)[known] / information[known]
+    return max(float(np.median(ratio)), 1.0) if known.any() else 1.0
 
 
 @dataclass(frozen=True)
@@ -97,6 +98,8 @@ class ModelPosterior:
             better known than by its curvature.
           looks_like: by index of a cause, its `unexplained_size`: the prior of an imperfection is that much wider.
         """
+        if not np.isfinite(f.log_evidence):
+            return Judged(f, -np.inf, (0.0,) * len(f.model))
         T = self.temper
         evidence = f.log_evidence - self.reference.log_evidence
         ordinary, small, trace = [], [], []

@@ -1,53 +1,54 @@
-"""Augmented Kalman filter: the joint's motion, joint torque, external torque, and what is not known of the joint, as one state.
+"""Augmented Kalman filter: the joint's motion, joint torque, external torque, and the unknown errors of the joint, as
+one state.
 
-A joint's numbers are known within tolerances. The torque that torsion means is fast, and wrong by whatever stiffness, zero,
-kinematic error and wave generator's compliance are off; the torque that current, friction and the drive's motion mean is
-right within a few per cent while the joint slides, and unknown at rest; the link's own weight and inertia say what torque it
-takes as long as nobody touches it. Errors of these three have different shapes, so that each of them shows in the two others
-where, and only where, it can be told from them. The state carries them with the tolerances as prior (a Schmidt–Kalman filter
-where nothing is observable: what does not show keeps its variance, and the variance of the torque says so):
+The joint's numbers are known within tolerances. Three torques are available. The torque from torsion is fast, and
+wrong by errors of stiffness, zero, kinematic error and wave generator. The torque from current, friction and the
+drive's motion is right within a few per cent while the joint slides, and unknown at rest. The torque from the link's
+weight and inertia is right unless the link is touched. Errors of the three have different shapes, so each shows in
+the other two where it is identifiable. The state carries them with the tolerances as prior (a Schmidt–Kalman filter
+where nothing is observable: the variance of an unobserved error stays, and counts in the torque's variance):
 
     θl, ωl    link                                       (1 + ι) Jl ωl' = T + df·(r·ωw − ωl) − bl·ωl + τ + (1 + μ)·link torques
     ωm, ωw    rotor, wave generator                      by the joint's equations, driven by the current
     Tw, z     wave generator's torque, bristle           Tw' = Kw(Tw)·(ωm − ωw); z by the LuGre law
     T         the spring's torque                        T' = (1 + κ)·K·(r·ωw − ωl), and a small walk
-    φ, φ'     what hangs on the link by a spring         by its equations (`laws.flexible_torque`); nothing on a rigid link
-    τ         external torque                            random walk, quiet or loud; nothing most of the time
-    d         what friction does beyond its model        Ornstein–Uhlenbeck
-    ε         place within the motor encoder's count     kept while the count stays, new with every count
+    φ, φ'     flexible part of the link                  by its equations (`laws.flexible_torque`); none on a rigid link
+    τ         external torque                            random walk, small or large; zero most of the time
+    d         error of the friction model                Ornstein–Uhlenbeck
+    ε         position within the motor encoder's count  constant within a count, new with every count
     f, κt     friction, torque constant [1]              constant
-    λ         share of the last current in this interval's constant: a reading is in force before it or behind it
+    λ         share of the last current in this interval's constant: a reading is in force before it or after it
     μ, ι      weight, inertia of the link [1]            constant
     κ, ζ      stiffness [1], zero of the link encoder    constant
     β, χ      Kw0, Cw of the wave generator [1]          constant
     a_k, b_k  quadratures of kinematic error             constant, of the largest orders
 
-with r = 1/N − θerr'. The joint torque is T + df·(r·ωw − ωl) − bl·ωl. Measurements are scalar, one after the other, with the
-torsion Δθf as it comes from the readings:
+with r = 1/N − θerr'. The joint torque is T + df·(r·ωw − ωl) − bl·ωl. Measurements are scalar, one after the other,
+with the torsion Δθf from the readings:
 
     θl        link encoder
     k(Δθf) =  T − κ·T − K·(ζ + ε − Σ(a_k sin kθw + b_k cos kθw) + r·(β·δ + χ·(δ − Tw·exp(−Cw|Tw|)/Kw0)))
-    0      =  τ                                          while τ is within its own uncertainty of nothing
+    0      =  τ                                          while τ is within its own uncertainty of zero
 
-δ, the wave generator's torsion, is that of Tw; K is that of the torsion Δθf + ζ, with the zero as far as it is known: one that
-is off by more torsion than lies between two knees would make it another spring's. Regressors are predictions (κ·T, not κ·k(Δθf)):
-one that shares its noise with the innovation would be learned from noise (errors in variables). Constants are learned only in
-calm motion that nobody disturbs, and not from every sample: what the laws leave out is no white noise, and at rest it is always
-the same. At rest they are learned from torsion alone, as long as it says more than they were known by. In between they are
-considered, not estimated (Schmidt 1966).
+δ, the wave generator's torsion, is that of Tw. K is the stiffness at the torsion Δθf + ζ, with the estimated zero: a
+zero error larger than the torsion between two breakpoints would select the wrong stiffness. Regressors are
+predictions (κ·T, not κ·k(Δθf)): a regressor that shares its noise with the innovation would learn from noise (errors
+in variables). Constants are learned only in calm motion without contact, and not from every sample: model errors are
+not white noise, and constant at rest. At rest they are learned from torsion alone, while it contains more than the
+prior. Otherwise they are considered, not estimated (Schmidt 1966).
 
-Time stamps of samples that are even may jitter: a velocity by an interval that is off by 0.14 ms is off by 14 %. How far stamps
-are believed is learned from the link encoder: what it moved in a stamp's deviation from the period shows in its innovation, or
-does not (`_believe`).
+Time stamps of even samples may jitter: 0.14 ms of jitter is 14 % of a velocity at 1 kHz. The trust in stamps is
+learned from the link encoder, whose innovation shows, or does not show, the motion in a stamp's deviation from the
+period (`_believe`).
 
-Times since something happened are sums of intervals, and readings of one count may differ by rounding: both are compared half
-a sample or half a count beside where they fall, so that no rounding decides.
+Durations are sums of intervals, and equal counts may differ by rounding. Both are compared half a sample or half a
+count off their value, so that rounding never decides.
 
-Counts are cells, not noise: at rest a count says the same thing again and again, which ε has learned once. A count that the link
-encoder keeps, while the motor encoder keeps its own, is worth less with every sample: the n-th has n times its variance.
+Counts are cells, not noise: at rest, ε learns a count once. If both encoders keep their counts, the n-th reading of
+the link encoder has n times its variance.
 
-Contacts are rare: τ walks loudly only while the innovations of the link encoder are larger than their variance, d while those
-of torsion are (adaptive process noise, Mehra 1972, as in `dynamics_filter`).
+Contacts are rare: τ has a large walk only while the innovations of the link encoder exceed their variance, d while
+those of torsion do (adaptive process noise, Mehra 1972, as in `dynamics_filter`).
 """
 
 from __future__ import annotations
@@ -67,20 +68,20 @@ from ..sensing import arm_torque, temperature
 from ..tuning_parameters import TuningParameter
 
 ORDERS = 3
-"""Orders of kinematic error whose error is estimated."""
+"""Number of kinematic error orders whose error is estimated."""
 (
     LINK, LINK_RATE, ROTOR, WAVE_RATE, WOUND, BRISTLE, SPRING, SWING, SWING_RATE, EXTERNAL, MESH, COUNT,
     FRICTION, CONSTANT, LATE, WEIGHT, INERTIA, STIFFNESS, ZERO, WAVE, CURVE, KINEMATIC,
 ) = range(22)  # fmt: skip
 SIZE = KINEMATIC + 2 * ORDERS
 MOVING, INPUTS, FIXED = MESH + 1, LATE + 1, FRICTION
-"""Behind the states that move; behind those that act within a substep; from here on states are constant."""
+"""First state after the moving ones; first after those that act within a substep; first of the constant ones."""
 _TURN = 0.7
-"""Angle [rad] by which the fastest spring may turn in a substep."""
+"""Largest angle [rad] of the fastest spring in a substep."""
 _MOST = 200
-"""Substeps of a sample."""
+"""Most substeps of a sample."""
 _BEYOND = 1.25
-"""Torque [rated torque] beyond which the wave generator gets no stiffer: where it is wrong, it shall not be stiff besides."""
+"""Torque [rated torque] beyond which the wave generator gets no stiffer, to limit a wrong stiffness."""
 _FIELDS = (
     "link_variance", "torsion_variance", "rotor_walk", "torque_variance", "mesh_walk", "bristle_walk", "presliding",
     "spring_walk", "loose",
@@ -103,50 +104,51 @@ MEMORY = np.dtype(
         )),
     ]
 )  # fmt: skip
-"""What `measure` remembers; state, covariance, scratch; last reading of the motor encoder; mean NIS of torsion and link
-encoder; times [s] of calm, of sliding in it, and since the link encoder was loud; whether nobody seemed to touch the joint at
-the last sample; how far time stamps are believed, and on how much evidence; motor torque of the last sample [N·m, motor
-side], mean square of its changes; mean interval [s], and of how many; how far [s] the last stamp is behind the
-grid of samples; last reading of the link encoder, for how many samples neither encoder has left its count; mean square of what
-samples are off in time [s²], last innovation of the link encoder [rad]; for how long something has touched the joint [s]."""
+"""Memory of `measure`; state, covariance, scratch; last reading of the motor encoder; mean NIS of torsion and link
+encoder; durations [s] of calm, of sliding in it, and since large innovations of the link encoder; whether the
+joint was free of contact at the last sample; trust in time stamps, and its evidence; motor torque of the last
+sample [N·m, motor side], mean square of its changes; mean interval [s], and number of intervals; delay [s] of the
+last stamp against the grid of samples; last reading of the link encoder, number of samples in which both encoders
+kept their counts; mean square time error of samples [s²], last innovation of the link encoder [rad]; duration of a
+contact [s]."""
 OUT = np.dtype([(n, np.float64) for n in (
     "torque", "variance", "innovation", "innovation_variance", "external_torque", "stiffness_error", "zero_error",
     "wave_generator_error", "friction_error",
 )])  # fmt: skip
 _LEVEL_TIME = 5.0
-"""Time [s] after which friction has forgotten what it did beyond its model."""
+"""Correlation time [s] of the friction model's error."""
 _DOUBT = 2.0
-"""Mean NIS from which on it is more than scatter, 0.5 about 1."""
+"""Mean NIS that is more than scatter, 0.5 about 1."""
 _FIRST_BEATS, _BEATS = 100.0, 1e4
-"""Intervals that the nominal one counts for, and of which the mean is taken."""
+"""Weight of the nominal interval, and number of intervals in the mean."""
 _FOLLOW = 0.02
 """Share of a stamp's deviation by which the grid of samples follows it."""
 _STAMPS = 30.0
-"""Evidence [variances of the link encoder] that time stamps are right, before there is any."""
+"""Prior evidence [variances of the link encoder] that time stamps are right."""
 _CLOCK, _SHAKES = 1e-4, 200.0
-"""Error of a sample's time [s] that counts for itself; samples over which it is learned."""
+"""Time error of a sample [s] with a weight of one; samples over which it is learned."""
 _TOUCH = 2.0
-"""Time [s] after which a touch that does not change may be an error of the constants."""
+"""Time [s] after which a constant contact may be an error of the constants."""
 _START = 1.0
-"""Velocity [rad/s] with which a recording may begin."""
+"""Largest initial velocity [rad/s]."""
 _STIFFENS = 2e-3
-"""Time [s] in which the wave generator may become e times as stiff."""
+"""Time [s] in which the wave generator may stiffen by a factor e."""
 _TRIES = 8
-"""Steps at most in which the zero is found about which torsion is linearised."""
+"""Most iterations for the zero about which torsion is linearised."""
 _HELD, _RIPPLE = 1e-3, 0.1
-"""Time [s] for which a drive holds its current at least; over which the mean square of its changes is taken."""
+"""Shortest time [s] for which a drive holds its current; time over which the mean square of its changes is taken."""
 _UNSEEN = 0.5
-"""Time [s] after which what the readings do not show between them has moved the spring as far as a walk of `_LOOSE`."""
+"""Time [s] after which unobserved motion between readings has changed the spring's torque as a walk of `_LOOSE`."""
 _LOOSE = 2.0
 """Intensity of the spring's torque inside a dead zone, and while torsion contradicts [T2/√s]."""
 _LATE = 3.0
-"""Error [counts of the motor encoder] of a link encoder's late reading that is carried on."""
+"""Error [counts of the motor encoder] of a delayed link encoder's reading."""
 _CARRIED = 0.5
 """Intensity of an unknown load's torque [its size/√s]."""
 _SAMPLES = 0.5
-"""Share of a sample by which the current may have been in force later than it was read."""
+"""Share of a sample by which the current may have been in force after its reading."""
 _CONSIDERED = (CONSTANT, WEIGHT, INERTIA)
-"""Constants that are known better than they can be learned: what the laws leave out looks like them, and lasts."""
+"""Constants that are not learned: their priors are narrow, and persistent model errors look like them."""
 
 
 @kernel
@@ -171,8 +173,8 @@ def _variance(m):
 
 @kernel
 def _update(m, e, variance, least, c):
-    """Update with a scalar innovation along `m.H`; returns its variance S. Where S is below `least`, what is constant is
-    considered and not changed (Schmidt 1966), and what is known better than it can be learned never is."""
+    """Update with a scalar innovation along `m.H`; return its variance S. If S is below `least`, constants are
+    considered and not changed (Schmidt 1966); those of `_CONSIDERED` never change."""
     x, P, H, PH = m.x, m.P, m.H, m.PH
     S = variance
     for i in range(SIZE):
@@ -201,8 +203,8 @@ def _share(ratio, c):
 
 @kernel
 def _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c):
-    """Innovation [N·m] of a torsion [rad] about a zero of the link encoder [rad], and the stiffness [N·m/rad] by which it
-    counts; its row in `m.H`."""
+    """Return the innovation [N·m] of a torsion [rad] about a zero of the link encoder [rad], and its stiffness
+    [N·m/rad]; write its row into `m.H`."""
     x, H, theta = m.x, m.H, found.wave_generator_position
     K = _flank(torsion + zero, p)
     H[:] = 0.0
@@ -222,8 +224,8 @@ def _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c):
 
 @kernel
 def _start(m, reading, link, torque, motor_torque, p, c):
-    """Begin at the first readings in equilibrium: elastic torque [N·m], motor torque [N·m, motor side]; the whole joint at rest
-    or in motion."""
+    """Start at the first readings in equilibrium: elastic torque [N·m], motor torque [N·m, motor side]; the whole
+    joint at rest or in motion."""
     x, P = m.x, m.P
     x[:] = 0.0
     P[:] = 0.0
@@ -240,10 +242,11 @@ def _start(m, reading, link, torque, motor_torque, p, c):
 
 @kernel
 def _predict(m, s, found, change, h, p, c):
-    """Move on by `h` [s] through the joint's own equations.
+    """Predict over `h` [s] by the joint's own equations.
 
-    In substeps, semi-implicitly: springs and bristle by the velocities, velocities by the torques, the link's angle; stable as
-    long as no spring turns by 2 rad in one. Every part is linearised where it stands, and the Jacobian is their product.
+    In semi-implicit substeps: springs and bristle by the velocities, velocities by the torques, the link's angle;
+    stable while no spring turns by 2 rad in one. Every part is linearised at its own state, and the Jacobian is the
+    product.
     """
     x, F = m.x, m.F
     theta, warm = found.wave_generator_position - 0.5 * h * x[WAVE_RATE], temperature(s, p)  # halfway there
@@ -266,8 +269,8 @@ def _predict(m, s, found, change, h, p, c):
     weight -= slope * x[LINK]
     arm = arm_torque(s)
     F[SPRING, STIFFNESS] = h * K * (ratio * x[WAVE_RATE] - x[LINK_RATE])
-    hanging = laws.flexible_inertia(p)
-    rigid, before = (1.0 + x[INERTIA]) * p.Jl - hanging, x[LINK_RATE]
+    flexible = laws.flexible_inertia(p)
+    rigid, before = (1.0 + x[INERTIA]) * p.Jl - flexible, x[LINK_RATE]
     F[LINK_RATE, WEIGHT] = h / rigid * (weight + slope * x[LINK])
     given = found.motor_torque - x[LATE] * change
     drive, damped = (1.0 + x[CONSTANT]) * given, ratio * p.df
@@ -319,10 +322,10 @@ def _predict(m, s, found, change, h, p, c):
         load = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE])
         own = (1.0 + x[WEIGHT]) * (weight + slope * x[LINK]) + arm
         kick = d / rigid * (load - p.bl * x[LINK_RATE] + own + x[EXTERNAL])
-        if hanging > 0.0:
+        if flexible > 0.0:
             pull = laws.flexible_torque(x[SWING], x[SWING_RATE], p)
             kick += d / rigid * pull
-            x[SWING_RATE] -= d / hanging * pull + kick
+            x[SWING_RATE] -= d / flexible * pull + kick
             x[SWING] += d * x[SWING_RATE]
         x[LINK_RATE] += kick
         x[LINK] += d * x[LINK_RATE]
@@ -331,29 +334,29 @@ def _predict(m, s, found, change, h, p, c):
                 F[SPRING, j] + damped * F[WAVE_RATE, j] - (p.df + p.bl) * F[LINK_RATE, j] + slope * F[LINK, j]
                 + F[EXTERNAL, j]
             )  # fmt: skip
-            if hanging > 0.0:
+            if flexible > 0.0:
                 pull = laws.flexible_torque(F[SWING, j], F[SWING_RATE, j], p)
                 kick += d / rigid * pull
-                F[SWING_RATE, j] -= d / hanging * pull + kick
+                F[SWING_RATE, j] -= d / flexible * pull + kick
                 F[SWING, j] += d * F[SWING_RATE, j]
             F[LINK_RATE, j] += kick
             F[LINK, j] += d * F[LINK_RATE, j]
     F[LINK_RATE, INERTIA] = -p.Jl / rigid * (x[LINK_RATE] - before)
-    if hanging > 0.0:
+    if flexible > 0.0:
         F[SWING_RATE, WEIGHT], F[SWING_RATE, INERTIA] = -F[LINK_RATE, WEIGHT], -F[LINK_RATE, INERTIA]
     forget = math.exp(-h / c.level_time)
     x[MESH] *= forget
     F[MESH, MESH] = forget
     _propagate(F, m.P, m.A)
     m.P[BRISTLE, BRISTLE] += c.presliding * abs(x[BRISTLE] - bent)  # its stiffness is not known
-    if K == 0.0:  # where in the dead zone is not known any better than the torsion
+    if K == 0.0:  # the position in the dead zone is known only by the torsion
         m.P[SPRING, SPRING] += c.loose * h
     _add_noise(m, h, forget, c)
 
 
 @kernel
 def _state(x, found, time, warm):
-    """The drive's state as `dynamics.State`: friction is the wave generator's."""
+    """Return the drive's state as `dynamics.State`; friction is the wave generator's."""
     return dynamics.drive_state(
         found.motor_position, x[WAVE_RATE], x[LINK], x[LINK_RATE], x[BRISTLE], dynamics.UNREAD, time, warm
     )
@@ -363,7 +366,7 @@ def _state(x, found, time, warm):
 def _add_noise(m, h, forget, c):
     P, loud = m.P, _share(m.torsion_ratio, c)
     touched = max(loud, _share(m.link_ratio, c))
-    # Between readings that are further apart than the drive's own steps it gave other currents, too.
+    # Between distant readings the drive gave other currents, too.
     beyond = max(h - _HELD, 0.0)
     P[ROTOR, ROTOR] += c.rotor_walk * (c.torque_variance * h * h + m.ripple * beyond * beyond)
     P[WAVE_RATE, WAVE_RATE] += c.mesh_walk * h
@@ -399,20 +402,22 @@ def _propagate(F, P, A):
 
 @kernel
 def _flank(torsion, p):
-    """Stiffness [N·m/rad] by which an error of the torsion counts: inside a dead zone that of its flanks, which may be near."""
+    """Return the stiffness [N·m/rad] for an error of the torsion: inside a dead zone that of its flanks, which may be
+    near."""
     K = laws.flexspline_stiffness(torsion, p)
     return K if K > 0.0 else p.K1
 
 
 @kernel
 def _softness(torque, p):
-    """Compliance of the wave generator [rad/(N·m), motor side] at a torque [N·m, motor side]: Eq. (4) inverted."""
+    """Return the compliance of the wave generator [rad/(N·m), motor side] at a torque [N·m, motor side]: Eq. (4)
+    inverted."""
     return math.exp(-p.Cw * abs(torque)) / p.Kw0
 
 
 @kernel
 def _new_count(m, c):
-    """The motor encoder's count has changed: where within it is anyone's guess."""
+    """Reset the position within the motor encoder's count."""
     m.x[COUNT] = 0.0
     for j in range(SIZE):
         m.P[COUNT, j] = 0.0
@@ -422,9 +427,10 @@ def _new_count(m, c):
 
 @kernel
 def _off_beat(m, interval, c):
-    """Deviation of an interval [s] from that of an even grid which follows the stamps, and on which samples may be missing.
+    """Return the deviation of an interval [s] from an even grid that follows the stamps. Samples may be missing on
+    it.
 
-    Of the grid and not of the last stamp: of two stamps that jitter, the interval may be off by most of a period.
+    The grid, not the last stamp: the interval of two jittering stamps may be off by most of a period.
     """
     if interval == 0.0:
         m.period, m.beats, m.phase = c.interval, _FIRST_BEATS, 0.0
@@ -440,9 +446,9 @@ def _off_beat(m, interval, c):
 
 @kernel
 def _believe(m, e, moved, c):
-    """How far the stamps of samples that should be evenly spaced are to be believed: regression of the link encoder's
-    innovation e [rad] on what the link `moved` [rad] in a stamp's deviation from the period. A clock that jitters while the
-    samples are even shows nothing there, samples that are not even show all of it."""
+    """Learn the trust in the stamps of even samples: regression of the link encoder's innovation e [rad] on the
+    link's motion [rad] in a stamp's deviation from the period. A jittering clock shows nothing there, uneven
+    samples show all of it."""
     if moved != 0.0:
         seen = min(max(m.belief + e / moved, -1.0), 2.0)
         m.evidence += (moved * moved) / c.link_variance
@@ -451,9 +457,9 @@ def _believe(m, e, moved, c):
 
 
 @kernel
-def _begin_anew(m, c):
-    """Take an external torque for an error of the constants, as far as these, as described, could make it: they are what the
-    description says again, along the torsion's row in `m.H`."""
+def _reset_constants(m, c):
+    """Treat an external torque as an error of the constants, if their priors allow it: reset them to the description,
+    along the torsion's row in `m.H`."""
     x, P, H = m.x, m.P, m.H
     could = 0.0
     for i in range(FIXED, SIZE):
@@ -474,9 +480,9 @@ def _begin_anew(m, c):
 
 @kernel
 def _jitters(m, e, x, c):
-    """Learn by how much samples are off in time, mean square [s²], from changes of the link encoder's innovations e [rad].
+    """Learn the mean square time error of samples [s²] from changes of the link encoder's innovations e [rad].
 
-    From changes: a torque that the filter does not know of moves the link the same way for many samples.
+    Changes, because an unknown torque moves the link the same way for many samples.
     """
     change, rate = e - m.last, x[LINK_RATE]
     m.last = e
@@ -495,17 +501,17 @@ def _step(m, s, p, c, o):
     x, P, H = m.x, m.P, m.H
     found = measure(m.torsion, s, p)
     theta = found.wave_generator_position
-    # In calm that nobody disturbs, and not at every sample: what the laws leave is no white noise.
+    # In calm without contact, and not at every sample: model errors are not white noise.
     calm = m.torsion_ratio < c.high and m.link_ratio < c.high and m.free > 0.0
     m.calm = m.calm + h if calm else 0.0
     m.slid = m.slid + h if calm and abs(x[WAVE_RATE]) > c.sliding else 0.0
     due = m.calm > c.pause - 0.5 * h
     if due:
         m.calm -= c.every
-    # At rest it is always the same, and tells what stands out.
+    # At rest model errors are constant.
     learn = 0.0 if due and m.slid > c.settled - 0.5 * h else math.inf
     learn_torsion = min(learn, c.coarse if due else math.inf)
-    change = found.motor_torque - m.motor_torque  # no time has passed at the first sample: it counts for nothing
+    change = found.motor_torque - m.motor_torque  # it has no effect at the first sample
     m.motor_torque = found.motor_torque
     m.ripple += (0.5 * change * change - m.ripple) * -math.expm1(-s.interval / _RIPPLE)
     if s.interval == 0.0:
@@ -523,7 +529,7 @@ def _step(m, s, p, c, o):
         H[:] = 0.0
         H[LINK] = 1.0
         e = found.link_position - x[LINK]
-        # The stamp is right, or the grid: what lies between them is not known.
+        # The stamp is right, or the grid.
         shaken = (m.jitter + m.belief * (1.0 - m.belief) * off * off) * x[LINK_RATE] * x[LINK_RATE]
         _jitters(m, e, x, c)
         S = _update(m, e, c.link_variance + shaken + c.link_count * m.held, learn, c)
@@ -535,7 +541,7 @@ def _step(m, s, p, c, o):
     wound, asked = laws.wave_generator_torsion(x[WOUND], p), laws.wave_generator_torsion(found.motor_torque, p)
     torsion, soft, zero = found.torsion + (asked - wound) * ratio, _softness(x[WOUND], p), x[ZERO]
     e, K = _torsion_row(m, found, torsion, zero, wound, soft, ratio, p, c)
-    # Where constants are learned, about the zero that comes of it (an iterated update, Bell and Cathey 1993).
+    # If constants are learned: about the resulting zero (an iterated update, Bell and Cathey 1993).
     for _ in range(_TRIES if learn_torsion < math.inf else 0):
         S = c.torsion_variance * K * K + _variance(m)
         likelier = x[ZERO] + _gain(m, ZERO) * e / S
@@ -546,7 +552,7 @@ def _step(m, s, p, c, o):
     o.innovation = e
     o.innovation_variance = _update(m, e, (c.torsion_variance + c.link_count * m.held) * K * K, learn_torsion, c)
     m.torsion_ratio = c.memory * m.torsion_ratio + (1.0 - c.memory) * e * e / o.innovation_variance
-    # Nobody touches it.
+    # Without contact.
     m.untouched = m.untouched + h if m.link_ratio < c.low and m.torsion_ratio < c.high else 0.0
     sure = c.gate * math.sqrt(P[EXTERNAL, EXTERNAL] + c.free**2)
     m.free = 0.0
@@ -554,15 +560,15 @@ def _step(m, s, p, c, o):
         m.free = 1.0
         H[:] = 0.0
         H[EXTERNAL] = 1.0
-        # Beyond what is usual but less than a touch: with the weight that a heavy tail leaves it.
+        # Unusual, but less than a contact: with the weight of a heavy tail.
         spread = c.free**2 if abs(x[EXTERNAL]) < sure else c.free**2 + x[EXTERNAL] ** 2
         _update(m, -x[EXTERNAL], spread * c.back / h, learn, c)
-    # A touch that lasts, and that what was learned of the constants could be: they begin anew.
+    # A persistent contact that may be an error of the learned constants: reset them.
     m.touched = m.touched + h if m.untouched > c.wait + 0.5 * h and m.free == 0.0 else 0.0
     if m.touched > _TOUCH:
         m.touched = 0.0
         _torsion_row(m, found, torsion, x[ZERO], wound, soft, ratio, p, c)
-        _begin_anew(m, c)
+        _reset_constants(m, c)
     H[:] = 0.0
     H[SPRING], H[WAVE_RATE], H[LINK_RATE] = 1.0, p.df * ratio, -p.df - p.bl
     variance = 0.0
@@ -570,10 +576,10 @@ def _step(m, s, p, c, o):
         for j in range(MOVING):
             variance += H[i] * P[i, j] * H[j]
     o.torque = x[SPRING] + p.df * (ratio * x[WAVE_RATE] - x[LINK_RATE]) - p.bl * x[LINK_RATE]
-    # As long as innovations contradict, a touch that has just begun, it is as much larger as they are.
+    # While innovations contradict (the start of a contact), the variance grows with them.
     doubt = max(m.torsion_ratio, m.link_ratio)
     o.variance, o.external_torque = variance * (doubt if doubt > _DOUBT else 1.0), x[EXTERNAL]
-    # More than it would be by its uncertainty, less than a touch: it may be a push that lasts, or nothing at all.
+    # More than its uncertainty, less than a contact: it may be a persistent push, or nothing.
     if m.free > 0.0 and abs(x[EXTERNAL]) > sure:
         o.variance += x[EXTERNAL] ** 2
     o.stiffness_error, o.zero_error, o.wave_generator_error = x[STIFFNESS], x[ZERO], x[WAVE]
@@ -583,24 +589,22 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class Augmented(CausalEstimator):
-    """Augmented Kalman filter; see the module. Torques are relative to T2 or to Fc, of the joint's own size.
+    """Augmented Kalman filter; see the module. Torques are relative to the joint's T2 or Fc.
 
     Attributes:
-        torque: intensity of what moves the spring's torque beside its ends [T2/√s].
-        external: intensity of the external torque's walk [T2/√s]; push: while the link encoder contradicts.
-        mesh: white noise of torque at the mesh [Fc·√s]; bristle: noise of the friction's bristle [Fc/s0 per √s].
-        presliding: relative error of the bristle's stiffness [relative error of the friction model].
-        level: standard deviation of what friction does beyond its model [Fc]; unsure: likewise, for every relative error of
-            that model [Fc]; surge: intensity of it while torsion contradicts [Fc/√s].
-        free: external torque [T2] that a joint has all the same while nobody touches it; back: over which time [s] that
-            counts; wait: after the last contradiction [s].
-        gate: standard deviations of the external torque from nothing beyond which somebody touches the joint, if it is more
-            than `least` [T2].
-        pause: calm [s] before constants are learned, and settled: of it in motion; every: between samples from which they
-            are [s].
-        coarse: standard deviation of the torsion's innovation [T2] from which on they are learned at rest, too.
-        memory: share of the mean NIS that is kept per sample.
-        low, high: mean NIS from which on the noise grows, and where it has grown in full.
+      torque: intensity of the spring torque's own walk [T2/√s].
+      external: intensity of the external torque's walk [T2/√s]; push: while the link encoder contradicts.
+      mesh: white noise of torque at the mesh [Fc·√s]; bristle: noise of the friction's bristle [Fc/s0 per √s].
+      presliding: relative error of the bristle's stiffness [relative error of the friction model].
+      level: standard deviation of the friction model's error [Fc]; unsure: likewise, per relative error of that model
+        [Fc]; surge: its intensity while torsion contradicts [Fc/√s].
+      free: external torque [T2] without contact; back: its time constant [s]; wait: after the last contradiction [s].
+      gate: standard deviations of the external torque from zero that count as a contact, if it exceeds `least` [T2].
+      pause: calm [s] before constants are learned, and settled: of it in motion; every: between samples from which
+        they are [s].
+      coarse: standard deviation of the torsion's innovation [T2] from which they are learned at rest, too.
+      memory: share of the mean NIS that is kept per sample.
+      low, high: mean NIS at which the noise starts to grow, and at which it is full.
     """
 
     name: str = "augmented"
@@ -644,7 +648,7 @@ class Augmented(CausalEstimator):
         c["link_half"], c["link_count"] = 0.5 * noise.link_resolution, noise.link_resolution**2 / 6.0
         link = noise.link_noise**2 + noise.link_error**2 + c["link_count"]
         c["link_variance"] = link
-        if p["link_delay"] > 0.0:  # a line's end (`compliance`), and what happens meanwhile
+        if p["link_delay"] > 0.0:  # the error of the extrapolation (`compliance`)
             link += (_LATE * count) ** 2
             c["link_variance"] = link
         c["torsion_variance"] = link + (noise.motor_noise**2 + noise.motor_error**2) / p["N"] ** 2 + (0.1 * count) ** 2
@@ -668,7 +672,7 @@ class Augmented(CausalEstimator):
         c["interval"] = interval
         c["pause"], c["every"] = self.pause, self.every
         c["wait"] = self.wait
-        if joint.load_error > 0.0:  # an unknown load is a touch that lasts, and pushes are a part of it
+        if joint.load_error > 0.0:  # an unknown load is a persistent contact that includes pushes
             c["external_quiet"], c["external_loud"], c["wait"] = _CARRIED * joint.load_error, 0.0, math.inf
         prior = c["prior"]
         prior[[LINK, LINK_RATE, ROTOR, WAVE_RATE]] = math.sqrt(link), 1.0 / p["N"], 1.0, 1.0

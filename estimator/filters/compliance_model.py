@@ -26,7 +26,7 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class ComplianceModel(CausalEstimator):
-    """The compliance model as it is."""
+    """The compliance model, unfiltered."""
 
     name: str = "model"
     description: ClassVar[str] = "torque from torsion by the compliance model alone (Shi & Liu, Eqs. 1-7)"

@@ -1,14 +1,15 @@
-"""Joint torque from the motor current: what reaches the output when friction and the rotor's inertia are taken off.
+"""Joint torque from the motor current: current less friction and the rotor's inertia.
 
     T = (Kt·i + cogging − bm·ωm − Fmesh(ωm) − (Jm + Jw)·ωm') / (1/N − θerr'(θm)) − bl·ωl
 
-the balance of rotor and wave generator as one body (`models.dynamics.transmitted_torque`), with the LuGre bristle driven by the
-measured velocity and friction under the last torque's load. Velocity and acceleration are the motor encoder's, through a causal
-second-order low-pass; what turns with the motor's angle (current, cogging, the transmission's ratio) passes the same one, so that
-both sides stay in step. It needs no second encoder; at rest, friction may be anything up to its level, and so may the error.
+the balance of rotor and wave generator as one body (`models.dynamics.transmitted_torque`), with the LuGre bristle
+driven by the measured velocity and friction under the last torque's load. Velocity and acceleration are the motor
+encoder's, through a causal second-order low-pass. Everything that depends on the motor's angle (current, cogging, the
+transmission's ratio) passes the same one, so that both sides stay in phase. It needs no second encoder. At rest,
+friction and the error are unknown up to the friction's level.
 
-Where noise asks for a low cutoff its lag, √2/ω, outweighs the noise. With `lead` the current's low-pass is (1 + lead·√2 s/ω)/(1 +
-√2 s/ω + s²/ω²): at 1 a load that rises evenly is followed without lag, at √3 times the noise.
+If noise needs a low cutoff, its lag √2/ω outweighs the noise. With `lead` the current's low-pass is (1 + lead·√2
+s/ω)/(1 + √2 s/ω + s²/ω²): at 1 a ramp of the load has no lag, at √3 times the noise.
 """
 
 from __future__ import annotations
@@ -35,16 +36,17 @@ OUT = np.dtype([(n, np.float64) for n in ("torque", "motor_velocity", "motor_acc
 
 @kernel
 def torque_of_current(m, s, c, p):
-    """Joint torque Ts [N·m] at a sample, a record of `models.step.SAMPLE`.
+    """Return the joint torque Ts [N·m] at a sample, a record of `models.step.SAMPLE`.
 
     Args:
-        m: record of `MEMORY`, moved on. c: record of `SETTINGS`: cutoff of the low-pass [rad/s], lead [s]. p: parameter record.
+      m: record of `MEMORY`, updated. c: record of `SETTINGS`: cutoff of the low-pass [rad/s], lead [s]. p: parameter
+        record.
     """
     cutoff = c.cutoff
     motor = dynamics.actual_motor_position(s.motor_position, p)
     lowpass(m.motor, motor, s.interval, cutoff)
     w, a = m.motor.rate, m.motor.acceleration
-    # Without a link encoder friction that depends on the link's angle takes the motor's.
+    # Without a link encoder, friction depends on the motor's angle.
     link = motor / p.N
     if not math.isnan(s.link_position):
         link = dynamics.actual_link_position(s.link_position, motor, w, s.time, p)
@@ -75,8 +77,8 @@ class MotorCurrent(CausalEstimator):
     """Joint torque from motor current.
 
     Attributes:
-        cutoff: of the low-pass [Hz].
-        lead: share of the low-pass's lag that is made up for [1].
+      cutoff: of the low-pass [Hz].
+      lead: corrected share of the low-pass's lag [1].
     """
 
     name: str = "current"

@@ -1,6 +1,7 @@
-"""Joint torque from the motor current, offline: motion, current and friction through one zero-phase smoother (`smoothed`).
+"""Joint torque from the motor current, offline: motion, current and friction through one zero-phase smoother
+(`smoothed`).
 
-As `current`, without its lag, and with as much bandwidth as the readings' noise allows.
+As `current`, without its lag, with the largest bandwidth that the readings' noise allows.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ class CurrentSmoothed(Estimator):
     """Joint torque from motor current, smoothed; not causal.
 
     Attributes:
-        quiet: noise that it may have [rated torques], which decides about its bandwidth (`smoothed.bandwidth`).
+      quiet: allowed noise [rated torques], which decides its bandwidth (`smoothed.bandwidth`).
     """
 
     name: str = "current_smoothed"
@@ -37,7 +38,7 @@ class CurrentSmoothed(Estimator):
         motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
         torque = smoothed.torque_from_current(motion, joint)
         grid, velocity = motion.time, motion.link_velocity.copy()
-        del motion  # of an hour, 350 MB
+        del motion  # 350 MB less for an hour
         velocity *= joint.p["bl"]
         torque -= velocity
         return Posterior(self.name, signals.time, np.interp(signals.time, grid, torque))

@@ -1,10 +1,9 @@
 """Joint-dynamics extended Kalman filter: encoders and current through the joint's own equations.
 
-State and laws: `joint_model`; the filter: `dynamics_filter`. The current is an input, the encoders are the measurements.
-
-It takes the record as it is. With `process.stiffness` and `process.motor_constant` (0.07 and 0.02, the tolerances of a data
-sheet) it estimates those two; kinematic error that is off then passes for stiffness, and on joints known within tolerance
-that is worse than leaving them (`augmented` is for those).
+State and laws: `joint_model`; the filter: `dynamics_filter`. The current is an input, the encoders are the
+measurements. The record counts as exact. With `process.stiffness` and `process.motor_constant` (0.07 and 0.02, the
+tolerances of a datasheet) it estimates these two. An error of the kinematic error then appears as stiffness: on
+joints known within tolerance that is worse than without (`augmented` is for those).
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...models.step import Step, step_of
-from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, tell
+from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, write_out
 from ..estimator import CausalEstimator, KnownJoint
 from ..joint_model import TUNING, ProcessNoise
 from ..tuning_parameters import TuningParameter
@@ -24,7 +23,7 @@ from ..tuning_parameters import TuningParameter
 @step_of(FILTER, SETTINGS, OUT)
 def _step(m, s, p, c, o):
     torque, variance = filter_step(m, s, c, p, False)
-    return tell(m, torque, variance, o)
+    return write_out(m, torque, variance, o)
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ class DynamicsEKF(CausalEstimator):
     """Extended Kalman filter on the joint's dynamics; see the module.
 
     Attributes:
-        process: how far the joint departs from its equations.
+      process: deviation of the joint from its equations.
     """
 
     name: str = "dynamics_ekf"

@@ -11,7 +11,7 @@ from typing import ClassVar
 import numpy as np
 
 from ...models.step import Step, step_of
-from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, tell
+from ..dynamics_filter import FILTER, OUT, SETTINGS, filter_step, write_out
 from ..estimator import KnownJoint
 from .dynamics_ekf import DynamicsEKF
 
@@ -19,7 +19,7 @@ from .dynamics_ekf import DynamicsEKF
 @step_of(FILTER, SETTINGS, OUT)
 def _step(m, s, p, c, o):
     torque, variance = filter_step(m, s, c, p, True)
-    return tell(m, torque, variance, o)
+    return write_out(m, torque, variance, o)
 
 
 @dataclass(frozen=True)
@@ -27,8 +27,8 @@ class DynamicsUKF(DynamicsEKF):
     """Unscented Kalman filter on the joint's dynamics.
 
     Attributes:
-        process: how far the joint departs from its equations.
-        kappa: κ [1], spread of the sigma points.
+      process: deviation of the joint from its equations.
+      kappa: κ [1], spread of the sigma points.
     """
 
     name: str = "dynamics_ukf"

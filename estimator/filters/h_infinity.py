@@ -2,11 +2,11 @@
 
     K = P (I − θ S̄ P + HᵀV⁻¹H P)⁻¹ HᵀV⁻¹      x⁺ = x + K (y − H x)      P⁺ = P (I − θ S̄ P + HᵀV⁻¹H P)⁻¹
 
-with S̄ = diag(1, 0), the torque is what matters, and θ = γ⁻². A solution exists while P⁻¹ − θ S̄ + HᵀV⁻¹H > 0.
+with S̄ = diag(1, 0), which weights the torque, and θ = γ⁻². A solution exists while P⁻¹ − θ S̄ + HᵀV⁻¹H > 0.
 
-Against the paper's robust EKF, Eq. (18), Σ = (P⁻¹ − γ⁻² LᵀL)⁻¹ followed by a Kalman update: for S̄ = LᵀL that is the *same
-recursion*, P⁺⁻¹ = Σ⁻¹ + HᵀV⁻¹H. What differs is the condition, Eq. (18) asks for P⁻¹ > γ⁻² LᵀL before the measurement
-is taken, and here the model (two states instead of one). A test runs both.
+The paper's robust EKF, Eq. (18), is Σ = (P⁻¹ − γ⁻² LᵀL)⁻¹ followed by a Kalman update: for S̄ = LᵀL the *same
+recursion*, P⁺⁻¹ = Σ⁻¹ + HᵀV⁻¹H. The condition differs: Eq. (18) needs P⁻¹ > γ⁻² LᵀL before the measurement. So does
+the model: two states instead of one. A test runs both.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ import numpy as np
 from ...models.kernels import kernel
 from ...models.step import Step, step_of
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, write_out
 
 _NO_SOLUTION = 2
 
 
 @kernel
 def correct(f, e, V, theta):
-    """Update with the innovation `e` [N·m], in place; returns V + HΣHᵀ with Σ of Eq. (18), or −1 without a solution."""
+    """Update with the innovation `e` [N·m], in place; return V + HΣHᵀ with Σ of Eq. (18), or −1 without a solution."""
     # P (I + c HᵀH P)⁻¹ with c = 1/V − θ, as S̄ = HᵀH: Sherman and Morrison.
     c = 1.0 / V - theta
     bottom = 1.0 + c * f.P00
@@ -48,7 +48,7 @@ def _step(m, s, p, c, o):
     S = correct(m.filter, e, c.V, c.first) if s.interval != 0.0 else 0.0
     if S < 0.0:
         return _NO_SOLUTION
-    return tell(m.filter, e, S, o)
+    return write_out(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,8 @@ class HInfinity(TorqueFilter):
     """Fixed-γ H∞ filter.
 
     Attributes:
-        gamma: attenuation γ in standard deviations of the measurement [√V]; infinity is the Kalman filter. Near 1 the
-            gain is near 1 too, and the filter gives back the measurement.
+      gamma: attenuation γ in standard deviations of the measurement [√V]; infinity is the Kalman filter. Near 1 the
+        gain is near 1, too, and the filter returns the measurement.
     """
 
     name: str = "h_infinity"

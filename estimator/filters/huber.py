@@ -1,13 +1,14 @@
 """Huber's M-estimator in a Kalman filter on the constant-rate torque model (Karlgaard & Schaub, "Huber-based divided
 difference filtering", J. Guidance, Control and Dynamics 30, 2007).
 
-Each update is the regression of prediction and measurement, whitened by P⁻ = A Aᵀ and √V, on the state, with Huber's loss
-instead of the square,
+Each update is the regression of prediction and measurement, whitened by P⁻ = A Aᵀ and √V, on the state, with Huber's
+loss instead of the square,
 
     x⁺ = argmin Σ ρ(rᵢ),   r = [A⁻¹ (x − x⁻); (y − H x)/√V],   ρ(r) = r²/2 within ±k, k|r| − k²/2 beyond
 
-by iterated reweighting: weights ψᵢ = min(1, k/|rᵢ|) divide the variances. It protects from outliers of the measurement; a
-push, which is an outlier of the prediction, is the worse followed the more the measurement is doubted.
+by iterated reweighting: weights ψᵢ = min(1, k/|rᵢ|) divide the variances. It protects from outliers of the
+measurement. A push is an outlier of the prediction: the less the measurement counts, the more slowly the filter
+follows.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import ClassVar
 from ...models.kernels import kernel
 from ...models.step import Step, step_of
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, innovation, write_out
 
 _TOLERANCE, _MOST = 1e-9, 50
 
@@ -54,7 +55,7 @@ def correct(f, e, V, k, tolerance, most):
 def _step(m, s, p, c, o):
     e = innovation(m, s, p, c)
     S = correct(m.filter, e, c.V, c.first, _TOLERANCE, _MOST) if s.interval != 0.0 else 0.0
-    return tell(m.filter, e, S, o)
+    return write_out(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)
@@ -62,7 +63,7 @@ class Huber(TorqueFilter):
     """Huber's robust Kalman filter.
 
     Attributes:
-        k: where the loss turns linear [standard deviations]; 1.345 is 95 % efficient at normal noise.
+      k: residual from which the loss is linear [standard deviations]; 1.345 is 95 % efficient at normal noise.
     """
 
     name: str = "huber"

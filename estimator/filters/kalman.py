@@ -2,8 +2,8 @@
 
     x = [T, T']     F = [[1, h], [0, 1]]     W = q·[[h³/3, h²/2], [h²/2, h]]     y = T + v,  v ~ (0, V)
 
-the continuous white-noise-acceleration model (Bar-Shalom, Li & Kirubarajan 2001, section 6.2). The other torque filters of
-this folder share the model and differ in their gain.
+the continuous white-noise-acceleration model (Bar-Shalom, Li & Kirubarajan 2001, section 6.2). The other torque
+filters of this folder share the model and differ in their gain.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from ..tuning_parameters import TuningParameter
 STATE = np.dtype([(name, np.float64) for name in ("torque", "torque_rate", "P00", "P01", "P11")])
 """Torque [N·m], its rate [N·m/s] and their covariance."""
 MEMORY = np.dtype([("torsion", TORSION), ("filter", STATE), ("expected", np.float64)])
-"""`expected`: squared innovation that a fading filter remembers [(N·m)²]."""
+"""`expected`: squared innovation in the memory of a fading filter [(N·m)²]."""
 SETTINGS = np.dtype([(name, np.float64) for name in ("q", "V", "rate_variance", "first", "second")])
-"""q [(N·m)²/s³], V [(N·m)²], variance of the first rate; the two tuning parameters that a filter may have of its own."""
+"""q [(N·m)²/s³], V [(N·m)²], variance of the first rate; two tuning parameters of subclasses."""
 OUT = np.dtype([(n, np.float64) for n in ("torque", "variance", "innovation", "innovation_variance", "torque_rate")])
 ACCELERATION = TuningParameter("acceleration", 1e-3, 1e3)
 
@@ -48,7 +48,7 @@ def predict(f, h, q):
 
 @kernel
 def innovation(m, s, p, c):
-    """Begin at the first sample, predict a record of `MEMORY` up to others; what is read there less what was expected [N·m]."""
+    """Start at the first sample, else predict a record of `MEMORY`; return the innovation [N·m]."""
     f, y = m.filter, measure(m.torsion, s, p).torque
     if s.interval == 0.0:
         start(f, y, c)
@@ -71,8 +71,8 @@ def correct(f, e, V):
 
 
 @kernel
-def tell(f, e, S, o):
-    """Write the outputs; the status."""
+def write_out(f, e, S, o):
+    """Write the outputs; return the status."""
     o.torque, o.variance, o.innovation, o.innovation_variance, o.torque_rate = f.torque, f.P00, e, S, f.torque_rate
     return OK if math.isfinite(f.torque + f.P00) else NOT_FINITE
 
@@ -81,7 +81,7 @@ def tell(f, e, S, o):
 def _step(m, s, p, c, o):
     e = innovation(m, s, p, c)
     S = correct(m.filter, e, c.V) if s.interval != 0.0 else 0.0
-    return tell(m.filter, e, S, o)
+    return write_out(m.filter, e, S, o)
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ class TorqueFilter(CausalEstimator):
         return np.array([((self.acceleration * scale) ** 2, V, (self.rate * scale) ** 2, *own)], SETTINGS)
 
     def _own(self, V: float) -> tuple[float, float]:
-        """The filter's own two settings, given V."""
+        """Return the filter's own two settings, given V."""
         return 0.0, 0.0
 
 

@@ -1,8 +1,8 @@
 """Low-pass filtered compliance: the compliance model through a Butterworth low-pass of first or second order.
 
-Zhang, Ahmad & Liu, "Torque Estimation Technique of Robotic Joint with Harmonic Drive Transmission", ICRA 2013, filter the
-torsion's torque so. Digital design by the bilinear transform; it starts settled at the first sample. Where
-samples are uneven their median interval counts.
+Zhang, Ahmad & Liu, "Torque Estimation Technique of Robotic Joint with Harmonic Drive Transmission", ICRA 2013, filter
+the torsion's torque in this way. Digital design by the bilinear transform, in steady state at the first sample.
+Uneven samples use their median interval.
 """
 
 from __future__ import annotations

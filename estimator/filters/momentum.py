@@ -1,28 +1,28 @@
-"""Generalised-momentum observers (De Luca & Mattone, "Actuator failure detection and isolation using generalized momenta", ICRA
-2003; "Sensorless robot collision detection and hybrid force/motion control", ICRA 2005). For a momentum p with
-p' = known torques + unknown,
+"""Generalised-momentum observers (De Luca & Mattone, "Actuator failure detection and isolation using generalized
+momenta", ICRA 2003; "Sensorless robot collision detection and hybrid force/motion control", ICRA 2005). For a
+momentum p with p' = known torques + unknown,
 
     r = K (p − p(0) − ∫ (known + r) dt)        so that  r' = K (unknown − r)
 
-Two of them, one a body: the drive's, p_m = (Jm + Jw)·ωm, whose unknown is what the flexspline takes, −Tf·(1/N − θerr'); and the
+One for each body: the drive's, p_m = (Jm + Jw)·ωm, whose unknown is the flexspline's load −Tf·(1/N − θerr'); and the
 link's, p_l = Jl·ωl, whose unknown is Ts + τext.
 
     known_m = Kt·i + cogging − bm·ωm − Fmesh           Ts = −r_m/(1/N − θerr') − bl·ωl
     known_l = −Mg·sin θl + link torques                τext = r_l − Ts
 
-With one K for both, τext is De Luca's residual of the joint as one rigid body, momentum p_l + N·p_m (a test says so), and
-Ts is the joint torque through the same first-order lag, which the transmission's ratio passes too. Friction is the LuGre law's at
-the measured velocity.
+With one K for both, τext is De Luca's residual of the joint as one rigid body, momentum p_l + N·p_m (tested), and Ts
+is the joint torque through the same first-order lag, which the transmission's ratio passes too. Friction is the LuGre
+law's at the measured velocity.
 
-`momentum_torsion` combines it with the torsion, which knows nothing of friction: while the joint turns, friction is its
-model's and the observer is right in the mean; at rest, friction is anything up to its level and only the torsion tells
-of changes. Weight of the observer s = ωm²/(ωm² + ω₀²), through a low-pass; the torsion's offset follows the observer
-while it turns, and holds at rest:
+`momentum_torsion` combines it with the torsion, which does not depend on friction. While the joint turns, friction
+follows its model and the observer has no mean error. At rest, friction is unknown up to its level, and only the
+torsion shows changes. The observer's weight is s = ωm²/(ωm² + ω₀²), through a low-pass. The torsion's offset follows
+the observer in motion, and is constant at rest:
 
     T = s·T_observer + (1 − s)·(T_torsion + b)        b' = s·(T_observer − T_torsion − b)/time
 
-A combination of this kind is Graabæk & Sloth's (2025). Their text was not at hand: this is a reading of the name,
-not of the paper.
+A combination of this kind is Graabæk & Sloth's (2025). Their text was not available: this follows the name, not the
+paper.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ OBSERVER = np.dtype([(name, np.float64) for name in (
     "motor_position", "link_position", "motor_velocity", "link_velocity", "bristle", "drive_sum", "link_sum", "drive_residual",
     "link_residual", "ratio", "load", "joint_torque",
 )])  # fmt: skip
-"""What both observers remember; angles and velocities as they are, sums ∫ (known + r) dt, residuals r, joint torque Ts."""
+"""Memory of both observers: corrected angles and velocities, sums ∫ (known + r) dt, residuals r, joint torque Ts."""
 MEMORY = np.dtype([("torsion", TORSION), ("observer", OBSERVER), ("weight", np.float64), ("offset", np.float64)])
 SETTINGS = np.dtype([(name, np.float64) for name in ("gain", "cutoff", "turning", "smoothing", "follow")])
 OUT = np.dtype([(name, np.float64) for name in (
@@ -55,11 +55,11 @@ OUT = np.dtype([(name, np.float64) for name in (
 
 @kernel
 def observe(m, s, found, c, p):
-    """Move both observers on to a sample.
+    """Update both observers with a sample.
 
     Args:
-        m: record of `OBSERVER`. s: record of `models.step.SAMPLE`. found: of `compliance.measure`.
-        c: record of `SETTINGS`: gain K [1/s], cutoff of the velocities' first-order low-pass [rad/s].
+      m: record of `OBSERVER`. s: record of `models.step.SAMPLE`. found: of `compliance.measure`.
+      c: record of `SETTINGS`: gain K [1/s], cutoff of the velocities' first-order low-pass [rad/s].
     """
     h, K = s.interval, c.gain
     motor, link = found.motor_position, found.link_position
@@ -89,8 +89,8 @@ def observe(m, s, found, c, p):
 
 
 @kernel
-def tell(m, torque, o):
-    """Write the outputs of a record of `OBSERVER`; the status."""
+def write_out(m, torque, o):
+    """Write the outputs of a record of `OBSERVER`; return the status."""
     o.torque, o.external_torque, o.joint_torque_observed = torque, m.link_residual - torque, m.joint_torque
     o.motor_velocity, o.link_velocity, o.bristle = m.motor_velocity, m.link_velocity, m.bristle
     return OK if math.isfinite(torque + m.link_residual) else NOT_FINITE
@@ -99,7 +99,7 @@ def tell(m, torque, o):
 @step_of(MEMORY, SETTINGS, OUT)
 def _observer_step(m, s, p, c, o):
     observe(m.observer, s, measure(m.torsion, s, p), c, p)
-    return tell(m.observer, m.observer.joint_torque, o)
+    return write_out(m.observer, m.observer.joint_torque, o)
 
 
 @step_of(MEMORY, SETTINGS, OUT)
@@ -111,7 +111,7 @@ def _combined_step(m, s, p, c, o):
     m.weight += (1.0 - math.exp(-h / c.smoothing)) * (w**2 / (w**2 + c.turning**2) - m.weight)
     m.offset += (1.0 - math.exp(-h * m.weight / c.follow)) * (observed - found.torque - m.offset)
     torque = m.weight * observed + (1.0 - m.weight) * (found.torque + m.offset)
-    return tell(m.observer, torque, o)
+    return write_out(m.observer, torque, o)
 
 
 @dataclass(frozen=True)
@@ -143,9 +143,9 @@ class MomentumTorsion(MomentumObserver):
     """Momentum observer while turning, torsion at rest.
 
     Attributes:
-        turning: motor velocity ω₀ from which on the observer counts [vs, the Stribeck velocity].
-        smoothing: of the weight [s].
-        follow: time in which the torsion's offset follows the observer [s].
+      turning: motor velocity ω₀ of equal weights [vs, the Stribeck velocity].
+      smoothing: of the weight [s].
+      follow: time constant of the torsion's offset [s].
     """
 
     name: str = "momentum_torsion"

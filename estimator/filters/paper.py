@@ -1,25 +1,31 @@
-"""The paper's filters: EKF, robust EKF (REKF), AREKF and RAREKF on the compliance model's torque (Shi & Liu, Section IV).
+"""The paper's filters: EKF, robust EKF (REKF), AREKF and RAREKF on the compliance model's torque (Shi & Liu, Section
+IV).
 
 One state, the flexspline torque as a random walk, F = H = 1; the measurement Y is Eq. (7) applied to the encoders
-(`compliance`). One recursion (`recursion`), four rules. The paper gives neither W, V, ρ, k nor P(0). The defaults are for the
-test joint at 1 kHz; `scaled` makes those of any joint.
+(`compliance`). One recursion (`recursion`), four rules. The paper gives neither W, V, ρ, k nor P(0). The defaults are
+for the test joint at 1 kHz; `scaled` converts them to any joint.
 
 **V** = 0.1² (N·m)². Quantisation of the motor encoder (4096 counts/rev: 4.4e-6 rad at the output), of the link
-    encoder (20 bit: 1.7e-6 rad) and its noise (1.5e-6 rad) give 5.0e-6 rad, times K2 = 9400 N·m/rad: 0.047 N·m. The
-    torque command that stands for Tw carries the encoder's counts through the velocity feedback: 0.9e-3 N·m rms at
-    no load, where the wave generator is softest (1/(N·Kw0)), give another 7.7e-6 rad or 0.06 N·m: the raw model is
-    then 0.076 N·m rms off in the shipped no-load scenario. V is 1.6 times that variance: with V matched, P̄_Y
-    exceeds P_Y half of the time by chance, and α = 1 would be robust half of the time with nothing to be robust to.
-**W** = 0.01² (N·m)² per step of 1 ms: the torque as a random walk. A walk of σ per step covers 10 ms with 3.2 σ:
-    0.03 N·m, the change in 10 ms of a load of 9 N·m that swings at 0.35 rad/s. The steady gain is then 0.095, the
-    time constant 10 ms. Faster changes are what robust mode is for.
+encoder (20 bit: 1.7e-6 rad) and its noise (1.5e-6 rad) give 5.0e-6 rad, times K2 = 9400 N·m/rad: 0.047 N·m. The
+torque command used for Tw contains the encoder's counts through the velocity feedback: 0.9e-3 N·m rms at no load,
+where the wave generator is softest (1/(N·Kw0)), give another 7.7e-6 rad or 0.06 N·m. The raw model's error is then
+0.076 N·m rms in the shipped no-load scenario. V is 1.6 times that variance: with V matched, P̄_Y exceeds P_Y half of
+the time by chance, and α = 1 would be robust half of the time without reason.
+
+**W** = 0.01² (N·m)² per step of 1 ms: the torque as a random walk. A walk of σ per step covers 10 ms with 3.2 σ: 0.03
+N·m, the change in 10 ms of a load of 9 N·m that swings at 0.35 rad/s. The steady gain is then 0.095, the time
+constant 10 ms. Robust mode is for faster changes.
+
 **P0** = V: at the start X̂ = Y(0), so the estimate's error is the measurement's.
+
 **ρ** = 9: P̄_Y forgets with ρ/(ρ+1) = 0.9 per step, a memory of 10 ms. At matched noise P̄_Y/P_Y then scatters by
-    √(2/(2ρ+1)) = 0.32 about 1: short enough to catch a push in a few steps, long enough not to answer one sample.
-**k** = 1/16 1/(N·m)²: α exceeds 1 above 4 N·m, a quarter of the rated torque (also the first knee), and is 16 at
-    rated torque: an innovation must then have four times the standard deviation that P_Y gives it.
-**γ** = 0.12 N·m for the fixed-γ rule. For one state P(k|k-1) ≤ max(V, P0) + W = 0.0101 always, and Eq. (18) needs
-    γ² > P(k|k-1): 0.0144 leaves Σ = 1.1 P in steady state.
+√(2/(2ρ+1)) = 0.32 about 1: short enough to follow a push in a few steps, long enough to ignore one sample.
+
+**k** = 1/16 1/(N·m)²: α exceeds 1 above 4 N·m, a quarter of the rated torque (also T1), and is 16 at rated torque: an
+innovation must then have four times the standard deviation of P_Y.
+
+**γ** = 0.12 N·m for the fixed-γ rule. For one state P(k|k-1) ≤ max(V, P0) + W = 0.0101 always, and Eq. (18) needs γ²
+> P(k|k-1): 0.0144 leaves Σ = 1.1 P in steady state.
 """
 
 from __future__ import annotations
@@ -85,23 +91,23 @@ class PaperFilter(CausalEstimator):
     """One of the paper's filters. Defaults: see the module.
 
     Attributes:
-        name: how results call it; the rule by default.
-        rule: `ekf`, `robust` (Eq. 18, fixed γ), `arekf` (Eq. 19, α = 1) or `rarekf` (Eq. 19, α of the load).
-        gamma: attenuation factor γ of Eq. (18) [N·m]; infinity is the EKF.
-        k: of Eq. (23) [1/(N·m)²].
-        rho: forgetting factor ρ of Eq. (20) [1].
-        W: process noise variance of one step [(N·m)²].
-        V: measurement noise variance [(N·m)²].
-        P0: variance of the first estimate [(N·m)²].
-        L: L = scale·I of Eq. (18) [1].
-        alpha: Eq. (23) as `max(1, kω²)`; as `printed`, `min(kω², 1)`, which at zero load ends in `FilterDiverged`; or its
-            `inverse` read as what is printed, `max(1, 1/(kω²))`: never robust without load, and easily under it.
-        memory: Eq. (20) carries P̄_Y(k-1) forward as its `source` does, or P_Y(k-1) of Eq. (14) as `printed`.
-        covariance: P_Y in Eqs. (19), (25) is that of the `unadjusted` prediction, or the `adjusted` one of Eq. (14),
-            which contains the Σ it decides: f_α then solves both equations at once.
+      name: in results; the rule by default.
+      rule: `ekf`, `robust` (Eq. 18, fixed γ), `arekf` (Eq. 19, α = 1) or `rarekf` (Eq. 19, α of the load).
+      gamma: attenuation factor γ of Eq. (18) [N·m]; infinity is the EKF.
+      k: of Eq. (23) [1/(N·m)²].
+      rho: forgetting factor ρ of Eq. (20) [1].
+      W: process noise variance of one step [(N·m)²].
+      V: measurement noise variance [(N·m)²].
+      P0: variance of the first estimate [(N·m)²].
+      L: L = scale·I of Eq. (18) [1].
+      alpha: Eq. (23) as `max(1, kω²)`; as `printed`, `min(kω², 1)`, which ends in `FilterDiverged` at zero load; or
+        `inverse`, `max(1, 1/(kω²))`: never robust without load, and easily under it.
+      memory: Eq. (20) uses P̄_Y(k-1) as in its `source`, or P_Y(k-1) of Eq. (14) as `printed`.
+      covariance: P_Y in Eqs. (19), (25) is that of the `unadjusted` prediction, or the `adjusted` one of Eq. (14),
+        which contains the Σ that it decides: f_α then solves both equations at once.
 
     Raises:
-        InputError: a value of the wrong kind or out of range; names field, unit, what was expected and what came.
+      InputError: a value of the wrong kind or out of range, with field and unit.
     """
 
     name: str = ""
@@ -146,19 +152,20 @@ class PaperFilter(CausalEstimator):
 
     @property
     def description(self) -> str:  # type: ignore[override]  # its own for every rule
-        """What it is, with its source."""
+        """Description with its source."""
         return _DESCRIPTIONS[self.rule]
 
     @property
     def tuning(self) -> tuple[TuningParameter, ...]:  # type: ignore[override]
-        """What may be tuned; P0 goes with V."""
+        """Tuning parameters; P0 follows V."""
         return _TUNING[self.rule]
 
     def scaled(self, joint: KnownJoint, interval: float) -> PaperFilter:
-        """The same filter for a joint sampled every `interval` [s]; for the test joint at 1 kHz itself, to the bit.
+        """Return the same filter for a joint sampled every `interval` [s]; unchanged, to the bit, for the test joint
+        at 1 kHz.
 
-        V and P0 scale with the variance that the joint's sensors leave in the compliance model, W with the square of the rated
-        torque and with the interval, k with the inverse square of the rated torque.
+        V and P0 scale with the variance of the compliance model by the joint's sensors, W with the square of the
+        rated torque and with the interval, k with the inverse square of the rated torque.
         """
         noise = torque_variance(joint) / _TEST_JOINT
         torque, step = joint.rated_torque / 16.0, round(interval / 1e-3, 6)
@@ -166,11 +173,12 @@ class PaperFilter(CausalEstimator):
         return replace(scaled, P0=self.P0 * noise, k=self.k / torque**2)
 
     def with_noise(self, W: float, V: float) -> PaperFilter:
-        """The same filter with other noise; γ² grows with V + W, which P(k|k-1) stays below, so that it still clears Eq. (18)."""
+        """Return the same filter with other noise. γ² grows with V + W, an upper bound of P(k|k-1), so that Eq. (18)
+        still holds."""
         return replace(self, W=W, V=V, gamma=self.gamma * math.sqrt((V + W) / (self.V + self.W)))
 
     def record(self) -> np.ndarray:
-        """The numbers for compiled code, shape (1,), of `recursion.SETTINGS`."""
+        """Return the numbers for compiled code, shape (1,), of `recursion.SETTINGS`."""
         found = np.zeros(1, SETTINGS)
         for field in ("W", "V", "P0", "L", "k", "rho"):
             found[field] = getattr(self, field)
@@ -187,7 +195,8 @@ class PaperFilter(CausalEstimator):
         return self.failure(status, out[0], self.L**2 * (out[1] + self.W))
 
     def failure(self, status: int, torque: float, P: float) -> str:
-        """Why an update failed, for people; `torque`: the last estimate [N·m], P: the largest eigenvalue of LPLᵀ."""
+        """Return why an update failed, in words. `torque`: the last estimate [N·m], P: the largest eigenvalue of
+        LPLᵀ."""
         if status == recursion.GAMMA_TOO_SMALL:
             return (
                 f"P⁻¹ - γ⁻²LᵀL of Eq. (18) is not positive definite: gamma = {self.gamma:g} N·m "
@@ -237,12 +246,3 @@ ESTIMATORS = (
     PaperFilter("RAREKF", "rarekf"),
     PaperFilter("REKF", "robust"),
 )
-
-
-def paper_filters(**changes) -> tuple[PaperFilter, PaperFilter, PaperFilter]:
-    """EKF, AREKF and RAREKF with the same numbers; `changes` are fields of `PaperFilter`."""
-    return (
-        PaperFilter(rule="ekf", **changes),
-        PaperFilter(rule="arekf", **changes),
-        PaperFilter(rule="rarekf", **changes),
-    )

@@ -1,10 +1,9 @@
-"""Observers of a rigid payload (`payload_model`), from the motor current: as it becomes known, and as known in the end.
+"""Observers of a rigid payload (`payload_model`) from the motor current: causal, and over the whole recording.
 
-`payload` is causal: rotor, link and current pass the same low-pass, two of `sensing.lowpass` in a row, so that its
-regression stays in step; the payload's torque is then that of the link's present angle. `payload_smoothed` sees the whole
-recording through the zero-phase smoother (`smoothed`), filters it again about what it knew at the end until that no longer
-moves (Gauss-Newton for the most probable payload), and gives that payload's torque everywhere. Both are blind to contact, by
-construction.
+`payload` is causal. Rotor, link and current pass the same low-pass (two of `sensing.lowpass`), so that its regression
+stays in phase. The payload's torque is that at the link's present angle. `payload_smoothed` uses the zero-phase
+smoother (`smoothed`). It repeats the filter, linearised about its last result, until that converges (Gauss-Newton for
+the most probable payload), and gives that payload's torque everywhere. Both cannot see contact.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from ..tuning_parameters import TuningParameter
 DECIMATION = 4
 """Grid steps per sample of the regression."""
 _ITERATIONS = 10
-_SECOND = 1.5  # cutoff of the second low-pass in that of the first: less lag for what acceleration still must lose
+_SECOND = 1.5  # cutoff of the second low-pass over that of the first
 
 MEMORY_RECORD = np.dtype([
     ("x", np.float64, SIZE), ("P", np.float64, (SIZE, SIZE)), ("motor", LOWPASS, 2), ("link", LOWPASS, 2), ("drive", LOWPASS, 2),
@@ -77,10 +76,10 @@ def _step(m, s, p, c, o):
 
 @dataclass(frozen=True)
 class PayloadObserver(CausalEstimator):
-    """Observer of a rigid payload as it becomes known.
+    """Observer of a rigid payload, causal.
 
     Attributes:
-        cutoff: of the low-pass [Hz].
+      cutoff: of the low-pass [Hz].
     """
 
     name: str = "payload"
@@ -99,10 +98,10 @@ class PayloadObserver(CausalEstimator):
 
 @dataclass(frozen=True)
 class PayloadSmoothed(Estimator):
-    """The rigid payload that the whole recording shows; not causal.
+    """The rigid payload of the whole recording; not causal.
 
     Attributes:
-        quiet: noise that the estimate from current may have [rated torques], which decides about the bandwidth of the motion.
+      quiet: allowed noise of the estimate from current [rated torques], which decides the bandwidth of the motion.
     """
 
     name: str = "payload_smoothed"
@@ -124,7 +123,7 @@ class PayloadSmoothed(Estimator):
     def _observed(self, signals: Signals, joint: KnownJoint) -> tuple[Posterior, KnownPayload]:
         for name in self.needs:
             signals[name]
-        current = slow_current(signals)  # before an hour's motion is there, 290 MB
+        current = slow_current(signals)  # before the motion takes memory
         motion = smoothed.smooth_motion(signals, joint, smoothed.bandwidth(signals, joint, self.quiet))
         own = smoothed.own_torque(motion, joint, smoothed.torque_from_current(motion, joint))
         own -= smoothed.arm_torque(motion, signals)
@@ -138,31 +137,25 @@ class PayloadSmoothed(Estimator):
 
 
 def slow_current(signals: Signals) -> np.ndarray:
-    """The current [A] as `observe` takes it, shape (n,): smoothed, at every `DECIMATION`-th point of the grid."""
+    """Return the current [A] for `observe`, shape (n,): smoothed, at every `DECIMATION`-th point of the grid."""
     read = signals["motor_current"][:, None]
     return np.ascontiguousarray(smooth(signals.time, read, smoothed.STEP, CUTOFF, DECIMATION).value[:, 0])
 
 
 def observe(joint: KnownJoint, motion: smoothed.Motion, own: np.ndarray, current: np.ndarray) -> KnownPayload:
-    """What a recording's part shows of the payload in the end.
+    """Return the payload of a part of a recording.
 
     Args:
-        motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque` [N·m]; current: of `slow_current` [A]; shape (n,), at
-            every `DECIMATION`-th point of the grid.
+      motion: of `smoothed.smooth_motion`; own: of `smoothed.own_torque` [N·m]; current: of `slow_current` [A]; shape
+        (n,), at every `DECIMATION`-th point of the grid.
     """
-    columns = [
-        motion.since, motion.motor_position, motion.motor_velocity, motion.motor_acceleration, motion.link_position,
-        motion.link_velocity, motion.link_acceleration, motion.temperature, own,
-    ]  # fmt: skip
-    *given, own = (np.ascontiguousarray(c) for c in columns)
-    given += [current, own]
-    sigma, first = noise(joint), prior(joint)
-    share = math.exp(-smoothed.STEP * DECIMATION / MEMORY)
-    x = _filter(*given, joint.record, first, sigma, share, np.empty(0))
-    # Again, linearised about what was known in the end.
+    given = joint.record, prior(joint), noise(joint), math.exp(-smoothed.STEP * DECIMATION / MEMORY)
+    own = np.ascontiguousarray(own)
+    x = _filter(motion, current, own, *given, np.empty(0))
+    # Repeat, linearised about the last result.
     for _ in range(_ITERATIONS):
         about = x[:4].copy()
-        x = _filter(*given, joint.record, first, sigma, share, about)
+        x = _filter(motion, current, own, *given, about)
         if np.allclose(x[:4], about, rtol=1e-3, atol=1e-3):
             break
     return KnownPayload(*map(float, x[:4]))
@@ -175,17 +168,19 @@ def _external_torques(x, link, a, out):
 
 
 @kernel
-def _filter(since, motor, w, w_dot, link, v, a, heat, current, own, record, prior, noise, share, about):
+def _filter(m, current, own, record, prior, noise, share, about):
     p = record[0]
     x, P = prior[:, 0].copy(), np.diag(prior[:, 1] ** 2)
-    for i in range(len(since)):
+    for i in range(len(own)):
         if i > 0:
             forget(x, P, share, prior[4, 1] ** 2)
         at = about if len(about) > 0 else x[:4].copy()
-        T = own[i] - external_torque(at, link[i], a[i]) + p.bl * v[i]
-        actual = dynamics.actual_motor_current(current[i], motor[i], link[i], w[i], T, since[i], p)
-        state = dynamics.drive_state(motor[i], w[i], link[i], v[i], dynamics.UNREAD, actual, since[i], heat[i])
-        seen = Seen(state, w_dot[i], a[i], dynamics.rotor_torque(state, 0.0, T, p), own[i])
+        motor, w, since = m.motor_position[i], m.motor_velocity[i], m.since[i]
+        link, v, a = m.link_position[i], m.link_velocity[i], m.link_acceleration[i]
+        T = own[i] - external_torque(at, link, a) + p.bl * v
+        actual = dynamics.actual_motor_current(current[i], motor, link, w, T, since, p)
+        state = dynamics.drive_state(motor, w, link, v, dynamics.UNREAD, actual, since, m.temperature[i])
+        seen = Seen(state, m.motor_acceleration[i], a, dynamics.rotor_torque(state, 0.0, T, p), own[i])
         update(x, P, seen, at, noise, p)
     return x
 

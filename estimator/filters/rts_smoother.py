@@ -15,7 +15,7 @@ import numpy as np
 from ...models import streams
 from ...models.kernels import kernel
 from ...models.signals import Signals
-from ..dynamics_filter import FILTER, OUT, filter_step, tell
+from ..dynamics_filter import FILTER, OUT, filter_step, write_out
 from ..errors import FilterDiverged
 from ..estimator import Estimator, KnownJoint, Posterior, fields_of, part_samples, sample_interval
 from ..joint_model import SIZE, STATES, TUNING, ProcessNoise, joint_torque, torque_variance
@@ -28,17 +28,18 @@ from .dynamics_ekf import DynamicsEKF
 
 @kernel
 def forward(samples, settings, record, memory, out, F, predicted, covariance, filtered):
-    """Filter n samples and keep what the way back needs; returns n, or the sample at which an estimate was not finite.
+    """Filter n samples and keep the data of the backward pass; return n, or the sample at which an estimate was not
+    finite.
 
     Args:
-        memory: Shape (1,), record of `FILTER`. out: Shape (n,), records of `OUT`.
-        F, covariance, filtered: Shape (n, m, m): Jacobian, covariance of the prediction, of the estimate.
-        predicted: Shape (n, SIZE).
+      memory: Shape (1,), record of `FILTER`. out: Shape (n,), records of `OUT`.
+      F, covariance, filtered: Shape (n, m, m): Jacobian, covariance of the prediction, of the estimate.
+      predicted: Shape (n, SIZE).
     """
     m, c, p, count = memory[0], settings[0], record[0], F.shape[1]
     for k in range(len(samples)):
         torque, variance = filter_step(m, samples[k], c, p, False)
-        if tell(m, torque, variance, out[k]) != 0:
+        if write_out(m, torque, variance, out[k]) != 0:
             return k
         F[k], covariance[k], filtered[k] = m.F[:count, :count], m.predicted_P[:count, :count], m.P[:count, :count]
         predicted[k] = m.predicted
@@ -47,8 +48,8 @@ def forward(samples, settings, record, memory, out, F, predicted, covariance, fi
 
 @kernel
 def backward(time, states, record, settings, F, predicted, covariance, filtered, torque, variance):
-    """Smooth states, shape (n, SIZE), and `filtered`, shape (n, m, m), in place; torque, variance: outputs, shape (k,). Of n = k
-    + 1 states the last one is smoothed already."""
+    """Smooth states, shape (n, SIZE), and `filtered`, shape (n, m, m), in place; torque, variance: outputs, shape
+    (k,). Of n = k + 1 states the last one is already smoothed."""
     p, noise = record[0], settings[0].noise
     n, m = len(states), filtered.shape[1]
     H, shift = np.zeros(SIZE), np.zeros(m)
@@ -74,12 +75,12 @@ def backward(time, states, record, settings, F, predicted, covariance, filtered,
 class RTSSmoother(Estimator):
     """RTS smoother on the joint's dynamics; not causal.
 
-    The way back needs 3 m² + SIZE numbers a sample, 2 MB per second at 1 kHz. The filter runs forward once and keeps what it
-    knows at the begin of every `BLOCK` of samples; from the last block to the first it then runs again, now keeping every
-    sample, and back: the same numbers as with all samples kept, in a block's memory.
+    The backward pass needs 3 m² + SIZE numbers a sample, 2 MB per second at 1 kHz. The filter runs forward once and
+    keeps its state at the start of every `BLOCK` of samples. From the last block to the first it runs again, keeps
+    every sample, and runs back: the same numbers in a block's memory.
 
     Attributes:
-        process: how far the joint departs from its equations.
+      process: deviation of the joint from its equations.
     """
 
     name: str = "rts_smoother"
@@ -99,7 +100,7 @@ class RTSSmoother(Estimator):
         return self._smoothed(signals, joint, ("torque", "variance", "external_torque"))
 
     def _smoothed(self, signals: Signals, joint: KnownJoint, names: tuple[str, ...]) -> Posterior:
-        """Some of the filter's outputs, smoothed."""
+        """Return some of the filter's outputs, smoothed."""
         signals, joint = in_time(signals, joint)
         for name in self.needs:
             signals[name]
@@ -140,32 +141,32 @@ class RTSSmoother(Estimator):
 
 
 class _Kept:
-    """What the way back needs of the samples of a block, and of the first one after it."""
+    """Data of the backward pass for the samples of a block, and for the first one after it."""
 
     def __init__(self, size: int, m: int):
-        """Room for so many samples of m states that move."""
+        """Allocate for `size` samples of m active states."""
         self._out, self._predicted = np.zeros(size, OUT), np.zeros((size, SIZE))
         self._states = np.zeros((size, SIZE))
         self._F, self._covariance, self._P = (np.zeros((size, m, m)) for _ in range(3))
 
     def forward(self, samples: np.ndarray, settings: np.ndarray, record: np.ndarray, memory: np.ndarray) -> int:
-        """Filter a block, whose samples come first, in place of what was there."""
+        """Filter a block; overwrite the previous one."""
         n = len(samples)
         return int(forward(
             samples, settings, record, memory, self._out[:n], self._F, self._predicted, self._covariance, self._P
         ))  # fmt: skip
 
     def outputs(self, n: int) -> np.ndarray:
-        """Outputs of the filter over a block of n samples, shape (n, outputs)."""
+        """Return the filter's outputs over a block of n samples, shape (n, outputs)."""
         return self._out[:n]
 
     def first_of_the_next(self, n: int) -> None:
-        """Take the first sample, which is smoothed, as the one after a block of n samples."""
+        """Use the first sample, which is smoothed, as the one after a block of n samples."""
         for kept in (self._states, self._predicted, self._F, self._covariance, self._P):
             kept[n] = kept[0]
 
     def backward(self, samples: np.ndarray, record: np.ndarray, settings: np.ndarray, goes_on: bool) -> np.ndarray:
-        """Smooth a block; `goes_on`: whether there is one after it. Gives its outputs, shape (n, outputs)."""
+        """Smooth a block; `goes_on`: whether there is one after it. Return its outputs, shape (n, outputs)."""
         n = len(samples)
         end, first = n + goes_on, fields_of(OUT).index(STATES[0])
         out, states = self._out[:n].view(np.float64).reshape(n, -1), self._states[:end]

@@ -16,7 +16,7 @@ from ...models.kernels import kernel
 from ...models.step import Step, step_of
 from ..compliance import measure
 from ..tuning_parameters import TuningParameter
-from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, correct, start, tell
+from .kalman import ACCELERATION, MEMORY, OUT, SETTINGS, TorqueFilter, correct, start, write_out
 
 _NOTHING_YET = -1.0
 
@@ -47,7 +47,7 @@ def _step(m, s, p, c, o):
     else:
         e, m.expected = predict(f, y, m.expected, s.interval, c)
         S = correct(f, e, c.V)
-    return tell(f, e, S, o)
+    return write_out(f, e, S, o)
 
 
 @dataclass(frozen=True)
@@ -55,10 +55,10 @@ class StrongTracking(TorqueFilter):
     """Strong tracking filter.
 
     Attributes:
-        acceleration: as `TorqueFilter`, smaller: fading does what process noise need not.
-        forget: ρ [1]: 0.95 as in the source, a memory of two samples.
-        soften: β ≥ 1 [1]: how much larger than expected innovations must be. A memory of two samples scatters widely: less
-            would fade at noise.
+      acceleration: as `TorqueFilter`, smaller: fading replaces process noise.
+      forget: ρ [1]: 0.95 as in the source, a memory of two samples.
+      soften: β ≥ 1 [1]: ratio of innovations to the expected ones that starts fading. A memory of two samples
+        scatters widely: a smaller ratio would fade at noise.
     """
 
     name: str = "strong_tracking"

@@ -72,6 +72,7 @@ class Requirements:
       known_push: whether there must be a recording without unmeasured pushes on the link.
       gravity: whether such a one must have a gravity moment.
       arm: whether other joints of an arm must move.
+      weighed: whether there must be a current, or a load that is not of an arm's mass model.
     """
 
     sliding: float = 0.0
@@ -86,6 +87,7 @@ class Requirements:
     known_push: bool = False
     gravity: bool = False
     arm: bool = False
+    weighed: bool = False
 
 
 def put_order(p: np.void, field: str, values: dict[str, float]) -> None:

@@ -44,7 +44,7 @@ def _cause(given: Any, name: str) -> Cause:
         if not hasattr(cause, field):
             raise InputError(f"{field}: missing")
     if cause.name != name:
-        raise InputError(f"name: expected {name!r}, as it is offered, got {cause.name!r}")
+        raise InputError(f"name: expected {name!r}, its entry point, got {cause.name!r}")
     if cause.component not in COMPONENTS:
         raise InputError(f"component: expected one of {list(COMPONENTS)}, got {cause.component!r}")
     parameters = {q.name: q for q in cause.parameters if isinstance(q, CauseParameter)}

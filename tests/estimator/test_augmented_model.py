@@ -63,7 +63,7 @@ class Midway:
     def of(cls, case: str, samples: int = 900, interval: float | None = None, **told: float) -> Midway:
         """Of a case of `test_symmetry`; `interval` [s] to the next sample, by default the recording's; told: of its record."""
         signals, known = seen(case)
-        known = known.told(**told)
+        known = known.with_numbers(**told)
         estimator = registry.get("augmented")
         step = estimator.step(known, 1e-3)
         given = as_samples(signals, (), known)[: samples + 1].copy()
@@ -200,8 +200,8 @@ def test_errors_grow_by_the_equations_linearised(told):
     midway = disturbed(Midway.of("plain", interval=MOMENT, **told), stiffness=0.0)
     noise = midway.after()[1]
     linear = {"Fs": midway.joint.p["Fc"], "friction_load": 0.0}
-    others = Midway(midway.joint.told(**linear), midway.memory, midway.settings, midway.sample, midway._arrays)
-    undamped = Midway(others.joint.told(s1=0.0), midway.memory, midway.settings, midway.sample, midway._arrays)
+    others = Midway(midway.joint.with_numbers(**linear), midway.memory, midway.settings, midway.sample, midway._arrays)
+    undamped = Midway(others.joint.with_numbers(s1=0.0), midway.memory, midway.settings, midway.sample, midway._arrays)
     for j in range(SIZE):
         P = np.zeros((SIZE, SIZE))
         P[j, j] = UNITS[j] ** 2
@@ -255,7 +255,7 @@ def test_what_torsion_shows_of_the_joints_numbers():
     p = midway.joint.p
 
     def innovation(x=None, **told):
-        other = midway.joint.told(**told)
+        other = midway.joint.with_numbers(**told)
         arrays = (*midway._arrays[:2], other.record, *midway._arrays[3:])
         return Midway(other, midway.memory, midway.settings, midway.sample, arrays).after(x)[2]["innovation"]
 

@@ -96,7 +96,7 @@ def test_errors_of_current_pass_as_far_as_the_estimator_lets_them():
     ({"joint_torque": 0.4}, 0.0, 0.4), ({"link_balance": 0.4}, 0.0, 0.4), ({}, 0.4, 0.4), ({}, 0.0, 0.0),
 ])  # fmt: skip
 def test_errors_of_torsion_are_the_larger_balances_and_the_hysteresis(stated, hysteresis, expected):
-    joint, known = stating(stated), SILENT.told(hysteresis_torque=hysteresis * np.sqrt(3.0))
+    joint, known = stating(stated), SILENT.with_numbers(hysteresis_torque=hysteresis * np.sqrt(3.0))
 
     def run(s: Signals, _):
         return {"torsion": P["K1"] * (s["motor_position"] / P["N"] - s["link_position"])}

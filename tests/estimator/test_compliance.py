@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matrix_filter import run
 
-from flexspline.estimator import PaperFilter, compliance, compliance_torque, get
+from flexspline.estimator import PaperFilter, compliance, get
 from flexspline.models.errors import InputError
 from flexspline.models.signals import Signals
 
@@ -59,12 +59,12 @@ def test_knees_and_oddness(calibration):
         assert np.diff(torque)[0] / np.diff(inside)[0] == pytest.approx(slope, rel=1e-9)
 
 
-def test_arrays_are_the_compiled_scalar_and_broadcast(calibration, rng):
+def test_arrays_broadcast(calibration, rng):
     motor, link = rng.uniform(-1, 1, (3, 4)), rng.uniform(-0.01, 0.01, (3, 4))
     got = compliance(motor, link, 0.05, calibration)
     assert got.torque.shape == (3, 4)
     for index in np.ndindex(3, 4):
-        assert got.torque[index] == compliance_torque(motor[index], link[index], 0.05, calibration[0])
+        assert got.torque[index] == compliance(motor[index], link[index], 0.05, calibration).torque
 
 
 def test_link_encoder_zero_is_calibration(calibration):
@@ -130,7 +130,7 @@ def test_a_late_link_encoder_is_held_against_motor_and_torque_as_they_were(known
     model = get("model")
     in_time = model.estimate(Signals(time, {**columns, "link_position": link(time)}), known).mean
     late = Signals(time, {**columns, "link_position": link(time - delay)})
-    found = model.estimate(late, known.told(link_delay=delay)).mean
+    found = model.estimate(late, known.with_numbers(link_delay=delay)).mean
     np.testing.assert_allclose(found[50:], in_time[50:], atol=2e-3)
     assert np.abs(model.estimate(late, known).mean - in_time)[50:].min() > 0.1  # had nobody known
 
@@ -150,7 +150,7 @@ def test_a_late_link_encoder_sees_the_motor_torque_of_its_own_time(known):
     model = get("model")
     in_time = model.estimate(Signals(time, {**columns, "link_position": link(time)}), known).mean
     late = Signals(time, {**columns, "link_position": link(time - delay)})
-    found = model.estimate(late, known.told(link_delay=delay)).mean
+    found = model.estimate(late, known.with_numbers(link_delay=delay)).mean
     assert np.abs(in_time[5:]).max() < 1e-9
     print("as known", np.abs(found[20:]).max(), "had nobody known", np.abs(model.estimate(late, known).mean)[20:].max())
     np.testing.assert_allclose(found[20:], 0.0, atol=0.05 * np.abs(model.estimate(late, known).mean)[20:].max())
@@ -160,7 +160,7 @@ def test_observers_read_a_late_link_encoder_as_it_will_be(known):
     """While it speeds up and winds up: the link's velocity and torque are those of readings in time, not `delay` behind them."""
     time = np.arange(600) * 1e-3
     delay, speed = 4e-3, 30.0
-    joint = known.told(amplitude=0.0)
+    joint = known.with_numbers(amplitude=0.0)
     motor = speed * time**2  # it speeds up
 
     def signals(t):
@@ -168,7 +168,7 @@ def test_observers_read_a_late_link_encoder_as_it_will_be(known):
         return Signals(time, {"motor_position": motor, "link_position": link, "motor_current": np.full(600, 1.0)})
 
     in_time = get("momentum").estimate(signals(time), joint)
-    found = get("momentum").estimate(signals(time - delay), joint.told(link_delay=delay))
+    found = get("momentum").estimate(signals(time - delay), joint.with_numbers(link_delay=delay))
     velocity = in_time.columns["link_velocity"]
     np.testing.assert_allclose(found.columns["link_velocity"][100:], velocity[100:], rtol=1e-3)
     np.testing.assert_allclose(found.mean[200:], in_time.mean[200:], atol=0.01)

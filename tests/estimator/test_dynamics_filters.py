@@ -313,7 +313,7 @@ def test_a_late_link_encoder_costs_the_smoother_nothing(record):
     known = KnownJoint(record, EXACT)
     smoother = replace(get("rts_smoother"), process=MATCHED)
     expected = smoother.estimate(signals, known).mean
-    found = smoother.estimate(late, known.told(link_delay=6e-3)).mean
+    found = smoother.estimate(late, known.with_numbers(link_delay=6e-3)).mean
     assert np.sqrt(np.mean((found - expected)[200:-100] ** 2)) < 0.02
     blind = smoother.estimate(late, known).mean
     assert np.sqrt(np.mean((blind - expected)[200:-100] ** 2)) > 1.0

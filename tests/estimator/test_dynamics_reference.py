@@ -206,7 +206,7 @@ def test_a_late_link_encoder_makes_a_late_filter_that_goes_on_to_now(name):
     n = len(signals.time)
     link = signals["link_position"]
     late = signals.with_columns(link_position=np.r_[np.full(samples, link[0]), link[:-samples]])
-    told = known.told(link_delay=delay)
+    told = known.with_numbers(link_delay=delay)
     estimator = registry.get(name)
     memories = []
     for given, joint in ((signals, known), (late, told)):
@@ -247,7 +247,7 @@ def test_from_the_late_instant_to_now_by_the_model_and_the_motor_encoder(name):
     known as that; the covariance by the last Jacobian and the process noise, less by every reading of the motor encoder."""
     delay = 5.7e-3
     signals, known = seen("plain")
-    known = replace(known, noise=replace(SMOOTH, motor_noise=4e-4)).told(link_delay=delay)
+    known = replace(known, noise=replace(SMOOTH, motor_noise=4e-4)).with_numbers(link_delay=delay)
     signals = signals.part(slice(600, 760))
     estimator = registry.get(name)
     record = estimator.process.record(known, 1e-3)[0]

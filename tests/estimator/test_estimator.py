@@ -138,7 +138,7 @@ WITH_EFFECTS = {
 def test_in_the_loop_it_says_what_it_says_afterwards(name, effects):
     """The command that the drive gave in the loop follows, to the bit, from the estimates over the signals of that loop."""
     seed, n, dt = 3, 600, loop.CONTROL_PERIOD
-    known = KnownJoint.of(JOINT, MOUNTING).told(**effects)
+    known = KnownJoint.of(JOINT, MOUNTING).with_numbers(**effects)
     record = known.record
     position, velocity, push = np.full(n, 0.3), np.zeros(n), np.where(np.arange(n) > 300, 3.0, 0.0)
     controller = Controller(torque_feedback=0.4).record(record[0], dt, True)

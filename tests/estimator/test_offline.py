@@ -172,7 +172,7 @@ ODD = {
 def test_the_encoder_that_is_not_there_reads_what_the_torque_winds(missing, sweep, joint):
     """Through everything that is known of both: torsion of the angles behind the readings is that of the torque, of the current
     where the rotor's angle is read, of the link's own motion otherwise."""
-    known = KnownJoint.of(joint, sweep.link).told(**ODD)
+    known = KnownJoint.of(joint, sweep.link).with_numbers(**ODD)
     record = known.record.copy()
     record[0]["link_error_order"][0], record[0]["link_error_amplitude"][0] = 1.0, 5e-4
     known = replace(known, record=record)

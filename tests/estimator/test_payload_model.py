@@ -24,7 +24,7 @@ from flexspline.models.dynamics import drive_state
 @pytest.fixture
 def p(known):
     """The test joint with friction that depends on load, a tenth of it, of which a part acts while the load drives."""
-    return known.told(friction_load=0.1, back_driven_friction=0.4).p
+    return known.with_numbers(friction_load=0.1, back_driven_friction=0.4).p
 
 
 def torque(x, link, velocity, acceleration, own, p) -> float:

@@ -47,7 +47,7 @@ RANDOM = {
 
 def known(torque: float = 1.0, angle: float = 1.0, **told: float) -> KnownJoint:
     """The test joint in other units, with effects and spread."""
-    joint = KnownJoint.of(JOINT, JOINT.mount("link"), RICH.record(3)).told(**told)
+    joint = KnownJoint.of(JOINT, JOINT.mount("link"), RICH.record(3)).with_numbers(**told)
     noise = replace(NOISE, **{n: angle * getattr(NOISE, n) for n in ("motor_resolution", "motor_noise", "motor_error")})
     spread = replace(joint.spread, stiffness=0.07, kinematic=np.where(joint.p["amplitude"] != 0.0, 2e-5, 0.0))
     joint = replace(

@@ -28,7 +28,7 @@ EFFECTS = {
 
 
 def known(**effects: float) -> KnownJoint:
-    joint = KnownJoint.of(JOINT, MOUNTING).told(**effects)
+    joint = KnownJoint.of(JOINT, MOUNTING).with_numbers(**effects)
     record = joint.record.copy()
     if effects:
         record[0]["cogging_order"][0], record[0]["cogging_amplitude"][0] = 1.0, 4e-3
@@ -74,8 +74,8 @@ def test_torque_from_current_from_torsion_and_of_the_link_agree(effects):
 
 def test_a_link_that_is_not_rigid_asks_for_another_torque():
     """A share on a spring of 14 Hz, far above the motion: the torque of all of it, swinging with the rest."""
-    joint = known().told(flexible_share=0.3, flexible_frequency=14.0, flexible_damping=0.2)
-    signals, torque = moving(joint.told(flexible_share=0.0))
+    joint = known().with_numbers(flexible_share=0.3, flexible_frequency=14.0, flexible_damping=0.2)
+    signals, torque = moving(joint.with_numbers(flexible_share=0.0))
     motion = smoothed.smooth_motion(signals, joint, 40.0)
     found = smoothed.own_torque(motion, joint, torque)
     late = INSIDE & (TIME > 0.8)
@@ -85,7 +85,7 @@ def test_a_link_that_is_not_rigid_asks_for_another_torque():
 @pytest.mark.parametrize("delay", [6e-3, 6.4e-3, 0.05])
 def test_a_late_encoder_is_read_where_its_readings_are_of(delay):
     """What is over can be read earlier; what had not come yet when the recording ended moves as the rotor has since, or stays."""
-    joint = known().told(link_delay=delay)
+    joint = known().with_numbers(link_delay=delay)
     time = 2.0 + TIME[:1000]
     link, motor = np.sin(3.0 * time), 100.0 * np.cos(2.0 * time)
     late = Signals(time, {"link_position": np.sin(3.0 * (time - delay)), "motor_position": motor})

@@ -191,7 +191,7 @@ class _Listed(Strict):
         ("name: a\nfirst: &a\n  mass: 1\n  distance: 2\nparts:\n - *a\n - {mas: 3}", 7, "parts.1.mas: unknown"),
         ("name: a\n\nnam: b", 3, "nam: unknown key; did you mean 'name'?"),
         ("name: a\nparts: [\n", 3, "not YAML"),
-        ("name: a\nname: b", 2, "not YAML: the key 'name' stands twice"),
+        ("name: a\nname: b", 2, "not YAML: duplicate key 'name'"),
     ],
 )
 def test_errors_name_the_line(tmp_path, text, line, said):

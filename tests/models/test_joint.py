@@ -90,7 +90,7 @@ BAD = {
     "missing field": (", source: assumed}\n  bm:", "}\n  bm:", "numbers.Kt.source: missing"),
     "not a number": ("T1: {value: 3.9", "T1: {value: soft", "numbers.T1.value: expected a valid number"),
     "not finite": ("T1: {value: 3.9", "T1: {value: .inf", "numbers.T1.value: expected a finite number"),
-    "duplicated key": ("  T1: {value: 3.9", "  T2: {value: 3.9", "the key 'T2' stands twice"),
+    "duplicated key": ("  T1: {value: 3.9", "  T2: {value: 3.9", "duplicate key 'T2'"),
     "bad YAML": ("numbers:\n", "numbers: [\n", "not YAML"),
     "unknown mounting": (
         "mounting: link\n",
@@ -340,7 +340,7 @@ def effect(name, **values):
     ("effects", "expected"),
     [
         ([effect("backlash", width=3e-4), effect("stiffness", scale=0.8), effect("backlash", width=2e-4)],
-         "effects.2: backlash stands twice"),
+         "effects.2: backlash is there twice"),
         ([effect("cogging", order=n, amplitude=1e-3, phase=0.0) for n in range(2, 11)],
          "expected at most 8 orders of cogging, got one more"),
         ([effect("stiffness", scale=1.1)] * 1000, "effects: expected at most 32 items, not 1000, got"),

@@ -1,16 +1,14 @@
-"""Figures of a run: the paper's, ours beside what it states, and general ones.
+"""Figures of a run: those of the paper, and general ones.
 
-The paper prints Figs. 3, 5, 7, 8 and 9 without their data, so every caption gives what its text states and what this
-run measured. Errors are against the plant's noise-free joint torque unless a label says otherwise. matplotlib is loaded
-when the first figure is drawn, and keeps its own settings.
+The paper prints Figs. 3, 5, 7, 8 and 9 without their data, so that captions state the paper's text and the results of this run.
+Errors are relative to the plant's noise-free joint torque unless a label says otherwise. matplotlib is loaded with the first
+figure, and its settings are not changed.
 """
 
 from __future__ import annotations
 
-import gc
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,41 +21,19 @@ if TYPE_CHECKING:
 
 
 def figures_of(run: Run) -> dict[str, Figure]:
-    """The figures that fit a run, by file name: those of the paper that its scenario names, and the general ones."""
+    """Return the figures of a run by file name: those of the paper that its scenario names, and general ones."""
     return {name: make(run) for name, make in _chosen(run).items()}
 
 
-def save_figures(run: Run, folder: Path, first: int = 0, every: int = 1) -> list[Path]:
-    """Write a run's figures as PNG.
-
-    Args:
-      run: the run.
-      folder: where to; made if need be.
-      first, every: of its figures only the `first` and each `every`th after it, for who shares them out.
-
-    Returns:
-      Their paths.
+def save_figures(run: Run, folder: Path) -> list[Path]:
+    """Write a run's figures as PNG into a folder, which is made if it does not exist; return their paths.
 
     Raises:
       InputError: the folder cannot be written.
     """
     from .sheet import save
 
-    with _without_collecting():
-        chosen = list(_chosen(run).items())[first::every]
-        return [save(make(run), Path(folder) / f"{name}.png") for name, make in chosen]
-
-
-@contextmanager
-def _without_collecting() -> Iterator[None]:
-    """Without the garbage collector, which a figure's thousands of small objects would call again and again."""
-    enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if enabled:
-            gc.enable()
+    return [save(make(run), Path(folder) / f"{name}.png") for name, make in _chosen(run).items()]
 
 
 def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
@@ -73,5 +49,5 @@ def _chosen(run: Run) -> dict[str, Callable[[Run], Figure]]:
     chosen = dict(of_paper[number] for number in re.findall(r"\d+", run.scenario.figure) if number in of_paper)
     if "fig9_zoom" in chosen and not zoom.zoomed(run):
         del chosen["fig9_zoom"]
-    thoughts = {"filters": filters.filters} if innovations(run) else {}
-    return chosen | {"overview": overview.overview, **thoughts, "error": error.error}
+    more = {"filters": filters.filters} if innovations(run) else {}
+    return chosen | {"overview": overview.overview, **more, "error": error.error}

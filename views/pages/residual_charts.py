@@ -1,4 +1,4 @@
-"""Charts of residuals: measured against simulated over time, and residuals against what they may depend on."""
+"""Charts of residuals over time and over the variables that they may depend on."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..dependence import ORDERS, VARIABLES, explained, means, orders, telling
+from ..dependence import ORDERS, VARIABLES, explained, means, orders, strongest_variable
+from ..numbers import percent
 from ..report import plain
 from ..residuals import Overlay, ResidualSeries
 from .chart import Chart, limits
-from .rendering import percent
 
 if TYPE_CHECKING:
     from ...diagnosis.improvement import Improvement
 
-_DOTS = 600  # samples that stand for a balance's cloud
+_DOTS = 600  # samples in a chart of a balance
 
 
 @dataclass(frozen=True)
 class Group:
-    """Charts that belong together; of a channel, with what stands about it in the template under that name."""
+    """Charts of one channel, with the RMS of its residual before and after, and the noise."""
 
     channel: str
     unit: str
@@ -32,7 +32,7 @@ class Group:
 
 
 def over_time(rows: list[list[Overlay]]) -> list[Group]:
-    """A group per channel: for each recording its values, where there are any, above its residuals."""
+    """Return a group per channel: for each recording its values, if measured, above its residuals."""
     found = []
     for row in rows:
         both = np.concatenate([x for o in row for x in (o.before, o.after)])
@@ -59,7 +59,8 @@ def _overlay(o: Overlay, y: tuple[float, float]) -> list[Chart]:
 
 
 def trace(improvement: Improvement) -> dict[str, Any]:
-    """The main estimator's estimate before and after against the sensor, and its error: of the recording that is loaded most."""
+    """Return charts of the main estimator's estimate before and after, with its error, for the recording with the largest
+    load."""
     t = max(improvement.traces, key=lambda t: float(np.ptp(t.measured)))
     x = (float(t.time[0]), float(t.time[-1]))
     values = Chart(x, limits(t.measured, 0.05), plain(improvement.quantity), ylabel="N·m", width=660, height=170)
@@ -75,9 +76,9 @@ def trace(improvement: Improvement) -> dict[str, Any]:
     return {"name": t.name, "charts": [values, below]}
 
 
-def told(found: list[ResidualSeries]) -> dict[str, Any] | None:
-    """What gives the discrepancy away: channel, variable, and the share of the residual that it explains before and after."""
-    most = telling(found)
+def main_variable(found: list[ResidualSeries]) -> dict[str, Any] | None:
+    """Return the variable that explains most of the discrepancy: channel, key, and shares before and after."""
+    most = strongest_variable(found)
     if most is None:
         return None
     b, key, share = most
@@ -85,8 +86,8 @@ def told(found: list[ResidualSeries]) -> dict[str, Any] | None:
 
 
 def by_variable(found: list[ResidualSeries]) -> list[Group]:
-    """A group per balance: its residual against everything that it may depend on."""
-    most = telling(found)
+    """Return a group per balance: its residual over every variable."""
+    most = strongest_variable(found)
     groups = []
     for b in found:
         accent = most[1] if most is not None and most[0] is b else ""
