@@ -278,7 +278,9 @@ def sheet(known: KnownJoint) -> KnownJoint:
 
 def weighed(share: float, stated: float) -> Callable[[KnownJoint], KnownJoint]:
     """The weight told as a share of the nominal one, known within `stated`."""
-    return lambda known: replace(known.with_numbers(Mg=share * known.p["Mg"]), spread=replace(known.spread, gravity=stated))
+    return lambda known: replace(
+        known.with_numbers(Mg=share * known.p["Mg"]), spread=replace(known.spread, gravity=stated)
+    )
 
 
 TOLD: Mapping[str, tuple[float, Callable[[KnownJoint], KnownJoint]]] = {

@@ -1,7 +1,7 @@
-"""Everything that is wrong with a joint description, all at once; and what is odd of it by what makers make.
+"""All faults of a joint description at once, and unusual numbers.
 
-An *error* is what no joint of this kind can be: a file that commands refuse, or numbers that contradict each other. A *warning*
-is what lies outside the range of what is made: sizes 8 to 65 of strain wave gears, motors of robot joints.
+An *error* is impossible for a joint of this kind: a file that commands refuse, or numbers that contradict each other.
+A *warning* is outside the range of products: sizes 8 to 65 of strain wave gears, motors of robot joints.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ MADE: dict[str, tuple[float, float]] = {
     "supply_voltage": (6, 800), "current_limit": (0.2, 250), "K1": (250, 6e5), "K2": (300, 9e5), "K3": (350, 1e6),
     "T1": (0.1, 250), "T2": (0.3, 900), "rated_torque": (0.5, 1500), "Fc": (1e-3, 2), "Fs": (1e-3, 3), "vs": (0.05, 100),
 }  # fmt: skip
-"""Smallest and largest value of what makers make, in the numbers' units: catalogues of gears of sizes 8 to 65 and ratios 30 to
-320, of motors from 20 W to 2 kW; of friction, starting torques."""
+"""Smallest and largest value of products, in the numbers' units: catalogues of gears of sizes 8 to 65 and ratios 30
+to 320, of motors from 20 W to 2 kW; of friction, starting torques."""
 
 
 @dataclass(frozen=True)
 class Checked:
-    """A description that was checked: its file, the joint where it can be one, and what is wrong, errors first."""
+    """A checked description: its file, the joint if it is valid, and its faults, errors first."""
 
     path: Path
     joint: Joint | None
@@ -52,14 +52,14 @@ def check(source: str | Path) -> Checked:
       source: its file, or the name of a shipped one.
 
     Returns:
-      All errors and warnings, in the order of the file as far as it is known.
+      All errors and warnings, in the order of the file if known.
 
     Raises:
-      InputError: there is no such file.
+      InputError: no such file.
     """
     path = known_joints().get(str(source).replace("_", "-"), Path(source))
     if not path.is_file():
-        load_joint(source)  # says what there is
+        load_joint(source)  # raises with the known names
     try:
         data = read_yaml(path, "a joint description")
     except InputError as error:
@@ -81,7 +81,7 @@ def check(source: str | Path) -> Checked:
 
 
 def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
-    """The joint where every field can be read, and all that is wrong, a line each."""
+    """Return the joint if every field can be read, and all faults, a line each."""
     faults: list[str] = []
     try:
         return Joint.model_validate(data, context={"faults": faults}), faults
@@ -92,11 +92,11 @@ def _read(data: dict[str, Any]) -> tuple[Joint | None, list[str]]:
     known = shared if isinstance(shared, dict) else {}
     whole = data.get("numbers")
     if isinstance(whole, dict):
-        told = {line.split(":")[0] for line in lines}
+        named = {line.split(":")[0] for line in lines}
         unread = {str(symbol) for symbol in whole} - set(_numbers(data))
         for fault in number_faults(_numbers(data), known):
             field = fault.split(":")[0]
-            if field not in told and not (fault.endswith(": missing") and field.removeprefix("numbers.") in unread):
+            if field not in named and not (fault.endswith(": missing") and field.removeprefix("numbers.") in unread):
                 lines.append(fault)
     chosen, mountings = data.get("mounting"), data.get("mountings")
     if isinstance(mountings, dict) and isinstance(chosen, str) and chosen not in mountings:
@@ -109,7 +109,7 @@ def _numbers(data: Mapping[str, Any]) -> dict[str, Number]:
 
 
 def _each(given: Any, model: type[BaseModel]) -> dict[str, Any]:
-    """Those entries of a mapping that are what they should be."""
+    """Return the valid entries of a mapping."""
     found = {}
     for name, one in given.items() if isinstance(given, dict) else ():
         try:
@@ -136,7 +136,7 @@ def _mjcf(joint: Joint) -> list[Fault]:
 
 
 def _implausible(numbers: Mapping[str, Number], mountings: Mapping[str, Mounting]) -> Iterator[Fault]:
-    """What numbers and mountings say that no joint does, or few do; as far as they can be read."""
+    """Yield impossible or unusual numbers and mountings."""
     value = {symbol: number.value for symbol, number in numbers.items() if number.value > 0}
     fitted = {symbol for symbol, number in numbers.items() if number.nominal is not None}
     yield from contradictions(value, fitted)
@@ -154,7 +154,7 @@ def _odd_value(field: str, expected: str, got: float) -> Fault:
 
 
 def _proportions(value: Mapping[str, float]) -> Iterator[Fault]:
-    """Numbers that do not fit each other: a slip of a unit shows here when each alone could be."""
+    """Yield numbers that do not match each other: this finds a wrong unit of a number that is possible alone."""
 
     def has(*symbols: str) -> bool:
         return all(symbol in value for symbol in symbols)
@@ -207,7 +207,7 @@ def _mounting(name: str, mounting: Mounting, value: Mapping[str, float]) -> Iter
 
 
 def _odd(joint: Joint) -> Iterator[Fault]:
-    """What can be said of a description that is whole."""
+    """Yield unusual properties of a complete description."""
     p = joint.bare_record()[0]
     slope = sum(abs(float(o.order * o.amplitude.value)) for o in joint.kinematic_error) * float(p["N"])
     if slope >= 1:
@@ -225,7 +225,7 @@ def _odd(joint: Joint) -> Iterator[Fault]:
 
 
 def _effect(i: int, effect: Effect) -> Iterator[Fault]:
-    """An effect's parameters far beyond what is ordinary."""
+    """Yield an effect's parameters far beyond ordinary size."""
     for q in causes.get(effect.name).parameters:
         largest = max((abs(high) for _, high in q.ordinary), default=math.inf)
         if q.magnitude and q.relative is None and abs(effect.values[q.name]) > 20 * largest:

@@ -138,9 +138,7 @@ def _offers(kind: Kind, taken: frozenset[str]) -> dict[str, Offer]:
             name = _named(one)
             if name in taken or name in found:
                 there = _PACKAGE if name in taken else found[name].origin.name
-                raise InputError(
-                    f"{file}: {kind[:-1]} {name!r}: expected another name, {there} has one of that name"
-                )
+                raise InputError(f"{file}: {kind[:-1]} {name!r}: expected another name, {there} has one of that name")
             found[name] = Offer(name, Origin(str(file), read.digest), partial(_same, one))
     return found
 

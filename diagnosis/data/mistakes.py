@@ -20,7 +20,7 @@ from threadpoolctl import threadpool_limits
 from ...models.command_lines import mending
 from ...models.errors import InputError
 from ...models.joint import Joint
-from ...models.recording import GAP, Measurement, Recording, with_arm_load, check_channels
+from ...models.recording import GAP, Measurement, Recording, check_channels, with_arm_load
 from ...models.signals import DRIVING, POSITIONS
 from .changes import GRAVITY, NO_CHANGE, Mistake, Table, expected_sign, shrinkage, side, undone
 from .lateness import late_columns

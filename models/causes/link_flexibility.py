@@ -6,11 +6,11 @@ from .base import Cause, CauseParameter, Requirements
 
 
 class LinkFlexibility(Cause):
-    """Part of the link's inertia hangs on it by a spring: a second resonance.
+    """Part of the link's inertia is connected by a spring: a second resonance.
 
-    J_s (φ'' + θl'') = −k φ − d φ' with J_s = share · Jl; frequency and damping ratio are those with the link held. Ordinary: a
-    slender tool or a payload in a rubber grip, near the joint's own resonance (19 Hz with the test joint's link), damped as
-    metal and rubber are.
+    J_s (φ'' + θl'') = −k φ − d φ' with J_s = share · Jl; frequency and damping ratio are those with the link held.
+    Ordinary: a slender tool or a payload in a rubber grip, near the joint's own resonance (19 Hz with the test
+    joint's link), damped as metal and rubber are.
     """
 
     name = "link_flexibility"

@@ -266,10 +266,10 @@ def test_what_is_no_plugin_is_one_line(flexspline, files, tmp_path):
     taken = tmp_path / "taken.py"
     taken.write_text(files[0].read_text(encoding="utf-8").replace('"moving_average"', '"RAREKF"'), encoding="utf-8")
     line = one_line(flexspline("estimators", "--plugin", taken))
-    assert f"{taken}: estimator 'RAREKF': expected a name of its own, flexspline has one of that name" in line
+    assert f"{taken}: estimator 'RAREKF': expected another name, flexspline has one of that name" in line
     twice = tmp_path / "twice.py"
     twice.write_text(files[0].read_text(encoding="utf-8"), encoding="utf-8")
-    assert "expected a name of its own" in one_line(flexspline("estimators", "--plugin", files[0], "--plugin", twice))
+    assert "expected another name" in one_line(flexspline("estimators", "--plugin", files[0], "--plugin", twice))
 
 
 FAILING = """

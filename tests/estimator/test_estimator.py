@@ -413,7 +413,7 @@ def test_estimators_of_other_packages(monkeypatch, known, signals):
     wrong = (
         ("broken", "ModuleNotFoundError: No module named 'nowhere'"),
         ("none", "expected an Estimator, got list"),
-        ("renamed", "name: expected 'renamed', as it is offered, got 'foreign'"),
+        ("renamed", "name: expected 'renamed', its entry point, got 'foreign'"),
         ("failing", "TypeError: .*needed"),
     )
     try:

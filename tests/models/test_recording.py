@@ -110,14 +110,14 @@ def test_a_measurement_is_a_folder_of_tables_with_yaml(tmp_path):
     assert [r.name for r in m.recordings] == ["a", "b"]
     assert m.load_joint().name == "test-joint"
     assert read_measurement(tmp_path / "b.parquet").recordings[0].name == "b"
-    assert m.passed_over == {tmp_path / "notes.csv": "no notes.yaml lies beside it"}
+    assert m.passed_over == {tmp_path / "notes.csv": "notes.yaml is missing"}
 
 
 def test_of_two_tables_of_a_name_one_is_read_and_the_other_is_told(tmp_path):
     """Also where the YAML file that both share is what was named; a table that was named itself is the one that is meant."""
     write_recording(recording("a"), tmp_path)
     write_csv(tmp_path, HEADER + "0,1,2,3\n0.001,1,2,3\n")
-    other = {tmp_path / "a.csv": "a.parquet lies beside it"}
+    other = {tmp_path / "a.csv": "a.parquet was read"}
     for path in (tmp_path, tmp_path / "a.yaml"):
         m = read_measurement(path)
         assert [r.source for r in m.recordings] == [str(tmp_path / "a.parquet")]
@@ -223,7 +223,7 @@ def test_nothing_there(tmp_path):
     with pytest.raises(InputError, match="got none"):
         read_measurement(tmp_path)
     (tmp_path / "a.csv").write_text(HEADER)
-    with pytest.raises(InputError, match=r"YAML file a\.yaml beside it"):
+    with pytest.raises(InputError, match=r"YAML file a\.yaml next to it"):
         read_recording(tmp_path / "a.csv")
     with pytest.raises(InputError, match="expected a table"):
         read_recording(tmp_path / "a.txt")
